@@ -1,0 +1,28 @@
+"""MIRROR: fleet recordings become a multi-traversal camera dataset; simulators are scored against it.
+
+``import mirror`` loads nothing heavy. The names below are imported on first use.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from mirror.errors import MirrorError
+from mirror.version import __version__
+
+if TYPE_CHECKING:
+    from mirror.dataset import Dataset as Dataset
+    from mirror.dataset import open as open
+
+__all__ = ["Dataset", "MirrorError", "__version__", "open"]
+
+_LAZY = {"Dataset": "mirror.dataset", "open": "mirror.dataset"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import ``mirror.open`` and ``mirror.Dataset`` when they are first asked for."""
+    if name in _LAZY:
+        from importlib import import_module
+
+        return getattr(import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'mirror' has no attribute {name!r}")

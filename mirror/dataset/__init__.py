@@ -1,0 +1,1 @@
+"""Datasets on disk: open, query, load, split, statistics, integrity rules."""

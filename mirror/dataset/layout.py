@@ -1,0 +1,124 @@
+"""Where everything lies in a dataset's folder, and what makes a folder complete."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from mirror.schema.documents import FileEntry, Manifest, Pictures
+from mirror.schema.files import read_json, write_json
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Paths of a dataset under ``root``; nothing here touches the disk but the listings."""
+
+    root: Path
+
+    @property
+    def document(self) -> Path:
+        """``dataset.json``."""
+        return self.root / "dataset.json"
+
+    @property
+    def rois(self) -> Path:
+        """``rois.geojson``."""
+        return self.root / "rois.geojson"
+
+    @property
+    def lock(self) -> Path:
+        """The file that a writer locks."""
+        return self.root / ".lock"
+
+    @property
+    def index(self) -> Path:
+        """The folder of derived tables."""
+        return self.root / "index"
+
+    def rig(self, rig_id: str) -> Path:
+        """``rigs/<rig_id>.json``."""
+        return self.root / "rigs" / f"{rig_id}.json"
+
+    def drive(self, drive_id: str) -> Path:
+        """The folder of one drive."""
+        return self.root / "drives" / drive_id
+
+    def traversal(self, traversal_id: str) -> Path:
+        """The folder of one traversal."""
+        return self.root / "traversals" / traversal_id
+
+    def recorded(self, traversal_id: str) -> Path:
+        """The immutable part of a traversal."""
+        return self.traversal(traversal_id) / "recorded"
+
+    def layer(self, traversal_id: str, kind: str, source: str, version: str) -> Path:
+        """One layer of a traversal: ``kind`` is poses, calibrations, boxes, masks or redaction."""
+        return self.traversal(traversal_id) / "layers" / kind / f"{source}@{version}"
+
+    def split(self, name: str) -> Path:
+        """``splits/<name>.json``."""
+        return self.root / "splits" / f"{name}.json"
+
+    def drive_ids(self) -> list[str]:
+        """Complete drives, sorted."""
+        return sorted(folder.name for folder in _complete(self.root / "drives"))
+
+    def layers(self, traversal_id: str) -> list[tuple[str, str, str]]:
+        """Complete layers of a traversal as ``(kind, source, version)``, sorted."""
+        found = []
+        for kind in _folders(self.traversal(traversal_id) / "layers"):
+            for folder in _complete(kind):
+                source, _, version = folder.name.partition("@")
+                found.append((kind.name, source, version))
+        return sorted(found)
+
+
+def _folders(parent: Path) -> Iterator[Path]:
+    if parent.is_dir():
+        yield from (folder for folder in parent.iterdir() if folder.is_dir())
+
+
+def _complete(parent: Path) -> Iterator[Path]:
+    yield from (folder for folder in _folders(parent) if (folder / MANIFEST).is_file())
+
+
+def seal(
+    folder: Path,
+    files: Mapping[str, bytes],
+    *,
+    derived_from: Mapping[str, str],
+    pictures: Pictures | None = None,
+) -> None:
+    """Complete a folder: write its manifest, last.
+
+    Args:
+        folder: a folder whose files are all written.
+        files: the bytes of every file but the pictures, by name relative to the folder, as written.
+        derived_from: hashes of what the folder was made from.
+        pictures: the pictures in sum.
+    """
+    entries = {
+        name: FileEntry(bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
+        for name, data in sorted(files.items())
+    }
+    manifest = Manifest(derived_from=dict(sorted(derived_from.items())), files=entries, pictures=pictures)
+    write_json(folder / MANIFEST, manifest)
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """The manifest of a folder, or None: the folder is not complete, so it does not exist.
+
+    Raises:
+        SchemaError: the manifest is there but broken.
+    """
+    path = folder / MANIFEST
+    return read_json(path, Manifest) if path.is_file() else None
+
+
+def manifest_sha256(folder: Path) -> str:
+    """SHA-256 of the manifest's bytes: the identity of everything in a complete folder."""
+    return hashlib.sha256((folder / MANIFEST).read_bytes()).hexdigest()

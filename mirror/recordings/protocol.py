@@ -1,0 +1,208 @@
+"""What every recording format gives the toolkit: one protocol, read lazily.
+
+A reader turns one format into a `Recording`. It converts its source's time base to Unix nanoseconds, its angles to
+unit quaternions (scalar first), its distances to metres, and its frames to ours (docs/conventions.md); it does not
+clean, filter or cut. It opens no picture until `ImageStream.read` is called, and no file before it is asked for.
+
+A third-party package adds a format by an entry point in the group ``mirror.recordings`` that names a `Reader` class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import pyarrow as pa
+
+from mirror.arrays import Float64, Int64, UInt8
+from mirror.errors import RecordingError
+
+ENTRY_POINT_GROUP = "mirror.recordings"
+
+
+@dataclass(frozen=True)
+class DriveInfo:
+    """Who recorded what, where and when.
+
+    Attributes:
+        drive_id: letters, digits, ``_`` and ``-``.
+        vehicle_id: pseudonym of the vehicle, the same alphabet.
+        vehicle_type: make or class of the vehicle.
+        time_base: the source's own time base in words, e.g. ``GPS microseconds``; stamps given out are Unix UTC.
+        frame: None if positions are WGS 84; else the name of the local metric frame they are in.
+        body_frame: what the recorded poses are poses of, e.g. ``ego`` (rear axle) or ``camera``; where it is not
+            ``ego`` and the offset is unknown, the ego frame is that body turned to x forward, y left, z up.
+        is_clip: True if the source arrives as clips, each judged whole.
+        city: city, if the source says.
+        weather: ``clear``, ``clouds``, ``rain``, ``snow``, ``fog`` or None, if the source says.
+        light: ``day``, ``dusk``, ``night`` or None; where None it is computed from the sun.
+        licence: licence of the recording, if the source says.
+    """
+
+    drive_id: str
+    vehicle_id: str
+    vehicle_type: str
+    time_base: str
+    frame: str | None = None
+    body_frame: str = "ego"
+    is_clip: bool = False
+    city: str | None = None
+    weather: str | None = None
+    light: str | None = None
+    licence: str | None = None
+
+
+@dataclass(frozen=True)
+class Track:
+    """All poses of a drive, as recorded: unsorted, repeated and wild ones included.
+
+    Attributes:
+        timestamp_ns: (N,) Unix time, UTC.
+        longitude_deg: (N,) WGS 84, or None in a local metric frame.
+        latitude_deg: (N,) WGS 84, or None in a local metric frame.
+        x_m: (N,) in the local metric frame, or None.
+        y_m: (N,) in the local metric frame, or None.
+        height_m: (N,) above the ellipsoid (local frame: z), or None where the source has none.
+        rotation: (N, 4) unit quaternion, scalar first: ``enu_SE3_ego`` with east-north-up at the pose's own place
+            (local frame: ``frame_SE3_ego``), or None where the source has no orientation.
+        sigma_m: (N,) horizontal 1-sigma of each fix, or None.
+        file: the file the poses came from, for messages.
+    """
+
+    timestamp_ns: Int64
+    longitude_deg: Float64 | None = None
+    latitude_deg: Float64 | None = None
+    x_m: Float64 | None = None
+    y_m: Float64 | None = None
+    height_m: Float64 | None = None
+    rotation: Float64 | None = None
+    sigma_m: Float64 | None = None
+    file: Path | None = None
+
+    def __len__(self) -> int:
+        return len(self.timestamp_ns)
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """One camera of a rig.
+
+    Attributes:
+        name: canonical name where the rig maps to it, else the source's own.
+        source_name: what the source calls it.
+        static_mask: (H, W) non-zero where the vehicle itself is seen, or None.
+    """
+
+    name: str
+    source_name: str
+    static_mask: UInt8 | None = None
+
+
+@dataclass(frozen=True)
+class RigInfo:
+    """The cameras of a vehicle; ``reference_camera`` defines the frames."""
+
+    rig_id: str
+    cameras: tuple[CameraInfo, ...]
+    reference_camera: str
+
+
+@runtime_checkable
+class ImageStream(Protocol):
+    """The pictures of one camera in time order; nothing is opened before `read`."""
+
+    camera: str
+    codec: str
+    exposure_start_ns: Int64
+    exposure_end_ns: Int64
+
+    def path(self, index: int) -> Path | None:
+        """The file that holds exactly this picture's encoded bytes, to be linked or copied; None: use `read`."""
+        ...
+
+    def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
+        """Yield ``(index, encoded bytes)`` for ascending indices, decoding as little as it can."""
+        ...
+
+
+@dataclass(frozen=True)
+class FileStream:
+    """One encoded picture a file."""
+
+    camera: str
+    codec: str
+    exposure_start_ns: Int64
+    exposure_end_ns: Int64
+    paths: tuple[Path, ...] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        if not len(self.paths) == len(self.exposure_start_ns) == len(self.exposure_end_ns):
+            raise RecordingError(
+                f"{len(self.paths)} pictures but {len(self.exposure_start_ns)} exposure stamps",
+                place=f"camera {self.camera}",
+            )
+
+    def path(self, index: int) -> Path:
+        """The picture's file."""
+        return self.paths[index]
+
+    def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
+        """Yield each file's bytes."""
+        for index in indices:
+            yield index, self.paths[index].read_bytes()
+
+
+@runtime_checkable
+class Recording(Protocol):
+    """One drive. Every method may be called more than once; none writes anything."""
+
+    @property
+    def info(self) -> DriveInfo:
+        """Who, where, when."""
+        ...
+
+    @property
+    def rig(self) -> RigInfo | None:
+        """The cameras; None for a poses-only recording."""
+        ...
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """Every file of the recording as ``(path relative to the recording, path)``, for the fingerprint."""
+        ...
+
+    def track(self) -> Track:
+        """All poses. A drive in several files is given as one track."""
+        ...
+
+    def calibrations(self) -> pa.Table:
+        """Rows of the ``calibrations`` table (`mirror.schema.tables.CALIBRATIONS`), all stages; may be empty."""
+        ...
+
+    def images(self) -> Mapping[str, ImageStream]:
+        """Image streams by camera name; empty for a poses-only recording."""
+        ...
+
+    def boxes(self) -> pa.Table | None:
+        """Rows of the ``boxes`` table (`mirror.schema.tables.BOXES`), or None where the source has none."""
+        ...
+
+
+@runtime_checkable
+class Reader(Protocol):
+    """One recording format."""
+
+    name: str
+
+    def recognises(self, path: Path) -> bool:
+        """Whether the path looks like this format, by names alone (fast, opens at most one small file)."""
+        ...
+
+    def open(self, path: Path, options: Mapping[str, str]) -> Recording:
+        """Open a recording.
+
+        Raises:
+            RecordingError: naming the file, the place, what was expected and the remedy; also for unknown options.
+        """
+        ...

@@ -1,0 +1,269 @@
+"""The JSON documents of a dataset, as validated models."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from mirror.schema.version import SCHEMA_VERSION
+
+Identifier = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_\-]{0,119}$")]
+
+CANONICAL_CAMERAS = ("front_wide", "front_narrow", "front_left", "front_right", "rear_left", "rear_right", "rear")
+
+
+class Document(BaseModel):
+    """Base of all documents: unknown keys are refused, values are immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Roi(Document):
+    """A region of interest: a circle round a point on WGS 84, or in a local metric frame.
+
+    Attributes:
+        scene_id: the scene's id.
+        longitude_deg: centre (geodetic ROI).
+        latitude_deg: centre (geodetic ROI).
+        frame: name of the local metric frame (local ROI).
+        x_m: centre in that frame.
+        y_m: centre in that frame.
+        radius_m: radius on the ellipsoid surface, or in the plane of the local frame.
+        height_m: height of the world's origin above the ellipsoid.
+        city: city, if known.
+        scene_type: urban, highway, rural or campus, if known.
+    """
+
+    scene_id: Identifier
+    longitude_deg: float | None = Field(default=None, ge=-180, le=180)
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    frame: str | None = None
+    x_m: float | None = None
+    y_m: float | None = None
+    radius_m: float = Field(default=200.0, gt=0, le=20_000)
+    height_m: float = 0.0
+    city: str | None = None
+    scene_type: Literal["urban", "highway", "rural", "campus"] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Roi:
+        geodetic = self.longitude_deg is not None and self.latitude_deg is not None
+        local = self.frame is not None and self.x_m is not None and self.y_m is not None
+        if geodetic == local:
+            raise ValueError("a ROI has either longitude_deg and latitude_deg, or frame, x_m and y_m")
+        return self
+
+
+class TriggerOptions(Document):
+    """What makes a pass a traversal; the defaults are the paper's, the rest is the DESIGN's.
+
+    Attributes:
+        min_duration_s: accepted from this duration on.
+        min_path_m: accepted from this driven length on.
+        min_overlap: accepted above this share of path inside the ROI.
+        join_gap_s: visits at most this far apart are joined.
+        max_gap_s: a pose gap longer than this ends a visit.
+        min_step_m: path counts only after moving this far from the last counted pose.
+        step_sigmas: ... or this many sigmas of the fix, where the source states it and it is more.
+        trim_standstill_s: a standstill longer than this ends a visit and is left out; None: keep standstills.
+    """
+
+    min_duration_s: float = Field(default=10.0, ge=0)
+    min_path_m: float = Field(default=20.0, ge=0)
+    min_overlap: float = Field(default=0.9, ge=0, lt=1)
+    join_gap_s: float = Field(default=3.0, ge=0)
+    max_gap_s: float = Field(default=2.0, gt=0)
+    min_step_m: float = Field(default=0.5, ge=0)
+    step_sigmas: float = Field(default=3.0, ge=0)
+    trim_standstill_s: float | None = Field(default=60.0, gt=0)
+
+
+class CleaningOptions(Document):
+    """How fixes are cleaned before the trigger sees them.
+
+    Attributes:
+        max_speed_mps: a fix that needs more from the last good one is an outlier.
+        max_acceleration_mps2: a fix off the line between its neighbours by more than half of this times both time
+            steps, plus ``noise_m``, is an outlier.
+        noise_m: what noise alone may add to that deviation.
+        backward_time: `sort` the stamps, or `refuse` the drive.
+    """
+
+    max_speed_mps: float = Field(default=70.0, gt=0)
+    max_acceleration_mps2: float = Field(default=12.0, gt=0)
+    noise_m: float = Field(default=5.0, ge=0)
+    backward_time: Literal["sort", "refuse"] = "sort"
+
+
+class CleaningReport(Document):
+    """What cleaning did to a drive's fixes.
+
+    Attributes:
+        poses: fixes read.
+        kept: fixes left.
+        invalid: not finite, or off the globe.
+        backward_time: fixes that were earlier than one before them (sorted).
+        duplicate_time: fixes with the stamp of the one before.
+        repeated: fixes at the very place of the one before (collapsed to the first).
+        outliers: fixes that failed the speed or the acceleration test.
+        restarts: how often a new track was taken up after a run of outliers that agreed with each other.
+    """
+
+    poses: int
+    kept: int
+    invalid: int
+    backward_time: int
+    duplicate_time: int
+    repeated: int
+    outliers: int
+    restarts: int
+
+
+class RigCamera(Document):
+    """One camera of a rig.
+
+    Attributes:
+        name: the name used in every table.
+        source_name: what the source calls it.
+        static_mask: PNG beside the rig file, non-zero where the vehicle itself is seen; None: not known.
+    """
+
+    name: str
+    source_name: str
+    static_mask: str | None = None
+
+
+class Rig(Document):
+    """``rigs/<rig_id>.json``: the cameras of one kind of vehicle.
+
+    Attributes:
+        schema_version: of the on-disk format.
+        rig_id: the rig's id.
+        vehicle_type: make or class of the vehicle.
+        reference_camera: its exposures define the frames.
+        cameras: all cameras, in order.
+    """
+
+    schema_version: str = SCHEMA_VERSION
+    rig_id: Identifier
+    vehicle_type: str
+    reference_camera: str
+    cameras: tuple[RigCamera, ...]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Rig:
+        names = [camera.name for camera in self.cameras]
+        if len(set(names)) != len(names):
+            raise ValueError(f"camera names repeat: {names}")
+        if self.reference_camera not in names:
+            raise ValueError(f"reference camera {self.reference_camera!r} is not one of {names}")
+        return self
+
+
+class DatasetDocument(Document):
+    """``dataset.json``: what the folder is.
+
+    Attributes:
+        schema_version: of the on-disk format.
+        format: always ``mirror``.
+        conventions: where the frames, units and names are specified.
+        licence: licence of the data, if stated.
+        trigger: the thresholds that every pass was judged by.
+        cleaning: how every drive was cleaned.
+    """
+
+    schema_version: str = SCHEMA_VERSION
+    format: Literal["mirror"] = "mirror"
+    conventions: str = "docs/conventions.md"
+    licence: str | None = None
+    trigger: TriggerOptions
+    cleaning: CleaningOptions
+
+
+class Source(Document):
+    """Where a drive came from.
+
+    Attributes:
+        reader: the recording reader that opened it.
+        name: last component of the recording's path.
+        files: number of files.
+        bytes: their total size.
+        fingerprint: SHA-256 over every file's relative path, size and modification time.
+    """
+
+    reader: str
+    name: str
+    files: int
+    bytes: int
+    fingerprint: str
+
+
+class DriveDocument(Document):
+    """``drives/<drive_id>/drive.json``: one recording of one vehicle.
+
+    Attributes:
+        schema_version: of the on-disk format.
+        drive_id: the drive.
+        vehicle_id: pseudonym of the vehicle.
+        vehicle_type: make or class of the vehicle.
+        rig_id: None for a poses-only drive.
+        source: where it came from.
+        configuration: SHA-256 of the options that decide what ingest writes.
+        scenes: scenes that the drive was judged against.
+        frame: name of the local metric frame; None: WGS 84.
+        time_base: the source's time base, converted to Unix time by the reader.
+        body_frame: the frame whose poses the source recorded.
+        is_clip: True if the source arrives as clips: each is judged whole.
+        city: city, if known.
+        start_ns: first cleaned pose.
+        end_ns: last cleaned pose.
+        cleaning: what cleaning did.
+    """
+
+    schema_version: str = SCHEMA_VERSION
+    drive_id: Identifier
+    vehicle_id: Identifier
+    vehicle_type: str
+    rig_id: Identifier | None
+    source: Source
+    configuration: str
+    scenes: tuple[str, ...]
+    frame: str | None
+    time_base: str
+    body_frame: str
+    is_clip: bool
+    city: str | None
+    start_ns: int
+    end_ns: int
+    cleaning: CleaningReport
+
+
+class FileEntry(Document):
+    """One file of a folder: its size and hash."""
+
+    bytes: int
+    sha256: str
+
+
+class Pictures(Document):
+    """The pictures of a folder in sum; each one's size and hash stand in the images table."""
+
+    count: int
+    bytes: int
+
+
+class Manifest(Document):
+    """``manifest.json``, written last: a folder is complete if and only if it is there.
+
+    Attributes:
+        schema_version: of the on-disk format.
+        derived_from: hashes of what the folder was made from, by name.
+        files: every file but the pictures, relative to the folder.
+        pictures: the pictures, whose sizes and hashes stand in a table among ``files``.
+    """
+
+    schema_version: str = SCHEMA_VERSION
+    derived_from: dict[str, str] = Field(default_factory=dict)
+    files: dict[str, FileEntry] = Field(default_factory=dict)
+    pictures: Pictures | None = None

@@ -1,0 +1,208 @@
+"""Reading and writing tables and JSON files: whole or not at all, and every error with its place.
+
+A file is written under a temporary name beside its own and renamed, so that a reader never sees half of it and a
+failed write leaves what was there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pydantic import BaseModel, ValidationError
+
+from mirror.errors import DatasetError, SchemaError
+from mirror.schema.tables import Table
+from mirror.schema.version import SCHEMA_VERSION, require_readable
+
+Model = TypeVar("Model", bound=BaseModel)
+
+_VERSION_KEY = b"mirror_schema_version"
+_TABLE_KEY = b"mirror_table"
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file under a temporary name, then rename.
+
+    Raises:
+        DatasetError: the folder is not writable or the disk is full; what was there is untouched.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise unwritable(path, error) from error
+
+
+def unwritable(path: Path, error: OSError) -> DatasetError:
+    """The error for a file that could not be written, with the system's reason."""
+    return DatasetError(
+        f"cannot be written: {error.strerror or error}",
+        file=path,
+        expected="a writable folder with room for the file",
+        remedy="free space or choose another place, then run the same command again: it goes on where it stopped",
+    )
+
+
+def write_json(path: Path, document: BaseModel | dict[str, object]) -> None:
+    """Write a JSON document, keys in order, atomically."""
+    plain = document.model_dump(mode="json") if isinstance(document, BaseModel) else document
+    write_bytes(path, (json.dumps(plain, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+def read_json(path: Path, model: type[Model]) -> Model:
+    """Read and validate a JSON document.
+
+    Raises:
+        DatasetError: the file is missing.
+        SchemaError: not JSON (line and column named), not of the model (key named), or of another schema version.
+    """
+    try:
+        text = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DatasetError("missing", file=path, expected=f"a {model.__name__} document") from error
+    return parse_json(text, model, path)
+
+
+def parse_json(text: bytes, model: type[Model], path: str | Path) -> Model:
+    """As `read_json`, from bytes; ``path`` serves the messages."""
+    try:
+        raw = json.loads(text)
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        place = f"line {error.lineno}, column {error.colno}" if isinstance(error, json.JSONDecodeError) else None
+        raise SchemaError(
+            f"not valid JSON ({error})",
+            file=path,
+            place=place,
+            remedy="restore the file; a truncated file ends before its last brace",
+        ) from error
+    if isinstance(raw, dict) and "schema_version" in model.model_fields:
+        require_readable(raw.get("schema_version"), str(path))
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise SchemaError(
+            f"{first['msg']} (got {first.get('input')!r:.80})",
+            file=path,
+            place=".".join(str(part) for part in first["loc"]) or "the whole document",
+            expected=f"a {model.__name__} document",
+            remedy="correct the key, or restore the file",
+        ) from error
+
+
+def encode_table(data: pa.Table, table: Table, *, row_groups: Sequence[int] | None = None) -> bytes:
+    """A Parquet file of one table: zstd, statistics, deterministic bytes for equal data.
+
+    Args:
+        data: rows that fit ``table.schema`` (cast to it; the order of columns does not matter).
+        table: the specification.
+        row_groups: numbers of rows of each row group, in order; default: one row group.
+
+    Raises:
+        SchemaError: a column is missing, superfluous, of another type, or has nulls where none may be.
+    """
+    data = conform(data, table, file=table.place)
+    metadata = {**(data.schema.metadata or {}), _VERSION_KEY: SCHEMA_VERSION.encode(), _TABLE_KEY: table.name.encode()}
+    data = data.replace_schema_metadata(metadata)
+    sink = io.BytesIO()
+    with pq.ParquetWriter(sink, data.schema, compression="zstd", version="2.6", data_page_version="1.0") as writer:
+        start = 0
+        for rows in row_groups if row_groups is not None else [data.num_rows]:
+            writer.write_table(data.slice(start, rows), row_group_size=max(rows, 1))
+            start += rows
+        if start != data.num_rows:
+            raise SchemaError(f"row groups cover {start} of {data.num_rows} rows", file=table.place)
+    return sink.getvalue()
+
+
+def write_table(path: Path, data: pa.Table, table: Table, *, row_groups: Sequence[int] | None = None) -> None:
+    """Write one table as Parquet, atomically; see `encode_table`."""
+    write_bytes(path, encode_table(data, table, row_groups=row_groups))
+
+
+def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read one table and hold it against its specification.
+
+    Args:
+        path: a Parquet file.
+        table: the specification.
+        columns: only these columns.
+
+    Raises:
+        DatasetError: the file is missing.
+        SchemaError: not Parquet, of another schema version, or with a wrong column; nulls are named with their row.
+    """
+    try:
+        with pq.ParquetFile(path) as file:
+            stored = file.schema_arrow.metadata or {}
+            if _VERSION_KEY in stored:
+                require_readable(stored[_VERSION_KEY].decode(), path)
+            wanted = list(columns) if columns is not None else table.schema.names
+            missing = [name for name in wanted if name not in file.schema_arrow.names]
+            if missing:
+                raise SchemaError(
+                    f"table {table.name} has no column {missing[0]!r}",
+                    file=path,
+                    place=f"column {missing[0]}",
+                    expected=f"the columns of {table.name} in docs/schema.md",
+                    remedy="run `mirror index` if the file lies under index/, else restore it",
+                )
+            data = file.read(columns=wanted, use_threads=False)
+    except FileNotFoundError as error:
+        raise DatasetError("missing", file=path, expected=f"the table {table.name}") from error
+    except (pa.ArrowInvalid, OSError) as error:
+        raise SchemaError(
+            f"table {table.name} cannot be read ({str(error).splitlines()[0]})",
+            file=path,
+            expected="a complete Parquet file",
+            remedy="run `mirror index` if the file lies under index/, else restore it or ingest the recording again",
+        ) from error
+    return conform(data, table, file=path, columns=wanted)
+
+
+def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """Cast rows to a table's schema, with every mismatch named by file, table, column and row.
+
+    Raises:
+        SchemaError: a column is missing, superfluous, of another type, or has a null where none may be.
+    """
+    fields = [table.schema.field(name) for name in columns] if columns is not None else list(table.schema)
+    extra = set(data.column_names) - {field.name for field in fields}
+    if extra:
+        raise SchemaError(f"table {table.name} has an unknown column", file=file, place=f"column {min(extra)}")
+    arrays = []
+    for field in fields:
+        if field.name not in data.column_names:
+            raise SchemaError(f"table {table.name} lacks a column", file=file, place=f"column {field.name}")
+        column = data.column(field.name)
+        if column.type != field.type:
+            try:
+                column = column.cast(field.type)
+            except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
+                raise SchemaError(
+                    f"table {table.name}: {error}", file=file, place=f"column {field.name}", expected=str(field.type)
+                ) from error
+        if not field.nullable and column.null_count:
+            row = pc.index(pc.is_null(column), True).as_py()
+            raise SchemaError(
+                f"table {table.name} has a null", file=file, place=f"column {field.name}, row {row}", expected="a value"
+            )
+        arrays.append(column)
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=data.schema.metadata))
+
+
+def sha256_bytes(data: bytes) -> str:
+    """SHA-256 in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,53 @@
+"""The version of the on-disk format, and the one place that refuses another."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+from typing import Final
+
+from mirror.errors import SchemaError
+
+SCHEMA_VERSION: Final = "1.0.0"
+
+
+def require_readable(found: object, file: str | PurePath) -> None:
+    """Refuse a schema version that this toolkit cannot read.
+
+    Same major and no newer minor is readable (semver).
+
+    Args:
+        found: the version string as stored.
+        file: the file that carries it, for the message.
+
+    Raises:
+        SchemaError: naming the file, both versions and the way out.
+    """
+    ours = tuple(int(part) for part in SCHEMA_VERSION.split("."))
+    try:
+        theirs = tuple(int(part) for part in str(found).split("."))
+    except ValueError:
+        theirs = ()
+    if len(theirs) != 3:
+        raise SchemaError(
+            f"schema version {found!r} is not a version",
+            file=file,
+            place="schema_version",
+            expected=f"three numbers such as {SCHEMA_VERSION}",
+            remedy="restore the file from a backup or ingest the recordings again into a new folder",
+        )
+    if theirs[:2] > ours[:2]:
+        raise SchemaError(
+            f"schema version {found} is newer than this toolkit's",
+            file=file,
+            place="schema_version",
+            expected=f"at most {ours[0]}.{ours[1]}.x",
+            remedy="upgrade the toolkit: pip install --upgrade mirror-dataset",
+        )
+    if theirs[0] < ours[0]:
+        raise SchemaError(
+            f"schema version {found} is older than this toolkit reads",
+            file=file,
+            place="schema_version",
+            expected=f"{ours[0]}.x.x",
+            remedy="ingest the recordings again into a new folder, or read it with the toolkit that wrote it",
+        )

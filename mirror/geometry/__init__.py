@@ -1,0 +1,40 @@
+"""Poses, cameras and boxes: numpy only, batched on the leading axis, float64.
+
+Geodesy needs pyproj and shapely: it is imported from `mirror.geometry.geodesy` by those who use it.
+"""
+
+from __future__ import annotations
+
+from mirror.geometry.interpolation import interpolate
+from mirror.geometry.poses import Poses
+from mirror.geometry.quaternions import (
+    angle_between_deg,
+    heading_deg,
+    matrix_from_quaternion,
+    quaternion_exp,
+    quaternion_from_heading_pitch_roll,
+    quaternion_from_matrix,
+    quaternion_inverse,
+    quaternion_log,
+    quaternion_multiply,
+    quaternion_normalise,
+    rotate,
+    slerp,
+)
+
+__all__ = [
+    "Poses",
+    "angle_between_deg",
+    "heading_deg",
+    "interpolate",
+    "matrix_from_quaternion",
+    "quaternion_exp",
+    "quaternion_from_heading_pitch_roll",
+    "quaternion_from_matrix",
+    "quaternion_inverse",
+    "quaternion_log",
+    "quaternion_multiply",
+    "quaternion_normalise",
+    "rotate",
+    "slerp",
+]

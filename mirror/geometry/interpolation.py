@@ -1,0 +1,106 @@
+"""Poses at any time between recorded ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import AnyArray, Int64
+from mirror.errors import UsageError
+from mirror.geometry.blocks import fill
+from mirror.geometry.poses import Poses
+from mirror.geometry.unit_quaternions import slerp_kernel
+
+
+def interpolate(
+    timestamps_ns: npt.ArrayLike, poses: Poses, query_ns: npt.ArrayLike, *, extrapolate: bool = False
+) -> Poses:
+    """Poses at the asked times: the turn at constant rate (slerp), the translation on the straight line.
+
+    Stamps are subtracted as integers, so that the epoch costs no digits; at a recorded stamp the recorded pose comes
+    back bit for bit.
+
+    Args:
+        timestamps_ns: (N,) integers, strictly increasing.
+        poses: the N poses at these times.
+        query_ns: (M,) integers in any order, or one.
+        extrapolate: beyond the ends, go on at the velocity and turn rate of the first or last interval.
+
+    Returns:
+        M poses.
+
+    Raises:
+        UsageError: a time lies outside the recorded ones (and ``extrapolate`` is false); stamps are not integers, not
+            increasing, or not as many as poses; there are no poses, or there is one and ``extrapolate`` needs two.
+    """
+    stamps = _stamps(timestamps_ns, "timestamps_ns")
+    query = _stamps(query_ns, "query_ns")
+    _require_track(stamps, poses)
+    if not len(query):
+        return poses[:0]
+    if not len(stamps):
+        raise UsageError("no poses to interpolate between", expected="at least one")
+    if not extrapolate or len(stamps) == 1:
+        _require_covered(stamps, query, extrapolate)
+    if len(stamps) == 1:
+        return poses[np.zeros(len(query), dtype=np.int64)]
+
+    out = np.empty((len(query), 7))
+
+    def kernel(out: AnyArray, query: AnyArray) -> None:
+        query = query[:, 0]
+        start = np.searchsorted(stamps[1:-1], query, side="right")
+        end = start + 1
+        before, after = stamps[start], stamps[end]
+        since, until = query - before, query - after
+        span = after - before
+        fraction = since / span
+        slerp_kernel(out[:, :4], poses.rotation[start], poses.rotation[end], fraction[:, None])
+        # From the nearer end, so that both ends are met exactly and a vehicle at rest does not move.
+        late = fraction > 0.5
+        nearer = np.where(late, end, start)
+        share = np.where(late, until / span, fraction)
+        first, last = poses.translation[start], poses.translation[end]
+        out[:, 4:] = poses.translation[nearer] + share[:, None] * (last - first)
+
+    fill(kernel, out, query[:, None])
+    return Poses(out[:, :4], out[:, 4:])
+
+
+def _stamps(values: npt.ArrayLike, name: str) -> Int64:
+    given = np.atleast_1d(np.asarray(values))
+    if given.ndim != 1 or (given.dtype.kind not in "iu" and given.size):
+        raise UsageError(
+            f"{name} of type {given.dtype} and shape {given.shape}",
+            expected="one axis of integers: a float has no room for nanoseconds since 1970",
+        )
+    return given.astype(np.int64, copy=False)
+
+
+def _require_track(stamps: Int64, poses: Poses) -> None:
+    if len(stamps) != len(poses):
+        raise UsageError(f"{len(stamps)} timestamps for {len(poses)} poses", expected="as many of both")
+    increasing = stamps[1:] > stamps[:-1]
+    if not increasing.all():
+        row = int(np.argmin(increasing))
+        raise UsageError(
+            f"timestamp {stamps[row + 1]} follows {stamps[row]}",
+            place=f"row {row + 1}",
+            expected="strictly increasing timestamps_ns",
+            remedy="sort the poses by time and drop repeated stamps",
+        )
+
+
+def _require_covered(stamps: Int64, query: Int64, extrapolate: bool) -> None:
+    if stamps[0] <= query.min() and query.max() <= stamps[-1]:
+        return
+    row = int(np.argmax((query < stamps[0]) | (query > stamps[-1])))
+    distance = max(int(stamps[0]) - int(query[row]), int(query[row]) - int(stamps[-1]))
+    raise UsageError(
+        f"no pose at {query[row]}: {distance * 1e-9:.3f} s outside the recorded poses",
+        place=f"query row {row}",
+        expected=f"a time from {stamps[0]} to {stamps[-1]}",
+        remedy="a single pose has no velocity to go on with: give two"
+        if extrapolate
+        else "leave that time out, or pass extrapolate=True to go on at constant velocity",
+    )

@@ -1,0 +1,226 @@
+"""Rigid motions, batched: compose, invert, transform, logarithm and exponential, and interpolation in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import AnyArray, Bool, Float64, Int64
+from mirror.errors import UsageError
+from mirror.geometry.blocks import fill
+from mirror.geometry.quaternions import quaternion_exp, quaternion_from_matrix, quaternion_normalise
+from mirror.geometry.unit_quaternions import (
+    invert_unit,
+    log_unit,
+    matrix_kernel,
+    multiply_unit,
+    rotate_kernel,
+    rotate_unit,
+    sinc,
+)
+
+COLUMNS: Final = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+
+_SERIES_BELOW_RAD: Final = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """N rigid motions. A variable ``dst_SE3_src`` maps points of the frame src into the frame dst.
+
+    Attributes:
+        rotation: (N, 4) unit quaternions, scalar first, ``qw >= 0``; given in any length but zero, normalised here.
+        translation: (N, 3) metres.
+
+    Raises:
+        UsageError: shapes do not fit, a quaternion is zero, or a number is not finite; the row is named.
+    """
+
+    rotation: Float64
+    translation: Float64
+
+    def __post_init__(self) -> None:
+        rotation = np.atleast_2d(np.asarray(self.rotation, dtype=np.float64))
+        translation = np.atleast_2d(np.asarray(self.translation, dtype=np.float64))
+        if rotation.shape != (len(translation), 4) or translation.shape != (len(rotation), 3):
+            raise UsageError(
+                f"rotation of shape {rotation.shape} with translation of shape {translation.shape}",
+                expected="(N, 4) and (N, 3)",
+            )
+        finite = np.isfinite(translation)
+        if not finite.all():
+            row = int(np.argmin(finite.all(axis=1)))
+            raise UsageError(
+                f"translation {translation[row].tolist()} is not finite",
+                place=f"row {row}",
+                expected="three finite numbers, in metres",
+                remedy="drop that row, or find out why its source has no position",
+            )
+        object.__setattr__(self, "rotation", quaternion_normalise(rotation))
+        object.__setattr__(self, "translation", translation)
+
+    @classmethod
+    def _trusted(cls, rotation: Float64, translation: Float64) -> Poses:
+        # Our own results need no second check, which would double the time of a single pose.
+        poses = object.__new__(cls)
+        object.__setattr__(poses, "rotation", rotation)
+        object.__setattr__(poses, "translation", translation)
+        return poses
+
+    @classmethod
+    def identity(cls, count: int = 1) -> Poses:
+        """``count`` motions that move nothing."""
+        return cls._trusted(np.tile((1.0, 0.0, 0.0, 0.0), (count, 1)), np.zeros((count, 3)))
+
+    @classmethod
+    def from_matrix(cls, matrix: npt.ArrayLike) -> Poses:
+        """Poses of homogeneous matrices.
+
+        Args:
+            matrix: (N, 4, 4), or one (4, 4).
+
+        Raises:
+            UsageError: the shape is another, a bottom row is not 0 0 0 1, a translation is not finite, or an upper left
+                part is no rotation; the row is named.
+        """
+        given = np.asarray(matrix, dtype=np.float64)
+        if given.shape[-2:] != (4, 4) or given.ndim not in (2, 3):
+            raise UsageError(f"matrices of shape {given.shape}", expected="(N, 4, 4)")
+        given = given.reshape(-1, 4, 4)
+        affine = (given[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+        if not affine.all():
+            row = int(np.argmin(affine))
+            raise UsageError(
+                f"bottom row {given[row, 3].tolist()} of a rigid motion",
+                place=f"row {row}",
+                expected="0 0 0 1",
+                remedy="transpose the matrix if its translation stands in the bottom row",
+            )
+        return cls(quaternion_from_matrix(given[:, :3, :3]), given[:, :3, 3])
+
+    @classmethod
+    def from_columns(cls, columns: Mapping[str, Any]) -> Poses:
+        """Poses of the seven columns ``qw qx qy qz tx_m ty_m tz_m`` of a mapping, a data frame or an Arrow table.
+
+        Raises:
+            UsageError: a column is missing, or a row is no pose; it is named.
+        """
+        try:
+            values = [np.asarray(columns[name], dtype=np.float64) for name in COLUMNS]
+        except KeyError as error:
+            raise UsageError(f"no column {error}", expected=f"the columns {' '.join(COLUMNS)}") from error
+        return cls(np.stack(values[:4], axis=-1), np.stack(values[4:], axis=-1))
+
+    def to_columns(self) -> dict[str, Float64]:
+        """The seven columns ``qw qx qy qz tx_m ty_m tz_m``, (N,) each."""
+        values = (*self.rotation.T, *self.translation.T)
+        return {name: np.ascontiguousarray(column) for name, column in zip(COLUMNS, values)}
+
+    @classmethod
+    def exp(cls, twist: npt.ArrayLike) -> Poses:
+        """The motions reached after one unit of time at constant twist: the exponential map of SE(3).
+
+        Args:
+            twist: (N, 6) rotation vector (rad), then velocity (m), both in the moving frame, as in the
+                ``covariance`` of the calibrations. Normwise accurate to rounding at every angle.
+
+        Raises:
+            UsageError: a twist is not finite; its row is named.
+        """
+        given = np.atleast_2d(np.asarray(twist, dtype=np.float64))
+        if given.ndim != 2 or given.shape[1] != 6:
+            raise UsageError(f"twists of shape {given.shape}", expected="(N, 6): rotation, then translation")
+        turn, velocity = given[:, :3], given[:, 3:]
+        angle = np.sqrt(np.einsum("ni,ni->n", turn, turn))
+        squared = angle * angle
+        series = 1 / 6 - squared / 120 + squared * squared / 5040
+        small = angle < _SERIES_BELOW_RAD
+        once = 0.5 * sinc(0.5 * angle) ** 2
+        twice = np.where(small, series, (1.0 - sinc(angle)) / np.where(small, 1.0, squared))
+        return cls(quaternion_exp(turn), _left_jacobian(turn, velocity, once, twice))
+
+    def log(self) -> Float64:
+        """The twists (N, 6) whose `exp` these motions are: rotation of at most pi first, then translation."""
+        turn = log_unit(self.rotation)
+        squared = np.einsum("ni,ni->n", turn, turn)
+        small = squared < _SERIES_BELOW_RAD**2
+        half = 0.5 * np.sqrt(squared)
+        cotangent = self.rotation[:, 0] * half / np.where(small, 1.0, np.linalg.norm(self.rotation[:, 1:], axis=1))
+        twice = np.where(small, 1 / 12 + squared / 720, (1.0 - cotangent) / np.where(small, 1.0, squared))
+        return np.concatenate((turn, _left_jacobian(turn, self.translation, np.full(len(self), -0.5), twice)), axis=1)
+
+    def __len__(self) -> int:
+        return len(self.rotation)
+
+    def __getitem__(self, index: int | slice | Int64 | Bool) -> Poses:
+        return self._trusted(np.atleast_2d(self.rotation[index]), np.atleast_2d(self.translation[index]))
+
+    def compose(self, other: Poses) -> Poses:
+        """``a_SE3_b.compose(b_SE3_c)`` is ``a_SE3_c``; also written ``a_SE3_b @ b_SE3_c``.
+
+        Args:
+            other: as many poses, or one; one here goes with all of ``other``.
+
+        Raises:
+            UsageError: the numbers of poses do not fit.
+        """
+        self._require_matching(len(other), "poses")
+        rotation = multiply_unit(self.rotation, other.rotation)
+        return self._trusted(rotation, rotate_unit(self.rotation, other.translation) + self.translation)
+
+    __matmul__ = compose
+
+    def inverse(self) -> Poses:
+        """``a_SE3_b.inverse()`` is ``b_SE3_a``."""
+        rotation = invert_unit(self.rotation)
+        return self._trusted(rotation, -rotate_unit(rotation, self.translation))
+
+    def transform(self, points: npt.ArrayLike) -> Float64:
+        """Map points from src to dst.
+
+        Args:
+            points: (N, M, 3), M points for each pose; or (M, 3), the same points for every pose. Points that are not
+                finite stay so.
+
+        Returns:
+            (N, M, 3).
+
+        Raises:
+            UsageError: the shape is another.
+        """
+        given = np.asarray(points, dtype=np.float64)
+        if given.ndim not in (2, 3) or given.shape[-1] != 3:
+            raise UsageError(f"points of shape {given.shape}", expected="(N, M, 3) or (M, 3)")
+        given = given if given.ndim == 3 else given[None]
+        self._require_matching(len(given), "sets of points")
+        out = np.empty((max(len(self), len(given)) if len(self) and len(given) else 0, given.shape[1], 3))
+        fill(_transform_kernel, out, self.rotation[:, None], self.translation[:, None], given)
+        return out
+
+    def matrix(self) -> Float64:
+        """Homogeneous matrices (N, 4, 4)."""
+        out = np.zeros((len(self), 4, 4))
+        upper = np.empty((len(self), 9))
+        fill(matrix_kernel, upper, self.rotation)
+        out[:, :3, :3] = upper.reshape(-1, 3, 3)
+        out[:, :3, 3] = self.translation
+        out[:, 3, 3] = 1.0
+        return out
+
+    def _require_matching(self, count: int, what: str) -> None:
+        if len(self) != count and 1 not in (len(self), count):
+            raise UsageError(f"{len(self)} poses with {count} {what}", expected="the same number of both, or one")
+
+
+def _left_jacobian(turn: Float64, vector: Float64, once: Float64, twice: Float64) -> Float64:
+    across = np.cross(turn, vector)
+    return vector + once[:, None] * across + twice[:, None] * np.cross(turn, across)
+
+
+def _transform_kernel(out: AnyArray, rotation: AnyArray, translation: AnyArray, points: AnyArray) -> None:
+    rotate_kernel(out, rotation, points)
+    out += translation

@@ -1,0 +1,326 @@
+"""Rotations as unit quaternions, scalar first, ``qw >= 0``: batched, float64.
+
+Every function checks that its quaternions are unit quaternions (`quaternion_normalise` makes them so) and returns
+canonical ones: unit, ``qw >= 0``; where ``qw`` is zero, the first component that is not is positive. Batch axes
+broadcast. Angles are formed from sines and chords, never from an arc cosine, so that they are accurate near 0 and
+180 degrees alike.
+
+Source: J. Sola, "Quaternion kinematics for the error-state Kalman filter", arXiv:1711.02508 (Hamilton convention).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import AnyArray, Float64
+from mirror.errors import UsageError
+from mirror.geometry.blocks import fill
+from mirror.geometry.unit_quaternions import (
+    canonical,
+    invert_unit,
+    log_unit,
+    matrix_kernel,
+    multiply_unit,
+    rotate_unit,
+    shepperd_kernel,
+    sinc,
+    slerp_unit,
+)
+
+UNIT_TOLERANCE: Final = 1e-12
+ROTATION_TOLERANCE: Final = 1e-3
+
+
+def quaternion_normalise(quaternion: npt.ArrayLike) -> Float64:
+    """Scale to unit length and canonical sign; what is both already is returned bit for bit.
+
+    Args:
+        quaternion: (..., 4), of any length but zero.
+
+    Returns:
+        (..., 4) canonical unit quaternions.
+
+    Raises:
+        UsageError: a quaternion is zero, NaN or infinite; its row is named.
+    """
+    given = _components(quaternion, 4, "quaternions")
+    squared = np.einsum("...i,...i->...", given, given)
+    if not np.all(np.abs(squared - 1.0) <= 4 * np.finfo(np.float64).eps):
+        largest = np.max(np.abs(given), axis=-1, initial=0.0, keepdims=True)
+        valid = (largest > 0) & np.isfinite(largest)
+        if not valid.all():
+            row = _first(~valid[..., 0])
+            raise UsageError(
+                f"quaternion {given[row].tolist()} is no rotation",
+                place=f"row {_place(row)}",
+                expected="four finite numbers, qw qx qy qz, not all zero",
+                remedy="drop that row, or find out why its source has no orientation",
+            )
+        # Scaled by the largest component first, so that the squares neither overflow nor vanish.
+        scaled = given / largest
+        unit = scaled / np.sqrt(np.einsum("...i,...i->...", scaled, scaled))[..., None]
+        keep = np.abs(squared - 1.0) <= 4 * np.finfo(np.float64).eps
+        given = np.where(keep[..., None], given, unit)
+    return canonical(given)
+
+
+def quaternion_multiply(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
+    """The Hamilton product: the rotation that turns by ``second``, then by ``first``.
+
+    Args:
+        first: (..., 4) unit quaternions.
+        second: (..., 4) unit quaternions.
+
+    Returns:
+        (..., 4), renormalised, so that long chains of products stay unit.
+
+    Raises:
+        UsageError: a quaternion is not of unit length; its row is named.
+    """
+    return multiply_unit(_unit(first), _unit(second))
+
+
+def quaternion_inverse(quaternion: npt.ArrayLike) -> Float64:
+    """The inverse rotation.
+
+    Args:
+        quaternion: (..., 4) unit quaternions.
+
+    Raises:
+        UsageError: a quaternion is not of unit length; its row is named.
+    """
+    return invert_unit(_unit(quaternion))
+
+
+def rotate(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> Float64:
+    """Turn points.
+
+    Args:
+        quaternion: (..., 4) unit quaternions.
+        points: (..., 3); a point that is not finite gives one that is not finite.
+
+    Returns:
+        (..., 3), the batch axes of both broadcast together.
+
+    Raises:
+        UsageError: a quaternion is not of unit length; its row is named.
+    """
+    return rotate_unit(_unit(quaternion), _components(points, 3, "points"))
+
+
+def matrix_from_quaternion(quaternion: npt.ArrayLike) -> Float64:
+    """Rotation matrices.
+
+    Args:
+        quaternion: (..., 4) unit quaternions.
+
+    Returns:
+        (..., 3, 3).
+
+    Raises:
+        UsageError: a quaternion is not of unit length; its row is named.
+    """
+    given = _unit(quaternion)
+    out = np.empty((*given.shape[:-1], 9))
+    fill(matrix_kernel, out, given)
+    return out.reshape(*given.shape[:-1], 3, 3)
+
+
+def quaternion_from_matrix(matrix: npt.ArrayLike) -> Float64:
+    """Quaternions of rotation matrices, accurate for every rotation (Shepperd, J. Guidance and Control 1(3), 1978).
+
+    A matrix that is a rotation only up to the rounding of a file is replaced by the rotation nearest to it.
+
+    Args:
+        matrix: (..., 3, 3).
+
+    Returns:
+        (..., 4) canonical unit quaternions.
+
+    Raises:
+        UsageError: a matrix has no unit columns at right angles (to 1e-3), or is a reflection; its row is named.
+    """
+    given = _nearest_rotation(np.asarray(matrix, dtype=np.float64))
+    out = np.empty((*given.shape[:-2], 4))
+    fill(shepperd_kernel, out, given.reshape(*given.shape[:-2], 9))
+    return canonical(out)
+
+
+def quaternion_exp(rotation_vector: npt.ArrayLike) -> Float64:
+    """Unit quaternions of rotation vectors (axis times angle, radians), exact for the smallest angles.
+
+    Args:
+        rotation_vector: (..., 3).
+
+    Raises:
+        UsageError: a vector is not finite; its row is named.
+    """
+    vector = _components(rotation_vector, 3, "rotation vectors")
+    if not np.isfinite(vector).all():
+        row = _first(~np.isfinite(vector).all(axis=-1))
+        raise UsageError(
+            f"rotation vector {vector[row].tolist()} is not finite",
+            place=f"row {_place(row)}",
+            expected="three finite numbers, in radians",
+        )
+    half = 0.5 * np.sqrt(np.einsum("...i,...i->...", vector, vector))
+    out = np.empty((*vector.shape[:-1], 4))
+    out[..., 0] = np.cos(half)
+    out[..., 1:] = (0.5 * sinc(half))[..., None] * vector
+    return canonical(out)
+
+
+def quaternion_log(quaternion: npt.ArrayLike) -> Float64:
+    """Rotation vectors (axis times angle in [0, pi], radians) of unit quaternions, exact for the smallest angles.
+
+    Args:
+        quaternion: (..., 4) unit quaternions.
+
+    Returns:
+        (..., 3).
+
+    Raises:
+        UsageError: a quaternion is not of unit length; its row is named.
+    """
+    return log_unit(canonical(_unit(quaternion)))
+
+
+def slerp(first: npt.ArrayLike, second: npt.ArrayLike, fraction: npt.ArrayLike) -> Float64:
+    """Turn at constant rate along the shorter way from one rotation to another (Shoemake, SIGGRAPH 1985).
+
+    Args:
+        first: (..., 4) unit quaternions, reached at fraction 0.
+        second: (..., 4) unit quaternions, reached at fraction 1.
+        fraction: (...); below 0 and above 1 the turn goes on at the same rate.
+
+    Returns:
+        (..., 4) canonical unit quaternions.
+
+    Raises:
+        UsageError: a quaternion is not of unit length; its row is named.
+    """
+    return slerp_unit(_unit(first), _unit(second), np.asarray(fraction, dtype=np.float64))
+
+
+def angle_between_deg(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
+    """The angle in [0, 180] degrees by which two rotations differ, accurate to 1e-14 degrees.
+
+    Args:
+        first: (..., 4) unit quaternions.
+        second: (..., 4) unit quaternions.
+
+    Raises:
+        UsageError: a quaternion is not of unit length; its row is named.
+    """
+    difference = multiply_unit(invert_unit(_unit(first)), _unit(second))
+    sine = np.sqrt(np.einsum("...i,...i->...", difference[..., 1:], difference[..., 1:]))
+    return np.asarray(np.degrees(2.0 * np.arctan2(sine, difference[..., 0])))
+
+
+def quaternion_from_heading_pitch_roll(
+    heading_deg: npt.ArrayLike, pitch_deg: npt.ArrayLike = 0.0, roll_deg: npt.ArrayLike = 0.0
+) -> Float64:
+    """``enu_SE3_ego`` rotations from the angles that an inertial unit reports (ego: x forward, y left, z up).
+
+    Args:
+        heading_deg: (...) clockwise from north, of the forward axis.
+        pitch_deg: (...) positive with the nose up.
+        roll_deg: (...) positive with the right side down.
+
+    Returns:
+        (..., 4): yaw, then pitch, then roll, each about the axis as already turned.
+
+    Raises:
+        UsageError: an angle is not finite; its row is named.
+    """
+    half = np.stack(
+        np.broadcast_arrays(
+            *(np.asarray(angle, dtype=np.float64) for angle in (heading_deg, pitch_deg, roll_deg)),
+        ),
+        axis=-1,
+    )
+    if not np.isfinite(half).all():
+        row = _first(~np.isfinite(half).all(axis=-1))
+        raise UsageError(
+            f"heading, pitch and roll {half[row].tolist()} are not finite",
+            place=f"row {_place(row)}",
+            expected="three finite angles, in degrees",
+        )
+    half = np.radians(half * (-0.5, -0.5, 0.5) + (45.0, 0.0, 0.0))
+    cz, cy, cx = np.moveaxis(np.cos(half), -1, 0)
+    sz, sy, sx = np.moveaxis(np.sin(half), -1, 0)
+    components = (
+        cz * cy * cx + sz * sy * sx,
+        cz * cy * sx - sz * sy * cx,
+        cz * sy * cx + sz * cy * sx,
+        sz * cy * cx - cz * sy * sx,
+    )
+    return canonical(np.stack(components, axis=-1))
+
+
+def heading_deg(quaternion: npt.ArrayLike) -> Float64:
+    """Heading of ``enu_SE3_ego`` rotations in [0, 360), clockwise from north; 0 where forward is straight up or down.
+
+    Args:
+        quaternion: (..., 4) unit quaternions.
+
+    Raises:
+        UsageError: a quaternion is not of unit length; its row is named.
+    """
+    w, x, y, z = np.moveaxis(_unit(quaternion), -1, 0)
+    degrees = np.degrees(np.arctan2(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)))
+    # A heading a hair west of north is -1e-15, and -1e-15 % 360 rounds to 360 itself.
+    wrapped = np.asarray(degrees % 360.0)
+    return np.where(wrapped >= 360.0, 0.0, wrapped)
+
+
+def _nearest_rotation(matrix: Float64) -> Float64:
+    if matrix.ndim < 2 or matrix.shape[-2:] != (3, 3):
+        raise UsageError(f"rotation matrices of shape {matrix.shape}", expected="shape (..., 3, 3)")
+    deviation = np.abs(np.einsum("...ij,...ik->...jk", matrix, matrix) - np.eye(3)).max(axis=(-2, -1), initial=0.0)
+    rotation = np.asarray(deviation <= ROTATION_TOLERANCE) & (np.linalg.det(matrix) > 0)
+    if not rotation.all():
+        row = _first(np.logical_not(rotation))
+        raise UsageError(
+            f"matrix {matrix[row].tolist()} is no rotation",
+            place=f"row {_place(row)}",
+            expected=f"unit columns at right angles (to {ROTATION_TOLERANCE:g}) and determinant +1",
+            remedy="divide a scaled matrix by its scale; swap or negate an axis of a reflected one",
+        )
+    inexact = deviation > UNIT_TOLERANCE
+    if inexact.any():
+        matrix = matrix.copy()
+        left, _, right = np.linalg.svd(matrix[inexact])
+        matrix[inexact] = left @ right
+    return matrix
+
+
+def _components(array: npt.ArrayLike, count: int, what: str) -> Float64:
+    given = np.asarray(array, dtype=np.float64)
+    if given.ndim == 0 or given.shape[-1] != count:
+        raise UsageError(f"{what} of shape {given.shape}", expected=f"shape (..., {count})")
+    return given
+
+
+def _unit(quaternion: npt.ArrayLike) -> Float64:
+    given = _components(quaternion, 4, "quaternions")
+    off = np.abs(np.einsum("...i,...i->...", given, given) - 1.0)
+    if not np.all(off <= UNIT_TOLERANCE):
+        row = _first(~(off <= UNIT_TOLERANCE))
+        raise UsageError(
+            f"quaternion {given[row].tolist()} is not of unit length",
+            place=f"row {_place(row)}",
+            remedy="pass it through quaternion_normalise first",
+        )
+    return given
+
+
+def _first(mask: AnyArray) -> tuple[int, ...]:
+    return tuple(int(index) for index in np.argwhere(mask)[0])
+
+
+def _place(row: tuple[int, ...]) -> str:
+    return ", ".join(str(index) for index in row) or "0"

@@ -14,3 +14,6 @@ Int32: TypeAlias = npt.NDArray[np.int32]
 UInt8: TypeAlias = npt.NDArray[np.uint8]
 Bool: TypeAlias = npt.NDArray[np.bool_]
 AnyArray: TypeAlias = npt.NDArray[Any]
+
+Records: TypeAlias = Any
+"""A structured array, or one record of it; compiled kernels read its fields as attributes, which numpy's types lack."""

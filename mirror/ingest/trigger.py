@@ -1,0 +1,272 @@
+"""The ROI trigger: which parts of a drive are traversals, and by which figures.
+
+The rules are the paper's (section 3: at least 10 s, at least 20 m, more than 90 % overlap with the ROI), made exact as
+docs/trigger.md states: distances and lengths on the ellipsoid, linear motion between cleaned fixes, ``r <= R`` inside,
+entry and exit interpolated on the circle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from mirror.arrays import Float64, Int64, Records, UInt8
+from mirror.ingest.clean import CleanTrack
+from mirror.ingest.path import FIGURES, figures, without_standstills
+from mirror.ingest.visits import CROSSING, RECORDING_EDGE, VISIT, build_grid, near, visits
+from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
+
+Rule = Literal["min_duration", "min_path", "min_overlap"]
+EdgeKind = Literal["crossing", "recording_edge", "gap", "standstill"]
+_KINDS: tuple[EdgeKind, ...] = ("crossing", "recording_edge", "gap", "standstill")
+_POSE_MARGIN_S = 1.0
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass of a drive through a ROI, judged.
+
+    Attributes:
+        scene_id: the ROI.
+        entry_ns: entry, interpolated.
+        exit_ns: exit, interpolated.
+        entry_kind: what ended it at the entry side.
+        exit_kind: what ended it at the exit side.
+        entry: coordinates of the entry (longitude, latitude in degrees; or x, y in metres).
+        exit: coordinates of the exit.
+        duration_s: exit - entry.
+        path_m: driven length.
+        inside_path_m: the part of it within the ROI.
+        overlap: inside_path_m / path_m; where nothing was driven, the share of time inside.
+        visits: how many visits it joins.
+        split: whether it is one part of a stretch that was split at its longest excursion.
+        poses: cleaned fixes between entry and exit.
+        closest_m: smallest distance from the centre.
+        heading_in_deg: direction of travel at the entry, clockwise from north; None: did not move.
+        heading_out_deg: direction of travel at the exit.
+        rule: the rule that refused it; None: accepted.
+        measured: what the rule looked at.
+        threshold: what it asked for.
+    """
+
+    scene_id: str
+    entry_ns: int
+    exit_ns: int
+    entry_kind: EdgeKind
+    exit_kind: EdgeKind
+    entry: tuple[float, float]
+    exit: tuple[float, float]
+    duration_s: float
+    path_m: float
+    inside_path_m: float
+    overlap: float
+    visits: int
+    split: bool
+    poses: int
+    closest_m: float
+    heading_in_deg: float | None
+    heading_out_deg: float | None
+    rule: Rule | None
+    measured: float | None
+    threshold: float | None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the pass is a traversal."""
+        return self.rule is None
+
+
+class Trigger:
+    """The trigger for one set of ROIs; made once, used for any number of tracks, thread-safe.
+
+    Args:
+        rois: regions of interest; those in another frame than a track's are passed over.
+        options: the thresholds.
+        cleaning: how tracks were cleaned; its speed bounds how far a fix can be from the next.
+    """
+
+    def __init__(self, rois: Sequence[Roi], options: TriggerOptions, cleaning: CleaningOptions) -> None:
+        self.options = options
+        reach_s = max(options.max_gap_s, options.join_gap_s, _POSE_MARGIN_S)
+        self._margin_m = cleaning.max_speed_mps * reach_s + cleaning.noise_m
+        self._rois = tuple(rois)
+
+    def passes(self, track: CleanTrack, *, frame: str | None = None, is_clip: bool = False) -> list[Pass]:
+        """Every pass of the track through the ROIs of its frame, accepted or refused, by ROI and time.
+
+        Args:
+            track: cleaned.
+            frame: name of the track's local metric frame; None: WGS 84.
+            is_clip: the source arrives as clips: the whole track is the candidate, for every ROI that it visits.
+        """
+        rois = [roi for roi in self._rois if roi.frame == frame]
+        if not rois:
+            return []
+        found = self._visits(track, rois, is_clip)
+        same_roi = found["roi"][1:] == found["roi"][:-1]
+        joined = same_roi & (
+            is_clip
+            | (found["exit_kind"][:-1] == CROSSING)
+            & (found["entry_kind"][1:] == CROSSING)
+            & (found["entry_ns"][1:] - found["exit_ns"][:-1] <= self.options.join_gap_s * 1e9)
+        )
+        begin = np.flatnonzero(np.concatenate([[True], ~joined])) if len(found) else np.empty(0, np.int64)
+        end = np.append(begin[1:], len(found))
+        return self._judge(track, rois, found, begin, end, split=False, clip=is_clip)
+
+    def _visits(self, track: CleanTrack, rois: Sequence[Roi], is_clip: bool) -> Records:
+        axes = ("longitude_deg", "latitude_deg") if track.geodetic else ("x_m", "y_m")
+        first, second = (np.array([getattr(roi, axis) for roi in rois], np.float64) for axis in axes)
+        radius = np.array([roi.radius_m for roi in rois], np.float64)
+        reach = radius + self._margin_m
+        grid = build_grid(first, second, reach, track.geodetic)
+        stretches = near(
+            track.first,
+            track.second,
+            track.fate,
+            track.geodetic,
+            first,
+            second,
+            reach,
+            grid.origin,
+            grid.inverse,
+            grid.columns,
+            grid.keys,
+            grid.begin,
+            grid.end,
+            grid.members,
+        )
+        max_gap_ns = np.iinfo(np.int64).max if is_clip else round(self.options.max_gap_s * 1e9)
+        room = np.zeros(max(64, 2 * len(stretches)), VISIT)
+        while True:
+            count = visits(
+                track.timestamp_ns,
+                track.first,
+                track.second,
+                track.fate,
+                track.geodetic,
+                first,
+                second,
+                radius,
+                stretches,
+                max_gap_ns,
+                room,
+            )
+            if count <= len(room):
+                break
+            room = np.zeros(count, VISIT)
+        found = room[:count]
+        if self.options.trim_standstill_s is not None and not is_clip:
+            found = self._without_standstills(track, found, round(self.options.trim_standstill_s * 1e9))
+        return found[np.lexsort((found["entry_ns"], found["roi"]))]
+
+    def _without_standstills(self, track: CleanTrack, found: Records, limit_ns: int) -> Records:
+        room = np.zeros(2 * len(found) + 64, VISIT)
+        while True:
+            count = without_standstills(*self._steps(track), found, limit_ns, room)
+            if count <= len(room):
+                return room[:count]
+            room = np.zeros(count, VISIT)
+
+    def _steps(self, track: CleanTrack) -> tuple[Int64, Float64, Float64, UInt8, Float64, float, float, bool]:
+        """The arguments by which the path kernels see a track."""
+        return (
+            track.timestamp_ns,
+            track.first,
+            track.second,
+            track.fate,
+            np.empty(0) if track.sigma_m is None else track.sigma_m,
+            self.options.step_sigmas,
+            self.options.min_step_m,
+            track.geodetic,
+        )
+
+    def _judge(
+        self,
+        track: CleanTrack,
+        rois: Sequence[Roi],
+        found: Records,
+        begin: Int64,
+        end: Int64,
+        *,
+        split: bool,
+        clip: bool,
+    ) -> list[Pass]:
+        """Measure and judge the passes that join the visits ``begin:end``; split those with too little overlap."""
+        if clip:
+            candidates = np.repeat(_whole(track), len(begin))
+        else:
+            candidates = found[begin].copy()
+            for name in ("exit_ns", "exit_first", "exit_second", "exit_kind", "stop"):
+                candidates[name] = found[name][end - 1]
+        measured = np.zeros(len(begin), FIGURES)
+        figures(*self._steps(track), candidates, begin, end, found, measured)
+        passes: list[Pass] = []
+        rows = zip(candidates.tolist(), measured.tolist(), found["roi"][begin].tolist(), begin.tolist(), end.tolist())
+        for candidate, figure, roi, low, high in rows:
+            judged = self._verdict(rois[roi].scene_id, candidate, figure, visits=high - low, split=split)
+            if not clip and high - low > 1 and judged.overlap <= self.options.min_overlap:
+                cut = figure[-1]
+                parts = np.array([low, cut]), np.array([cut, high])
+                passes += self._judge(track, rois, found, *parts, split=True, clip=False)
+            else:
+                passes.append(judged)
+        return passes
+
+    def _verdict(
+        self, scene_id: str, candidate: Sequence[Any], figure: Sequence[Any], *, visits: int, split: bool
+    ) -> Pass:
+        options = self.options
+        (_, entry_ns, exit_ns, entry_1, entry_2, exit_1, exit_2, _, _, entry_kind, exit_kind, _) = candidate
+        path_m, inside_m, heading_in, heading_out, closest_m, poses, inside_ns, _ = figure
+        duration_s = (exit_ns - entry_ns) * 1e-9
+        if path_m > 0.0:
+            overlap = min(inside_m / path_m, 1.0)
+        else:
+            overlap = inside_ns / (exit_ns - entry_ns) if exit_ns > entry_ns else 1.0
+        rule: Rule | None = None
+        measured = threshold = None
+        if duration_s < options.min_duration_s:
+            rule, measured, threshold = "min_duration", duration_s, options.min_duration_s
+        elif path_m < options.min_path_m:
+            rule, measured, threshold = "min_path", path_m, options.min_path_m
+        elif overlap <= options.min_overlap:
+            rule, measured, threshold = "min_overlap", overlap, options.min_overlap
+        return Pass(
+            scene_id=scene_id,
+            entry_ns=entry_ns,
+            exit_ns=exit_ns,
+            entry_kind=_KINDS[entry_kind],
+            exit_kind=_KINDS[exit_kind],
+            entry=(entry_1, entry_2),
+            exit=(exit_1, exit_2),
+            duration_s=duration_s,
+            path_m=path_m,
+            inside_path_m=inside_m,
+            overlap=overlap,
+            visits=visits,
+            split=split,
+            poses=poses,
+            closest_m=closest_m,
+            heading_in_deg=None if math.isnan(heading_in) else heading_in,
+            heading_out_deg=None if math.isnan(heading_out) else heading_out,
+            rule=rule,
+            measured=measured,
+            threshold=threshold,
+        )
+
+
+def _whole(track: CleanTrack) -> Records:
+    """The whole track as one candidate."""
+    kept = track.kept()
+    clip = np.zeros(1, VISIT)
+    for side, position in (("entry", kept[0]), ("exit", kept[-1])):
+        clip[f"{side}_ns"] = track.timestamp_ns[position]
+        clip[f"{side}_first"], clip[f"{side}_second"] = track.first[position], track.second[position]
+        clip[f"{side}_kind"] = RECORDING_EDGE
+    clip["start"], clip["stop"] = kept[0], kept[-1] + 1
+    return clip

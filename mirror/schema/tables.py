@@ -392,9 +392,31 @@ INDEX_PASSES: Final = Table(
     sorted_by=PASSES.sorted_by,
 )
 
+ROW_GROUPS: Final = Table(
+    name="row_groups",
+    row="one row group of an index table, that is one traversal's rows, and what a query can skip it by",
+    place="index/row_groups.parquet",
+    schema=pa.schema(
+        [
+            _field("table", KEY, "The index table."),
+            _field("scene_id", KEY, "Its scene: the file `index/<table>/<scene_id>.parquet`."),
+            _field("traversal_id", pa.string(), "The traversal whose rows these are."),
+            _field("row_group", pa.int32(), "Position of the row group in the file."),
+            _field("rows", pa.int64(), "Number of rows, never 0."),
+            _field("start_ns", pa.int64(), "Smallest `timestamp_ns`; null: the table has none.", null=True),
+            _field("end_ns", pa.int64(), "Largest `timestamp_ns`.", null=True),
+            _field("longitude_min_deg", pa.float64(), "Null: the table or the scene has no such column.", null=True),
+            _field("longitude_max_deg", pa.float64(), "Largest longitude.", null=True),
+            _field("latitude_min_deg", pa.float64(), "Smallest latitude.", null=True),
+            _field("latitude_max_deg", pa.float64(), "Largest latitude.", null=True),
+        ]
+    ),
+    sorted_by=("table", "scene_id", "row_group"),
+)
+
 RECORDED: Final[Sequence[Table]] = (EGO_POSES, IMAGES, CALIBRATIONS)
 LAYERS: Final[Sequence[Table]] = (BOXES, MASKS)
-INDEX_GLOBAL: Final[Sequence[Table]] = (SCENES, TRAVERSALS, INDEX_PASSES)
+INDEX_GLOBAL: Final[Sequence[Table]] = (SCENES, TRAVERSALS, INDEX_PASSES, ROW_GROUPS)
 INDEX_BY_SCENE: Final[Sequence[Table]] = (
     FRAMES,
     INDEX_IMAGES,

@@ -1,0 +1,109 @@
+"""The derived tables of the whole dataset: scenes, traversals, passes, row groups."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mirror.dataset.index.geoparquet import bounding_box, continuous, with_geo_metadata, wkb_polygon
+from mirror.dataset.index.inputs import Inputs
+from mirror.dataset.index.scene_tables import canonical
+from mirror.dataset.layout import Layout
+from mirror.errors import DatasetError
+from mirror.schema.documents import Roi
+from mirror.schema.files import encode_table, read_table
+from mirror.schema.tables import INDEX_PASSES, PASSES, ROW_GROUPS, SCENES, TRAVERSALS, Table
+
+_VERTICES_A_CIRCLE = 256
+
+
+def read_passes(layout: Layout, inputs: Inputs) -> pa.Table:
+    """The ledgers of all drives as one table.
+
+    Raises:
+        DatasetError: a ledger is missing, or accepts other traversals than its drive's manifest names.
+        SchemaError: a ledger is broken.
+    """
+    ledgers = []
+    for drive_id, named in inputs.drives.items():
+        file = layout.drive(drive_id) / "passes.parquet"
+        ledger = read_table(file, PASSES)
+        accepted = set(ledger.column("traversal_id").drop_null().to_pylist())
+        if accepted != named:
+            raise DatasetError(
+                f"accepted passes and the traversals in the manifest differ by {sorted(accepted ^ named)[0]}",
+                file=file,
+                expected="a `traversal:<id>` in the drive's manifest for every accepted pass, and no other",
+                remedy=f"ingest drive {drive_id} again",
+            )
+        ledgers.append(_plain(ledger, PASSES))
+    if not ledgers:
+        return _plain(PASSES.schema.empty_table(), PASSES)
+    return pa.concat_tables(ledgers).sort_by([(name, "ascending") for name in PASSES.sorted_by])
+
+
+def accepted_passes(passes: pa.Table) -> dict[str, dict[str, Any]]:
+    """The accepted rows of the ledger by traversal id."""
+    accepted = passes.filter(pc.is_valid(passes.column("traversal_id")))
+    return {row["traversal_id"]: row for row in accepted.to_pylist()}
+
+
+def encode_global(inputs: Inputs, passes: pa.Table, traversals: pa.Table, row_groups: pa.Table) -> dict[str, bytes]:
+    """The files of the global tables by name."""
+    traversals = traversals.sort_by([(name, "ascending") for name in TRAVERSALS.sorted_by])
+    row_groups = row_groups.sort_by([(name, "ascending") for name in ROW_GROUPS.sorted_by])
+    return {
+        SCENES.name: encode_table(with_geo_metadata(_scenes(inputs, traversals), "Polygon"), SCENES),
+        TRAVERSALS.name: encode_table(with_geo_metadata(canonical(traversals, TRAVERSALS), "LineString"), TRAVERSALS),
+        INDEX_PASSES.name: encode_table(canonical(passes, INDEX_PASSES), INDEX_PASSES),
+        ROW_GROUPS.name: encode_table(canonical(row_groups, ROW_GROUPS), ROW_GROUPS),
+    }
+
+
+def rows_to_table(rows: Sequence[Mapping[str, Any]], table: Table) -> pa.Table:
+    """Rows as a table whose dictionary columns are still plain strings."""
+    return pa.Table.from_pylist(list(rows), schema=plain_schema(table))
+
+
+def plain_schema(table: Table) -> pa.Schema:
+    """A table's schema with strings in the place of dictionaries."""
+    return pa.schema(
+        [field.with_type(pa.string()) if pa.types.is_dictionary(field.type) else field for field in table.schema]
+    )
+
+
+def _plain(data: pa.Table, table: Table) -> pa.Table:
+    return data.cast(plain_schema(table)).replace_schema_metadata(None)
+
+
+def _scenes(inputs: Inputs, traversals: pa.Table) -> pa.Table:
+    columns = ["scene_id", "drive_id", "images", "duration_s"]
+    own: dict[str, list[Mapping[str, Any]]] = {scene_id: [] for scene_id in inputs.scenes}
+    for row in traversals.select(columns).to_pylist():
+        own[row["scene_id"]].append(row)
+    rows = []
+    for scene_id, roi in inputs.scenes.items():
+        ring = _ring(roi)
+        figures = {
+            "traversals": len(own[scene_id]),
+            "drives": len({row["drive_id"] for row in own[scene_id]}),
+            "images": sum(row["images"] for row in own[scene_id]),
+            "duration_s": sum(row["duration_s"] for row in own[scene_id]),
+            "geometry": None if ring is None else wkb_polygon(ring),
+            "bbox": None if ring is None else bounding_box(ring),
+        }
+        rows.append({**roi.model_dump(), **figures})
+    return rows_to_table(rows, SCENES)
+
+
+def _ring(roi: Roi) -> Any:
+    if roi.longitude_deg is None or roi.latitude_deg is None:
+        return None
+    from mirror.geometry.geodesy import geodesic_circle
+
+    ring = geodesic_circle(roi.longitude_deg, roi.latitude_deg, roi.radius_m, _VERTICES_A_CIRCLE)
+    ring[:, 0] = continuous(ring[:, 0])
+    return ring

@@ -1,0 +1,211 @@
+"""What the index is derived from, and its fingerprints: an index is stale if and only if one of them differs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from pydantic import ValidationError
+
+from mirror.dataset.layout import MANIFEST
+from mirror.dataset.store import Store
+from mirror.errors import DatasetError, SchemaError
+from mirror.schema.documents import DriveDocument, Manifest, Rig, Roi
+from mirror.schema.files import parse_json, sha256_bytes
+
+# Raised when the index is computed differently from the same inputs, so that every index is rebuilt.
+DERIVATION: Final = 1
+WHOLE: Final = "dataset"
+_TRAVERSAL: Final = "traversal:"
+
+
+@dataclass(frozen=True)
+class TraversalInput:
+    """What one traversal's rows come from.
+
+    Attributes:
+        traversal_id: the traversal.
+        scene_id: its scene.
+        drive: its drive.
+        rig: the rig of the drive; None for a poses-only drive.
+        hashes: SHA-256 of the rig's file and of the manifests of the drive, the recorded part and every layer.
+    """
+
+    traversal_id: str
+    scene_id: str
+    drive: DriveDocument
+    rig: Rig | None
+    layers: tuple[tuple[str, str, str], ...]
+    hashes: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that the index is a function of.
+
+    Attributes:
+        scenes: the regions of interest by scene id, in order of id.
+        drives: complete drives: the ids of their traversals, by drive id, in order.
+        traversals: by id, in order.
+        fingerprints: a hash for each scene (key ``scene:<id>``) and one over everything (key ``dataset``).
+    """
+
+    scenes: Mapping[str, Roi]
+    drives: Mapping[str, frozenset[str]]
+    traversals: Mapping[str, TraversalInput]
+    fingerprints: Mapping[str, str]
+
+
+def read_inputs(store: Store) -> Inputs:
+    """Read the small files that name everything else: manifests, drive documents, rigs, regions of interest.
+
+    Raises:
+        DatasetError: a traversal that a drive names is missing, is not the one named, or belongs to no known scene.
+        SchemaError: a file is broken, or of another schema version.
+    """
+    scenes = read_rois(store)
+    manifests = _manifests(store, [f"drives/{name}" for name in store.folders("drives")])
+    drives: dict[str, frozenset[str]] = {}
+    traversals: dict[str, TraversalInput] = {}
+    documents = store.read_many([f"{folder}/drive.json" for folder in manifests])
+    recorded = _manifests(
+        store,
+        [
+            f"traversals/{name}/recorded"
+            for manifest, _ in manifests.values()
+            for name in (key.removeprefix(_TRAVERSAL) for key in manifest.derived_from if key.startswith(_TRAVERSAL))
+        ],
+    )
+    layers = _layers(store, [folder.removesuffix("/recorded") for folder in recorded])
+    rigs: dict[str, tuple[Rig, str]] = {}
+    drive_hashes = []
+    for folder, (manifest, manifest_hash) in manifests.items():
+        path = f"{folder}/drive.json"
+        if path not in documents:
+            raise DatasetError("missing", file=store.where(path), remedy="ingest the drive again")
+        drive = parse_json(documents[path], DriveDocument, store.where(path))
+        drive_hashes.append([drive.drive_id, manifest_hash])
+        named = {
+            key.removeprefix(_TRAVERSAL): value
+            for key, value in manifest.derived_from.items()
+            if key.startswith(_TRAVERSAL)
+        }
+        drives[drive.drive_id] = frozenset(named)
+        rig = rig_hash = None
+        if named and drive.rig_id is not None:
+            if drive.rig_id not in rigs:
+                rigs[drive.rig_id] = _read_rig(store, drive.rig_id)
+            rig, rig_hash = rigs[drive.rig_id]
+        for traversal_id, expected in named.items():
+            place = f"traversals/{traversal_id}/recorded"
+            found = recorded.get(place)
+            if found is None or found[1] != expected:
+                raise DatasetError(
+                    "missing" if found is None else "not the traversal that its drive was written with",
+                    file=store.where(place),
+                    place=MANIFEST,
+                    expected=f"the manifest with SHA-256 {expected}",
+                    remedy=f"ingest drive {drive.drive_id} again",
+                )
+            scene_id = traversal_id.partition(".")[0]
+            if scene_id not in scenes:
+                raise DatasetError(
+                    f"traversal {traversal_id} is of a scene that is not there",
+                    file=store.where("rois.geojson"),
+                    expected=f"a feature with scene_id {scene_id!r}",
+                    remedy="restore the file",
+                )
+            own = layers.get(f"traversals/{traversal_id}", {})
+            hashes = {f"drive:{drive.drive_id}": manifest_hash, "recorded": expected}
+            if rig_hash is not None:
+                hashes[f"rig:{drive.rig_id}"] = rig_hash
+            hashes.update({f"layer:{kind}/{source}@{version}": value for (kind, source, version), value in own.items()})
+            traversals[traversal_id] = TraversalInput(traversal_id, scene_id, drive, rig, tuple(own), hashes)
+    ordered = dict(sorted(traversals.items()))
+    return Inputs(scenes, drives, ordered, _fingerprints(scenes, ordered, drive_hashes))
+
+
+def read_rois(store: Store) -> dict[str, Roi]:
+    """The dataset's regions of interest by scene id, in order of id.
+
+    Raises:
+        DatasetError: ``rois.geojson`` is missing.
+        SchemaError: it is not a collection of regions of interest, or an id repeats.
+    """
+    name = store.where("rois.geojson")
+    try:
+        raw = json.loads(store.read("rois.geojson"))
+    except FileNotFoundError as error:
+        raise DatasetError("missing", file=name, expected="the scenes as GeoJSON", remedy="restore the file") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise SchemaError(f"not valid JSON ({error})", file=name, remedy="restore the file") from error
+    features = raw.get("features") if isinstance(raw, dict) else None
+    if not isinstance(features, list):
+        raise SchemaError("not a FeatureCollection", file=name, place="features", remedy="restore the file")
+    scenes: dict[str, Roi] = {}
+    for number, feature in enumerate(features):
+        try:
+            roi = Roi.model_validate(feature.get("properties") if isinstance(feature, dict) else None)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in ("features", number, "properties", *first["loc"]))
+            raise SchemaError(str(first["msg"]), file=name, place=place, expected="a region of interest") from error
+        if roi.scene_id in scenes:
+            raise SchemaError(f"scene {roi.scene_id} is there twice", file=name, place=f"features.{number}")
+        scenes[roi.scene_id] = roi
+    return dict(sorted(scenes.items()))
+
+
+def _manifests(store: Store, folders: list[str]) -> dict[str, tuple[Manifest, str]]:
+    """Manifests and their hashes by folder; a folder without one does not exist."""
+    found = store.read_many([f"{folder}/{MANIFEST}" for folder in folders])
+    return {
+        path.removesuffix(f"/{MANIFEST}"): (parse_json(data, Manifest, store.where(path)), sha256_bytes(data))
+        for path, data in found.items()
+    }
+
+
+def _layers(store: Store, traversals: list[str]) -> dict[str, dict[tuple[str, str, str], str]]:
+    """Hashes of the complete layers of each traversal's folder, by kind, source and version, sorted."""
+    folders = {
+        f"{traversal}/layers/{kind}/{name}": (traversal, kind, name)
+        for traversal in traversals
+        for kind in store.folders(f"{traversal}/layers")
+        for name in store.folders(f"{traversal}/layers/{kind}")
+    }
+    found: dict[str, dict[tuple[str, str, str], str]] = {}
+    for path, data in sorted(store.read_many([f"{folder}/{MANIFEST}" for folder in folders]).items()):
+        traversal, kind, name = folders[path.removesuffix(f"/{MANIFEST}")]
+        source, _, version = name.partition("@")
+        found.setdefault(traversal, {})[(kind, source, version)] = sha256_bytes(data)
+    return {traversal: dict(sorted(own.items())) for traversal, own in found.items()}
+
+
+def _read_rig(store: Store, rig_id: str) -> tuple[Rig, str]:
+    path = f"rigs/{rig_id}.json"
+    try:
+        data = store.read(path)
+    except FileNotFoundError as error:
+        raise DatasetError("missing", file=store.where(path), expected="a rig", remedy="restore the file") from error
+    return parse_json(data, Rig, store.where(path)), sha256_bytes(data)
+
+
+def _fingerprints(
+    scenes: Mapping[str, Roi], traversals: Mapping[str, TraversalInput], drives: list[list[str]]
+) -> dict[str, str]:
+    by_scene: dict[str, list[object]] = {scene_id: [] for scene_id in scenes}
+    for traversal in traversals.values():
+        by_scene[traversal.scene_id].append([traversal.traversal_id, dict(sorted(traversal.hashes.items()))])
+    prints = {
+        f"scene:{scene_id}": _hash([DERIVATION, scenes[scene_id].model_dump(mode="json"), rows])
+        for scene_id, rows in by_scene.items()
+    }
+    prints[WHOLE] = _hash([DERIVATION, prints, sorted(drives)])
+    return prints
+
+
+def _hash(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

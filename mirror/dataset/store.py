@@ -1,0 +1,177 @@
+"""Where a dataset's bytes come from: a local folder, or anything fsspec reads. Read only."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from mirror.errors import DatasetError, SchemaError
+from mirror.schema.files import Model, parse_json
+from mirror.schema.version import require_readable
+
+_REMEDY = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
+
+
+class Store:
+    """Files below one root, by relative path.
+
+    A local root is read by the operating system's own calls; fsspec is imported only for a URL.
+
+    Args:
+        root: a path, or a URL that fsspec understands (``s3://bucket/dataset``, ``zip::file.zip``, ``memory://x``).
+    """
+
+    def __init__(self, root: str | os.PathLike[str]) -> None:
+        text = os.fspath(root)
+        self.root = text
+        self.folder = None if "://" in text or "::" in text else Path(text).absolute()
+
+    def __reduce__(self) -> tuple[Callable[..., Store], tuple[str]]:
+        return (Store, (self.root,))
+
+    def __str__(self) -> str:
+        return self.root
+
+    @cached_property
+    def _remote(self) -> tuple[Any, str]:
+        import fsspec
+
+        # `zip::file.zip` names no path within: fsspec wants `zip://::file.zip`.
+        head, chained, tail = self.root.partition("::")
+        url = f"{head}://::{tail}" if chained and "://" not in head else self.root
+        filesystem, base = fsspec.core.url_to_fs(url)
+        return filesystem, base.rstrip("/")
+
+    def _remote_path(self, path: str) -> str:
+        base = self._remote[1]
+        return f"{base}/{path}" if base else path
+
+    def where(self, path: str) -> str:
+        """The full name of a file, for messages."""
+        return str(self.folder / path) if self.folder is not None else f"{self.root.rstrip('/')}/{path}"
+
+    def read(self, path: str) -> bytes:
+        """The bytes of one file.
+
+        Raises:
+            FileNotFoundError: there is none.
+        """
+        if self.folder is not None:
+            return (self.folder / path).read_bytes()
+        return bytes(self._remote[0].cat_file(self._remote_path(path)))
+
+    def read_many(self, paths: Sequence[str]) -> dict[str, bytes]:
+        """The bytes of those files that exist; from a remote store, fetched at once."""
+        if self.folder is None:
+            found = self._remote[0].cat([self._remote_path(path) for path in paths], on_error="omit") if paths else {}
+            return {path: bytes(found[full]) for path in paths if (full := self._remote_path(path)) in found}
+        data = {}
+        for path in paths:
+            try:
+                data[path] = (self.folder / path).read_bytes()
+            except (FileNotFoundError, NotADirectoryError):
+                continue
+        return data
+
+    def folders(self, path: str) -> list[str]:
+        """Names of the folders in a folder, sorted; empty if it does not exist."""
+        try:
+            if self.folder is not None:
+                with os.scandir(self.folder / path) as entries:
+                    return sorted(entry.name for entry in entries if entry.is_dir())
+            listed = self._remote[0].ls(self._remote_path(path), detail=True)
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+        return sorted(PurePosixPath(item["name"].rstrip("/")).name for item in listed if item["type"] == "directory")
+
+    def json(self, path: str, model: type[Model]) -> Model:
+        """A validated JSON document.
+
+        Raises:
+            DatasetError: the file is missing.
+            SchemaError: it is broken, or of another schema version.
+        """
+        try:
+            data = self.read(path)
+        except FileNotFoundError as error:
+            raise DatasetError("missing", file=self.where(path), expected=f"a {model.__name__} document") from error
+        return parse_json(data, model, self.where(path))
+
+    def parquet(self, path: str) -> pq.ParquetFile:
+        """An open Parquet file.
+
+        Raises:
+            DatasetError: the file is missing.
+            SchemaError: it is not a complete Parquet file, or of another schema version.
+        """
+        name = self.where(path)
+        try:
+            if self.folder is not None:
+                file = pq.ParquetFile(name, memory_map=True)
+            else:
+                file = pq.ParquetFile(self._remote[0].open(self._remote_path(path), "rb"))
+        except FileNotFoundError as error:
+            raise DatasetError("missing", file=name, expected="a table of the dataset", remedy=_REMEDY) from error
+        except (pa.ArrowInvalid, OSError) as error:
+            raise unreadable(name, error) from error
+        version = (file.schema_arrow.metadata or {}).get(b"mirror_schema_version")
+        if version is not None:
+            require_readable(version.decode(), name)
+        return file
+
+    def read_range(self, uri: str, offset: int, length: int) -> bytes:
+        """Some bytes of a picture's uri; fewer if the file ends before.
+
+        Raises:
+            DatasetError: a relative uri leads out of the dataset.
+            OSError: the file cannot be read.
+        """
+        place = self.resolve(uri)
+        if isinstance(place, Path):
+            with place.open("rb", buffering=0) as file:
+                return os.pread(file.fileno(), length, offset)
+        filesystem, path = place
+        return bytes(filesystem.cat_file(path, start=offset, end=offset + length))
+
+    def resolve(self, uri: str) -> Path | tuple[Any, str]:
+        """A picture's uri as a local path, or as a file system and a path in it.
+
+        Raises:
+            DatasetError: a relative uri leads out of the dataset.
+        """
+        if "://" in uri:
+            if uri.startswith("file://"):
+                return Path(unquote(urlsplit(uri).path))
+            import fsspec
+
+            filesystem, path = fsspec.core.url_to_fs(uri)
+            return filesystem, path
+        if uri.startswith("/"):
+            return Path(uri)
+        if ".." in PurePosixPath(uri).parts:
+            raise DatasetError(
+                f"the uri {uri!r} leads out of the dataset",
+                file=self.root,
+                expected="a path below the dataset's root, or an absolute one",
+                remedy="do not use this dataset: its tables have been tampered with",
+            )
+        if self.folder is not None:
+            return self.folder / uri
+        return self._remote[0], self._remote_path(uri)
+
+
+def unreadable(file: str, error: BaseException) -> SchemaError:
+    """The error for a Parquet file that cannot be read."""
+    return SchemaError(
+        f"cannot be read ({str(error).splitlines()[0]})",
+        file=file,
+        expected="a complete Parquet file",
+        remedy=_REMEDY,
+    )

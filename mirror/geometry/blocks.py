@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+import numpy as np
+
 from mirror.arrays import AnyArray
 
-BLOCK_VALUES: Final = 16_384
+BLOCK_VALUES: Final = 32_768
 
 
 def fill(kernel: Callable[..., None], out: AnyArray, *arrays: AnyArray) -> None:
     """Call ``kernel(out, *arrays)`` on matching blocks of the leading axes.
 
     A batch of a million poses makes each temporary of a kernel 8 MB: fresh pages from the system, through memory and
-    back. In blocks the same work takes a third to a fifth of the time, with the same result bit for bit.
+    back. In blocks the same work takes a half to a quarter of the time, with the same result bit for bit.
 
     Args:
         kernel: writes its result into its first argument; every other axis than the last is a batch axis.
@@ -33,3 +35,8 @@ def fill(kernel: Callable[..., None], out: AnyArray, *arrays: AnyArray) -> None:
     for start in range(0, count, step):
         block = slice(start, start + step)
         kernel(out[block], *(array[block] if len(array) > 1 else array for array in arrays))
+
+
+def split(array: AnyArray) -> AnyArray:
+    """The components (K, ...) of vectors (..., K), each contiguous."""
+    return np.ascontiguousarray(array.transpose(array.ndim - 1, *range(array.ndim - 1)))

@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from mirror.arrays import AnyArray, Int64
 from mirror.errors import UsageError
-from mirror.geometry.blocks import fill
+from mirror.geometry.blocks import fill, split
 from mirror.geometry.poses import Poses
-from mirror.geometry.unit_quaternions import slerp_kernel
+from mirror.geometry.unit_quaternions import canonical, slerp_kernel
 
 
 def interpolate(
@@ -45,26 +45,24 @@ def interpolate(
     if len(stamps) == 1:
         return poses[np.zeros(len(query), dtype=np.int64)]
 
-    out = np.empty((len(query), 7))
+    rotation, translation = np.empty((len(query), 4)), np.empty((len(query), 3))
 
-    def kernel(out: AnyArray, query: AnyArray) -> None:
+    def kernel(rotation: AnyArray, translation: AnyArray, query: AnyArray) -> None:
+        # `take` gathers rows ten times as fast as indexing does.
         query = query[:, 0]
         start = np.searchsorted(stamps[1:-1], query, side="right")
         end = start + 1
-        before, after = stamps[start], stamps[end]
-        since, until = query - before, query - after
-        span = after - before
-        fraction = since / span
-        slerp_kernel(out[:, :4], poses.rotation[start], poses.rotation[end], fraction[:, None])
-        # From the nearer end, so that both ends are met exactly and a vehicle at rest does not move.
-        late = fraction > 0.5
-        nearer = np.where(late, end, start)
-        share = np.where(late, until / span, fraction)
-        first, last = poses.translation[start], poses.translation[end]
-        out[:, 4:] = poses.translation[nearer] + share[:, None] * (last - first)
+        before = stamps.take(start)
+        fraction = (query - before) / (stamps.take(end) - before)
+        slerp_kernel(rotation, poses.rotation.take(start, axis=0), poses.rotation.take(end, axis=0), fraction[:, None])
+        first = split(poses.translation.take(start, axis=0))
+        way = split(poses.translation.take(end, axis=0)) - first
+        np.add(first, fraction * way, out=translation.T)
 
-    fill(kernel, out, query[:, None])
-    return Poses(out[:, :4], out[:, 4:])
+    fill(kernel, rotation, translation, query[:, None])
+    # The only stamp that ends an interval and starts none: first + (last - first) may differ from last by rounding.
+    translation[query == stamps[-1]] = poses.translation[-1]
+    return Poses._trusted(canonical(rotation), translation)
 
 
 def _stamps(values: npt.ArrayLike, name: str) -> Int64:
@@ -97,7 +95,7 @@ def _require_covered(stamps: Int64, query: Int64, extrapolate: bool) -> None:
     row = int(np.argmax((query < stamps[0]) | (query > stamps[-1])))
     distance = max(int(stamps[0]) - int(query[row]), int(query[row]) - int(stamps[-1]))
     raise UsageError(
-        f"no pose at {query[row]}: {distance * 1e-9:.3f} s outside the recorded poses",
+        f"no pose at {query[row]} ns: {distance * 1e-9:g} s outside the recorded poses",
         place=f"query row {row}",
         expected=f"a time from {stamps[0]} to {stamps[-1]}",
         remedy="a single pose has no velocity to go on with: give two"

@@ -11,21 +11,21 @@ import numpy.typing as npt
 
 from mirror.arrays import AnyArray, Bool, Float64, Int64
 from mirror.errors import UsageError
-from mirror.geometry.blocks import fill
-from mirror.geometry.quaternions import quaternion_exp, quaternion_from_matrix, quaternion_normalise
+from mirror.geometry.blocks import split
+from mirror.geometry.quaternions import quaternion_from_matrix, quaternion_normalise
+from mirror.geometry.twists import exp_kernel, log_kernel
 from mirror.geometry.unit_quaternions import (
+    broadcast,
+    canonical,
     invert_unit,
-    log_unit,
-    matrix_kernel,
+    matrix_unit,
     multiply_unit,
-    rotate_kernel,
     rotate_unit,
-    sinc,
 )
 
 COLUMNS: Final = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 
-_SERIES_BELOW_RAD: Final = 1e-2
+_MATRIX_PAYS_FROM: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,24 +134,18 @@ class Poses:
         given = np.atleast_2d(np.asarray(twist, dtype=np.float64))
         if given.ndim != 2 or given.shape[1] != 6:
             raise UsageError(f"twists of shape {given.shape}", expected="(N, 6): rotation, then translation")
-        turn, velocity = given[:, :3], given[:, 3:]
-        angle = np.sqrt(np.einsum("ni,ni->n", turn, turn))
-        squared = angle * angle
-        series = 1 / 6 - squared / 120 + squared * squared / 5040
-        small = angle < _SERIES_BELOW_RAD
-        once = 0.5 * sinc(0.5 * angle) ** 2
-        twice = np.where(small, series, (1.0 - sinc(angle)) / np.where(small, 1.0, squared))
-        return cls(quaternion_exp(turn), _left_jacobian(turn, velocity, once, twice))
+        finite = np.isfinite(given)
+        if not finite.all():
+            row = int(np.argmin(finite.all(axis=1)))
+            raise UsageError(
+                f"twist {given[row].tolist()} is not finite", place=f"row {row}", expected="six finite numbers"
+            )
+        motion = broadcast(exp_kernel, 7, given)
+        return cls._trusted(canonical(motion[:, :4]), motion[:, 4:])
 
     def log(self) -> Float64:
         """The twists (N, 6) whose `exp` these motions are: rotation of at most pi first, then translation."""
-        turn = log_unit(self.rotation)
-        squared = np.einsum("ni,ni->n", turn, turn)
-        small = squared < _SERIES_BELOW_RAD**2
-        half = 0.5 * np.sqrt(squared)
-        cotangent = self.rotation[:, 0] * half / np.where(small, 1.0, np.linalg.norm(self.rotation[:, 1:], axis=1))
-        twice = np.where(small, 1 / 12 + squared / 720, (1.0 - cotangent) / np.where(small, 1.0, squared))
-        return np.concatenate((turn, _left_jacobian(turn, self.translation, np.full(len(self), -0.5), twice)), axis=1)
+        return broadcast(log_kernel, 6, np.concatenate((self.rotation, self.translation), axis=1))
 
     def __len__(self) -> int:
         return len(self.rotation)
@@ -197,16 +191,15 @@ class Poses:
             raise UsageError(f"points of shape {given.shape}", expected="(N, M, 3) or (M, 3)")
         given = given if given.ndim == 3 else given[None]
         self._require_matching(len(given), "sets of points")
-        out = np.empty((max(len(self), len(given)) if len(self) and len(given) else 0, given.shape[1], 3))
-        fill(_transform_kernel, out, self.rotation[:, None], self.translation[:, None], given)
-        return out
+        if given.shape[1] < _MATRIX_PAYS_FROM:
+            return rotate_unit(self.rotation[:, None], given) + self.translation[:, None]
+        motion = np.concatenate((matrix_unit(self.rotation), self.translation), axis=1)
+        return broadcast(_transform_kernel, 3, motion[:, None], given)
 
     def matrix(self) -> Float64:
         """Homogeneous matrices (N, 4, 4)."""
         out = np.zeros((len(self), 4, 4))
-        upper = np.empty((len(self), 9))
-        fill(matrix_kernel, upper, self.rotation)
-        out[:, :3, :3] = upper.reshape(-1, 3, 3)
+        out[:, :3, :3] = matrix_unit(self.rotation).reshape(-1, 3, 3)
         out[:, :3, 3] = self.translation
         out[:, 3, 3] = 1.0
         return out
@@ -216,11 +209,8 @@ class Poses:
             raise UsageError(f"{len(self)} poses with {count} {what}", expected="the same number of both, or one")
 
 
-def _left_jacobian(turn: Float64, vector: Float64, once: Float64, twice: Float64) -> Float64:
-    across = np.cross(turn, vector)
-    return vector + once[:, None] * across + twice[:, None] * np.cross(turn, across)
-
-
-def _transform_kernel(out: AnyArray, rotation: AnyArray, translation: AnyArray, points: AnyArray) -> None:
-    rotate_kernel(out, rotation, points)
-    out += translation
+def _transform_kernel(out: AnyArray, motion: AnyArray, points: AnyArray) -> None:
+    m = split(motion)
+    x, y, z = split(points)
+    for axis in range(3):
+        np.add(m[3 * axis] * x + m[3 * axis + 1] * y + m[3 * axis + 2] * z, m[9 + axis], out=out[..., axis])

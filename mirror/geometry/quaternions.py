@@ -10,6 +10,7 @@ Source: J. Sola, "Quaternion kinematics for the error-state Kalman filter", arXi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -17,15 +18,15 @@ import numpy.typing as npt
 
 from mirror.arrays import AnyArray, Float64
 from mirror.errors import UsageError
-from mirror.geometry.blocks import fill
+from mirror.geometry.blocks import split
 from mirror.geometry.unit_quaternions import (
+    broadcast,
     canonical,
     invert_unit,
     log_unit,
-    matrix_kernel,
+    matrix_unit,
     multiply_unit,
     rotate_unit,
-    shepperd_kernel,
     sinc,
     slerp_unit,
 )
@@ -124,9 +125,7 @@ def matrix_from_quaternion(quaternion: npt.ArrayLike) -> Float64:
         UsageError: a quaternion is not of unit length; its row is named.
     """
     given = _unit(quaternion)
-    out = np.empty((*given.shape[:-1], 9))
-    fill(matrix_kernel, out, given)
-    return out.reshape(*given.shape[:-1], 3, 3)
+    return matrix_unit(given).reshape(*given.shape[:-1], 3, 3)
 
 
 def quaternion_from_matrix(matrix: npt.ArrayLike) -> Float64:
@@ -143,10 +142,25 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> Float64:
     Raises:
         UsageError: a matrix has no unit columns at right angles (to 1e-3), or is a reflection; its row is named.
     """
-    given = _nearest_rotation(np.asarray(matrix, dtype=np.float64))
-    out = np.empty((*given.shape[:-2], 4))
-    fill(shepperd_kernel, out, given.reshape(*given.shape[:-2], 9))
-    return canonical(out)
+    given = np.asarray(matrix, dtype=np.float64)
+    if given.ndim < 2 or given.shape[-2:] != (3, 3):
+        raise UsageError(f"rotation matrices of shape {given.shape}", expected="shape (..., 3, 3)")
+    rows = given.reshape(*given.shape[:-2], 9)
+    deviation = broadcast(_deviation_kernel, 1, rows)[..., 0]
+    if not np.all(deviation <= ROTATION_TOLERANCE):
+        row = _first(~(deviation <= ROTATION_TOLERANCE))
+        raise UsageError(
+            f"matrix {given[row].tolist()} is no rotation",
+            place=f"row {_place(row)}",
+            expected=f"unit columns at right angles and determinant +1, to {ROTATION_TOLERANCE:g}",
+            remedy="divide a scaled matrix by its scale; swap or negate an axis of a reflected one",
+        )
+    inexact = deviation > UNIT_TOLERANCE
+    if inexact.any():
+        left, _, right = np.linalg.svd(given[inexact])
+        rows = rows.copy()
+        rows[inexact] = (left @ right).reshape(-1, 9)
+    return canonical(broadcast(_matrix_kernel, 4, rows))
 
 
 def quaternion_exp(rotation_vector: npt.ArrayLike) -> Float64:
@@ -277,25 +291,37 @@ def heading_deg(quaternion: npt.ArrayLike) -> Float64:
     return np.where(wrapped >= 360.0, 0.0, wrapped)
 
 
-def _nearest_rotation(matrix: Float64) -> Float64:
-    if matrix.ndim < 2 or matrix.shape[-2:] != (3, 3):
-        raise UsageError(f"rotation matrices of shape {matrix.shape}", expected="shape (..., 3, 3)")
-    deviation = np.abs(np.einsum("...ij,...ik->...jk", matrix, matrix) - np.eye(3)).max(axis=(-2, -1), initial=0.0)
-    rotation = np.asarray(deviation <= ROTATION_TOLERANCE) & (np.linalg.det(matrix) > 0)
-    if not rotation.all():
-        row = _first(np.logical_not(rotation))
-        raise UsageError(
-            f"matrix {matrix[row].tolist()} is no rotation",
-            place=f"row {_place(row)}",
-            expected=f"unit columns at right angles (to {ROTATION_TOLERANCE:g}) and determinant +1",
-            remedy="divide a scaled matrix by its scale; swap or negate an axis of a reflected one",
-        )
-    inexact = deviation > UNIT_TOLERANCE
-    if inexact.any():
-        matrix = matrix.copy()
-        left, _, right = np.linalg.svd(matrix[inexact])
-        matrix[inexact] = left @ right
-    return matrix
+def _matrix_kernel(out: AnyArray, matrix: AnyArray) -> None:
+    """Write the quaternions of rotations (..., 9) into ``out`` (..., 4); NaN where a matrix is no rotation."""
+    m00, m01, m02, m10, m11, m12, m20, m21, m22 = split(matrix)
+    trace = m00 + m11 + m22
+    w, x, y, z = 1.0 + trace, 1.0 + m00 - m11 - m22, 1.0 - m00 + m11 - m22, 1.0 - m00 - m11 + m22
+    # Row k holds 4 * q[k] * q: the row of the largest component has no cancellation.
+    rows = (
+        (w, m21 - m12, m02 - m20, m10 - m01),
+        (m21 - m12, x, m10 + m01, m02 + m20),
+        (m02 - m20, m10 + m01, y, m21 + m12),
+        (m10 - m01, m02 + m20, m21 + m12, z),
+    )
+    largest = np.argmax((w, x, y, z), axis=0)
+    a, b, c, d = (np.choose(largest, [row[component] for row in rows]) for component in range(4))
+    scale = 1.0 / np.sqrt(a * a + b * b + c * c + d * d)
+    for component, value in enumerate((a, b, c, d)):
+        np.multiply(value, scale, out=out[..., component])
+
+
+def _deviation_kernel(out: AnyArray, matrix: AnyArray) -> None:
+    """Write how far matrices (..., 9) are from rotations into ``out`` (..., 1): of columns and of determinant."""
+    a, b, c = np.moveaxis(split(matrix).reshape(3, 3, *matrix.shape[:-1]), 1, 0)
+    normal = (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0])
+    entries = [
+        _dot(p, q) - target for p, q, target in ((a, a, 1), (b, b, 1), (c, c, 1), (a, b, 0), (a, c, 0), (b, c, 0))
+    ]
+    out[..., 0] = np.max(np.abs([*entries, _dot(a, normal) - 1.0]), axis=0)
+
+
+def _dot(a: Sequence[AnyArray] | AnyArray, b: Sequence[AnyArray] | AnyArray) -> AnyArray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _components(array: npt.ArrayLike, count: int, what: str) -> Float64:
@@ -318,7 +344,7 @@ def _unit(quaternion: npt.ArrayLike) -> Float64:
     return given
 
 
-def _first(mask: AnyArray) -> tuple[int, ...]:
+def _first(mask: npt.ArrayLike) -> tuple[int, ...]:
     return tuple(int(index) for index in np.argwhere(mask)[0])
 
 

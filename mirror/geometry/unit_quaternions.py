@@ -1,6 +1,7 @@
 """Quaternion arithmetic that trusts its input to be unit quaternions: what `Poses` holds, checked when it was made.
 
-`mirror.geometry.quaternions` has the same functions with that check.
+`mirror.geometry.quaternions` has the same functions with that check. The kernels work on one component at a time, each
+contiguous in memory: three times as fast as on rows of four.
 """
 
 from __future__ import annotations
@@ -10,104 +11,115 @@ from collections.abc import Callable
 import numpy as np
 
 from mirror.arrays import AnyArray, Float64
-from mirror.geometry.blocks import fill
+from mirror.geometry.blocks import fill, split
 
 
 def canonical(quaternion: Float64) -> Float64:
     """Of the two quaternions (..., 4) of each rotation, the one whose first non-zero component is positive."""
-    flip = quaternion[..., 0] < 0
-    zero = quaternion[..., 0] == 0
-    if zero.any():
-        for axis in (1, 2, 3):
-            flip = flip | (zero & (quaternion[..., axis] < 0))
-            zero = zero & (quaternion[..., axis] == 0)
-    if not flip.any():
+    scalar = quaternion[..., 0]
+    if (scalar > 0).all():
         return quaternion
-    return np.where(flip[..., None], -quaternion, quaternion)
+    flip = scalar < 0
+    zero = scalar == 0
+    for axis in (1, 2, 3):
+        flip |= zero & (quaternion[..., axis] < 0)
+        zero &= quaternion[..., axis] == 0
+    # Adding zero turns -0.0 into 0.0, so that equal rotations have equal bytes.
+    return np.where(flip[..., None], -quaternion, quaternion) + 0.0
 
 
 def multiply_unit(first: Float64, second: Float64) -> Float64:
-    """`quaternion_multiply` of quaternions known to be unit."""
-    return _broadcast(_multiply_kernel, 4, first, second)
+    """`quaternion_multiply` of unit quaternions."""
+    return canonical(broadcast(_multiply_kernel, 4, first, second))
 
 
 def invert_unit(quaternion: Float64) -> Float64:
-    """`quaternion_inverse` of quaternions known to be unit."""
+    """`quaternion_inverse` of unit quaternions."""
     return canonical(quaternion * (1.0, -1.0, -1.0, -1.0) + 0.0)
 
 
 def rotate_unit(quaternion: Float64, points: Float64) -> Float64:
-    """`rotate` by quaternions known to be unit."""
-    return _broadcast(rotate_kernel, 3, quaternion, points)
+    """`rotate` by unit quaternions."""
+    return broadcast(_rotate_kernel, 3, quaternion, points)
 
 
 def slerp_unit(first: Float64, second: Float64, fraction: Float64) -> Float64:
-    """`slerp` between quaternions known to be unit."""
-    return _broadcast(slerp_kernel, 4, first, second, fraction[..., None])
+    """`slerp` between unit quaternions."""
+    return canonical(broadcast(slerp_kernel, 4, first, second, fraction[..., None]))
+
+
+def matrix_unit(quaternion: Float64) -> Float64:
+    """`matrix_from_quaternion` of unit quaternions, as rows of nine."""
+    return broadcast(_matrix_kernel, 9, quaternion)
 
 
 def log_unit(quaternion: Float64) -> Float64:
-    """`quaternion_log` of quaternions known to be canonical."""
-    vector = quaternion[..., 1:]
-    sine = np.sqrt(np.einsum("...i,...i->...", vector, vector))
-    # The ratio tends to 2 / qw; the same, possibly underflowing, sine stands in both places.
-    nonzero = sine > 0
-    ratio = np.where(nonzero, 2.0 * np.arctan2(sine, quaternion[..., 0]) / np.where(nonzero, sine, 1.0), 2.0)
-    return np.asarray(vector * ratio[..., None])
+    """`quaternion_log` of canonical quaternions."""
+    return broadcast(_log_kernel, 3, quaternion)
 
 
 def sinc(angle: Float64) -> Float64:
     """``sin(angle) / angle``, 1 at 0."""
-    nonzero = angle != 0
-    return np.where(nonzero, np.sin(angle) / np.where(nonzero, angle, 1.0), 1.0)
+    divisor = np.where(angle == 0.0, 1.0, angle)
+    return np.asarray(np.where(angle == 0.0, 1.0, np.sin(angle) / divisor))
+
+
+def broadcast(kernel: Callable[..., None], components: int, *arrays: Float64) -> Float64:
+    """The (..., ``components``) result of a kernel over the arrays' broadcast batch axes."""
+    axes = max(array.ndim for array in arrays)
+    arrays = tuple(array.reshape(*(1,) * (axes - array.ndim), *array.shape) for array in arrays)
+    shape = arrays[0].shape[:-1]
+    if any(array.shape[:-1] != shape for array in arrays):
+        shape = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
+    out = np.empty((*shape, components))
+    fill(kernel, out, *arrays)
+    return out
 
 
 def slerp_kernel(out: AnyArray, first: AnyArray, second: AnyArray, fraction: AnyArray) -> None:
-    """Write `slerp` into ``out`` (..., 4); ``fraction`` is (..., 1)."""
-    a, b, u = _split(first), _split(second), fraction[..., 0]
-    dot = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
-    towards = np.where(dot < 0, -1.0, 1.0)
-    b = [towards * component for component in b]
-    d = [q - p for p, q in zip(a, b)]
-    # The chord between the two is at most sqrt(2), where the arc sine of its half is well conditioned.
-    half_chord = 0.5 * np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + d[3] * d[3])
-    angle = 2.0 * np.arcsin(half_chord)
-    sine = 2.0 * half_chord * np.sqrt(1.0 - half_chord * half_chord)
-    turning = sine > 0
-    divisor = np.where(turning, sine, 1.0)
-    of_first = np.where(turning, np.sin((1.0 - u) * angle) / divisor, 1.0 - u)
-    of_second = np.where(turning, np.sin(u * angle) / divisor, u)
-    for component in range(4):
-        out[..., component] = of_first * a[component] + of_second * b[component]
-    _canonical_in_place(out)
+    """Write `slerp`, not yet canonical, into ``out`` (..., 4); ``fraction`` is (..., 1)."""
+    a, b, u = split(first), split(second), fraction[..., 0]
+    products = a * b
+    b = b * np.copysign(1.0, products[0] + products[1] + products[2] + products[3])
+    # The chord is at most sqrt(2), where the arc sine of its half is well conditioned; near zero it is exact.
+    squares = b - a
+    squares *= squares
+    angle = 2.0 * np.arcsin(0.5 * np.sqrt(squares[0] + squares[1] + squares[2] + squares[3]))
+    sine = np.sin(angle)
+    rest = 1.0 - u
+    if sine.all():
+        of_first, of_second = np.sin(rest * angle) / sine, np.sin(u * angle) / sine
+    else:
+        turning = sine > 0.0
+        divisor = np.where(turning, sine, 1.0)
+        of_first = np.where(turning, np.sin(rest * angle) / divisor, rest)
+        of_second = np.where(turning, np.sin(u * angle) / divisor, u)
+    np.add(of_first * a, of_second * b, out=out.transpose(out.ndim - 1, *range(out.ndim - 1)))
 
 
 def _multiply_kernel(out: AnyArray, first: AnyArray, second: AnyArray) -> None:
-    (aw, ax, ay, az), (bw, bx, by, bz) = _split(first), _split(second)
+    (aw, ax, ay, az), (bw, bx, by, bz) = split(first), split(second)
     w = aw * bw - ax * bx - ay * by - az * bz
     x = aw * bx + ax * bw + ay * bz - az * by
     y = aw * by - ax * bz + ay * bw + az * bx
     z = aw * bz + ax * by - ay * bx + az * bw
     scale = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
     for component, value in enumerate((w, x, y, z)):
-        out[..., component] = value * scale
-    _canonical_in_place(out)
+        np.multiply(value, scale, out=out[..., component])
 
 
-def rotate_kernel(out: AnyArray, quaternion: AnyArray, points: AnyArray) -> None:
-    """Write the turned points into ``out`` (..., 3)."""
-    (w, x, y, z), (px, py, pz) = _split(quaternion), _split(points)
+def _rotate_kernel(out: AnyArray, quaternion: AnyArray, points: AnyArray) -> None:
+    (w, x, y, z), (px, py, pz) = split(quaternion), split(points)
     tx = 2.0 * (y * pz - z * py)
     ty = 2.0 * (z * px - x * pz)
     tz = 2.0 * (x * py - y * px)
-    out[..., 0] = px + w * tx + (y * tz - z * ty)
-    out[..., 1] = py + w * ty + (z * tx - x * tz)
-    out[..., 2] = pz + w * tz + (x * ty - y * tx)
+    np.add(px, w * tx + (y * tz - z * ty), out=out[..., 0])
+    np.add(py, w * ty + (z * tx - x * tz), out=out[..., 1])
+    np.add(pz, w * tz + (x * ty - y * tx), out=out[..., 2])
 
 
-def matrix_kernel(out: AnyArray, quaternion: AnyArray) -> None:
-    """Write rotation matrices, row by row, into ``out`` (..., 9)."""
-    w, x, y, z = _split(quaternion)
+def _matrix_kernel(out: AnyArray, quaternion: AnyArray) -> None:
+    w, x, y, z = split(quaternion)
     xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
     xy, xz, yz = 2.0 * x * y, 2.0 * x * z, 2.0 * y * z
     wx, wy, wz = 2.0 * w * x, 2.0 * w * y, 2.0 * w * z
@@ -116,34 +128,10 @@ def matrix_kernel(out: AnyArray, quaternion: AnyArray) -> None:
         out[..., entry] = value
 
 
-def shepperd_kernel(out: AnyArray, matrix: AnyArray) -> None:
-    """Write the quaternions of rotation matrices (..., 9), not yet canonical, into ``out`` (..., 4)."""
-    m00, m01, m02, m10, m11, m12, m20, m21, m22 = _split(matrix)
-    trace = m00 + m11 + m22
-    largest = np.argmax(np.stack((trace, m00, m11, m22)), axis=0)
-    # Row k holds 4 * q[k] * q: the row of the largest component has no cancellation.
-    rows = (
-        (1.0 + trace, m21 - m12, m02 - m20, m10 - m01),
-        (m21 - m12, 1.0 + m00 - m11 - m22, m10 + m01, m02 + m20),
-        (m02 - m20, m10 + m01, 1.0 - m00 + m11 - m22, m21 + m12),
-        (m10 - m01, m02 + m20, m21 + m12, 1.0 - m00 - m11 + m22),
-    )
-    chosen = [np.choose(largest, [row[component] for row in rows]) for component in range(4)]
-    scale = 1.0 / np.sqrt(sum(component * component for component in chosen))
-    for component, value in enumerate(chosen):
-        out[..., component] = value * scale
-
-
-def _canonical_in_place(quaternion: AnyArray) -> None:
-    quaternion[...] = canonical(quaternion)
-
-
-def _broadcast(kernel: Callable[..., None], components: int, *arrays: Float64) -> Float64:
-    shape = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
-    out = np.empty((*shape, components))
-    fill(kernel, out, *(array.reshape(*(1,) * (out.ndim - array.ndim), *array.shape) for array in arrays))
-    return out
-
-
-def _split(array: AnyArray) -> list[AnyArray]:
-    return [array[..., component] for component in range(array.shape[-1])]
+def _log_kernel(out: AnyArray, quaternion: AnyArray) -> None:
+    w, x, y, z = split(quaternion)
+    sine = np.sqrt(x * x + y * y + z * z)
+    # The ratio tends to 2 / qw; the same, possibly underflowing, sine stands in both places.
+    ratio = np.where(sine > 0.0, 2.0 * np.arctan2(sine, w) / np.where(sine > 0.0, sine, 1.0), 2.0)
+    for component, value in enumerate((x, y, z)):
+        np.multiply(value, ratio, out=out[..., component])

@@ -267,3 +267,107 @@ class Manifest(Document):
     derived_from: dict[str, str] = Field(default_factory=dict)
     files: dict[str, FileEntry] = Field(default_factory=dict)
     pictures: Pictures | None = None
+
+
+Light = Literal["day", "dusk", "night", "unknown"]
+Weather = Literal["clear", "clouds", "rain", "snow", "fog", "unknown"]
+Role = Literal["train", "val", "test", "held_out", "unused"]
+
+
+class NovelTraversal(Document):
+    """Per scene, some traversals to train on and some to hold out; the default is the paper's 4 + 1.
+
+    Attributes:
+        method: tag.
+        train: traversals a scene to train on.
+        held_out: traversals a scene to hold out.
+    """
+
+    method: Literal["novel-traversal"] = "novel-traversal"
+    train: int = Field(default=4, ge=1)
+    held_out: int = Field(default=1, ge=1)
+
+
+class ByScene(Document):
+    """Whole scenes to each role, in these shares.
+
+    Attributes:
+        method: tag.
+        train: share of the scenes.
+        val: share of the scenes.
+        test: share of the scenes.
+    """
+
+    method: Literal["by-scene"] = "by-scene"
+    train: float = Field(default=0.7, ge=0, le=1)
+    val: float = Field(default=0.15, ge=0, le=1)
+    test: float = Field(default=0.15, ge=0, le=1)
+
+    @model_validator(mode="after")
+    def _whole(self) -> ByScene:
+        if abs(self.train + self.val + self.test - 1.0) > 1e-9:
+            raise ValueError(f"the shares {self.train} + {self.val} + {self.test} do not add up to 1")
+        return self
+
+
+class Condition(Document):
+    """What a traversal was recorded in; all that is given must hold.
+
+    Attributes:
+        light: the light; None: any.
+        weather: the weather; None: any.
+    """
+
+    light: Light | None = None
+    weather: Weather | None = None
+
+    @model_validator(mode="after")
+    def _some(self) -> Condition:
+        if self.light is None and self.weather is None:
+            raise ValueError("a condition names a light, a weather or both")
+        return self
+
+
+class ByCondition(Document):
+    """Traversals by what they were recorded in; what fits ``test`` is never trained on.
+
+    Attributes:
+        method: tag.
+        train: a traversal that fits one of these and none of ``test`` is trained on.
+        test: a traversal that fits one of these is tested on.
+    """
+
+    method: Literal["by-condition"] = "by-condition"
+    train: tuple[Condition, ...] = Field(min_length=1)
+    test: tuple[Condition, ...] = Field(min_length=1)
+
+
+SplitMethod = Annotated[NovelTraversal | ByScene | ByCondition, Field(discriminator="method")]
+
+
+class SplitDocument(Document):
+    """``splits/<name>.json``: a frozen division of the dataset's traversals.
+
+    Attributes:
+        schema_version: of the on-disk format.
+        name: the split.
+        parameters: the method and what it was asked for.
+        seed: what the choice was drawn by.
+        scenes: the scenes it was restricted to; None: all.
+        dataset_hash: SHA-256 over ``manifests``: what the split was made of.
+        manifests: SHA-256 of each traversal's recorded manifest, by traversal id.
+        assignments: the role of each traversal, by id; ``unused``: known to the split, and in no role.
+        left_out: why a scene or a traversal is in no role, by its id.
+        added: traversals that were put in by an extension, after the split was frozen.
+    """
+
+    schema_version: str = SCHEMA_VERSION
+    name: Identifier
+    parameters: SplitMethod
+    seed: int
+    scenes: tuple[str, ...] | None
+    dataset_hash: str
+    manifests: dict[str, str]
+    assignments: dict[str, Role]
+    left_out: dict[str, str] = Field(default_factory=dict)
+    added: tuple[str, ...] = ()

@@ -113,10 +113,25 @@ class RigInfo:
 class ImageStream(Protocol):
     """The pictures of one camera in time order; nothing is opened before `read`."""
 
-    camera: str
-    codec: str
-    exposure_start_ns: Int64
-    exposure_end_ns: Int64
+    @property
+    def camera(self) -> str:
+        """The camera's name."""
+        ...
+
+    @property
+    def codec(self) -> str:
+        """``jpeg`` or ``png``: what `path` and `read` give; ``video``: JPEG decoded from a video, by `read` alone."""
+        ...
+
+    @property
+    def exposure_start_ns(self) -> Int64:
+        """(N,) start of the exposure of the first row, Unix time."""
+        ...
+
+    @property
+    def exposure_end_ns(self) -> Int64:
+        """(N,) end of the exposure of the last row, Unix time."""
+        ...
 
     def path(self, index: int) -> Path | None:
         """The file that holds exactly this picture's encoded bytes, to be linked or copied; None: use `read`."""
@@ -191,9 +206,15 @@ class Recording(Protocol):
 
 @runtime_checkable
 class Reader(Protocol):
-    """One recording format."""
+    """One recording format.
+
+    Attributes:
+        name: of the entry point and of ``--reader``.
+        expects: what a path of this format looks like, for messages.
+    """
 
     name: str
+    expects: str
 
     def recognises(self, path: Path) -> bool:
         """Whether the path looks like this format, by names alone (fast, opens at most one small file)."""

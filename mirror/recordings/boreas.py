@@ -1,0 +1,193 @@
+"""Boreas (University of Toronto): repeated drives of fixed routes, one camera, post-processed GNSS poses.
+
+Facts that the data decides, checked on the two sequences of the tests:
+
+- ``GPSTime`` counts Unix microseconds in UTC, not GPS time: the dataset's guide says so of all file names, to which
+  the column is equal, and sequence ``boreas-2021-08-05-13-34`` (local time, UTC-4) begins at 17:34:46 so read.
+- ``easting, northing, altitude`` are UTM zone 17 north and ellipsoidal height: read so, the positions lie 0.3 m from
+  the route that the dataset publishes in degrees; read as a tangent plane, 8 m (the meridian convergence is 1.06
+  degrees). Later releases give metres from the start of the first sequence instead: a local metric frame.
+- Velocities and angles refer to the same axes as the positions: grid, not true, north.
+- ``roll, pitch, heading`` (radians) make ``grid_R_camera = X(-roll) Y(-pitch) Z(-heading)`` of right-handed turns about
+  the axes, for the camera (x right, y down, z forward): the driven direction is z to within 2 degrees, and up is -y.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import Float64, Int64
+from mirror.errors import RecordingError
+from mirror.geometry.quaternions import quaternion_exp, quaternion_inverse, quaternion_multiply
+from mirror.recordings.calibration import Calibration, calibration_table
+from mirror.recordings.paths import list_folder
+from mirror.recordings.placing import FLU_FROM_CAMERA, track_from_utm
+from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
+from mirror.recordings.registry import refuse_options
+from mirror.recordings.tabular import Rows, read_rows, unreadable
+
+_NAME: Final = re.compile(r"boreas-\d{4}-\d{2}-\d{2}-\d{2}-\d{2}")
+_POSES: Final = ("camera_poses.csv", "applanix/camera_poses.csv")
+_UTM_ZONE: Final = 17
+_REFERENCE_FRAME: Final = "boreas_enu_ref"
+_CAMERA: Final = "front"
+_RASTER_PX: Final = (2448, 2048)
+_COLUMNS: Final = ("GPSTime", "easting", "northing", "altitude", "roll", "pitch", "heading")
+
+
+class BoreasReader:
+    """One sequence of Boreas."""
+
+    name = "boreas"
+    expects = "a folder boreas-YYYY-MM-DD-HH-MM with camera_poses.csv, there or in applanix/"
+
+    def recognises(self, path: Path) -> bool:
+        """By the folder's name and the pose file."""
+        return _NAME.fullmatch(path.resolve().name) is not None and _pose_file(path) is not None
+
+    def open(self, path: Path, options: Mapping[str, str]) -> BoreasRecording:
+        """Open a sequence; there are no options."""
+        refuse_options(options, (), path)
+        poses = _pose_file(path)
+        if poses is None:
+            raise RecordingError("no pose file", file=path, expected=" or ".join(_POSES))
+        return BoreasRecording(path, poses)
+
+
+def _pose_file(path: Path) -> Path | None:
+    return next((path / name for name in _POSES if (path / name).is_file()), None)
+
+
+@dataclass(frozen=True)
+class BoreasRecording:
+    """A sequence: the camera's poses, and its pictures where they are there."""
+
+    path: Path
+    poses: Path
+
+    @cached_property
+    def _rows(self) -> Rows:
+        types = {"GPSTime": pa.string(), **{name: pa.float64() for name in _COLUMNS[1:]}}
+        return read_rows([self.poses], types=types, columns=_COLUMNS)
+
+    @property
+    def _is_utm(self) -> bool:
+        # The false easting keeps every UTM easting of Toronto above 600 km; the reference frame's extent is 10 km.
+        return bool(np.nanmedian(np.abs(self._rows.floats("easting"))) > 1e5)
+
+    @cached_property
+    def info(self) -> DriveInfo:
+        """Toronto, one vehicle; the poses are the camera's."""
+        return DriveInfo(
+            drive_id=self.path.resolve().name,
+            vehicle_id="boreas",
+            vehicle_type="boreas",
+            time_base="Unix microseconds",
+            frame=None if self._is_utm else _REFERENCE_FRAME,
+            body_frame="camera",
+            city="Toronto",
+            licence="CC BY 4.0",
+        )
+
+    @property
+    def rig(self) -> RigInfo | None:
+        """One camera, or None where the sequence came without pictures."""
+        if not (self.path / "camera").is_dir():
+            return None
+        return RigInfo("boreas", (CameraInfo(_CAMERA, "camera"),), _CAMERA)
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """The pose file, the camera's calibration and pictures; lidar and radar are not read."""
+        found = [self.poses, *self._pictures.values()]
+        if self._projection.is_file():
+            found.append(self._projection)
+        return sorted((file.relative_to(self.path).as_posix(), file) for file in found)
+
+    def track(self) -> Track:
+        """The camera's poses, turned to x forward, y left, z up."""
+        rows = self._rows
+        stamps = rows.stamps("GPSTime", "unix_us")
+        rotation = self._rotation()
+        easting, northing, height = (rows.floats(name) for name in ("easting", "northing", "altitude"))
+        if self._is_utm:
+            return track_from_utm(
+                stamps, easting, northing, height, rotation, zone=_UTM_ZONE, north=True, file=self.poses
+            )
+        return Track(stamps, x_m=easting, y_m=northing, height_m=height, rotation=rotation, file=self.poses)
+
+    def _rotation(self) -> Float64:
+        rows = self._rows
+        turns = []
+        for axis, name in enumerate(("roll", "pitch", "heading")):
+            angle = rows.floats(name)
+            rows.refuse(
+                ~np.isfinite(angle), name, "no angle", expected="radians", remedy="remove the row from the pose file"
+            )
+            turns.append(quaternion_exp(np.outer(-angle, np.eye(3)[axis])))
+        roll, pitch, heading = turns
+        grid_from_camera = quaternion_multiply(roll, quaternion_multiply(pitch, heading))
+        return quaternion_multiply(grid_from_camera, quaternion_inverse(FLU_FROM_CAMERA))
+
+    @property
+    def _projection(self) -> Path:
+        return self.path / "calib" / "P_camera.txt"
+
+    def calibrations(self) -> pa.Table:
+        """The rectified camera of ``calib/P_camera.txt``; the ego frame is the camera turned, so it does not move."""
+        found = []
+        if self.rig is not None and self._projection.is_file():
+            try:
+                projection = np.loadtxt(self._projection)
+            except (ValueError, OSError) as error:
+                raise unreadable(self._projection, error) from error
+            if projection.shape not in ((3, 4), (4, 4)):
+                raise RecordingError(
+                    f"a matrix of shape {projection.shape}", file=self._projection, expected="3 or 4 rows of 4 numbers"
+                )
+            calibration = Calibration(
+                camera=_CAMERA,
+                model="pinhole",
+                width_px=_RASTER_PX[0],
+                height_px=_RASTER_PX[1],
+                fx_px=projection[0, 0],
+                fy_px=projection[1, 1],
+                # Boreas follows OpenCV, whose first pixel has its centre at 0.
+                cx_px=projection[0, 2] + 0.5,
+                cy_px=projection[1, 2] + 0.5,
+                ego_SE3_camera=(*FLU_FROM_CAMERA.tolist(), 0.0, 0.0, 0.0),
+                method="P_camera.txt of the rectified pictures",
+            )
+            found.append(("factory", calibration))
+        return calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+
+    @cached_property
+    def _pictures(self) -> dict[int, Path]:
+        folder = self.path / "camera"
+        if not folder.is_dir():
+            return {}
+        pictures = {}
+        for name, file in list_folder(self.path, folder).items():
+            stem, _, suffix = name.rpartition(".")
+            if suffix != "png" or not stem.isdecimal():
+                raise RecordingError("no picture of the camera", file=file, expected="<microseconds>.png")
+            pictures[int(stem)] = file
+        return dict(sorted(pictures.items()))
+
+    def images(self) -> Mapping[str, ImageStream]:
+        """The camera's pictures; a file name is the middle of the exposure, whose length is not recorded."""
+        if self.rig is None:
+            return {}
+        stamps: Int64 = np.fromiter(self._pictures, np.int64, len(self._pictures)) * 1_000
+        return {_CAMERA: FileStream(_CAMERA, "png", stamps, stamps, tuple(self._pictures.values()))}
+
+    def boxes(self) -> None:
+        """None: the sequences come without boxes."""
+        return

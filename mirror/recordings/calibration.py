@@ -1,0 +1,94 @@
+"""Calibrations as recordings give them, and the rows of the `calibrations` table they become."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+import pyarrow as pa
+from pydantic import Field, model_validator
+
+from mirror.geometry.quaternions import quaternion_normalise
+from mirror.schema.documents import Document
+from mirror.schema.tables import CALIBRATIONS
+
+Stage = Literal["factory", "online", "refined"]
+STAGES: tuple[Stage, ...] = ("factory", "online", "refined")
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+SE3 = Annotated[tuple[Finite, ...], Field(min_length=7, max_length=7)]
+
+_COEFFICIENTS = {"pinhole": 0, "brown_conrady": 5, "rational": 8, "kannala_brandt": 4}
+_UNIT_TOLERANCE = 1e-2
+
+
+class Calibration(Document):
+    """One camera's intrinsics and mounting, of one stage, over a validity interval: see the table in docs/schema.md.
+
+    Attributes:
+        camera: the camera's name.
+        model: which camera model the coefficients belong to.
+        width_px: width of the calibrated raster.
+        height_px: its height.
+        fx_px: focal length.
+        fy_px: focal length.
+        cx_px: principal point; the centre of the first pixel is at 0.5.
+        cy_px: principal point.
+        distortion: coefficients in the order of the model.
+        ego_SE3_camera: ``qw qx qy qz tx_m ty_m tz_m``.
+        valid_from_ns: Unix time; None: from the beginning.
+        valid_to_ns: Unix time; None: without end.
+        time_offset_ns: what was added to the camera's own stamps.
+        shutter_direction: in which direction rows or columns are exposed one after the other.
+        readout_ns: from the first row's to the last row's start of exposure.
+        covariance: 6x6 row-major, of the mounting: rotation (rad), then translation (m).
+        method: how it was obtained.
+    """
+
+    camera: str
+    model: Literal["pinhole", "brown_conrady", "rational", "kannala_brandt", "f_theta"]
+    width_px: Annotated[int, Field(gt=0)]
+    height_px: Annotated[int, Field(gt=0)]
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: Finite
+    cy_px: Finite
+    distortion: tuple[Finite, ...] = ()
+    ego_SE3_camera: SE3  # noqa: N815
+    valid_from_ns: int | None = None
+    valid_to_ns: int | None = None
+    time_offset_ns: int = 0
+    shutter_direction: Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"] = "global"
+    readout_ns: Annotated[int, Field(ge=0)] = 0
+    covariance: Annotated[tuple[Finite, ...], Field(min_length=36, max_length=36)] | None = None
+    method: str | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Calibration:
+        wanted = _COEFFICIENTS.get(self.model)
+        if wanted is not None and len(self.distortion) != wanted:
+            raise ValueError(f"{self.model} takes {wanted} distortion coefficients, not {len(self.distortion)}")
+        length = float(np.linalg.norm(self.ego_SE3_camera[:4]))
+        if abs(length - 1.0) > _UNIT_TOLERANCE:
+            raise ValueError(f"the quaternion of ego_SE3_camera has length {length:.4g}, not 1")
+        return self
+
+
+def calibration_table(calibrations: Sequence[tuple[Stage, Calibration]], *, vehicle_id: str, drive_id: str) -> pa.Table:
+    """Rows of the `calibrations` table, in the order given.
+
+    Args:
+        calibrations: with the stage of each.
+        vehicle_id: pseudonym of the vehicle.
+        drive_id: the drive in which they are valid.
+    """
+    rows = []
+    for stage, calibration in calibrations:
+        row = calibration.model_dump(exclude={"ego_SE3_camera"})
+        pose = calibration.ego_SE3_camera
+        rotation = quaternion_normalise(np.array(pose[:4])).tolist()
+        row |= {"vehicle_id": vehicle_id, "drive_id": drive_id, "stage": stage}
+        row |= dict(zip(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), (*rotation, *pose[4:])))
+        rows.append(row)
+    return pa.Table.from_pylist(rows, schema=CALIBRATIONS.schema)

@@ -1,0 +1,114 @@
+"""File names of a recording: listed fast, ordered as a person counts, and never leading out of it."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Collection
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from mirror.errors import RecordingError
+
+_DIGITS = re.compile(r"(\d+)")
+
+
+def inside(root: Path, name: str, *, file: Path, place: str) -> Path:
+    """The file that a recording names, if it lies inside the recording.
+
+    Args:
+        root: the recording's folder.
+        name: a relative path with forward slashes, as written in one of the recording's files.
+        file: the file that names it, for the message.
+        place: where in that file.
+
+    Raises:
+        RecordingError: the name is absolute, climbs with ``..``, or leads out through a link.
+    """
+    parts = PurePosixPath(name).parts
+    windows = PureWindowsPath(name)
+    climbs = not parts or ".." in parts or "\0" in name
+    if climbs or name.startswith("/") or "\\" in name or windows.drive:
+        raise _outside(name, file, place)
+    path = root / name
+    if not path.resolve().is_relative_to(root.resolve()):
+        raise _outside(name, file, place)
+    return path
+
+
+def _outside(name: str, file: Path, place: str) -> RecordingError:
+    return RecordingError(
+        f"{name!r} leads out of the recording",
+        file=file,
+        place=place,
+        expected="a relative path without '..' to a file inside the recording's folder",
+        remedy="copy the file into the recording and name it there",
+    )
+
+
+def list_folder(root: Path, folder: Path) -> dict[str, Path]:
+    """The plain files of one folder by name, hidden ones left out; links are followed only inside the recording.
+
+    Args:
+        root: the recording's folder.
+        folder: a folder inside it.
+
+    Raises:
+        RecordingError: the folder or an entry is a link that leads out of the recording.
+    """
+    inside(root, folder.relative_to(root).as_posix() or ".", file=folder, place="folder")
+    found = {}
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith(".") or not entry.is_file():
+                continue
+            path = folder / entry.name
+            if entry.is_symlink():
+                inside(root, path.relative_to(root).as_posix(), file=path, place="link")
+            found[entry.name] = path
+    return found
+
+
+def walk(root: Path, *, without: Collection[str] = ()) -> list[tuple[str, Path]]:
+    """Every file under a folder as ``(path relative to it, path)``, in the order of the relative paths.
+
+    Args:
+        root: a recording's folder.
+        without: names of folders at its top that do not belong to the recording.
+
+    Raises:
+        RecordingError: a link leads out of the recording.
+    """
+    found: list[tuple[str, Path]] = []
+    open_folders = [("", root)]
+    while open_folders:
+        prefix, folder = open_folders.pop()
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                relative, path = prefix + entry.name, folder / entry.name
+                if entry.is_symlink():
+                    inside(root, relative, file=path, place="link")
+                if entry.is_dir():
+                    if prefix or entry.name not in without:
+                        open_folders.append((relative + "/", path))
+                else:
+                    found.append((relative, path))
+    return sorted(found)
+
+
+def natural_key(name: str) -> tuple[str | int, ...]:
+    """Sorts numbers within names by value: ``2`` before ``10``, ``part_9.csv`` before ``part_10.csv``."""
+    return tuple(int(part) if index % 2 else part for index, part in enumerate(_DIGITS.split(name)))
+
+
+def identifier(text: str) -> str:
+    """A valid id made of any text: other characters become ``_``; at most 120 characters.
+
+    Raises:
+        RecordingError: nothing is left.
+    """
+    cleaned = re.sub(r"[^A-Za-z0-9_\-]", "_", text).lstrip("_-")[:120]
+    if not cleaned:
+        raise RecordingError(
+            f"{text!r} has no letter or digit to make an id of", expected="letters, digits, '_' and '-'"
+        )
+    return cleaned

@@ -1,0 +1,93 @@
+"""The recording formats that are installed, and which of them a path is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from mirror.errors import RecordingError
+from mirror.recordings.protocol import ENTRY_POINT_GROUP, Reader, Recording
+
+
+def readers() -> dict[str, Reader]:
+    """All readers by name, in the order of the names: ours and those of other installed packages.
+
+    Raises:
+        RecordingError: two packages claim one name, or an entry point does not give a reader of its name.
+    """
+    found: dict[str, str] = {}
+    loaded: dict[str, Reader] = {}
+    for entry in sorted(entry_points(group=ENTRY_POINT_GROUP)):
+        if found.get(entry.name) == entry.value:
+            continue
+        if entry.name in found:
+            raise RecordingError(
+                f"two recording readers are named {entry.name!r}: {found[entry.name]} and {entry.value}",
+                place=f"entry-point group {ENTRY_POINT_GROUP}",
+                remedy="uninstall one of the packages",
+            )
+        try:
+            reader = entry.load()()
+        except (ImportError, AttributeError) as error:
+            raise RecordingError(
+                f"the reader {entry.name!r} cannot be loaded ({error})",
+                place=f"entry point {entry.value}",
+                remedy="repair or uninstall the package that declares it",
+            ) from error
+        if not isinstance(reader, Reader) or reader.name != entry.name:
+            raise RecordingError(
+                f"{entry.value} is no reader named {entry.name!r}",
+                place=f"entry-point group {ENTRY_POINT_GROUP}",
+                expected="a class that follows mirror.recordings.protocol.Reader",
+                remedy="repair or uninstall the package that declares it",
+            )
+        found[entry.name] = entry.value
+        loaded[entry.name] = reader
+    return loaded
+
+
+def open_recording(path: str | Path, reader: str | None = None, options: Mapping[str, str] | None = None) -> Recording:
+    """Open a recording with the reader that recognises it, or with a named one.
+
+    Args:
+        path: a file or folder.
+        reader: name of a reader; None: the one that recognises the path.
+        options: options of that reader.
+
+    Raises:
+        RecordingError: nothing is there, no reader or more than one recognises it, or the reader refuses it.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise RecordingError("there is nothing at this path", file=path, expected="a recording")
+    known = readers()
+    if reader is not None:
+        if reader not in known:
+            raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(known)}")
+        return known[reader].open(path, options or {})
+    fitting = [name for name, candidate in known.items() if candidate.recognises(path)]
+    if len(fitting) != 1:
+        listed = fitting or list(known)
+        raise RecordingError(
+            f"looks like {' and '.join(fitting)}" if fitting else "no reader recognises this path",
+            file=path,
+            expected="; ".join(f"{name}: {known[name].expects}" for name in listed),
+            remedy=f"name the reader: --reader {listed[0]} (or {', '.join(listed[1:])})",
+        )
+    return known[fitting[0]].open(path, options or {})
+
+
+def refuse_options(options: Mapping[str, str], known: tuple[str, ...], path: Path) -> None:
+    """Refuse options that a reader does not have.
+
+    Raises:
+        RecordingError: an option is unknown.
+    """
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise RecordingError(
+            f"unknown option {unknown[0]!r}",
+            file=path,
+            expected=f"one of {', '.join(known)}" if known else "no options for this reader",
+        )

@@ -1,0 +1,173 @@
+"""Time bases of recordings, and their exact conversion to Unix nanoseconds.
+
+Unix time here is UTC without leap seconds, as POSIX has it. GPS time counts every second since
+1980-01-06 and runs ahead of UTC by the leap seconds since then: 18 s since 2017. Integers stay integers all the way:
+a float64 of seconds since 1970 resolves only 240 ns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mirror.arrays import AnyArray, Bool, Float64, Int64
+from mirror.errors import RecordingError
+
+SECOND_NS: Final = 1_000_000_000
+WEEK_S: Final = 604_800
+GPS_EPOCH_NS: Final = 315_964_800 * SECOND_NS
+
+# First days (UTC) that a further leap second between GPS time and UTC holds on: IERS Bulletin C.
+_LEAP_DAYS: Final = (
+    "1981-07-01",
+    "1982-07-01",
+    "1983-07-01",
+    "1985-07-01",
+    "1988-01-01",
+    "1990-01-01",
+    "1991-01-01",
+    "1992-07-01",
+    "1993-07-01",
+    "1994-07-01",
+    "1996-01-01",
+    "1997-07-01",
+    "1999-01-01",
+    "2006-01-01",
+    "2009-01-01",
+    "2012-07-01",
+    "2015-07-01",
+    "2017-01-01",
+)
+_LEAP_UNIX_NS: Final = np.array(_LEAP_DAYS, dtype="datetime64[ns]").astype(np.int64)
+_LEAP_GPS_NS: Final = _LEAP_UNIX_NS - GPS_EPOCH_NS + np.arange(1, len(_LEAP_DAYS) + 1) * SECOND_NS
+
+
+@dataclass(frozen=True)
+class TimeBase:
+    """How a source counts time.
+
+    Attributes:
+        words: for people.
+        unit_ns: length of its unit.
+        gps: counted from the GPS epoch with no leap seconds, not from 1970 in UTC.
+    """
+
+    words: str
+    unit_ns: int
+    gps: bool
+
+
+_UNITS: Final = {"ns": ("nanoseconds", 1), "us": ("microseconds", 1_000), "ms": ("milliseconds", 1_000_000)}
+TIME_BASES: Final = {
+    f"{clock.lower()}_{unit}": TimeBase(f"{clock} {words}", length, clock == "GPS")
+    for clock in ("Unix", "GPS")
+    for unit, (words, length) in {**_UNITS, "s": ("seconds", SECOND_NS)}.items()
+}
+
+
+def unix_from_gps_ns(gps_ns: Int64) -> Int64:
+    """Unix nanoseconds of nanoseconds since the GPS epoch.
+
+    An instant within an inserted leap second, which Unix time cannot name, gets the Unix time of the second before.
+
+    Args:
+        gps_ns: (N,) since 1980-01-06T00:00:00 UTC, every second counted.
+    """
+    leaps = np.searchsorted(_LEAP_GPS_NS - SECOND_NS, gps_ns, side="right")
+    return gps_ns + (GPS_EPOCH_NS - leaps * SECOND_NS)
+
+
+def unix_from_gps_week(week: AnyArray, time_of_week_s: Float64) -> Int64:
+    """Unix nanoseconds of GPS weeks (not rolled over) and seconds of the week, to the nanosecond.
+
+    Args:
+        week: (N,) whole weeks since 1980-01-06.
+        time_of_week_s: (N,); as float64 it resolves 0.06 ns.
+    """
+    return unix_from_gps_ns(np.asarray(week, np.int64) * (WEEK_S * SECOND_NS) + ns_from_seconds(time_of_week_s))
+
+
+def ns_from_seconds(seconds: Float64) -> Int64:
+    """Nanoseconds nearest to seconds, whole part and fraction apart, so that the product costs no digits."""
+    whole = np.floor(seconds)
+    return whole.astype(np.int64) * SECOND_NS + np.rint((seconds - whole) * SECOND_NS).astype(np.int64)
+
+
+class StampError(ValueError):
+    """A value that is no stamp of its time base.
+
+    Args:
+        row: its row.
+        problem: what is wrong with it.
+    """
+
+    def __init__(self, row: int, problem: str) -> None:
+        self.row = row
+        self.problem = problem
+        super().__init__(problem)
+
+
+def to_unix_ns(values: pa.ChunkedArray, base: str) -> Int64:
+    """Convert a column of numbers to Unix nanoseconds.
+
+    Args:
+        values: (N,) integers, text of decimal numbers (exact to the nanosecond), or floats.
+        base: a key of `TIME_BASES`.
+
+    Returns:
+        (N,) Unix time, UTC.
+
+    Raises:
+        StampError: a value is missing, no number, or too large for its unit; its row is named.
+        RecordingError: there is no such time base.
+    """
+    if base not in TIME_BASES:
+        raise RecordingError(f"unknown time base {base!r}", expected=f"one of {', '.join(TIME_BASES)}")
+    kind = TIME_BASES[base]
+    _first(np.asarray(pc.is_null(values, nan_is_null=True)), "missing")
+    if pa.types.is_integer(values.type):
+        counted = _whole(values, kind)
+    elif pa.types.is_floating(values.type):
+        counted = _floating(np.asarray(values, np.float64), kind)
+    else:
+        counted = _text(values, kind)
+    return unix_from_gps_ns(counted) if kind.gps else counted
+
+
+def _text(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
+    text = pc.utf8_trim_whitespace(values.cast(pa.string()))
+    good = pc.match_substring_regex(text, r"^[+-]?[0-9]{1,30}(\.[0-9]{0,12})?$")
+    _first(~np.asarray(good), "no number of at most 12 decimals", text)
+    if not pc.any(pc.match_substring(text, ".")).as_py() and pc.max(pc.utf8_length(text)).as_py() <= 18:
+        return _whole(text.cast(pa.int64()), kind)
+    unit = pa.scalar(Decimal(kind.unit_ns), pa.decimal256(11, 0))
+    nanoseconds = pc.round(pc.multiply(text.cast(pa.decimal256(50, 12)), unit))
+    limit = pa.scalar(Decimal(2**63 - 1 - GPS_EPOCH_NS), nanoseconds.type)
+    _first(np.asarray(pc.greater(pc.abs(nanoseconds), limit)), f"too large for {kind.words}", text)
+    return np.asarray(nanoseconds.cast(pa.int64()))
+
+
+def _whole(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
+    whole = np.asarray(values.cast(pa.int64()))
+    # The GPS epoch is added afterwards and needs its room.
+    limit = (2**63 - 1 - GPS_EPOCH_NS) // kind.unit_ns
+    _first(np.abs(whole) > limit, f"too large for {kind.words}", values)
+    return whole * kind.unit_ns
+
+
+def _floating(values: Float64, kind: TimeBase) -> Int64:
+    limit = (2**63 - 1 - GPS_EPOCH_NS) // kind.unit_ns
+    _first(~(np.abs(values) < limit), f"not finite, or too large for {kind.words}", values)
+    whole = np.floor(values)
+    return whole.astype(np.int64) * kind.unit_ns + np.rint((values - whole) * kind.unit_ns).astype(np.int64)
+
+
+def _first(bad: Bool, problem: str, values: pa.ChunkedArray | AnyArray | None = None) -> None:
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise StampError(row, f"{values[row]} is {problem}" if values is not None else problem)

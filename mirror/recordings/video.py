@@ -1,0 +1,273 @@
+"""Pictures of a camera that recorded a video: only the wanted frames' groups of pictures are decoded.
+
+A frame is known by its presentation time stamp (pts), never by ``round(t * fps)``. The file is entered at the key frame
+before each run of wanted frames. Seeking in OpenCV is not used: it lands beside the frame on H.264 and HEVC.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mirror.arrays import Int64
+from mirror.errors import RecordingError
+from mirror.recordings.time import SECOND_NS
+
+if TYPE_CHECKING:
+    import av
+    from av.container import InputContainer
+    from av.video.stream import VideoStream as Stream
+
+JPEG_QUALITY: Final = 95
+
+
+@dataclass
+class VideoStream:
+    """The frames of one video, given out as JPEG (quality 95, 4:2:0).
+
+    Attributes:
+        camera: the camera's name.
+        codec: always ``video``.
+        exposure_start_ns: (N,) Unix time.
+        exposure_end_ns: (N,) Unix time.
+        file: the video.
+        pts: (N,) ascending, in the video's time base; of a raw stream (``.hevc``, ``.h264``), which has no time stamps,
+            the number of the frame.
+        decoded: how many frames have been decoded so far, the ones on the way to a wanted frame included.
+    """
+
+    camera: str
+    exposure_start_ns: Int64
+    exposure_end_ns: Int64
+    file: Path = field(repr=False)
+    pts: Int64 = field(repr=False)
+    codec: str = "video"
+    decoded: int = 0
+
+    def __post_init__(self) -> None:
+        if not len(self.pts) == len(self.exposure_start_ns) == len(self.exposure_end_ns):
+            raise RecordingError(
+                f"{len(self.pts)} frames but {len(self.exposure_start_ns)} exposure stamps",
+                file=self.file,
+                place=f"camera {self.camera}",
+            )
+        if (np.diff(self.pts) <= 0).any():
+            row = int(np.argmax(np.diff(self.pts) <= 0)) + 1
+            raise RecordingError(
+                f"pts {self.pts[row]} follows {self.pts[row - 1]}",
+                file=self.file,
+                place=f"camera {self.camera}, frame {row}",
+                expected="ascending presentation time stamps",
+                remedy="sort the table of the video's frames by pts",
+            )
+
+    def path(self, index: int) -> None:
+        """None: no file holds exactly one frame."""
+        return
+
+    def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
+        """Yield ``(index, JPEG bytes)`` for ascending indices.
+
+        Raises:
+            RecordingError: the video is broken or ends too early, or has no frame of a pts; file and pts are named.
+        """
+        import cv2
+
+        wanted = {int(self.pts[index]): index for index in indices}
+        if not wanted:
+            return
+        with _opened(self.file) as (container, stream):
+            frames = _by_time(container, stream, wanted) if _timed(stream) else _by_number(container, stream, wanted)
+            try:
+                for pts, frame in frames:
+                    self.decoded += 1
+                    if pts not in wanted:
+                        continue
+                    done, data = cv2.imencode(
+                        ".jpg", frame.to_ndarray(format="bgr24"), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
+                    )
+                    if not done:
+                        raise RecordingError("the frame cannot be encoded", file=self.file, place=f"pts {pts}")
+                    yield wanted.pop(pts), data.tobytes()
+                    if not wanted:
+                        return
+            except _av_error() as error:
+                raise self._missing(min(wanted), str(error)) from error
+        if wanted:
+            raise self._missing(min(wanted), "the video has no such frame, or ends before it")
+
+    def _missing(self, pts: int, reason: str) -> RecordingError:
+        return RecordingError(
+            f"frame cannot be decoded ({reason})",
+            file=self.file,
+            place=f"pts {pts}",
+            expected="a complete video whose frames have the time stamps of its table",
+            remedy="copy the video again; if it is all there is, cut its table of frames to those it has",
+        )
+
+
+def video_stamps(file: Path) -> tuple[Int64, Fraction]:
+    """The presentation time stamps of all frames, read from the packets without decoding one.
+
+    Args:
+        file: a video in a container that keeps time stamps.
+
+    Returns:
+        (N,) pts, ascending, and the length of their unit in seconds.
+
+    Raises:
+        RecordingError: the file is broken, or a raw stream, which has no time stamps.
+    """
+    with _opened(file) as (container, stream):
+        try:
+            stamps = [packet.pts for packet in container.demux(stream) if packet.size]
+        except _av_error() as error:
+            raise _broken(file, error) from error
+        time_base = stream.time_base
+    if not stamps or None in stamps or time_base is None:
+        raise RecordingError(
+            "the video has no time stamps",
+            file=file,
+            expected="a container that keeps them (mp4, mkv)",
+            remedy=f"give the exposures: {file.stem}.csv beside the video, with pts,exposure_start_ns,exposure_end_ns",
+        )
+    return np.sort(np.array(stamps, np.int64)), Fraction(time_base)
+
+
+def stamps_ns(pts: Int64, time_base: Fraction, start_ns: int) -> Int64:
+    """Unix nanoseconds of presentation time stamps, exact to the nanosecond.
+
+    Args:
+        pts: (N,) in units of ``time_base``.
+        time_base: seconds a unit.
+        start_ns: Unix time of the first frame.
+    """
+    units = (pts - pts[0]) * time_base.numerator
+    seconds, rest = np.divmod(units, time_base.denominator)
+    # rest < denominator, at most 1e9 in the formats that exist: the product fits.
+    nanoseconds = (rest * SECOND_NS + time_base.denominator // 2) // time_base.denominator
+    return start_ns + seconds * SECOND_NS + nanoseconds
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
+    try:
+        import av
+    except ImportError as error:
+        raise RecordingError(
+            "videos are read with PyAV, which is not installed",
+            file=file,
+            remedy="pip install 'mirror-dataset[video]'",
+        ) from error
+    try:
+        container = av.open(str(file))
+    except (av.FFmpegError, OSError) as error:
+        raise _broken(file, error) from error
+    with container:
+        if not container.streams.video:
+            raise RecordingError("holds no video", file=file, expected="a video stream")
+        stream = container.streams.video[0]
+        stream.thread_type = "AUTO"
+        yield container, stream
+
+
+def _broken(file: Path, error: Exception) -> RecordingError:
+    return RecordingError(
+        f"cannot be read ({error})",
+        file=file,
+        expected="a complete video",
+        remedy="copy it again from the vehicle or archive: one cut short has lost its index",
+    )
+
+
+def _av_error() -> type[Exception]:
+    import av
+
+    return av.FFmpegError
+
+
+def _timed(stream: Stream) -> bool:
+    return len(stream.index_entries) > 0 or stream.start_time is not None
+
+
+def _by_time(container: InputContainer, stream: Stream, wanted: Collection[int]) -> Iterator[tuple[int, av.VideoFrame]]:
+    """Decode from the key frame before each run of wanted frames; yields what it decodes.
+
+    Real files hold frames whose time stamps do not ascend in the order of display, so a frame counts as missing only at
+    the end of the video.
+    """
+    pending = dict.fromkeys(sorted(wanted))
+    while pending:
+        reached = -sys.maxsize
+        for pts, frame in _from_key_frame(container, stream, next(iter(pending))):
+            yield pts, frame
+            pending.pop(pts, None)
+            reached = max(reached, pts)
+            if not pending or _key_frame_between(stream, reached, next(iter(pending))):
+                break
+        else:
+            return
+
+
+def _from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iterator[tuple[int, av.VideoFrame]]:
+    """Decode on from a key frame whose frames reach back to a pts.
+
+    Containers are indexed in decoding order: the key frame found may be shown only after the wanted frame, whose group
+    of pictures is then the one before.
+    """
+    target = pts
+    first = stream.start_time or 0
+    while True:
+        container.seek(target, stream=stream, backward=True)
+        frames = ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)
+        head = next(frames, None)
+        if head is None:
+            return
+        if head[0] <= pts or target < first:
+            break
+        target = min(target, head[0]) - max(1, head[0] - pts)
+    yield head
+    yield from frames
+
+
+def _key_frame_between(stream: Stream, reached: int, wanted: int) -> bool:
+    index = stream.index_entries.search_timestamp(wanted, backward=True, any_frame=False)
+    return bool(index >= 0 and stream.index_entries[index].timestamp > reached)
+
+
+def _by_number(
+    container: InputContainer, stream: Stream, wanted: Collection[int]
+) -> Iterator[tuple[int, av.VideoFrame]]:
+    """Decode those groups of pictures of a raw stream that hold wanted frames; a frame's number stands for its pts."""
+    last = max(wanted)
+    group: list[av.Packet[Stream]] = []
+    start = 0
+    for packet in container.demux(stream):
+        if packet.size and not (packet.is_keyframe and group):
+            group.append(packet)
+            continue
+        yield from _decode_group(stream, group, start, wanted)
+        start += len(group)
+        group = [packet]
+        if start > last or not packet.size:
+            return
+
+
+def _decode_group(
+    stream: Stream, group: list[av.Packet[Stream]], start: int, wanted: Collection[int]
+) -> Iterator[tuple[int, av.VideoFrame]]:
+    if not any(start <= number < start + len(group) for number in wanted):
+        return
+    number = start
+    for packet in [*group, None]:
+        for frame in stream.codec_context.decode(packet):
+            yield number, frame
+            number += 1
+    stream.codec_context.flush_buffers()

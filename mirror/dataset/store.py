@@ -114,7 +114,7 @@ class Store:
         name = self.where(path)
         try:
             if self.folder is not None:
-                file = pq.ParquetFile(name, memory_map=True)
+                file = pq.ParquetFile(name, memory_map=False)
             else:
                 file = pq.ParquetFile(self._remote[0].open(self._remote_path(path), "rb"))
         except FileNotFoundError as error:

@@ -1,0 +1,383 @@
+"""Opening a dataset, and lazy views of it: filters are collected, and read only what passes them."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mirror.dataset.index.inputs import read_inputs
+from mirror.dataset.layout import MANIFEST, Layout
+from mirror.dataset.query.catalog import TABLES, Catalog
+from mirror.dataset.query.filters import Circle, Filters, LocalCircle
+from mirror.dataset.query.select import count, query
+from mirror.dataset.store import Store
+from mirror.errors import DatasetError, UsageError
+from mirror.schema.documents import DatasetDocument, Manifest
+from mirror.schema.files import parse_json, sha256_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mirror.dataset.frames import FrameSequence
+
+Choice: TypeAlias = str | Iterable[str] | None
+Within: TypeAlias = tuple[float, float, float] | tuple[float, float, float, str]
+
+_LIGHT = ("day", "dusk", "night")
+_WEATHER = ("clear", "clouds", "rain", "snow", "fog", "unknown")
+
+
+@dataclass(frozen=True)
+class LayerChoice:
+    """Which layers stand behind poses, calibrations and boxes.
+
+    Attributes:
+        poses: ``recorded``, or a pose layer ``source@version``.
+        calibrations: ``recorded``, or a calibration layer.
+        stage: the calibration stage to take; None: refined before online before factory.
+        boxes: a box layer; None: the only one a traversal has.
+    """
+
+    poses: str = "recorded"
+    calibrations: str = "recorded"
+    stage: str | None = None
+    boxes: str | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Dataset:
+    """A dataset, or a part of it: an immutable view that reads nothing until it is asked.
+
+    Made by `open`. It can be pickled: another process opens the same index and no other.
+
+    Attributes:
+        document: ``dataset.json``.
+        filters: what the view is restricted to.
+        layers: which poses, calibrations and boxes it reads.
+    """
+
+    document: DatasetDocument
+    filters: Filters
+    layers: LayerChoice
+    _catalog: Catalog
+    _index_sha256: str
+
+    @property
+    def root(self) -> str:
+        """The path or URL it was opened from."""
+        return self._catalog.store.root
+
+    @property
+    def store(self) -> Store:
+        """The dataset's files."""
+        return self._catalog.store
+
+    @property
+    def catalog(self) -> Catalog:
+        """The index, shared by all views."""
+        return self._catalog
+
+    @property
+    def layout(self) -> Layout:
+        """The paths of a local dataset.
+
+        Raises:
+            UsageError: it was opened from a URL.
+        """
+        if self.store.folder is None:
+            raise UsageError(f"{self.root} is not a local folder", remedy="copy the dataset to a disk first")
+        return Layout(self.store.folder)
+
+    def __repr__(self) -> str:
+        return f"Dataset({self.root!r}: {self.count('traversals')} traversals, {self.count('images')} images)"
+
+    def __reduce__(self) -> tuple[Callable[..., Dataset], tuple[object, ...]]:
+        return (_reopen, (self.root, self._index_sha256, self.filters, self.layers))
+
+    def scenes(self) -> list[str]:
+        """Ids of the scenes in the view, in order."""
+        return self._column("scenes", "scene_id")
+
+    def traversals(self) -> list[str]:
+        """Ids of the traversals in the view, in order of scene and id."""
+        return self._column("traversals", "traversal_id")
+
+    def drives(self) -> list[str]:
+        """Ids of the drives with a traversal in the view, sorted."""
+        return sorted(set(self._column("traversals", "drive_id")))
+
+    def cameras(self) -> list[str]:
+        """Names of the cameras with pictures in the view, sorted."""
+        names = {name for own in self._column("traversals", "cameras") for name in own}
+        return sorted(names if self.filters.camera is None else names & self.filters.camera)
+
+    def passes(self) -> pa.Table:
+        """The ledger: every pass, accepted or refused, with the rule that decided."""
+        return self.table("passes")
+
+    def where(
+        self,
+        *,
+        scene: Choice = None,
+        traversal: Choice = None,
+        drive: Choice = None,
+        camera: Choice = None,
+        vehicle: Choice = None,
+        light: Choice = None,
+        weather: Choice = None,
+        time: tuple[int, int] | None = None,
+        within: Within | None = None,
+        split: str | None = None,
+        role: Choice = None,
+    ) -> Dataset:
+        """A view with further restrictions; all of them hold, those of this view included.
+
+        Rows of a table with a stamp, a place or a camera are filtered by it. Tables without one keep the rows of the
+        traversals that pass: a traversal passes ``time`` if entry to exit overlaps it, and ``within`` if its driven
+        line has a point in the circle.
+
+        Args:
+            scene: id or ids.
+            traversal: id or ids.
+            drive: id or ids.
+            camera: name or names.
+            vehicle: pseudonym or pseudonyms.
+            light: ``day``, ``dusk`` or ``night``.
+            weather: ``clear``, ``clouds``, ``rain``, ``snow``, ``fog`` or ``unknown``.
+            time: from (included) to (excluded), Unix ns.
+            within: (longitude_deg, latitude_deg, radius_m) on the ellipsoid, the edge included; or
+                (x_m, y_m, radius_m, frame) in a local metric frame.
+            split: name of a split; with it comes ``role``.
+            role: role or roles within the split.
+
+        Raises:
+            UsageError: a value that the dataset does not know, or that cannot be.
+            DatasetError: there is no such split.
+        """
+        more = Filters(
+            scene=self._known("scene", scene, lambda: self._all("scenes", "scene_id")),
+            traversal=self._known("traversal", traversal, lambda: self._all("traversals", "traversal_id")),
+            drive=self._known("drive", drive, lambda: self._all("passes", "drive_id")),
+            camera=self._known("camera", camera, self._all_cameras),
+            vehicle=self._known("vehicle", vehicle, lambda: self._all("traversals", "vehicle_id")),
+            light=self._known("light", light, lambda: {*_LIGHT, *self._all("traversals", "light")}),
+            weather=self._known("weather", weather, lambda: {*_WEATHER, *self._all("traversals", "weather")}),
+            time=_interval(time),
+            within=() if within is None else (self._circle(within),),
+        )
+        if split is not None:
+            more = more.also(Filters(traversal=self._in_split(split, role)))
+        elif role is not None:
+            raise UsageError("role without split", place="role", remedy="give split=NAME too")
+        return replace(self, filters=self.filters.also(more))
+
+    def with_layers(
+        self,
+        *,
+        poses: str | None = None,
+        calibrations: str | None = None,
+        stage: str | None = None,
+        boxes: str | None = None,
+    ) -> Dataset:
+        """A view that reads other layers; what is not named stays as it is.
+
+        Args:
+            poses: ``recorded`` or ``source@version``.
+            calibrations: ``recorded`` or ``source@version``.
+            stage: ``factory``, ``online`` or ``refined``.
+            boxes: ``source@version``.
+
+        Raises:
+            UsageError: no traversal of the dataset has such a layer, or there is no such stage.
+        """
+        changes: dict[str, str] = {}
+        for kind, name in (("poses", poses), ("calibrations", calibrations), ("boxes", boxes)):
+            if name is None:
+                continue
+            if name != "recorded" or kind == "boxes":
+                layers = {layer for own in self._all("traversals", "layers") for layer in own}
+                known = {layer.partition("/")[2] for layer in layers if layer.startswith(f"{kind}/")}
+                _check(f"{kind} layer", name, known if kind == "boxes" else known | {"recorded"})
+            changes[kind] = name
+        if stage is not None:
+            _check("stage", stage, {"factory", "online", "refined"})
+            changes["stage"] = stage
+        return replace(self, layers=replace(self.layers, **changes))
+
+    def table(self, name: str, columns: Iterable[str] | None = None) -> pa.Table:
+        """The rows of an index table that are in the view.
+
+        Args:
+            name: ``scenes``, ``traversals``, ``passes``, ``frames``, ``images``, ``ego_poses``, ``calibrations``,
+                ``boxes``, ``masks`` or ``row_groups``.
+            columns: only these, in this order; only they are read.
+
+        Raises:
+            UsageError: no such table or column.
+        """
+        _check("table", name, TABLES)
+        known = TABLES[name].schema.names
+        chosen = list(known if columns is None else columns)
+        for column in chosen:
+            _check(f"column of {name}", column, known)
+        return query(self._catalog, self.filters, name, chosen)
+
+    def to_pandas(self, name: str, columns: Iterable[str] | None = None) -> pd.DataFrame:
+        """As `table`, as a data frame."""
+        return self.table(name, columns).to_pandas()
+
+    def count(self, name: str) -> int:
+        """How many rows of an index table are in the view; where row groups pass as a whole, nothing is read.
+
+        Raises:
+            UsageError: no such table.
+        """
+        _check("table", name, TABLES)
+        return count(self._catalog, self.filters, name)
+
+    def frames(self) -> FrameSequence:
+        """The frames in the view: synchronised pictures of all its cameras, in order of traversal and time."""
+        from mirror.dataset.frames import FrameSequence
+
+        return FrameSequence.of(self)
+
+    def _column(self, table: str, column: str) -> list[Any]:
+        return self.table(table, [column]).column(0).to_pylist()
+
+    def _all(self, table: str, column: str) -> set[Any]:
+        values = self._catalog.read_global(table, [column]).column(0)
+        if pa.types.is_list(values.type):
+            return {tuple(own) for own in values.to_pylist()}
+        return set(pc.unique(values).to_pylist())
+
+    def _all_cameras(self) -> set[str]:
+        return {name for own in self._all("traversals", "cameras") for name in own}
+
+    def _known(self, what: str, choice: Choice, known: Callable[[], Iterable[str]]) -> frozenset[str] | None:
+        if choice is None:
+            return None
+        chosen = frozenset([choice] if isinstance(choice, str) else choice)
+        values = set(known())
+        for value in sorted(chosen - values, key=str):
+            _check(what, value, values)
+        return chosen
+
+    def _circle(self, within: Within) -> Circle | LocalCircle:
+        if len(within) == 3:
+            lon, lat, radius = within
+            return Circle(float(lon), float(lat), float(radius))
+        if len(within) == 4:
+            x, y, radius, frame = within
+            _check("frame", frame, {value for value in self._all("scenes", "frame") if value is not None})
+            return LocalCircle(frame, float(x), float(y), float(radius))
+        raise UsageError(
+            f"{within!r}", place="within", expected="(longitude, latitude, radius_m) or (x_m, y_m, radius_m, frame)"
+        )
+
+    def _in_split(self, name: str, role: Choice) -> frozenset[str]:
+        from mirror.schema.documents import SplitDocument
+
+        path = f"splits/{name}.json"
+        try:
+            data = self.store.read(path)
+        except FileNotFoundError as error:
+            raise DatasetError(
+                "no such split", file=self.store.where(path), remedy=f"make it: mirror split {self.root} --name {name}"
+            ) from error
+        assignments: Mapping[str, str] = parse_json(data, SplitDocument, self.store.where(path)).assignments
+        roles = self._known(f"role of split {name}", role, assignments.values)
+        return frozenset(key for key, own in assignments.items() if roles is None or own in roles)
+
+
+def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:
+    """Open a dataset for reading.
+
+    Args:
+        path: its folder, or a URL that fsspec reads.
+        check_stale: hold the index against the manifests of what it was derived from; it costs one read of each.
+
+    Raises:
+        DatasetError: no dataset there, no index, or an index that is older than the dataset.
+        SchemaError: a document is broken, or of a schema version that this toolkit does not read.
+    """
+    return _open(Store(path), Filters(), LayerChoice(), check_stale=check_stale)
+
+
+def _open(store: Store, filters: Filters, layers: LayerChoice, *, check_stale: bool) -> Dataset:
+    document = _document(store)
+    manifest, digest = _index_manifest(store)
+    if check_stale:
+        current = read_inputs(store).fingerprints
+        if dict(current) != manifest.derived_from:
+            differing = sorted(key for key, value in current.items() if manifest.derived_from.get(key) != value)
+            raise DatasetError(
+                f"the index is stale: {len(differing)} of its sources changed ({', '.join(differing[:3])} ...)",
+                file=store.where("index"),
+                expected="an index derived from what is there",
+                remedy=f"run `mirror index {store.root}`",
+            )
+    return Dataset(document, filters, layers, Catalog(store), digest)
+
+
+def _reopen(root: str, index_sha256: str, filters: Filters, layers: LayerChoice) -> Dataset:
+    dataset = _open(Store(root), filters, layers, check_stale=False)
+    if dataset._index_sha256 != index_sha256:
+        raise DatasetError(
+            "the index is another than when this view was made",
+            file=dataset.store.where("index"),
+            remedy="open the dataset again and make the view again",
+        )
+    return dataset
+
+
+def _document(store: Store) -> DatasetDocument:
+    try:
+        data = store.read("dataset.json")
+    except (FileNotFoundError, NotADirectoryError) as error:
+        there = store.folder is None or Path(store.folder).exists()
+        raise DatasetError(
+            "not a dataset: there is no dataset.json" if there else "there is no such folder",
+            file=store.where(""),
+            expected="the folder that `mirror ingest --out` wrote",
+            remedy="check the path",
+        ) from error
+    return parse_json(data, DatasetDocument, store.where("dataset.json"))
+
+
+def _index_manifest(store: Store) -> tuple[Manifest, str]:
+    path = f"index/{MANIFEST}"
+    try:
+        data = store.read(path)
+    except FileNotFoundError as error:
+        raise DatasetError(
+            "the dataset has no index", file=store.where("index"), remedy=f"run `mirror index {store.root}`"
+        ) from error
+    return parse_json(data, Manifest, store.where(path)), sha256_bytes(data)
+
+
+def _interval(time: tuple[int, int] | None) -> tuple[int, int] | None:
+    if time is None:
+        return None
+    start, end = time
+    if int(start) != start or int(end) != end or start >= end:
+        raise UsageError(f"{time!r}", place="time", expected="(start_ns, end_ns), whole numbers, start before end")
+    return int(start), int(end)
+
+
+def _check(what: str, value: str, known: Iterable[str]) -> None:
+    values = sorted(set(known))
+    if value in values:
+        return
+    near = difflib.get_close_matches(str(value), values, n=1, cutoff=0.5)
+    listed = ", ".join(values[:20]) + (f" and {len(values) - 20} more" if len(values) > 20 else "")
+    raise UsageError(
+        f"unknown {what} {value!r}" + (f": did you mean {near[0]!r}?" if near else ""),
+        expected=f"one of {listed}" if values else f"nothing: the dataset has no {what}",
+    )

@@ -1,0 +1,95 @@
+"""The index as a query sees it: global tables in memory by column, row groups with what they can be skipped by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mirror.arrays import Float64, Int32, Int64
+from mirror.dataset.query.arrow import degrees, mask, member, numbers, stamps
+from mirror.dataset.query.columns import ColumnCache
+from mirror.dataset.store import Store
+from mirror.schema.tables import INDEX_BY_SCENE, INDEX_GLOBAL
+
+TABLES: Final = {table.name: table for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE)}
+GLOBAL: Final = frozenset(table.name for table in INDEX_GLOBAL)
+
+
+@dataclass(frozen=True, eq=False)
+class RowGroups:
+    """The row groups of one table.
+
+    Attributes:
+        path: (G,) file of each.
+        number: (G,) position in the file.
+        traversal: (G,) row of its traversal in the table of traversals.
+        rows: (G,) number of rows.
+        start_ns: (G,) smallest stamp; 0 where the table has none.
+        end_ns: (G,) largest stamp.
+        west: (G,) smallest longitude; NaN where there is none.
+        east: (G,) largest longitude.
+        south: (G,) smallest latitude.
+        north: (G,) largest latitude.
+    """
+
+    path: Sequence[str]
+    number: Int32
+    traversal: Int32
+    rows: Int64
+    start_ns: Int64
+    end_ns: Int64
+    west: Float64
+    east: Float64
+    south: Float64
+    north: Float64
+
+
+class Catalog:
+    """The global tables of an index and the row groups of the others; shared by all views of a dataset.
+
+    Args:
+        store: the dataset's files.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self.columns = ColumnCache(store)
+        self._groups: dict[str, RowGroups] = {}
+
+    def read_global(self, name: str, columns: Sequence[str]) -> pa.Table:
+        """Columns of a global table, all rows."""
+        arrays = self.columns.read(f"index/{name}.parquet", 0, columns)
+        return pa.Table.from_arrays(arrays, schema=pa.schema([TABLES[name].schema.field(key) for key in columns]))
+
+    @cached_property
+    def traversal_ids(self) -> pa.Array:
+        """Ids in the order of the table of traversals."""
+        return self.read_global("traversals", ["traversal_id"]).column(0).combine_chunks()
+
+    def row_groups(self, name: str) -> RowGroups:
+        """The row groups of a table, in order of scene and traversal."""
+        if name not in self._groups:
+            self._groups[name] = self._load_groups(name)
+        return self._groups[name]
+
+    def _load_groups(self, name: str) -> RowGroups:
+        table = self.read_global("row_groups", TABLES["row_groups"].schema.names)
+        table = table.filter(mask(member(table.column("table"), frozenset([name]))))
+        columns = {column: table.column(column) for column in table.column_names}
+        return RowGroups(
+            path=[f"index/{name}/{scene_id}.parquet" for scene_id in columns["scene_id"].to_pylist()],
+            number=numbers(columns["row_group"]),
+            traversal=numbers(pc.index_in(columns["traversal_id"], value_set=self.traversal_ids)),
+            rows=numbers(columns["rows"]),
+            start_ns=stamps(columns["start_ns"]),
+            end_ns=stamps(columns["end_ns"]),
+            west=degrees(columns["longitude_min_deg"]),
+            east=degrees(columns["longitude_max_deg"]),
+            south=degrees(columns["latitude_min_deg"]),
+            north=degrees(columns["latitude_max_deg"]),
+        )

@@ -1,0 +1,91 @@
+"""Decoded columns of row groups, kept up to a number of bytes: least recently used goes first."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from mirror.dataset.store import Store, unreadable
+
+CACHE_BYTES: Final = 48 * 1024 * 1024
+_OPEN_FILES: Final = 64
+
+
+class ColumnCache:
+    """Columns of Parquet files by row group.
+
+    Args:
+        store: where the files are.
+        limit_bytes: bytes of decoded columns to keep.
+    """
+
+    def __init__(self, store: Store, limit_bytes: int = CACHE_BYTES) -> None:
+        self._store = store
+        self._limit = limit_bytes
+        self._held = 0
+        self._columns: OrderedDict[tuple[str, int, str], pa.Array] = OrderedDict()
+        self._files: OrderedDict[str, pq.ParquetFile] = OrderedDict()
+        # Arrow's reader is not made for several threads at once.
+        self._lock = threading.Lock()
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of decoded columns held now."""
+        return self._held
+
+    def read(self, path: str, row_group: int, names: Sequence[str]) -> list[pa.Array]:
+        """Columns of one row group, each one contiguous array.
+
+        Raises:
+            DatasetError: the file is missing.
+            SchemaError: the file is broken.
+        """
+        with self._lock:
+            missing = [name for name in names if (path, row_group, name) not in self._columns]
+            fresh = self._decode(path, row_group, missing) if missing else {}
+            found = []
+            for name in names:
+                key = (path, row_group, name)
+                if name in fresh:
+                    found.append(fresh[name])
+                else:
+                    self._columns.move_to_end(key)
+                    found.append(self._columns[key])
+            for name, column in fresh.items():
+                self._columns[(path, row_group, name)] = column
+                self._held += column.nbytes
+            while self._held > self._limit:
+                _, dropped = self._columns.popitem(last=False)
+                self._held -= dropped.nbytes
+            return found
+
+    def row_groups(self, path: str) -> int:
+        """How many row groups a file has."""
+        with self._lock:
+            return int(self._file(path).metadata.num_row_groups)
+
+    def _decode(self, path: str, row_group: int, names: Sequence[str]) -> dict[str, pa.Array]:
+        file = self._file(path)
+        try:
+            table = file.read_row_group(row_group, columns=list(names), use_threads=False)
+            columns = [table.column(name) for name in names]
+        except (pa.ArrowInvalid, OSError, KeyError) as error:
+            raise unreadable(self._store.where(path), error) from error
+        return {
+            name: column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
+            for name, column in zip(names, columns)
+        }
+
+    def _file(self, path: str) -> pq.ParquetFile:
+        if path not in self._files:
+            self._files[path] = self._store.parquet(path)
+            if len(self._files) > _OPEN_FILES:
+                _, oldest = self._files.popitem(last=False)
+                oldest.close()
+        self._files.move_to_end(path)
+        return self._files[path]

@@ -1,0 +1,164 @@
+"""What a view of a dataset is restricted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Bool, Float64
+from mirror.errors import UsageError
+from mirror.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, surface_distance_m
+
+MAX_RADIUS_M: Final = 20_000.0
+# The smallest radius of curvature of the ellipsoid: no degree of latitude is shorter than one on this sphere.
+_SMALLEST_CURVATURE_M: Final = 6_335_439.0
+_PLANAR_BELOW_DEG: Final = 85.0
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle on the WGS 84 ellipsoid; its edge belongs to it.
+
+    Attributes:
+        longitude_deg: centre.
+        latitude_deg: centre.
+        radius_m: geodesic radius on the surface.
+    """
+
+    longitude_deg: float
+    latitude_deg: float
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        _check_radius(self.radius_m)
+        if not (-180.0 <= self.longitude_deg <= 180.0 and -90.0 <= self.latitude_deg <= 90.0):
+            raise UsageError(
+                f"({self.longitude_deg}, {self.latitude_deg}) is no place",
+                place="within",
+                expected="(longitude, latitude, radius_m), degrees of WGS 84",
+                remedy="swap longitude and latitude" if abs(self.longitude_deg) <= 90.0 else None,
+            )
+
+    def contains(self, longitude_deg: Float64, latitude_deg: Float64) -> Bool:
+        """Which places (N,) lie in it: the distance is the geodesic's, to 1e-4 m at 20 km; NaN lies nowhere.
+
+        On the plane that touches at the centre a distance p is wrong by less than c p^2: only places nearer to the edge
+        than that, and places so far off that the bound says nothing, are measured on the ellipsoid.
+        """
+        if abs(self.latitude_deg) > _PLANAR_BELOW_DEG:
+            return self._measured(longitude_deg, latitude_deg)
+        lat = np.radians(self.latitude_deg)
+        inner = 1.0 - ECCENTRICITY_SQUARED * np.sin(lat) ** 2
+        normal = SEMI_MAJOR_M / np.sqrt(inner)
+        meridian = normal * (1.0 - ECCENTRICITY_SQUARED) / inner
+        turn = longitude_deg - self.longitude_deg
+        if np.max(np.abs(turn), initial=0.0) > 180.0:
+            turn = (turn + 180.0) % 360.0 - 180.0
+        planar = np.hypot(
+            turn * np.radians(normal * np.cos(lat)), (latitude_deg - self.latitude_deg) * np.radians(meridian)
+        )
+        # cos(latitude) changes by tan(latitude) a radian, which half enters the distance; the radii change by 1 %.
+        c = (abs(np.tan(lat)) + 0.1) / _SMALLEST_CURVATURE_M
+        margin = c * self.radius_m**2 + 1e-3
+        inside = planar <= self.radius_m - margin
+        unsure = ~inside & ((planar < self.radius_m + 4.0 * margin) | (planar > 0.5 / c))
+        if unsure.any():
+            rows = np.flatnonzero(unsure)
+            inside[rows] = self._measured(longitude_deg[rows], latitude_deg[rows])
+        return inside
+
+    def _measured(self, longitude_deg: Float64, latitude_deg: Float64) -> Bool:
+        distance = surface_distance_m(longitude_deg, latitude_deg, self.longitude_deg, self.latitude_deg)
+        return distance <= self.radius_m
+
+    def touches(self, west: Float64, east: Float64, south: Float64, north: Float64) -> Bool:
+        """Which boxes (N,) of longitudes and latitudes may share a place with it; NaN boxes do not."""
+        height = np.degrees(self.radius_m / _SMALLEST_CURVATURE_M) * (1 + 1e-9)
+        low, high = self.latitude_deg - height, self.latitude_deg + height
+        beside = (south <= high) & (north >= low)
+        steepest = np.radians(max(abs(low), abs(high)))
+        if steepest >= np.radians(89.9):
+            return beside
+        # sin(width) = sin(radius) / cos(latitude) on a sphere; the steepest latitude and curvature bound it from above.
+        width = np.degrees(np.arcsin(min(1.0, np.sin(np.radians(height)) / np.cos(steepest))))
+        near = np.zeros(len(west), np.bool_)
+        for turn in (-360.0, 0.0, 360.0):
+            near |= (west <= self.longitude_deg + turn + width) & (east >= self.longitude_deg + turn - width)
+        return beside & near
+
+
+@dataclass(frozen=True)
+class LocalCircle:
+    """A circle in a local metric frame; its edge belongs to it.
+
+    Attributes:
+        frame: the frame's name.
+        x_m: centre.
+        y_m: centre.
+        radius_m: radius.
+    """
+
+    frame: str
+    x_m: float
+    y_m: float
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        _check_radius(self.radius_m)
+
+    def contains(self, x_m: Float64, y_m: Float64) -> Bool:
+        """Which places (N,) lie in it."""
+        return np.hypot(x_m - self.x_m, y_m - self.y_m) <= self.radius_m
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Restrictions that all hold at once; None restricts nothing.
+
+    Attributes:
+        scene: ids.
+        traversal: ids.
+        drive: ids.
+        vehicle: pseudonyms.
+        camera: names.
+        light: day, dusk, night.
+        weather: clear, clouds ...
+        time: from (included) to (excluded), Unix ns.
+        within: circles; a place must lie in all of them.
+    """
+
+    scene: frozenset[str] | None = None
+    traversal: frozenset[str] | None = None
+    drive: frozenset[str] | None = None
+    vehicle: frozenset[str] | None = None
+    camera: frozenset[str] | None = None
+    light: frozenset[str] | None = None
+    weather: frozenset[str] | None = None
+    time: tuple[int, int] | None = None
+    within: tuple[Circle | LocalCircle, ...] = ()
+
+    def also(self, other: Filters) -> Filters:
+        """Both restrictions."""
+        changes: dict[str, object] = {"within": self.within + other.within}
+        for field in fields(self):
+            ours, theirs = getattr(self, field.name), getattr(other, field.name)
+            if field.name in ("time", "within") or theirs is None:
+                continue
+            changes[field.name] = theirs if ours is None else ours & theirs
+        if self.time is not None and other.time is not None:
+            changes["time"] = (max(self.time[0], other.time[0]), min(self.time[1], other.time[1]))
+        elif other.time is not None:
+            changes["time"] = other.time
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+
+def _check_radius(radius_m: float) -> None:
+    if not 0.0 <= radius_m <= MAX_RADIUS_M:
+        raise UsageError(
+            f"radius {radius_m} m",
+            place="within",
+            expected=f"0 to {MAX_RADIUS_M:.0f} m",
+            remedy="filter by scene for larger areas",
+        )

@@ -1,0 +1,217 @@
+"""Running a query: which row groups are touched, which of their rows pass, and only the columns that are asked for.
+
+Where a table has a stamp, a place or a camera, its rows are filtered by it; where it has not, the rows of the
+traversals that pass are taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import Bool, Float64
+from mirror.dataset.index.geoparquet import line_points
+from mirror.dataset.query.arrow import degrees, mask, member, numbers, rows
+from mirror.dataset.query.catalog import GLOBAL, TABLES, Catalog, RowGroups
+from mirror.dataset.query.filters import Circle, Filters, LocalCircle
+from mirror.geometry.geodesy import geodetic_to_ecef, mean_radius_m
+
+_BY_TRAVERSAL = {
+    "scene": "scene_id",
+    "traversal": "traversal_id",
+    "drive": "drive_id",
+    "vehicle": "vehicle_id",
+    "light": "light",
+    "weather": "weather",
+}
+_PLACE = ("longitude_deg", "latitude_deg")
+_BY_PASS = {key: column for key, column in _BY_TRAVERSAL.items() if key not in ("traversal", "vehicle")}
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Rows of one row group.
+
+    Attributes:
+        path: its file.
+        number: its position in the file.
+        traversal: row of its traversal in the table of traversals.
+        rows: how many rows pass.
+        mask: which; None: all.
+    """
+
+    path: str
+    number: int
+    traversal: int
+    rows: int
+    mask: Bool | None
+
+
+def query(catalog: Catalog, filters: Filters, name: str, columns: Sequence[str]) -> pa.Table:
+    """The rows of a table that pass, in the table's order."""
+    schema = pa.schema([TABLES[name].schema.field(column) for column in columns])
+    if name in GLOBAL:
+        return catalog.read_global(name, columns).filter(mask(_global_mask(catalog, filters, name)))
+    chunks: list[list[pa.Array]] = [[] for _ in columns]
+    for part in select(catalog, filters, name):
+        passing = None if part.mask is None else mask(part.mask)
+        for column, array in zip(chunks, catalog.columns.read(part.path, part.number, columns)):
+            column.append(array if passing is None else array.filter(passing))
+    arrays = [pa.chunked_array(column, field.type) for column, field in zip(chunks, schema)]
+    return pa.Table.from_arrays(arrays, schema=schema).unify_dictionaries()
+
+
+def count(catalog: Catalog, filters: Filters, name: str) -> int:
+    """How many rows of a table pass; what row groups tell is not read."""
+    if name in GLOBAL:
+        return int(_global_mask(catalog, filters, name).sum())
+    return sum(part.rows for part in select(catalog, filters, name))
+
+
+def select(catalog: Catalog, filters: Filters, name: str) -> Iterator[Part]:
+    """The row groups with rows that pass."""
+    schema = TABLES[name].schema
+    stamped, placed = "timestamp_ns" in schema.names, "longitude_deg" in schema.names
+    groups = catalog.row_groups(name)
+    keep = traversal_mask(catalog, filters, time=not stamped, place=not placed)[groups.traversal]
+    cut = np.zeros(len(keep), np.bool_)
+    if stamped and filters.time is not None:
+        start, end = filters.time
+        keep &= (groups.end_ns >= start) & (groups.start_ns < end)
+        cut = (groups.start_ns < start) | (groups.end_ns >= end)
+    if placed:
+        for circle in filters.within:
+            keep &= _touched(groups, circle)
+    circles = filters.within if placed else ()
+    cameras = filters.camera if "camera" in schema.names else None
+    for group in np.flatnonzero(keep).tolist():
+        path, number = groups.path[group], int(groups.number[group])
+        masks = []
+        if cut[group] and filters.time is not None:
+            (stamps,) = catalog.columns.read(path, number, ["timestamp_ns"])
+            values = numbers(stamps)
+            masks.append((values >= filters.time[0]) & (values < filters.time[1]))
+        if cameras is not None:
+            masks.append(member(catalog.columns.read(path, number, ["camera"])[0], cameras))
+        masks += [_inside(catalog, (path, number), circle, schema.names) for circle in circles]
+        passing = np.logical_and.reduce(masks) if masks else None
+        total = int(groups.rows[group])
+        passed = total if passing is None else int(np.count_nonzero(passing))
+        if passed:
+            yield Part(path, number, int(groups.traversal[group]), passed, None if passed == total else passing)
+
+
+def traversal_mask(catalog: Catalog, filters: Filters, *, time: bool = True, place: bool = True) -> Bool:
+    """Which traversals pass.
+
+    Args:
+        catalog: the index.
+        filters: the restrictions; a camera restricts no traversal.
+        time: let the time decide: entry to exit overlaps it.
+        place: let circles decide: the driven line has a point in each of them; else only their frame does.
+    """
+    passing = np.ones(len(catalog.traversal_ids), np.bool_)
+    for key, column in _BY_TRAVERSAL.items():
+        values = getattr(filters, key)
+        if values is not None:
+            passing &= member(catalog.read_global("traversals", [column]).column(0), values)
+    if time and filters.time is not None:
+        passing &= _overlaps(catalog, "traversals", filters.time)
+    for circle in filters.within:
+        passing &= _lines_touch(catalog, circle, passing) if place else _in_frame(catalog, circle)
+    return passing
+
+
+def _global_mask(catalog: Catalog, filters: Filters, name: str) -> Bool:
+    if name == "traversals":
+        return traversal_mask(catalog, filters)
+    chosen = frozenset(catalog.traversal_ids.filter(mask(traversal_mask(catalog, filters))).to_pylist())
+    if name == "row_groups":
+        return member(catalog.read_global(name, ["traversal_id"]).column(0), chosen)
+    if name == "scenes":
+        return _scene_mask(catalog, filters, chosen)
+    return _pass_mask(catalog, filters, chosen)
+
+
+def _scene_mask(catalog: Catalog, filters: Filters, chosen: frozenset[str]) -> Bool:
+    """Scenes with a traversal that passes; if nothing but scenes is asked for, also those without any traversal."""
+    scene_ids = catalog.read_global("scenes", ["scene_id"]).column(0)
+    if filters == Filters(scene=filters.scene):
+        return np.ones(len(scene_ids), np.bool_) if filters.scene is None else member(scene_ids, filters.scene)
+    traversals = catalog.read_global("traversals", ["scene_id", "traversal_id"])
+    own = traversals.column("scene_id").filter(mask(member(traversals.column("traversal_id"), chosen)))
+    return member(scene_ids, frozenset(own.to_pylist()))
+
+
+def _pass_mask(catalog: Catalog, filters: Filters, chosen: frozenset[str]) -> Bool:
+    """Passes by their own columns; what only traversals have (vehicle, place ...) leaves accepted passes alone."""
+    columns = catalog.read_global("passes", [*_BY_PASS.values(), "traversal_id"])
+    passing = np.ones(columns.num_rows, np.bool_)
+    for key, column in _BY_PASS.items():
+        values = getattr(filters, key)
+        if values is not None:
+            passing &= member(columns.column(column), values)
+    if filters.time is not None:
+        passing &= _overlaps(catalog, "passes", filters.time)
+    if filters.traversal is not None or filters.vehicle is not None or filters.within:
+        passing &= member(columns.column("traversal_id"), chosen)
+    return passing
+
+
+def _overlaps(catalog: Catalog, name: str, time: tuple[int, int]) -> Bool:
+    ends = catalog.read_global(name, ["entry_ns", "exit_ns"])
+    return (numbers(ends.column("exit_ns")) >= time[0]) & (numbers(ends.column("entry_ns")) < time[1])
+
+
+def _touched(groups: RowGroups, circle: Circle | LocalCircle) -> Bool:
+    if isinstance(circle, Circle):
+        return circle.touches(groups.west, groups.east, groups.south, groups.north)
+    return np.ones(len(groups.path), np.bool_)
+
+
+def _inside(catalog: Catalog, part: tuple[str, int], circle: Circle | LocalCircle, names: Sequence[str]) -> Bool:
+    columns = _PLACE if isinstance(circle, Circle) else ("x_m", "y_m") if "x_m" in names else ("tx_m", "ty_m")
+    first, second = catalog.columns.read(*part, columns)
+    return circle.contains(degrees(first), degrees(second))
+
+
+def _in_frame(catalog: Catalog, circle: Circle | LocalCircle) -> Bool:
+    """Traversals of the scenes in the circle's frame."""
+    scenes = catalog.read_global("scenes", ["scene_id", "frame"])
+    frame = circle.frame if isinstance(circle, LocalCircle) else None
+    same = frozenset(row["scene_id"] for row in scenes.to_pylist() if row["frame"] == frame)
+    return member(catalog.read_global("traversals", ["scene_id"]).column(0), same)
+
+
+def _lines_touch(catalog: Catalog, circle: Circle | LocalCircle, among: Bool) -> Bool:
+    """Which of some traversals have a point in the circle: of the driven line, or a pose in a local frame."""
+    found = among & _in_frame(catalog, circle)
+    if isinstance(circle, LocalCircle):
+        own = frozenset(catalog.traversal_ids.filter(mask(found)).to_pylist())
+        hits = select(catalog, Filters(traversal=own, within=(circle,)), "ego_poses")
+        return np.isin(np.arange(len(found)), [part.traversal for part in hits])
+    (boxes,) = catalog.read_global("traversals", ["bbox"]).column(0).chunks
+    west, south, east, north = (degrees(part) for part in boxes.flatten())
+    found &= circle.touches(west, east, south, north)
+    near = np.flatnonzero(found)
+    if len(near):
+        lines = catalog.read_global("traversals", ["geometry"]).column(0).take(rows(near))
+        found[near] = [_line_distance_m(line_points(wkb), circle) <= circle.radius_m for wkb in lines.to_pylist()]
+    return found
+
+
+def _line_distance_m(points: Float64, circle: Circle) -> float:
+    """Smallest distance of a line (N, 2) from the circle's centre.
+
+    Segments are straight in space; of a segment of 100 m the surface lies 0.2 mm above the middle.
+    """
+    xyz = geodetic_to_ecef(points[:, 0], points[:, 1]) - geodetic_to_ecef(circle.longitude_deg, circle.latitude_deg)
+    start, step = xyz[:-1], np.diff(xyz, axis=0)
+    squared = np.maximum(np.einsum("ij,ij->i", step, step), np.finfo(np.float64).tiny)
+    share = np.clip(-np.einsum("ij,ij->i", start, step) / squared, 0.0, 1.0)
+    chord = float(np.sqrt(np.min(np.sum((start + share[:, None] * step) ** 2, axis=1))))
+    radius = float(mean_radius_m(circle.latitude_deg))
+    return 2.0 * radius * float(np.arcsin(min(chord / (2.0 * radius), 1.0)))

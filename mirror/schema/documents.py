@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from mirror.schema.version import SCHEMA_VERSION
 
-Identifier = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_\-]{0,119}$")]
+_IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_\-]{0,119}$"
+Identifier = Annotated[str, Field(pattern=_IDENTIFIER)]
 
 CANONICAL_CAMERAS = ("front_wide", "front_narrow", "front_left", "front_right", "rear_left", "rear_right", "rear")
+
+
+def is_identifier(text: str) -> bool:
+    """Whether a text can be an id: letters, digits, ``_`` and ``-``, so that it can be a folder and part of an id."""
+    return re.fullmatch(_IDENTIFIER, text) is not None
 
 
 class Document(BaseModel):

@@ -1,0 +1,214 @@
+"""``mirror ingest RECORDING... --rois FILE --out DATASET``."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from mirror.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mirror.ingest.run import IngestReport
+
+
+@dataclass(frozen=True)
+class Trigger:
+    """When a pass becomes a traversal. Not given: the dataset's own, for a new dataset the paper's."""
+
+    min_duration_s: float | None = None
+    """Accepted from this duration on (10)."""
+    min_path_m: float | None = None
+    """Accepted from this driven length on (20)."""
+    min_overlap: float | None = None
+    """Accepted above this share of path inside the ROI (0.9)."""
+    join_gap_s: float | None = None
+    """Visits at most this far apart are joined (3)."""
+    max_gap_s: Annotated[float | None, tyro.conf.arg(aliases=["--max-gap"])] = None
+    """A longer gap between poses ends a visit (2)."""
+    min_step_m: float | None = None
+    """Path counts only after moving this far (0.5)."""
+    step_sigmas: float | None = None
+    """... or this many sigmas of the fix, if more (3)."""
+    trim_standstill_s: float | None = None
+    """Longer standstills are left out (60); 0 keeps them."""
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """How fixes are cleaned first. Not given: the dataset's own, else the defaults."""
+
+    max_speed_mps: float | None = None
+    """Faster is an outlier (70)."""
+    max_acceleration_mps2: float | None = None
+    """Sharper is an outlier (12)."""
+    noise_m: float | None = None
+    """What noise alone may do (5)."""
+    backward_time: Literal["sort", "refuse"] | None = None
+    """What to do with time that runs backward (sort)."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Cut recordings into traversals: every pass through a region of interest that fulfils the trigger's rules.
+
+    Run it again after an interruption and it goes on; run it with more recordings and it appends; run it unchanged and
+    it does nothing. Exit codes: 0 done, 2 could not run, 3 some recordings failed and the rest is complete.
+    """
+
+    recordings: tyro.conf.Positional[tuple[Path, ...]]
+    """One path a drive: a folder or file that a reader recognises."""
+    out: Path | None = None
+    """The dataset's folder. Needed but for --dry-run."""
+    rois: Path | None = None
+    """GeoJSON or CSV file of regions of interest."""
+    roi: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A region as lon,lat[,radius_m[,scene_id]]; may be repeated."""
+    reader: str | None = None
+    """Name of the reader; default: recognised from the files."""
+    tz: str | None = None
+    """Time zone of stamps that name none, e.g. Africa/Casablanca (csv reader)."""
+    columns: str | None = None
+    """Names of columns, e.g. time=Date+Time,lon=LON,lat=LAT (csv reader)."""
+    reader_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Any other option of the reader as key=value; may be repeated."""
+    trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
+    cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
+    copy: bool = False
+    """Copy pictures. Default: hard links where the file systems allow it, copies elsewhere."""
+    hash: bool = True
+    """Read and hash every picture, and refuse truncated ones."""
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Threads."""
+    dry_run: bool = False
+    """Judge only: print the ledger, write nothing."""
+    verify: bool = False
+    """Hash the pictures of recordings that look unchanged."""
+    replace: bool = False
+    """Ingest a drive anew whose recording has changed."""
+    fail_fast: bool = False
+    """Stop at the first recording that cannot be ingested."""
+    wait: bool = False
+    """Wait for another run that is writing the dataset."""
+    licence: str | None = None
+    """Licence of the data, noted in a new dataset."""
+    json: bool = False
+    """Print the report as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror ingest")
+    if arguments.out is None and not arguments.dry_run:
+        raise UsageError("no dataset folder given", place="--out", expected="--out DATASET, or --dry-run")
+
+    from mirror.cli.progress import progress_bar
+    from mirror.ingest.rois import parse_roi, read_rois
+    from mirror.ingest.run import IngestOptions, ingest
+    from mirror.ingest.traversal import WriteOptions
+
+    rois = read_rois(arguments.rois) if arguments.rois else []
+    rois += [parse_roi(text) for text in arguments.roi]
+    trigger: dict[str, object] = {name: value for name, value in vars(arguments.trigger).items() if value is not None}
+    if trigger.get("trim_standstill_s") == 0:
+        trigger["trim_standstill_s"] = None
+    options = IngestOptions(
+        reader=arguments.reader,
+        reader_options=reader_options(arguments.reader_option, tz=arguments.tz, columns=arguments.columns),
+        trigger=trigger,
+        cleaning={name: value for name, value in vars(arguments.cleaning).items() if value is not None},
+        write=WriteOptions(transfer="copy" if arguments.copy else "link", hashing=arguments.hash),
+        workers=arguments.workers,
+        dry_run=arguments.dry_run,
+        verify=arguments.verify,
+        replace=arguments.replace,
+        fail_fast=arguments.fail_fast,
+        wait=arguments.wait,
+        licence=arguments.licence,
+    )
+    out = arguments.out or Path("dry-run")
+    with progress_bar(quiet=arguments.json) as bar:
+        report = ingest(arguments.recordings, rois, out, options, bar)
+    if arguments.json:
+        print(json.dumps(_plain(report, out)))
+    else:
+        _print(report, out, dry_run=arguments.dry_run)
+    if not report.failures:
+        return ExitCode.DONE
+    return ExitCode.PARTLY_DONE if report.drives or report.unchanged else ExitCode.COULD_NOT_RUN
+
+
+def reader_options(pairs: Sequence[str], **named: str | None) -> dict[str, str]:
+    """Options for a reader from ``key=value`` words and from those that have a flag of their own.
+
+    Raises:
+        UsageError: a word is not of that form.
+    """
+    options = {key: value for key, value in named.items() if value is not None}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or not key:
+            raise UsageError(f"{pair!r} is not key=value", place="--reader-option")
+        options[key] = value
+    return options
+
+
+def _plain(report: IngestReport, out: Path) -> dict[str, object]:
+    return {
+        "dataset": str(out),
+        "drives": {
+            drive_id: {
+                "cleaning": drive.cleaning.model_dump(),
+                "accepted": sum(one.accepted for one in drive.passes),
+                "refused": dict(Counter(one.rule for one in drive.passes if one.rule)),
+                "passes": [vars(one) for one in drive.passes],
+            }
+            for drive_id, drive in sorted(report.drives.items())
+        },
+        "unchanged": report.unchanged,
+        "traversals": [vars(one) for one in report.traversals],
+        "images": report.images,
+        "bytes": report.bytes,
+        "linked": report.linked,
+        "failures": [{"recording": str(path), **error.to_dict()} for path, error in report.failures],
+    }
+
+
+def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(box=None, pad_edge=False)
+    for name in ("drive", "poses", "cleaned away", "passes", "accepted", "refused because"):
+        table.add_column(name, justify="right" if name in ("poses", "cleaned away", "passes", "accepted") else "left")
+    for drive_id, drive in sorted(report.drives.items()):
+        reasons = Counter(one.rule for one in drive.passes if one.rule)
+        table.add_row(
+            drive_id,
+            f"{drive.cleaning.poses:,}",
+            f"{drive.cleaning.poses - drive.cleaning.kept:,}",
+            str(len(drive.passes)),
+            str(sum(one.accepted for one in drive.passes)),
+            ", ".join(f"{rule} x{count}" for rule, count in sorted(reasons.items())),
+        )
+    if report.drives:
+        console.print(table)
+    if report.unchanged:
+        console.print(f"{len(report.unchanged)} drives unchanged, nothing to do for them")
+    for path, error in report.failures:
+        console.print(f"[red]failed[/red] {path}: {error}", highlight=False)
+    if dry_run:
+        console.print("dry run: nothing was written")
+        return
+    done = len(report.traversals)
+    console.print(
+        f"{done} traversals, {report.images:,} pictures ({report.bytes / 1e6:,.1f} MB, {report.linked:,} as hard links)"
+    )
+    console.print(f"dataset: {out}")

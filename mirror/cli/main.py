@@ -1,0 +1,87 @@
+"""``mirror VERB ...``: finds the verb's file and runs it; turns errors into a message and an exit code.
+
+Nothing heavy is imported before a verb is known, so that ``mirror --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from mirror.errors import ExitCode, MirrorError
+from mirror.version import __version__
+
+VERBS = {
+    "demo": "make a synthetic street, ingest it, split it and write a report",
+    "synth": "write recordings of a synthetic street",
+    "ingest": "recordings -> traversals: trigger, write, ledger",
+    "rois": "propose regions of interest from recordings",
+    "index": "rebuild the derived tables of a dataset",
+    "info": "say what a dataset or a recording is",
+    "split": "freeze a train / held-out split, leak-checked",
+    "stats": "the dataset-table row, distributions, plots",
+    "check": "hold a dataset against the integrity rules",
+    "report": "write an HTML report of a dataset",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb.
+
+    Args:
+        argv: the words after ``mirror``; default: the command line's.
+
+    Returns:
+        The exit code (`ExitCode`).
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(_help())
+        return ExitCode.DONE if words else ExitCode.COULD_NOT_RUN
+    if words[0] in ("-V", "--version"):
+        print(f"mirror {__version__}")
+        return ExitCode.DONE
+    verb, rest = words[0], words[1:]
+    if verb not in VERBS:
+        near = difflib.get_close_matches(verb, VERBS, n=1)
+        hint = f" Did you mean `mirror {near[0]}`?" if near else ""
+        print(f"mirror: no verb {verb!r}.{hint} `mirror --help` lists them.", file=sys.stderr)
+        return ExitCode.COULD_NOT_RUN
+    try:
+        return int(import_module(f"mirror.cli.{verb}").main(rest))
+    except MirrorError as error:
+        if "--json" in rest:
+            print(json.dumps(error.to_dict()))
+        print(f"mirror {verb}: {error}", file=sys.stderr)
+        return ExitCode.COULD_NOT_RUN
+    except KeyboardInterrupt:
+        print(f"mirror {verb}: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); point stdout elsewhere so that the exit stays quiet.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ExitCode.DONE
+
+
+def _help() -> str:
+    width = max(map(len, VERBS))
+    lines = [
+        "usage: mirror VERB [options]",
+        "",
+        "Fleet recordings become a multi-traversal camera dataset; simulators are scored against it.",
+        "",
+        *(f"  {verb:<{width}}  {text}" for verb, text in VERBS.items()),
+        "",
+        "`mirror VERB --help` explains a verb. Every verb that reports takes --json.",
+        "Exit codes: 0 done; 1 findings or a failed check; 2 could not run or wrong usage;",
+        "3 partly done (some items failed, the rest is complete).",
+    ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

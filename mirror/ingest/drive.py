@@ -1,0 +1,146 @@
+"""What stands once a drive: its rig, its document and ledger, and the check of its source."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from mirror.dataset.layout import Layout, manifest_sha256, seal
+from mirror.errors import DatasetError, RecordingError
+from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.tables import pass_table
+from mirror.ingest.traversal import traversal_id
+from mirror.recordings.protocol import Recording
+from mirror.schema.documents import DriveDocument, Rig, RigCamera
+from mirror.schema.files import encode_table, read_json, read_table, write_bytes, write_json
+from mirror.schema.tables import IMAGES, PASSES
+
+
+def write_rig(layout: Layout, drive: JudgedDrive) -> None:
+    """Write ``rigs/<rig_id>.json`` and its static masks, or find them as they should be.
+
+    Raises:
+        DatasetError: the id is there with other cameras.
+    """
+    rig = drive.recording.rig
+    if rig is None:
+        return
+    masks = {
+        f"{rig.rig_id}.{camera.name}.png": bytes(cv2.imencode(".png", np.ascontiguousarray(camera.static_mask))[1])
+        for camera in rig.cameras
+        if camera.static_mask is not None
+    }
+    document = Rig(
+        rig_id=rig.rig_id,
+        vehicle_type=drive.info.vehicle_type,
+        reference_camera=rig.reference_camera,
+        cameras=tuple(
+            RigCamera(
+                name=camera.name,
+                source_name=camera.source_name,
+                static_mask=f"{rig.rig_id}.{camera.name}.png" if camera.static_mask is not None else None,
+            )
+            for camera in rig.cameras
+        ),
+    )
+    path = layout.rig(rig.rig_id)
+    if path.exists():
+        if read_json(path, Rig) != document:
+            raise RecordingError(
+                f"rig {rig.rig_id!r} is in the dataset with other cameras, another reference camera or vehicle type",
+                file=drive.path,
+                expected=f"the rig of {path.name}",
+                remedy="give the rig of this recording another id",
+            )
+        return
+    for name, data in masks.items():
+        write_bytes(path.parent / name, data)
+    write_json(path, document)
+
+
+def seal_drive(layout: Layout, drive: JudgedDrive, scenes: Sequence[str], configuration: str) -> None:
+    """Write the drive's document and ledger, then its manifest: from here on the drive and its traversals exist.
+
+    Traversals of an earlier ingest of the same drive that are none any more are removed.
+    """
+    info = drive.info
+    names = [traversal_id(info.drive_id, one) if one.accepted else None for one in drive.passes]
+    folder = layout.drive(info.drive_id)
+    stale = []
+    if (folder / "passes.parquet").exists():
+        before = read_table(folder / "passes.parquet", PASSES, ["traversal_id"]).column("traversal_id").to_pylist()
+        stale = [name for name in before if name is not None and name not in names]
+    (folder / "manifest.json").unlink(missing_ok=True)
+    for name in stale:
+        shutil.rmtree(layout.traversal(name), ignore_errors=True)
+    rig = drive.recording.rig
+    document = DriveDocument(
+        drive_id=info.drive_id,
+        vehicle_id=info.vehicle_id,
+        vehicle_type=info.vehicle_type,
+        rig_id=rig.rig_id if rig else None,
+        source=drive.source,
+        configuration=configuration,
+        scenes=tuple(sorted(scenes)),
+        frame=info.frame,
+        time_base=info.time_base,
+        body_frame=info.body_frame,
+        is_clip=info.is_clip,
+        city=info.city,
+        start_ns=drive.start_ns,
+        end_ns=drive.end_ns,
+        cleaning=drive.cleaning,
+    )
+    ledger = encode_table(pass_table(drive, names), PASSES)
+    write_json(folder / "drive.json", document)
+    write_bytes(folder / "passes.parquet", ledger)
+    derived_from = {f"traversal:{name}": manifest_sha256(layout.recorded(name)) for name in names if name is not None}
+    derived_from["source"] = drive.source.fingerprint
+    derived_from["configuration"] = configuration
+    seal(
+        folder,
+        {"drive.json": (folder / "drive.json").read_bytes(), "passes.parquet": ledger},
+        derived_from=derived_from,
+    )
+
+
+def verify_source(layout: Layout, recording: Recording, drive_id: str) -> None:
+    """Hash the pictures of a drive's traversals again, at their source.
+
+    Raises:
+        RecordingError: a picture's bytes differ from those ingested though its size and time do not.
+        DatasetError: a picture of the dataset has no counterpart in the recording.
+    """
+    sources = {
+        (camera, int(stream.exposure_start_ns[index])): stream.path(index)
+        for camera, stream in recording.images().items()
+        for index in range(len(stream.exposure_start_ns))
+    }
+    ledger = read_table(layout.drive(drive_id) / "passes.parquet", PASSES, ["traversal_id"])
+    for name in ledger.column("traversal_id").to_pylist():
+        if name is None:
+            continue
+        wanted = ["camera", "exposure_start_ns", "uri", "sha256"]
+        for row in read_table(layout.recorded(name) / "images.parquet", IMAGES, wanted).to_pylist():
+            source = sources.get((row["camera"], row["exposure_start_ns"]), layout.root / "missing")
+            if source is None or row["sha256"] is None:
+                continue
+            try:
+                data = source.read_bytes()
+            except OSError as error:
+                raise DatasetError(
+                    "the picture has no counterpart in the recording any more",
+                    file=layout.root / row["uri"],
+                    remedy="restore the recording, or ingest it anew with --replace",
+                ) from error
+            if hashlib.sha256(data).digest() != row["sha256"]:
+                raise RecordingError(
+                    "the picture's bytes have changed since it was ingested",
+                    file=source,
+                    expected="the SHA-256 of its row in the images table",
+                    remedy="restore the recording, or ingest it anew with --replace",
+                )

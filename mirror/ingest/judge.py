@@ -1,0 +1,198 @@
+"""One drive judged: its track cleaned and held against the ROIs. Poses are read, no picture is opened."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import Float64, Int64
+from mirror.errors import RecordingError
+from mirror.ingest.clean import CleanTrack, clean
+from mirror.ingest.rois import refuse_swapped
+from mirror.ingest.trigger import Pass, Trigger
+from mirror.recordings.protocol import DriveInfo, ImageStream, Recording, Track
+from mirror.schema.documents import CleaningOptions, CleaningReport, Roi, Source
+
+POSE_MARGIN_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class PoseSlice:
+    """The cleaned poses of one pass, from 1 s before its entry to 1 s after its exit.
+
+    Attributes:
+        timestamp_ns: (N,) strictly increasing.
+        first: (N,) longitude or x.
+        second: (N,) latitude or y.
+        height_m: (N,) or None.
+        rotation: (N, 4) as recorded, or None.
+        sigma_m: (N,) or None.
+    """
+
+    timestamp_ns: Int64
+    first: Float64
+    second: Float64
+    height_m: Float64 | None
+    rotation: Float64 | None
+    sigma_m: Float64 | None
+
+
+class DriveContent:
+    """What a drive has besides its poses, read once, when the first traversal asks for it, by whichever thread."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._lock = Lock()
+        self._read: dict[str, Any] = {}
+
+    def images(self) -> dict[str, ImageStream]:
+        """Image streams by camera."""
+        streams: dict[str, ImageStream] = self._once("images", lambda: dict(self._recording.images()))
+        return streams
+
+    def calibrations(self) -> pa.Table:
+        """Calibration rows."""
+        return self._once("calibrations", self._recording.calibrations)
+
+    def boxes(self) -> pa.Table | None:
+        """Box rows, or None."""
+        return self._once("boxes", self._recording.boxes)
+
+    def _once(self, name: str, read: Any) -> Any:
+        with self._lock:
+            if name not in self._read:
+                self._read[name] = read()
+            return self._read[name]
+
+
+@dataclass(frozen=True)
+class JudgedDrive:
+    """A drive after the trigger.
+
+    Attributes:
+        path: where the recording lies.
+        recording: it.
+        info: who, where, when.
+        source: its files and fingerprint.
+        cleaning: what cleaning did.
+        start_ns: first cleaned pose.
+        end_ns: last cleaned pose.
+        passes: accepted and refused.
+        slices: the poses of each accepted pass, by its number in ``passes``.
+    """
+
+    path: Path
+    recording: Recording
+    info: DriveInfo
+    source: Source
+    cleaning: CleaningReport
+    start_ns: int
+    end_ns: int
+    passes: tuple[Pass, ...]
+    slices: dict[int, PoseSlice]
+
+    @cached_property
+    def content(self) -> DriveContent:
+        """Pictures, calibrations and boxes, lazily."""
+        return DriveContent(self.recording)
+
+
+def fingerprint(recording: Recording, reader: str, name: str) -> Source:
+    """Identify a recording by the paths, sizes and modification times of its files.
+
+    Raises:
+        RecordingError: a file is not there, or there is none.
+    """
+    digest = hashlib.sha256()
+    files, total = 0, 0
+    for relative, path in sorted(recording.files()):
+        try:
+            status = path.stat()
+        except OSError as error:
+            raise RecordingError(f"cannot be read: {error.strerror}", file=path) from error
+        digest.update(f"{relative}\0{status.st_size}\0{status.st_mtime_ns}\n".encode())
+        files += 1
+        total += status.st_size
+    if not files:
+        raise RecordingError("the recording is empty", file=name, expected="at least a file of poses")
+    return Source(reader=reader, name=name, files=files, bytes=total, fingerprint=digest.hexdigest())
+
+
+def judge_drive(
+    path: Path,
+    recording: Recording,
+    source: Source,
+    trigger: Trigger,
+    rois: Sequence[Roi],
+    cleaning: CleaningOptions,
+) -> JudgedDrive:
+    """Clean a drive's track and find its passes.
+
+    Args:
+        path: where the recording lies, for messages.
+        recording: the drive.
+        source: its fingerprint.
+        trigger: made of ``rois``.
+        rois: for the check of exchanged coordinates.
+        cleaning: thresholds.
+
+    Raises:
+        RecordingError: the track is empty, unusable or runs backward where that is refused.
+        UsageError: a ROI's longitude and latitude look exchanged.
+    """
+    info = recording.info
+    track = recording.track()
+    cleaned, report = clean(track, cleaning, min_step_m=trigger.options.min_step_m)
+    kept = cleaned.kept()
+    if cleaned.geodetic:
+        middle = kept[len(kept) // 2]
+        refuse_swapped(rois, float(cleaned.first[middle]), float(cleaned.second[middle]))
+    passes = trigger.passes(cleaned, frame=info.frame, is_clip=info.is_clip)
+    max_gap_ns = round(trigger.options.max_gap_s * 1e9)
+    slices = {
+        number: _slice(track, cleaned, kept, one.entry_ns, one.exit_ns, max_gap_ns)
+        for number, one in enumerate(passes)
+        if one.accepted
+    }
+    return JudgedDrive(
+        path=path,
+        recording=recording,
+        info=info,
+        source=source,
+        cleaning=report,
+        start_ns=int(cleaned.timestamp_ns[kept[0]]),
+        end_ns=int(cleaned.timestamp_ns[kept[-1]]),
+        passes=tuple(passes),
+        slices=slices,
+    )
+
+
+def _slice(track: Track, cleaned: CleanTrack, kept: Int64, entry_ns: int, exit_ns: int, max_gap_ns: int) -> PoseSlice:
+    """The poses of a pass with its margins: at least the fix before and after it, unless there is a gap."""
+    stamps = cleaned.timestamp_ns[kept]
+    low = int(np.searchsorted(stamps, entry_ns - POSE_MARGIN_NS, side="left"))
+    high = int(np.searchsorted(stamps, exit_ns + POSE_MARGIN_NS, side="right"))
+    before = int(np.searchsorted(stamps, entry_ns, side="right")) - 1
+    after = int(np.searchsorted(stamps, exit_ns, side="left"))
+    if 0 <= before < low and stamps[before + 1] - stamps[before] <= max_gap_ns:
+        low = before
+    if high <= after < len(stamps) and stamps[after] - stamps[after - 1] <= max_gap_ns:
+        high = after + 1
+    positions = kept[low:high]
+    rows = cleaned.recorded(positions)
+    return PoseSlice(
+        timestamp_ns=cleaned.timestamp_ns[positions],
+        first=cleaned.first[positions],
+        second=cleaned.second[positions],
+        height_m=None if track.height_m is None else track.height_m[rows],
+        rotation=None if track.rotation is None else track.rotation[rows],
+        sigma_m=None if track.sigma_m is None else track.sigma_m[rows],
+    )

@@ -1,0 +1,173 @@
+"""Pictures into a traversal's folder: linked or copied byte for byte, never re-encoded, hashed on the way."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from mirror.arrays import Int64
+from mirror.errors import RecordingError
+from mirror.recordings.protocol import ImageStream
+from mirror.recordings.raster import raster_size, require_whole
+from mirror.schema.files import unwritable
+
+Transfer = Literal["link", "copy"]
+_SUFFIX = {"jpeg": "jpg", "png": "png"}
+_NOT_LINKABLE = (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.ENOTSUP)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """The pictures of one camera in a traversal's folder.
+
+    Attributes:
+        names: file names.
+        sizes: bytes of each.
+        sha256: digest of each, or None where hashing is off.
+        codec: ``jpeg`` or ``png``.
+        width_px: of the first picture.
+        height_px: of the first picture.
+        linked: how many are hard links to the recording's own files.
+    """
+
+    names: list[str]
+    sizes: list[int]
+    sha256: list[bytes | None]
+    codec: str
+    width_px: int
+    height_px: int
+    linked: int
+
+
+def place_pictures(
+    stream: ImageStream,
+    selected: Int64,
+    stamps_ns: Int64,
+    folder: Path,
+    *,
+    transfer: Transfer,
+    hashing: bool,
+    advance: Callable[[int], None],
+) -> Placed:
+    """Put a camera's selected pictures into a folder.
+
+    Args:
+        stream: the camera.
+        selected: (N,) ascending indices into the stream.
+        stamps_ns: (N,) their mid-exposure stamps, which name the files.
+        folder: made here.
+        transfer: hard links where the file systems allow it and copies elsewhere, or always copies.
+        hashing: read every byte: hash it, and refuse truncated pictures.
+        advance: called with the number of pictures done since the last call.
+
+    Raises:
+        RecordingError: a picture is missing, truncated or no picture.
+        DatasetError: the folder cannot be written.
+    """
+    codec = stream.codec if stream.codec in _SUFFIX else "jpeg"
+    suffix = _SUFFIX[codec]
+    names = [f"{stamp}.{suffix}" for stamp in stamps_ns.tolist()]
+    indices: Sequence[int] = selected.tolist()
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    sizes: list[int] = []
+    digests: list[bytes | None] = []
+    linked, width, height = 0, 0, 0
+    own_files = stream.path(indices[0]) is not None
+    if own_files:
+        width, height = _first_size(stream.path(indices[0]))
+        for index, name in zip(indices, names):
+            source = stream.path(index)
+            if source is None:
+                raise RecordingError("the picture has no file, though others of its camera do", place=f"image {index}")
+            size, digest, was_linked = _transfer(source, f"{folder}/{name}", transfer, hashing)
+            sizes.append(size)
+            digests.append(digest)
+            linked += was_linked
+            advance(1)
+    else:
+        for (_, data), name in zip(stream.read(indices), names):
+            if not sizes:
+                width, height = raster_size(data, f"{stream.camera} at {name}")
+            _write(f"{folder}/{name}", data)
+            sizes.append(len(data))
+            digests.append(hashlib.sha256(data).digest() if hashing else None)
+            advance(1)
+    if len(sizes) != len(indices):
+        raise RecordingError(f"gave {len(sizes)} of {len(indices)} pictures", place=f"camera {stream.camera}")
+    return Placed(names, sizes, digests, codec, width, height, linked)
+
+
+def _first_size(source: Path | None) -> tuple[int, int]:
+    if source is None:
+        raise RecordingError("the picture has no file")
+    return raster_size(_read(source), source)
+
+
+def _transfer(source: Path, target: str, transfer: Transfer, hashing: bool) -> tuple[int, bytes | None, bool]:
+    """Link or copy one picture; its size, its digest if asked for, and whether it is a link."""
+    if transfer == "link":
+        try:
+            os.link(source, target)
+        except FileNotFoundError as error:
+            raise _unreadable(source, error) from error
+        except OSError as error:
+            if error.errno not in _NOT_LINKABLE:
+                raise unwritable(Path(target), error) from error
+        else:
+            if not hashing:
+                return os.stat(target).st_size, None, True  # noqa: PTH116
+            data = _read(source)
+            require_whole(data, source)
+            return len(data), hashlib.sha256(data).digest(), True
+    data = _read(source)
+    require_whole(data, source)
+    digest = hashlib.sha256(data).digest() if hashing else None
+    _write(target, data)
+    return len(data), digest, False
+
+
+def _read(source: Path) -> bytes:
+    try:
+        descriptor = os.open(source, os.O_RDONLY)
+    except OSError as error:
+        raise _unreadable(source, error) from error
+    try:
+        size = os.fstat(descriptor).st_size
+        data = os.read(descriptor, size)
+        while len(data) < size and (more := os.read(descriptor, size - len(data))):
+            data += more
+        return data
+    except OSError as error:
+        raise _unreadable(source, error) from error
+    finally:
+        os.close(descriptor)
+
+
+def _write(target: str, data: bytes) -> None:
+    try:
+        descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        try:
+            view = memoryview(data)
+            while view:
+                view = view[os.write(descriptor, view) :]
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise unwritable(Path(target), error) from error
+
+
+def _unreadable(source: Path, error: OSError) -> RecordingError:
+    return RecordingError(
+        f"cannot be read: {error.strerror}",
+        file=source,
+        expected="a picture",
+        remedy="restore the file, or take it out of the recording",
+    )

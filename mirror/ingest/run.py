@@ -1,0 +1,401 @@
+"""A whole ingest: judge all drives, write all accepted passes, seal each drive, derive the index.
+
+What makes it safe to stop at any instant: a traversal exists once its manifest does, a drive once its own does, and
+the index is derived from complete drives alone. A second run finds what is complete by its fingerprints and does the
+rest. Drives and traversals run in parallel on threads: the work is in compiled kernels, the file system and hashing,
+all of which release the interpreter.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from mirror.dataset.index import build_index
+from mirror.dataset.layout import Layout, read_manifest
+from mirror.dataset.lock import writer_lock
+from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
+from mirror.ingest.drive import seal_drive, verify_source, write_rig
+from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
+from mirror.ingest.rois import merge_rois, read_rois, write_rois
+from mirror.ingest.traversal import WriteOptions, Written, selected_pictures, traversal_id, write_traversal
+from mirror.ingest.trigger import Trigger
+from mirror.recordings.protocol import Recording
+from mirror.recordings.registry import open_recording
+from mirror.schema.documents import (
+    CleaningOptions,
+    DatasetDocument,
+    DriveDocument,
+    Roi,
+    Source,
+    TriggerOptions,
+    is_identifier,
+)
+from mirror.schema.files import read_json, write_json
+from mirror.schema.version import SCHEMA_VERSION
+
+Result = TypeVar("Result")
+
+_FATAL = (UsageError, DatasetError)
+"""What is not one recording's fault, and would meet the next one too."""
+
+
+class Progress(Protocol):
+    """How a run tells how far it is."""
+
+    def start(self, what: str, total: int) -> None:
+        """A phase begins, with so many steps."""
+        ...
+
+    def advance(self, steps: int) -> None:
+        """Steps are done; called from several threads."""
+        ...
+
+
+class Silent:
+    """No progress shown."""
+
+    def start(self, what: str, total: int) -> None:
+        """Say nothing."""
+
+    def advance(self, steps: int) -> None:
+        """Say nothing."""
+
+
+@dataclass(frozen=True)
+class IngestOptions:
+    """What an ingest run is asked to do.
+
+    Attributes:
+        reader: name of the recording reader; None: each recording is recognised.
+        reader_options: handed to the reader.
+        trigger: thresholds given on this run, by name; the dataset's own, else the defaults, for the rest.
+        cleaning: likewise.
+        write: how traversals are written.
+        workers: threads.
+        dry_run: judge only, write nothing.
+        verify: hash the source pictures of drives that look unchanged.
+        replace: drop a drive of the same id whose recording has changed.
+        fail_fast: stop at the first drive that cannot be ingested.
+        wait: wait for another writer of the dataset.
+        licence: licence of the data, for ``dataset.json`` of a new dataset.
+    """
+
+    reader: str | None = None
+    reader_options: Mapping[str, str] = field(default_factory=dict)
+    trigger: Mapping[str, object] = field(default_factory=dict)
+    cleaning: Mapping[str, object] = field(default_factory=dict)
+    write: WriteOptions = field(default_factory=WriteOptions)
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    dry_run: bool = False
+    verify: bool = False
+    replace: bool = False
+    fail_fast: bool = False
+    wait: bool = False
+    licence: str | None = None
+
+
+@dataclass
+class IngestReport:
+    """What an ingest run came to.
+
+    Attributes:
+        drives: judged drives, by id.
+        unchanged: ids of drives that were there already, unchanged.
+        traversals: written or found complete.
+        failures: recordings that could not be ingested, each with its error.
+        images: pictures written.
+        bytes: of those pictures.
+        linked: those of them that are hard links.
+    """
+
+    drives: dict[str, JudgedDrive] = field(default_factory=dict)
+    unchanged: list[str] = field(default_factory=list)
+    traversals: list[Written] = field(default_factory=list)
+    failures: list[tuple[Path, MirrorError]] = field(default_factory=list)
+
+    @property
+    def images(self) -> int:
+        """Pictures written by this run."""
+        return sum(one.images for one in self.traversals if not one.reused)
+
+    @property
+    def bytes(self) -> int:
+        """Their size."""
+        return sum(one.bytes for one in self.traversals if not one.reused)
+
+    @property
+    def linked(self) -> int:
+        """How many of them are hard links."""
+        return sum(one.linked for one in self.traversals)
+
+
+@dataclass(frozen=True)
+class _Opened:
+    path: Path
+    recording: Recording
+    source: Source
+
+
+class _Run:
+    def __init__(self, layout: Layout, options: IngestOptions, progress: Progress) -> None:
+        self.layout = layout
+        self.options = options
+        self.progress = progress
+        self.report = IngestReport()
+
+    def fail(self, path: Path, error: MirrorError) -> None:
+        if self.options.fail_fast or isinstance(error, _FATAL):
+            raise error
+        self.report.failures.append((path, error))
+
+
+def ingest(
+    recordings: Sequence[Path],
+    rois: Sequence[Roi],
+    out: Path,
+    options: IngestOptions | None = None,
+    progress: Progress | None = None,
+) -> IngestReport:
+    """Ingest recordings into a dataset.
+
+    Args:
+        recordings: one path a drive.
+        rois: scenes to cut out, added to those that the dataset has.
+        out: the dataset's folder, made if need be.
+        options: what and how.
+        progress: told of every step.
+
+    Returns:
+        What was done. Recordings that cannot be ingested are in its ``failures`` and leave no trace.
+
+    Raises:
+        UsageError: no ROI, or ROIs or options that cannot be meant.
+        DatasetError: the dataset is locked, has other thresholds, or cannot be written.
+        MirrorError: with ``fail_fast``, whatever the first bad recording has.
+    """
+    run = _Run(Layout(out), options or IngestOptions(), progress or Silent())
+    if run.options.dry_run:
+        _judge_all(run, recordings, *_settings(run, rois))
+        return run.report
+    with writer_lock(run.layout, wait=run.options.wait):
+        document, all_rois = _settings(run, rois)
+        configuration = _configuration(document, run.options)
+        judged = _judge_all(run, recordings, document, all_rois)
+        written = _write_all(run, judged, {roi.scene_id: roi for roi in all_rois}, configuration)
+        if written:
+            write_json(run.layout.document, document)
+            write_rois(run.layout.rois, all_rois)
+        for drive in written:
+            seal_drive(run.layout, drive, [roi.scene_id for roi in all_rois], configuration)
+        if run.layout.document.exists():
+            build_index(run.layout.root)
+    return run.report
+
+
+def _settings(run: _Run, rois: Sequence[Roi]) -> tuple[DatasetDocument, list[Roi]]:
+    """The dataset's document and ROIs, with what this run adds; refuses what contradicts them."""
+    given_trigger, given_cleaning = dict(run.options.trigger), dict(run.options.cleaning)
+    if not run.layout.document.exists():
+        document = DatasetDocument(
+            licence=run.options.licence,
+            trigger=TriggerOptions.model_validate(given_trigger),
+            cleaning=CleaningOptions.model_validate(given_cleaning),
+        )
+        present: list[Roi] = []
+    else:
+        document = read_json(run.layout.document, DatasetDocument)
+        for given, own in ((given_trigger, document.trigger), (given_cleaning, document.cleaning)):
+            for name, value in given.items():
+                if getattr(own, name) != value:
+                    raise DatasetError(
+                        f"{name} {value} differs from the dataset's {getattr(own, name)}",
+                        file=run.layout.document,
+                        expected="one set of thresholds for all passes of a dataset",
+                        remedy=f"leave {name} away, or ingest everything into a new folder",
+                    )
+        present = read_rois(run.layout.rois) if run.layout.rois.exists() else []
+    merged = merge_rois(present, rois, run.layout.rois)
+    if not merged:
+        raise UsageError("no ROI given", expected="--rois FILE or --roi lon,lat", remedy="see `mirror rois propose`")
+    return document, merged
+
+
+def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
+    decisive = {
+        "schema_version": SCHEMA_VERSION,
+        "trigger": document.trigger.model_dump(mode="json"),
+        "cleaning": document.cleaning.model_dump(mode="json"),
+        "reader": options.reader,
+        "reader_options": dict(options.reader_options),
+        "hashing": options.write.hashing,
+    }
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
+
+
+def _judge_all(
+    run: _Run, recordings: Sequence[Path], document: DatasetDocument, rois: Sequence[Roi]
+) -> list[JudgedDrive]:
+    """Open, identify and judge every recording; those already complete are passed over."""
+    trigger = Trigger(rois, document.trigger, document.cleaning)
+    configuration = _configuration(document, run.options)
+    scenes = {roi.scene_id for roi in rois}
+    run.progress.start("reading poses", len(recordings))
+
+    def open_one(path: Path) -> _Opened:
+        recording = open_recording(path, reader=run.options.reader, options=run.options.reader_options)
+        drive_id = recording.info.drive_id
+        for name, value in (("drive_id", drive_id), ("vehicle_id", recording.info.vehicle_id)):
+            if not is_identifier(value):
+                raise RecordingError(f"{name} {value!r} is not an id", file=path, expected="letters, digits, _ and -")
+        reader = run.options.reader or type(recording).__module__.rpartition(".")[2]
+        return _Opened(path, recording, fingerprint(recording, reader, path.resolve().name))
+
+    def judge_one(opened: _Opened) -> JudgedDrive:
+        judged = judge_drive(opened.path, opened.recording, opened.source, trigger, rois, document.cleaning)
+        run.progress.advance(1)
+        return judged
+
+    opened = _in_parallel(run, [(path, partial(open_one, path)) for path in recordings])
+    todo = []
+    owners: dict[str, Path] = {}
+    for one in opened:
+        drive_id = one.recording.info.drive_id
+        if drive_id in owners:
+            run.fail(
+                one.path,
+                RecordingError(
+                    f"drive id {drive_id!r} is also that of {owners[drive_id]}",
+                    file=one.path,
+                    expected="one recording a drive id",
+                    remedy="give one of them another id; ingest the files of one drive as one recording",
+                ),
+            )
+            continue
+        owners[drive_id] = one.path
+        try:
+            unchanged = _is_unchanged(run, one, configuration, scenes)
+        except MirrorError as error:
+            run.fail(one.path, error)
+            continue
+        if unchanged and not run.options.dry_run:
+            run.report.unchanged.append(drive_id)
+            run.progress.advance(1)
+        else:
+            todo.append(one)
+    judged = _in_parallel(run, [(one.path, partial(judge_one, one)) for one in todo])
+    for drive in judged:
+        run.report.drives[drive.info.drive_id] = drive
+    return judged
+
+
+def _is_unchanged(run: _Run, opened: _Opened, configuration: str, scenes: set[str]) -> bool:
+    """Whether the drive is complete in the dataset as its recording is now.
+
+    Raises:
+        RecordingError: the id belongs to another recording, or to this one before it changed.
+    """
+    folder = run.layout.drive(opened.recording.info.drive_id)
+    if read_manifest(folder) is None:
+        return False
+    document = read_json(folder / "drive.json", DriveDocument)
+    if document.source.fingerprint != opened.source.fingerprint or document.configuration != configuration:
+        if run.options.replace or run.options.dry_run:
+            return False
+        changed = "its files have changed" if document.source.name == opened.source.name else "another recording has it"
+        if document.source.fingerprint == opened.source.fingerprint:
+            changed = "it was ingested with other options"
+        raise RecordingError(
+            f"drive {document.drive_id!r} is in the dataset already, and {changed}",
+            file=opened.path,
+            expected=f"the recording {document.source.name!r} as it was",
+            remedy="give the recording another drive id, or add --replace to ingest it anew",
+        )
+    if run.options.verify:
+        verify_source(run.layout, opened.recording, document.drive_id)
+    return set(document.scenes) >= scenes
+
+
+def _write_all(
+    run: _Run, judged: Sequence[JudgedDrive], rois: Mapping[str, Roi], configuration: str
+) -> list[JudgedDrive]:
+    """Write all accepted passes of all drives; return the drives of which every one succeeded."""
+    jobs: list[tuple[JudgedDrive, int]] = []
+    complete: list[JudgedDrive] = []
+    total = 0
+    for drive in judged:
+        try:
+            write_rig(run.layout, drive)
+            for number in drive.slices:
+                pictures = selected_pictures(drive, drive.passes[number]).values()
+                total += sum(len(indices) for _, indices, _ in pictures)
+        except MirrorError as error:
+            run.fail(drive.path, error)
+            del run.report.drives[drive.info.drive_id]
+            continue
+        complete.append(drive)
+        jobs += [(drive, number) for number in drive.slices]
+    run.progress.start("writing pictures", total)
+    failed: set[str] = set()
+    lock = threading.Lock()
+
+    def write_one(drive: JudgedDrive, number: int) -> Written | None:
+        if drive.info.drive_id in failed:
+            return None
+        try:
+            return write_traversal(
+                run.layout,
+                drive,
+                number,
+                rois[drive.passes[number].scene_id],
+                configuration,
+                run.options.write,
+                run.progress.advance,
+            )
+        except RecordingError:
+            with lock:
+                first = drive.info.drive_id not in failed
+                failed.add(drive.info.drive_id)
+            if first:
+                raise
+            return None
+
+    written = _in_parallel(run, [(drive.path, partial(write_one, drive, number)) for drive, number in jobs])
+    for drive in [drive for drive in complete if drive.info.drive_id in failed]:
+        for number in drive.slices:
+            name = traversal_id(drive.info.drive_id, drive.passes[number])
+            if read_manifest(run.layout.drive(drive.info.drive_id)) is None:
+                shutil.rmtree(run.layout.traversal(name), ignore_errors=True)
+        complete.remove(drive)
+        del run.report.drives[drive.info.drive_id]
+    run.report.traversals = sorted(
+        (one for one in written if one is not None and one.traversal_id.split(".")[1] not in failed),
+        key=lambda one: one.traversal_id,
+    )
+    return complete
+
+
+def _in_parallel(run: _Run, jobs: Sequence[tuple[Path, Callable[[], Result]]]) -> list[Result]:
+    """Results in the order of the jobs; those that fail are reported against their path."""
+    results: list[Result] = []
+    with ThreadPoolExecutor(max_workers=max(1, run.options.workers)) as pool:
+        futures: list[tuple[Path, Future[Result]]] = [(path, pool.submit(job)) for path, job in jobs]
+        try:
+            for path, future in futures:
+                try:
+                    results.append(future.result())
+                except MirrorError as error:
+                    run.fail(path, error)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return results

@@ -1,0 +1,245 @@
+"""One accepted pass written as a traversal: poses, pictures, calibrations, recorded boxes; its manifest last."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mirror.arrays import Int64
+from mirror.dataset.layout import Layout, read_manifest, seal
+from mirror.errors import RecordingError
+from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.pictures import Placed, Transfer, place_pictures
+from mirror.ingest.tables import assign_frames, pose_table
+from mirror.ingest.trigger import Pass
+from mirror.recordings.protocol import ImageStream
+from mirror.schema.documents import Pictures, Roi, is_identifier
+from mirror.schema.files import conform, encode_table, write_bytes
+from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, Table
+
+
+@dataclass(frozen=True)
+class WriteOptions:
+    """How traversals are written.
+
+    Attributes:
+        transfer: hard links where possible, or copies.
+        hashing: read and hash every picture.
+    """
+
+    transfer: Transfer = "link"
+    hashing: bool = True
+
+
+@dataclass(frozen=True)
+class Written:
+    """What writing a traversal came to.
+
+    Attributes:
+        traversal_id: the traversal.
+        images: pictures in it.
+        bytes: of the pictures.
+        linked: pictures that are hard links.
+        reused: it was complete already, and nothing was done.
+    """
+
+    traversal_id: str
+    images: int
+    bytes: int
+    linked: int
+    reused: bool
+
+
+def traversal_id(drive_id: str, one: Pass) -> str:
+    """``scene.drive.entry_ms``."""
+    return f"{one.scene_id}.{drive_id}.{one.entry_ns // 1_000_000}"
+
+
+def write_traversal(
+    layout: Layout,
+    drive: JudgedDrive,
+    number: int,
+    roi: Roi,
+    configuration: str,
+    options: WriteOptions,
+    advance: Callable[[int], None],
+) -> Written:
+    """Write one accepted pass, or find it complete.
+
+    Args:
+        layout: the dataset.
+        drive: judged.
+        number: of the pass in ``drive.passes``.
+        roi: its scene.
+        configuration: hash of the options that decide what is written.
+        options: how.
+        advance: called with the number of pictures done since the last call.
+
+    Raises:
+        RecordingError: something in the recording cannot be used; the folder is left without a manifest.
+        DatasetError: the folder cannot be written.
+    """
+    one = drive.passes[number]
+    name = traversal_id(drive.info.drive_id, one)
+    folder = layout.recorded(name)
+    derived_from = {
+        "source": drive.source.fingerprint,
+        "configuration": configuration,
+        "scene": hashlib.sha256(roi.model_dump_json().encode()).hexdigest(),
+    }
+    manifest = read_manifest(folder)
+    if manifest is not None and manifest.derived_from == derived_from:
+        pictures = manifest.pictures or Pictures(count=0, bytes=0)
+        advance(pictures.count)
+        return Written(name, pictures.count, pictures.bytes, 0, reused=True)
+    shutil.rmtree(layout.traversal(name), ignore_errors=True)
+
+    streams = selected_pictures(drive, one)
+    _write_boxes(layout, name, drive, one, derived_from)
+    placed: dict[str, Placed] = {}
+    for camera, (stream, indices, stamps) in streams.items():
+        placed[camera] = place_pictures(
+            stream,
+            indices,
+            stamps,
+            folder / camera,
+            transfer=options.transfer,
+            hashing=options.hashing,
+            advance=advance,
+        )
+    tables: list[tuple[Table, pa.Table]] = [
+        (EGO_POSES, pose_table(drive.slices[number], roi, drive)),
+        (IMAGES, _image_table(name, drive, streams, placed)),
+        (CALIBRATIONS, _calibration_table(drive)),
+    ]
+    files: dict[str, bytes] = {}
+    for table, rows in tables:
+        files[f"{table.name}.parquet"] = encode_table(rows, table)
+        write_bytes(folder / f"{table.name}.parquet", files[f"{table.name}.parquet"])
+    count = sum(len(one_camera.names) for one_camera in placed.values())
+    total = sum(sum(one_camera.sizes) for one_camera in placed.values())
+    seal(folder, files, derived_from=derived_from, pictures=Pictures(count=count, bytes=total))
+    return Written(name, count, total, sum(one_camera.linked for one_camera in placed.values()), reused=False)
+
+
+def selected_pictures(drive: JudgedDrive, one: Pass) -> dict[str, tuple[ImageStream, Int64, Int64]]:
+    """By camera, in order of name: its stream, the indices of the pictures exposed within the pass, and their stamps.
+
+    Raises:
+        RecordingError: stamps repeat or run backward, or a camera's stamps and the poses do not overlap at all.
+    """
+    chosen: dict[str, tuple[ImageStream, Int64, Int64]] = {}
+    for camera, stream in sorted(drive.content.images().items()):
+        if not is_identifier(camera):
+            raise RecordingError(
+                f"camera name {camera!r} cannot be a folder",
+                file=drive.path,
+                expected="letters, digits, _ and -",
+                remedy="rename the camera in the recording",
+            )
+        stamps = stream.exposure_start_ns + (stream.exposure_end_ns - stream.exposure_start_ns) // 2
+        wrong = np.flatnonzero(np.diff(stamps) <= 0)
+        if len(wrong):
+            row = int(wrong[0]) + 1
+            raise RecordingError(
+                f"image {row} at {stamps[row]} ns is not later than the one before it at {stamps[row - 1]} ns",
+                file=stream.path(row) or drive.path,
+                place=f"camera {camera}",
+                expected="strictly increasing exposure stamps",
+                remedy="correct the stamps, or take the repeated pictures out of the recording",
+            )
+        if len(stamps) and (stamps[-1] < drive.start_ns or stamps[0] > drive.end_ns):
+            raise RecordingError(
+                f"pictures run from {stamps[0]} to {stamps[-1]} ns, poses from {drive.start_ns} to {drive.end_ns} ns:"
+                " no pose covers any picture",
+                file=drive.path,
+                place=f"camera {camera}",
+                expected="one clock for pictures and poses",
+                remedy="correct the camera's stamps or its time offset in the calibration",
+            )
+        inside = np.flatnonzero((stamps >= one.entry_ns) & (stamps <= one.exit_ns))
+        if len(inside):
+            chosen[camera] = (stream, inside, stamps[inside])
+    return chosen
+
+
+def _image_table(
+    name: str,
+    drive: JudgedDrive,
+    streams: dict[str, tuple[ImageStream, Int64, Int64]],
+    placed: dict[str, Placed],
+) -> pa.Table:
+    rig = drive.recording.rig
+    frames = assign_frames(
+        {camera: stamps for camera, (_, _, stamps) in streams.items()}, rig.reference_camera if rig else ""
+    )
+    parts = []
+    for camera, (stream, indices, stamps) in streams.items():
+        here, count = placed[camera], len(stamps)
+        folder = f"traversals/{name}/recorded/{camera}/"
+        parts.append(
+            pa.table(
+                {
+                    "camera": pa.array([camera] * count, pa.string()),
+                    "timestamp_ns": stamps,
+                    "exposure_start_ns": stream.exposure_start_ns[indices],
+                    "exposure_end_ns": stream.exposure_end_ns[indices],
+                    "frame_index": pa.array(frames[camera], pa.int32()),
+                    "width_px": np.full(count, here.width_px, np.int32),
+                    "height_px": np.full(count, here.height_px, np.int32),
+                    "uri": [folder + file for file in here.names],
+                    "byte_offset": np.zeros(count, np.int64),
+                    "byte_length": np.array(here.sizes, np.int64),
+                    "codec": pa.array([here.codec] * count, pa.string()),
+                    "video_pts": pa.nulls(count, pa.int64()),
+                    "sha256": pa.array(here.sha256, pa.binary(32)),
+                    "privacy": pa.array(["raw"] * count, pa.string()),
+                }
+            )
+        )
+    if not parts:
+        return IMAGES.schema.empty_table()
+    return conform(pa.concat_tables(parts), IMAGES, file=IMAGES.place)
+
+
+def _calibration_table(drive: JudgedDrive) -> pa.Table:
+    rows = drive.content.calibrations()
+    if not rows.num_rows:
+        return CALIBRATIONS.schema.empty_table()
+    rows = conform(rows, CALIBRATIONS, file=drive.path)
+    plain = {name: rows.column(name).cast(pa.string()) for name in ("camera", "stage")}
+    keys = pa.table({**plain, "valid_from_ns": rows.column("valid_from_ns")})
+    order = pc.sort_indices(keys, [(key, "ascending") for key in CALIBRATIONS.sorted_by])
+    return rows.take(order).combine_chunks()
+
+
+def _write_boxes(layout: Layout, name: str, drive: JudgedDrive, one: Pass, derived_from: dict[str, str]) -> None:
+    """Boxes that came with the recording, as layers by their source and version."""
+    boxes = drive.content.boxes()
+    if boxes is None:
+        return
+    boxes = conform(boxes, BOXES, file=drive.path)
+    stamps = boxes.column("timestamp_ns")
+    boxes = boxes.filter(pc.and_(pc.greater_equal(stamps, one.entry_ns), pc.less_equal(stamps, one.exit_ns)))
+    origin = pa.table({key: boxes.column(key).cast(pa.string()) for key in ("source", "source_version")})
+    for source, version in sorted({tuple(row.values()) for row in origin.to_pylist()}):
+        if not (is_identifier(source) and is_identifier(version.replace(".", "_"))):
+            raise RecordingError(
+                f"box source {source}@{version} cannot be a folder",
+                file=drive.path,
+                expected="letters, digits, _, - and .",
+            )
+        mine = pc.and_(pc.equal(origin.column("source"), source), pc.equal(origin.column("source_version"), version))
+        rows = boxes.filter(mine)
+        keys = pa.table({key: rows.column(key) for key in BOXES.sorted_by})
+        order = pc.sort_indices(keys, [(key, "ascending") for key in BOXES.sorted_by])
+        data = encode_table(rows.take(order), BOXES)
+        folder = layout.layer(name, "boxes", source, version)
+        write_bytes(folder / "boxes.parquet", data)
+        seal(folder, {"boxes.parquet": data}, derived_from=derived_from)

@@ -115,14 +115,11 @@ def main(argv: Sequence[str]) -> int:
 
     rois = read_rois(arguments.rois) if arguments.rois else []
     rois += [parse_roi(text) for text in arguments.roi]
-    trigger: dict[str, object] = {name: value for name, value in vars(arguments.trigger).items() if value is not None}
-    if trigger.get("trim_standstill_s") == 0:
-        trigger["trim_standstill_s"] = None
     options = IngestOptions(
         reader=arguments.reader,
         reader_options=reader_options(arguments.reader_option, tz=arguments.tz, columns=arguments.columns),
-        trigger=trigger,
-        cleaning={name: value for name, value in vars(arguments.cleaning).items() if value is not None},
+        trigger=given(arguments.trigger),
+        cleaning=given(arguments.cleaning),
         write=WriteOptions(transfer="copy" if arguments.copy else "link", hashing=arguments.hash),
         workers=arguments.workers,
         dry_run=arguments.dry_run,
@@ -142,6 +139,14 @@ def main(argv: Sequence[str]) -> int:
     if not report.failures:
         return ExitCode.DONE
     return ExitCode.PARTLY_DONE if report.drives or report.unchanged else ExitCode.COULD_NOT_RUN
+
+
+def given(thresholds: Trigger | Cleaning) -> dict[str, object]:
+    """The thresholds that were given on the command line, by name."""
+    values: dict[str, object] = {name: value for name, value in vars(thresholds).items() if value is not None}
+    if values.get("trim_standstill_s") == 0:
+        values["trim_standstill_s"] = None
+    return values
 
 
 def reader_options(pairs: Sequence[str], **named: str | None) -> dict[str, str]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from mirror.errors import DatasetError
 from mirror.schema.documents import FileEntry, Manifest, Pictures
 from mirror.schema.files import read_json, write_json
 
@@ -84,6 +85,21 @@ def _folders(parent: Path) -> Iterator[Path]:
 
 def _complete(parent: Path) -> Iterator[Path]:
     yield from (folder for folder in _folders(parent) if (folder / MANIFEST).is_file())
+
+
+def require_dataset(layout: Layout) -> None:
+    """Refuse a folder that is no dataset.
+
+    Raises:
+        DatasetError: ``dataset.json`` is missing.
+    """
+    if not layout.document.is_file():
+        raise DatasetError(
+            "no dataset here",
+            file=layout.root,
+            expected="a folder with dataset.json",
+            remedy="check the path, or make one: mirror ingest RECORDING... --rois FILE --out DATASET",
+        )
 
 
 def seal(

@@ -1,0 +1,47 @@
+"""``mirror index DATASET``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import tyro
+
+from mirror.errors import ExitCode
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Derive the index tables anew from drives, traversals and layers: the same bytes whatever the order of ingest."""
+
+    dataset: tyro.conf.Positional[Path]
+    """The dataset's folder."""
+    force: bool = False
+    """Write every scene, also those that are up to date."""
+    wait: bool = False
+    """Wait for another run that is writing the dataset."""
+    json: bool = False
+    """Print the report as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror index")
+
+    from mirror.dataset.index import build_index
+    from mirror.dataset.layout import Layout, require_dataset
+    from mirror.dataset.lock import writer_lock
+
+    layout = Layout(arguments.dataset)
+    require_dataset(layout)
+    with writer_lock(layout, wait=arguments.wait):
+        report = build_index(arguments.dataset, force=arguments.force)
+    plain = asdict(report)
+    if arguments.json:
+        print(json.dumps(plain))
+    else:
+        print(", ".join(f"{name.replace('_', ' ')}: {value}" for name, value in plain.items()))
+        print(f"index: {layout.index}")
+    return ExitCode.DONE

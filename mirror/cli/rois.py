@@ -1,0 +1,118 @@
+"""``mirror rois propose RECORDING...``."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from mirror.cli.ingest import Cleaning, Trigger, given, reader_options
+from mirror.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mirror.ingest.propose import Proposal
+
+
+@dataclass(frozen=True)
+class Propose:
+    """Rank centres of regions of interest by how many separate traversals pass the trigger there, without overlap."""
+
+    recordings: tyro.conf.Positional[tuple[Path, ...]]
+    """One path a drive."""
+    out: Path | None = None
+    """Write the proposals here, as the GeoJSON that `mirror ingest --rois` takes."""
+    count: int = 10
+    """How many at most."""
+    radius_m: float = 200.0
+    """Radius of the regions."""
+    prefix: str = "roi"
+    """Ids are prefix_1, prefix_2 ..., best first."""
+    min_traversals: int = 2
+    """Leave out places with fewer accepted passes."""
+    reader: str | None = None
+    """Name of the reader; default: recognised from the files."""
+    tz: str | None = None
+    """Time zone of stamps that name none (csv reader)."""
+    columns: str | None = None
+    """Names of columns (csv reader)."""
+    reader_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Any other option of the reader as key=value; may be repeated."""
+    trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
+    cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Threads."""
+    json: bool = False
+    """Print the proposals as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    words = list(argv)
+    if words[:1] != ["propose"]:
+        if words and words[0] not in ("-h", "--help"):
+            raise UsageError(f"no such command: {words[0]!r}", expected="mirror rois propose RECORDING...")
+        print("usage: mirror rois propose RECORDING...   (`mirror rois propose --help` explains it)")
+        return ExitCode.DONE if words else ExitCode.COULD_NOT_RUN
+    arguments = tyro.cli(Propose, args=words[1:], prog="mirror rois propose")
+
+    from mirror.cli.progress import progress_bar
+    from mirror.ingest.propose import propose_rois
+    from mirror.ingest.rois import write_rois
+    from mirror.ingest.run import IngestOptions
+
+    options = IngestOptions(
+        reader=arguments.reader,
+        reader_options=reader_options(arguments.reader_option, tz=arguments.tz, columns=arguments.columns),
+        trigger=given(arguments.trigger),
+        cleaning=given(arguments.cleaning),
+        workers=arguments.workers,
+    )
+    with progress_bar(quiet=arguments.json) as bar:
+        proposals = propose_rois(
+            arguments.recordings,
+            count=arguments.count,
+            radius_m=arguments.radius_m,
+            prefix=arguments.prefix,
+            options=options,
+            progress=bar,
+        )
+    found = [one for one in proposals.ranked if one.traversals >= arguments.min_traversals]
+    if arguments.out is not None and found:
+        write_rois(arguments.out, [one.roi for one in found])
+    if arguments.json:
+        plain = [{**vars(one), "roi": one.roi.model_dump(exclude_none=True)} for one in found]
+        failures = [{"recording": str(path), **error.to_dict()} for path, error in proposals.failures]
+        print(json.dumps({"proposals": plain, "failures": failures}))
+    else:
+        _print(found, arguments)
+        for path, error in proposals.failures:
+            print(f"failed {path}: {error}")
+    if not proposals.failures:
+        return ExitCode.DONE
+    return ExitCode.PARTLY_DONE if len(proposals.failures) < len(arguments.recordings) else ExitCode.COULD_NOT_RUN
+
+
+def _print(found: Sequence[Proposal], arguments: Propose) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if not found:
+        console.print(f"no place has {arguments.min_traversals} traversals: lower --min-traversals or the thresholds")
+        return
+    table = Table(box=None, pad_edge=False)
+    for name in ("roi", "centre", "traversals", "drives", "refused", "minutes", "km"):
+        table.add_column(name, justify="left" if name in ("roi", "centre") else "right")
+    for one in found:
+        roi = one.roi
+        centre = f"{roi.longitude_deg:.6f}, {roi.latitude_deg:.6f}" if roi.frame is None else f"{roi.x_m}, {roi.y_m}"
+        figures = (one.traversals, one.drives, one.refused, f"{one.duration_s / 60:.1f}", f"{one.path_m / 1000:.2f}")
+        table.add_row(roi.scene_id, centre, *map(str, figures))
+    console.print(table)
+    if arguments.out is not None:
+        console.print(f"ROIs: {arguments.out}")

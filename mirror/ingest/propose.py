@@ -1,0 +1,234 @@
+"""Where to put regions of interest: the places that most separate traversals pass.
+
+The paper selects such points by hand. Here every place that was driven is a candidate: tracks are laid on a grid, the
+exact trigger judges a circle at each cell that at least two drives, or two visits of one, come near, and the best
+circles that do not overlap are kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mirror.arrays import Float64, Int64
+from mirror.errors import MirrorError, RecordingError
+from mirror.ingest.clean import CleanTrack, clean
+from mirror.ingest.metric import scales
+from mirror.ingest.run import IngestOptions, Progress, Silent
+from mirror.ingest.trigger import Trigger
+from mirror.recordings.registry import open_recording
+from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
+
+_STEP_M = 20.0
+_CELLS_A_RADIUS = 4
+_FINALISTS = 2000
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One proposed ROI.
+
+    Attributes:
+        roi: the circle.
+        traversals: accepted passes.
+        drives: drives with an accepted pass.
+        refused: passes that the rules refuse.
+        duration_s: sum over the accepted passes.
+        path_m: sum over the accepted passes.
+    """
+
+    roi: Roi
+    traversals: int
+    drives: int
+    refused: int
+    duration_s: float
+    path_m: float
+
+
+@dataclass(frozen=True)
+class _Driven:
+    drive_id: str
+    track: CleanTrack
+    frame: str | None
+    is_clip: bool
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """What `propose_rois` found: the proposals, best first, and the recordings that could not be read."""
+
+    ranked: tuple[Proposal, ...]
+    failures: tuple[tuple[Path, MirrorError], ...]
+
+
+def propose_rois(
+    recordings: Sequence[Path],
+    *,
+    count: int = 10,
+    radius_m: float = 200.0,
+    prefix: str = "roi",
+    options: IngestOptions | None = None,
+    progress: Progress | None = None,
+) -> Proposals:
+    """Rank ROI centres by how many separate traversals pass the trigger there.
+
+    Args:
+        recordings: one path a drive; poses are read, pictures are not.
+        count: how many ROIs at most.
+        radius_m: their radius.
+        prefix: of their ids: ``prefix_1`` is the best.
+        options: reader, thresholds and workers as for ingest.
+        progress: told of every recording.
+
+    Returns:
+        ROIs whose circles do not overlap, by accepted passes, then drives, then driven length.
+    """
+    options, progress = options or IngestOptions(), progress or Silent()
+    trigger_options = TriggerOptions.model_validate(dict(options.trigger))
+    cleaning = CleaningOptions.model_validate(dict(options.cleaning))
+    driven: list[_Driven] = []
+    failures: list[tuple[Path, MirrorError]] = []
+    progress.start("reading poses", len(recordings))
+
+    def read(path: Path) -> _Driven | tuple[Path, MirrorError]:
+        try:
+            recording = open_recording(path, reader=options.reader, options=options.reader_options)
+            info = recording.info
+            track, _ = clean(recording.track(), cleaning, min_step_m=trigger_options.min_step_m)
+        except RecordingError as error:
+            return path, error
+        finally:
+            progress.advance(1)
+        return _Driven(info.drive_id, track, info.frame, info.is_clip)
+
+    with ThreadPoolExecutor(max_workers=max(1, options.workers)) as pool:
+        for result in pool.map(read, recordings):
+            if isinstance(result, _Driven):
+                driven.append(result)
+            elif options.fail_fast:
+                raise result[1]
+            else:
+                failures.append(result)
+    ranked: list[Proposal] = []
+    for frame in sorted({one.frame for one in driven}, key=str):
+        tracks = [one for one in driven if one.frame == frame]
+        centres = _candidates(tracks, radius_m)
+        rois = [_roi(frame, place, radius_m, f"candidate_{number}") for number, place in enumerate(centres)]
+        ranked += _judge(tracks, rois, Trigger(rois, trigger_options, cleaning))
+    ranked.sort(key=lambda one: (-one.traversals, -one.drives, -one.path_m, one.roi.scene_id))
+    chosen: list[Proposal] = []
+    for one in ranked:
+        if len(chosen) == count:
+            break
+        if one.traversals and all(_apart(one.roi, other.roi) for other in chosen):
+            named = one.roi.model_copy(update={"scene_id": f"{prefix}_{len(chosen) + 1}"})
+            chosen.append(Proposal(named, one.traversals, one.drives, one.refused, one.duration_s, one.path_m))
+    return Proposals(tuple(chosen), tuple(failures))
+
+
+def _candidates(tracks: Sequence[_Driven], radius_m: float) -> Float64:
+    """Centres worth judging, (N, 2): mean driven places of grid cells, those near most visits first.
+
+    A cell is a fraction of the radius wide; a visit is counted to every cell within the radius.
+    """
+    geodetic = tracks[0].track.geodetic
+    kept = [one.track.kept() for one in tracks]
+    places = [np.column_stack([one.track.first[rows], one.track.second[rows]]) for one, rows in zip(tracks, kept)]
+    middle = np.median(np.concatenate([place[:: max(1, len(place) // 1000)] for place in places]), axis=0)
+    scale = np.array(scales(float(middle[1]), geodetic))
+    size = radius_m / _CELLS_A_RADIUS
+    reach = [
+        (dx, dy)
+        for dx in range(-_CELLS_A_RADIUS, _CELLS_A_RADIUS + 1)
+        for dy in range(-_CELLS_A_RADIUS, _CELLS_A_RADIUS + 1)
+        if math.hypot(dx, dy) <= _CELLS_A_RADIUS
+    ]
+    sums: dict[tuple[int, int], Float64] = defaultdict(lambda: np.zeros(3))
+    near: Counter[tuple[int, int]] = Counter()
+    for place, one, rows in zip(places, tracks, kept):
+        cells, entered_ns = _cells_in_order(place, middle, scale, size, one.track.timestamp_ns[rows])
+        seen_ns: dict[tuple[int, int], int] = {}
+        for cell, mean, stamp in zip(
+            map(tuple, cells.tolist()), _means(place, middle, scale, size), entered_ns.tolist()
+        ):
+            sums[cell] += (*mean, 1.0)
+            for dx, dy in reach:
+                around = (cell[0] + dx, cell[1] + dy)
+                # Back within the radius after a minute away: another visit.
+                if around not in seen_ns or stamp - seen_ns[around] > 60_000_000_000:
+                    near[around] += 1
+                seen_ns[around] = stamp
+    best = sorted(sums, key=lambda cell: (-near[cell], cell))[:_FINALISTS]
+    return np.array([sums[cell][:2] / sums[cell][2] / scale + middle for cell in best]).reshape(-1, 2)
+
+
+def _cells_in_order(place: Float64, middle: Float64, scale: Float64, size: float, stamps: Int64) -> tuple[Int64, Int64]:
+    """The grid cells that a track enters, one after the other, and when."""
+    cells = np.floor((place - middle) * scale / size).astype(np.int64)
+    entered = np.concatenate([[True], (np.diff(cells, axis=0) != 0).any(axis=1)])
+    return cells[entered], stamps[entered]
+
+
+def _means(place: Float64, middle: Float64, scale: Float64, size: float) -> Float64:
+    """The mean place, in metres from the middle, of each stay in a cell; the order is that of `_cells_in_order`."""
+    metres = (place - middle) * scale
+    cells = np.floor(metres / size).astype(np.int64)
+    entered = np.flatnonzero(np.concatenate([[True], (np.diff(cells, axis=0) != 0).any(axis=1)]))
+    lengths = np.diff(np.append(entered, len(place)))
+    return np.add.reduceat(metres, entered, axis=0) / lengths[:, None]
+
+
+def _roi(frame: str | None, place: Float64, radius_m: float, name: str) -> Roi:
+    first, second = (round(float(value), 7 if frame is None else 3) for value in place)
+    if frame is None:
+        return Roi(scene_id=name, longitude_deg=first, latitude_deg=second, radius_m=radius_m)
+    return Roi(scene_id=name, frame=frame, x_m=first, y_m=second, radius_m=radius_m)
+
+
+def _judge(tracks: Sequence[_Driven], rois: Sequence[Roi], trigger: Trigger) -> list[Proposal]:
+    accepted: Counter[str] = Counter()
+    refused: Counter[str] = Counter()
+    drives: dict[str, set[str]] = defaultdict(set)
+    duration: Counter[str] = Counter()
+    path: Counter[str] = Counter()
+    for one in tracks:
+        for judged in trigger.passes(one.track, frame=one.frame, is_clip=one.is_clip):
+            scene = judged.scene_id
+            if not judged.accepted:
+                refused[scene] += 1
+                continue
+            accepted[scene] += 1
+            drives[scene].add(one.drive_id)
+            duration[scene] += judged.duration_s  # type: ignore[assignment]
+            path[scene] += judged.path_m  # type: ignore[assignment]
+    return [
+        Proposal(
+            roi,
+            accepted[roi.scene_id],
+            len(drives[roi.scene_id]),
+            refused[roi.scene_id],
+            duration[roi.scene_id],
+            path[roi.scene_id],
+        )
+        for roi in rois
+    ]
+
+
+def _apart(one: Roi, other: Roi) -> bool:
+    """Whether two circles do not overlap; circles of different frames never do."""
+    from mirror.geometry.geodesy import surface_distance_m
+
+    if one.frame != other.frame:
+        return True
+    if one.x_m is not None and one.y_m is not None and other.x_m is not None and other.y_m is not None:
+        distance = math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
+    else:
+        places = [one.longitude_deg, one.latitude_deg, other.longitude_deg, other.latitude_deg]
+        distance = float(surface_distance_m(*[float(value or 0.0) for value in places]))
+    return distance >= one.radius_m + other.radius_m

@@ -5,6 +5,7 @@ Geodesy needs pyproj and shapely: it is imported from `mirror.geometry.geodesy` 
 
 from __future__ import annotations
 
+from mirror.geometry.cameras import COEFFICIENTS, Camera, Projection, Rays, camera_from_row
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import (
@@ -23,8 +24,13 @@ from mirror.geometry.quaternions import (
 )
 
 __all__ = [
+    "COEFFICIENTS",
+    "Camera",
     "Poses",
+    "Projection",
+    "Rays",
     "angle_between_deg",
+    "camera_from_row",
     "heading_deg",
     "interpolate",
     "matrix_from_quaternion",

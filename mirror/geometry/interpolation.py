@@ -62,7 +62,7 @@ def interpolate(
     fill(kernel, rotation, translation, query[:, None])
     # The only stamp that ends an interval and starts none: first + (last - first) may differ from last by rounding.
     translation[query == stamps[-1]] = poses.translation[-1]
-    return Poses._trusted(canonical(rotation), translation)
+    return Poses.unchecked(canonical(rotation), translation)
 
 
 def _stamps(values: npt.ArrayLike, name: str) -> Int64:

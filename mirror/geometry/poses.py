@@ -64,8 +64,8 @@ class Poses:
         object.__setattr__(self, "translation", translation)
 
     @classmethod
-    def _trusted(cls, rotation: Float64, translation: Float64) -> Poses:
-        # Our own results need no second check, which would double the time of a single pose.
+    def unchecked(cls, rotation: Float64, translation: Float64) -> Poses:
+        """Poses of arrays that are known to be valid: a second check would double the time of a single pose."""
         poses = object.__new__(cls)
         object.__setattr__(poses, "rotation", rotation)
         object.__setattr__(poses, "translation", translation)
@@ -74,7 +74,7 @@ class Poses:
     @classmethod
     def identity(cls, count: int = 1) -> Poses:
         """``count`` motions that move nothing."""
-        return cls._trusted(np.tile((1.0, 0.0, 0.0, 0.0), (count, 1)), np.zeros((count, 3)))
+        return cls.unchecked(np.tile((1.0, 0.0, 0.0, 0.0), (count, 1)), np.zeros((count, 3)))
 
     @classmethod
     def from_matrix(cls, matrix: npt.ArrayLike) -> Poses:
@@ -141,7 +141,7 @@ class Poses:
                 f"twist {given[row].tolist()} is not finite", place=f"row {row}", expected="six finite numbers"
             )
         motion = broadcast(exp_kernel, 7, given)
-        return cls._trusted(canonical(motion[:, :4]), motion[:, 4:])
+        return cls.unchecked(canonical(motion[:, :4]), motion[:, 4:])
 
     def log(self) -> Float64:
         """The twists (N, 6) whose `exp` these motions are: rotation of at most pi first, then translation."""
@@ -151,7 +151,7 @@ class Poses:
         return len(self.rotation)
 
     def __getitem__(self, index: int | slice | Int64 | Bool) -> Poses:
-        return self._trusted(np.atleast_2d(self.rotation[index]), np.atleast_2d(self.translation[index]))
+        return self.unchecked(np.atleast_2d(self.rotation[index]), np.atleast_2d(self.translation[index]))
 
     def compose(self, other: Poses) -> Poses:
         """``a_SE3_b.compose(b_SE3_c)`` is ``a_SE3_c``; also written ``a_SE3_b @ b_SE3_c``.
@@ -164,14 +164,14 @@ class Poses:
         """
         self._require_matching(len(other), "poses")
         rotation = multiply_unit(self.rotation, other.rotation)
-        return self._trusted(rotation, rotate_unit(self.rotation, other.translation) + self.translation)
+        return self.unchecked(rotation, rotate_unit(self.rotation, other.translation) + self.translation)
 
     __matmul__ = compose
 
     def inverse(self) -> Poses:
         """``a_SE3_b.inverse()`` is ``b_SE3_a``."""
         rotation = invert_unit(self.rotation)
-        return self._trusted(rotation, -rotate_unit(rotation, self.translation))
+        return self.unchecked(rotation, -rotate_unit(rotation, self.translation))
 
     def transform(self, points: npt.ArrayLike) -> Float64:
         """Map points from src to dst.

@@ -27,7 +27,7 @@ import pyarrow as pa
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_exp, quaternion_inverse, quaternion_multiply
-from mirror.recordings.calibration import Calibration, calibration_table
+from mirror.recordings.calibration import Calibration, Stage, calibration_table
 from mirror.recordings.paths import list_folder
 from mirror.recordings.placing import FLU_FROM_CAMERA, track_from_utm
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
@@ -142,7 +142,7 @@ class BoreasRecording:
 
     def calibrations(self) -> pa.Table:
         """The rectified camera of ``calib/P_camera.txt``; the ego frame is the camera turned, so it does not move."""
-        found = []
+        found: list[tuple[Stage, Calibration]] = []
         if self.rig is not None and self._projection.is_file():
             try:
                 projection = np.loadtxt(self._projection)

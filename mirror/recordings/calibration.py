@@ -10,6 +10,7 @@ import pyarrow as pa
 from pydantic import Field, model_validator
 
 from mirror.geometry.quaternions import quaternion_normalise
+from mirror.recordings.placing import UNIT_TOLERANCE
 from mirror.schema.documents import Document
 from mirror.schema.tables import CALIBRATIONS
 
@@ -20,7 +21,6 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 SE3 = Annotated[tuple[Finite, ...], Field(min_length=7, max_length=7)]
 
 _COEFFICIENTS = {"pinhole": 0, "brown_conrady": 5, "rational": 8, "kannala_brandt": 4}
-_UNIT_TOLERANCE = 1e-2
 
 
 class Calibration(Document):
@@ -70,7 +70,7 @@ class Calibration(Document):
         if wanted is not None and len(self.distortion) != wanted:
             raise ValueError(f"{self.model} takes {wanted} distortion coefficients, not {len(self.distortion)}")
         length = float(np.linalg.norm(self.ego_SE3_camera[:4]))
-        if abs(length - 1.0) > _UNIT_TOLERANCE:
+        if abs(length - 1.0) > UNIT_TOLERANCE:
             raise ValueError(f"the quaternion of ego_SE3_camera has length {length:.4g}, not 1")
         return self
 

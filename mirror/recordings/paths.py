@@ -55,7 +55,8 @@ def list_folder(root: Path, folder: Path) -> dict[str, Path]:
     Raises:
         RecordingError: the folder or an entry is a link that leads out of the recording.
     """
-    inside(root, folder.relative_to(root).as_posix() or ".", file=folder, place="folder")
+    if folder != root:
+        inside(root, folder.relative_to(root).as_posix(), file=folder, place="folder")
     found = {}
     with os.scandir(folder) as entries:
         for entry in entries:

@@ -31,7 +31,8 @@ from mirror.recordings.tabular import Rows
 FLU_FROM_FRD = np.array([0.0, 1.0, 0.0, 0.0])
 FLU_FROM_CAMERA = np.array([0.5, -0.5, 0.5, -0.5])
 
-_UNIT_TOLERANCE = 1e-2
+# Files round quaternions; anything further off unit length is something else.
+UNIT_TOLERANCE = 1e-2
 
 
 def checked_quaternions(quaternion: Float64, rows: Rows, column: str) -> Float64:
@@ -46,7 +47,7 @@ def checked_quaternions(quaternion: Float64, rows: Rows, column: str) -> Float64
         RecordingError: one is NaN, zero, or off unit length by over 1 %; its row is named.
     """
     length = np.linalg.norm(quaternion, axis=1)
-    bad = ~(np.abs(length - 1.0) <= _UNIT_TOLERANCE)
+    bad = ~(np.abs(length - 1.0) <= UNIT_TOLERANCE)
     rows.refuse(
         bad,
         column,

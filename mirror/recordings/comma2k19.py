@@ -1,0 +1,228 @@
+"""comma2k19 (comma.ai): commuter drives in one-minute segments, one road camera, GNSS poses in ECEF.
+
+A route folder ``<dongle>|<start>`` holds segments ``0, 1, 2 ...``, which are one drive. Facts of the format, checked on
+the segment of the tests:
+
+- ``frame_gps_times`` are GPS week and seconds of the week of every frame. ``frame_times``, the same instants on the
+  boot clock, differ from them by a constant and are not needed; the receivers' own UTC is 18 s behind, as it must be.
+- ``frame_orientations`` are ``ecef_SE3_device``, scalar first, for axes forward, right, down: so read, and not in the
+  direction that the dataset's guide says, the velocity lies along +x.
+- Positions are the camera's; how it is mounted in the car is not recorded.
+- ``video.hevc`` is a raw stream: frame n is row n of the tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import AnyArray, Float64, Int64
+from mirror.errors import RecordingError
+from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, quaternion_normalise
+from mirror.recordings.calibration import Calibration, Stage, calibration_table
+from mirror.recordings.paths import identifier, natural_key
+from mirror.recordings.placing import FLU_FROM_CAMERA, FLU_FROM_FRD, UNIT_TOLERANCE, track_from_ecef
+from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
+from mirror.recordings.registry import refuse_options
+from mirror.recordings.tabular import unreadable
+from mirror.recordings.time import unix_from_gps_week
+from mirror.recordings.video import VideoStream
+
+# The dataset's two cars, by the id of the device in them.
+_VEHICLES: Final = {"b0c9d2329ad1606b": "Toyota RAV4", "99c94dc769b5d96e": "Honda Civic"}
+_CAMERA: Final = "front"
+_FOCAL_PX: Final = 910.0
+_RASTER_PX: Final = (1164, 874)
+_ARRAYS: Final = ("frame_gps_times", "frame_positions", "frame_orientations")
+
+
+class Comma2k19Reader:
+    """A route of comma2k19, or one of its segments."""
+
+    name = "comma2k19"
+    expects = "a route folder of numbered segments with global_pose/frame_positions, or one such segment"
+
+    def recognises(self, path: Path) -> bool:
+        """By the pose arrays of a segment."""
+        return path.is_dir() and bool(_segments(path))
+
+    def open(self, path: Path, options: Mapping[str, str]) -> Comma2k19Recording:
+        """Open a route or a segment; there are no options."""
+        refuse_options(options, (), path)
+        segments = _segments(path) if path.is_dir() else []
+        if not segments:
+            raise RecordingError("no segment", file=path, expected=self.expects)
+        return Comma2k19Recording(path, tuple(segments))
+
+
+def _segments(path: Path) -> list[Path]:
+    if _is_segment(path):
+        return [path]
+    found = [child for child in path.iterdir() if child.name.isdecimal() and _is_segment(child)]
+    return sorted(found, key=lambda child: natural_key(child.name))
+
+
+def _is_segment(path: Path) -> bool:
+    return (path / "global_pose" / "frame_positions").is_file()
+
+
+@dataclass(frozen=True)
+class Comma2k19Recording:
+    """Consecutive segments as one drive."""
+
+    path: Path
+    segments: tuple[Path, ...]
+
+    @cached_property
+    def info(self) -> DriveInfo:
+        """The route's name makes the id; a segment opened by itself adds its number."""
+        here = self.path.resolve()
+        alone = self.segments[0] == self.path
+        route = here.parent.name if alone else here.name
+        dongle = route.replace("_", "|").partition("|")[0]
+        return DriveInfo(
+            drive_id=identifier(f"{route}_{here.name}" if alone else route),
+            vehicle_id=identifier(dongle),
+            vehicle_type=_VEHICLES.get(dongle, "unknown"),
+            time_base="GPS week and seconds",
+            body_frame="camera",
+            licence="MIT",
+        )
+
+    @property
+    def rig(self) -> RigInfo | None:
+        """The road camera, or None where no segment came with its video."""
+        if not self._videos:
+            return None
+        return RigInfo("comma_eon", (CameraInfo(_CAMERA, "road camera"),), _CAMERA)
+
+    @cached_property
+    def _videos(self) -> dict[int, Path]:
+        found = {index: segment / "video.hevc" for index, segment in enumerate(self.segments)}
+        return {index: file for index, file in found.items() if file.is_file()}
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """The pose arrays and videos; the car's bus and the raw GNSS are not read."""
+        found = [segment / "global_pose" / name for segment in self.segments for name in _ARRAYS]
+        found += self._videos.values()
+        return sorted((file.relative_to(self.path).as_posix(), file) for file in found)
+
+    @cached_property
+    def _arrays(self) -> list[dict[str, Float64]]:
+        return [_load(segment) for segment in self.segments]
+
+    @cached_property
+    def _stamps(self) -> list[Int64]:
+        return [unix_from_gps_week(a["frame_gps_times"][:, 0], a["frame_gps_times"][:, 1]) for a in self._arrays]
+
+    def track(self) -> Track:
+        """The camera's poses of all segments, turned to x forward, y left, z up."""
+        position, orientation = (np.concatenate([arrays[name] for arrays in self._arrays]) for name in _ARRAYS[1:])
+        rotation = quaternion_multiply(quaternion_normalise(orientation), quaternion_inverse(FLU_FROM_FRD))
+        return track_from_ecef(
+            np.concatenate(self._stamps), position, rotation, file=self.segments[0] / "global_pose" / _ARRAYS[1]
+        )
+
+    def calibrations(self) -> pa.Table:
+        """The device's nominal camera; the ego frame is the camera turned, so it does not move."""
+        found: list[tuple[Stage, Calibration]] = []
+        if self.rig is not None:
+            width, height = _RASTER_PX
+            calibration = Calibration(
+                camera=_CAMERA,
+                model="pinhole",
+                width_px=width,
+                height_px=height,
+                fx_px=_FOCAL_PX,
+                fy_px=_FOCAL_PX,
+                cx_px=width / 2,
+                cy_px=height / 2,
+                ego_SE3_camera=(*FLU_FROM_CAMERA.tolist(), 0.0, 0.0, 0.0),
+                method="nominal focal length of the device",
+            )
+            found.append(("factory", calibration))
+        return calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+
+    def images(self) -> Mapping[str, ImageStream]:
+        """The videos of all segments as one stream; a frame's stamp is taken as the middle of its exposure."""
+        if not self._videos:
+            return {}
+        parts = []
+        for index, file in self._videos.items():
+            stamps = self._stamps[index]
+            parts.append(VideoStream(_CAMERA, stamps, stamps, file, np.arange(len(stamps))))
+        return {_CAMERA: _Segments(tuple(parts))}
+
+    def boxes(self) -> None:
+        """None: the dataset comes without boxes."""
+        return
+
+
+@dataclass(frozen=True)
+class _Segments:
+    """The videos of consecutive segments as one stream."""
+
+    parts: tuple[VideoStream, ...]
+    camera: str = _CAMERA
+    codec: str = "video"
+
+    @property
+    def exposure_start_ns(self) -> Int64:
+        return np.concatenate([part.exposure_start_ns for part in self.parts])
+
+    @property
+    def exposure_end_ns(self) -> Int64:
+        return np.concatenate([part.exposure_end_ns for part in self.parts])
+
+    def path(self, index: int) -> None:
+        return
+
+    def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
+        start = 0
+        for part in self.parts:
+            end = start + len(part.pts)
+            within = [index - start for index in indices if start <= index < end]
+            for index, data in part.read(within):
+                yield index + start, data
+            start = end
+
+
+def _load(segment: Path) -> dict[str, Float64]:
+    arrays = {}
+    for name, columns in zip(_ARRAYS, (2, 3, 4)):
+        file = segment / "global_pose" / name
+        try:
+            array: AnyArray = np.load(file, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise unreadable(file, error) from error
+        if array.ndim != 2 or array.shape[1] != columns or not len(array):
+            raise RecordingError(f"an array of shape {array.shape}", file=file, expected=f"(N, {columns}), N > 0")
+        arrays[name] = np.asarray(array, np.float64)
+    lengths = {name: len(array) for name, array in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        raise RecordingError(f"arrays of different lengths {lengths}", file=segment, expected="one row a frame in each")
+    stamps, _, orientation = arrays.values()
+    _refuse(~np.isfinite(stamps).all(axis=1), segment, _ARRAYS[0], "a GPS week and seconds", stamps)
+    length: Float64 = np.linalg.norm(orientation, axis=1)
+    _refuse(
+        ~(np.abs(length - 1.0) <= UNIT_TOLERANCE), segment, _ARRAYS[2], "a unit quaternion, scalar first", orientation
+    )
+    return arrays
+
+
+def _refuse(bad: AnyArray, segment: Path, name: str, expected: str, values: Float64) -> None:
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise RecordingError(
+            f"{values[row].tolist()} is not usable",
+            file=segment / "global_pose" / name,
+            place=f"row {row}",
+            expected=expected,
+            remedy="leave the segment out: move its folder elsewhere",
+        )

@@ -1,0 +1,337 @@
+"""DGP (Toyota Research Institute's Dataset Governance Policy): short scenes of many cameras with poses and 3D boxes.
+
+A scene folder holds ``scene_*.json``, which names all other files. Facts of the format, checked on the tests' scene:
+
+- Extrinsics are ``vehicle_SE3_sensor``; the vehicle frame is x forward, y left, z up, its origin on the ground. Every
+  image and point cloud has its own ``world_SE3_sensor``, so the vehicle's pose is that times the inverse extrinsic.
+- Stamps are ISO 8601 in UTC. Some releases wrote them ten times too large (a drive of 2019 in the year 2464): a stamp
+  beyond 2200 is divided by ten.
+- The world is metric and belongs to the scene; it has no geodetic reference.
+- The point cloud's boxes are the complete set (x along the length, y the width, z the height); those of the images are
+  the same boxes seen from each camera.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import Int64
+from mirror.errors import RecordingError, UsageError
+from mirror.geometry.poses import Poses
+from mirror.recordings.calibration import Calibration, Stage, calibration_table
+from mirror.recordings.paths import identifier, inside
+from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
+from mirror.recordings.registry import refuse_options
+from mirror.recordings.tabular import unreadable
+from mirror.schema.tables import BOXES
+
+_BOXES_3D: Final = "1"
+_CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_LAST_YEAR: Final = 2200
+_BROWN: Final = ("k1", "k2", "p1", "p2", "k3")
+_RATIONAL: Final = (*_BROWN, "k4", "k5", "k6")
+_FISHEYE: Final = ("k1", "k2", "k3", "k4")
+_PLAIN: Final = {"fx", "fy", "cx", "cy", "fov", "fisheye"}
+
+
+class DgpReader:
+    """One DGP scene."""
+
+    name = "dgp"
+    expects = "a folder with one scene_*.json"
+
+    def recognises(self, path: Path) -> bool:
+        """By the scene file."""
+        return path.is_dir() and len(list(path.glob("scene_*.json"))) == 1
+
+    def open(self, path: Path, options: Mapping[str, str]) -> DgpRecording:
+        """Open a scene; there are no options."""
+        refuse_options(options, (), path)
+        found = sorted(path.glob("scene_*.json")) if path.is_dir() else []
+        if len(found) != 1:
+            raise RecordingError(f"{len(found)} scene files", file=path, expected=self.expects)
+        return DgpRecording(path, found[0])
+
+
+@dataclass(frozen=True)
+class _Datum:
+    """One picture or point cloud."""
+
+    sensor: str
+    kind: str
+    timestamp_ns: int
+    pose: Poses
+    calibration: str
+    content: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class DgpRecording:
+    """A scene: cameras, poses, boxes."""
+
+    path: Path
+    scene_file: Path
+
+    @cached_property
+    def _scene(self) -> dict[str, Any]:
+        return _read_json(self.scene_file)
+
+    @cached_property
+    def _data(self) -> list[_Datum]:
+        try:
+            calibration = {
+                key: sample["calibration_key"] for sample in self._scene["samples"] for key in sample["datum_keys"]
+            }
+            data = [_datum(entry, calibration) for entry in self._scene["data"]]
+        except (KeyError, TypeError, ValueError, UsageError) as error:
+            raise RecordingError(
+                f"not a DGP scene ({type(error).__name__}: {error})", file=self.scene_file, expected="samples and data"
+            ) from error
+        if not any(datum.kind == "image" for datum in data):
+            raise RecordingError("no pictures", file=self.scene_file, expected="at least one image among the data")
+        return sorted(data, key=lambda datum: (datum.timestamp_ns, datum.sensor))
+
+    @cached_property
+    def _cameras(self) -> list[str]:
+        return sorted({datum.sensor for datum in self._data if datum.kind == "image"})
+
+    @cached_property
+    def _extrinsics(self) -> dict[tuple[str, str], Poses]:
+        return {
+            (key, name): _pose(entry["extrinsics"][index])
+            for key, entry in self._calibration_files.items()
+            for index, name in enumerate(entry["names"])
+        }
+
+    @cached_property
+    def _calibration_files(self) -> dict[str, dict[str, Any]]:
+        keys = sorted({datum.calibration for datum in self._data})
+        files = {}
+        for key in keys:
+            file = inside(self.path, f"calibration/{key}.json", file=self.scene_file, place="calibration_key")
+            files[key] = _read_json(file)
+            lengths = {len(files[key].get(name, ())) for name in ("names", "extrinsics", "intrinsics")}
+            if len(lengths) != 1 or lengths == {0}:
+                raise RecordingError(
+                    "not a DGP calibration", file=file, expected="names, extrinsics and intrinsics of one length"
+                )
+        return files
+
+    @cached_property
+    def info(self) -> DriveInfo:
+        """The folder's name and the scene's hash make the id, which also names the scene's local frame."""
+        drive_id = identifier(f"{self.path.resolve().name}_{self.scene_file.stem.removeprefix('scene_')[:8]}")
+        return DriveInfo(
+            drive_id=drive_id,
+            vehicle_id=identifier(f"dgp_{self._scene.get('log') or drive_id}"),
+            vehicle_type="unknown",
+            time_base="UTC (ISO 8601)",
+            frame=drive_id,
+            body_frame="vehicle",
+            is_clip=True,
+        )
+
+    @property
+    def rig(self) -> RigInfo:
+        """The cameras under their own names; the first is the reference."""
+        cameras = tuple(CameraInfo(name, name) for name in self._cameras)
+        return RigInfo(f"dgp_{self._data[0].calibration[:8]}", cameras, self._cameras[0])
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """What the scene names, but for the point clouds."""
+        names = [self.scene_file.name, *(f"calibration/{key}.json" for key in self._calibration_files)]
+        names += [f"ontology/{key}.json" for key in self._ontology_keys]
+        names += [datum.content["filename"] for datum in self._data if datum.kind == "image"]
+        names += [name for _, name in self._box_files]
+        return [(name, self._inside(name)) for name in sorted(set(names))]
+
+    def _inside(self, name: str) -> Path:
+        return inside(self.path, name, file=self.scene_file, place=name)
+
+    def _vehicle_pose(self, datum: _Datum) -> Poses:
+        extrinsic = self._extrinsics.get((datum.calibration, datum.sensor))
+        if extrinsic is None:
+            raise RecordingError(
+                f"no extrinsics of {datum.sensor}",
+                file=self.path / "calibration" / f"{datum.calibration}.json",
+                expected="every sensor of the scene",
+            )
+        return datum.pose @ extrinsic.inverse()
+
+    def track(self) -> Track:
+        """The vehicle's poses at the stamps of the point clouds and of the reference camera.
+
+        The other cameras' poses at one stamp differ from the reference camera's by up to 10 mm: their exposures are a
+        millisecond apart, which the stamps do not say.
+        """
+        used = [datum for datum in self._data if datum.kind != "image" or datum.sensor == self._cameras[0]]
+        poses = [self._vehicle_pose(datum) for datum in used]
+        position = np.concatenate([pose.translation for pose in poses])
+        return Track(
+            np.array([datum.timestamp_ns for datum in used], np.int64),
+            x_m=position[:, 0],
+            y_m=position[:, 1],
+            height_m=position[:, 2],
+            rotation=np.concatenate([pose.rotation for pose in poses]),
+            file=self.scene_file,
+        )
+
+    def calibrations(self) -> pa.Table:
+        """One factory row a camera, of each calibration that the scene uses."""
+        found: list[tuple[Stage, Calibration]] = []
+        for name in self._cameras:
+            data = [datum for datum in self._data if datum.sensor == name]
+            for key in sorted({datum.calibration for datum in data}):
+                stamps = [datum.timestamp_ns for datum in data if datum.calibration == key]
+                span = (stamps[0], stamps[-1]) if len(self._calibration_files) > 1 else (None, None)
+                found.append(("factory", self._calibration(name, key, data[0].content, span)))
+        return calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+
+    def _calibration(
+        self, camera: str, key: str, content: Mapping[str, Any], span: tuple[int | None, int | None]
+    ) -> Calibration:
+        entry = self._calibration_files[key]
+        file = self.path / "calibration" / f"{key}.json"
+        intrinsics = entry["intrinsics"][entry["names"].index(camera)]
+        model, distortion = _camera_model(intrinsics, file, camera)
+        mounting = self._extrinsics[key, camera]
+        return Calibration(
+            camera=camera,
+            model=model,
+            width_px=content["width"],
+            height_px=content["height"],
+            fx_px=intrinsics["fx"],
+            fy_px=intrinsics["fy"],
+            # DGP follows OpenCV, whose first pixel has its centre at 0.
+            cx_px=intrinsics["cx"] + 0.5,
+            cy_px=intrinsics["cy"] + 0.5,
+            distortion=distortion,
+            ego_SE3_camera=(*mounting.rotation[0].tolist(), *mounting.translation[0].tolist()),
+            valid_from_ns=span[0],
+            valid_to_ns=span[1],
+            method=f"DGP calibration {key}",
+        )
+
+    def images(self) -> Mapping[str, ImageStream]:
+        """The pictures of each camera; the stamp is taken as the middle of an exposure of unknown length."""
+        streams = {}
+        for name in self._cameras:
+            data = [datum for datum in self._data if datum.sensor == name]
+            paths = tuple(self._inside(datum.content["filename"]) for datum in data)
+            stamps: Int64 = np.array([datum.timestamp_ns for datum in data], np.int64)
+            codec = _CODECS.get(paths[0].suffix.lower())
+            if codec is None:
+                raise RecordingError("unknown kind of picture", file=paths[0], expected=" or ".join(_CODECS))
+            streams[name] = FileStream(name, codec, stamps, stamps, paths)
+        return streams
+
+    @property
+    def _box_files(self) -> list[tuple[_Datum, str]]:
+        clouds = [datum for datum in self._data if datum.kind == "point_cloud"]
+        return [(datum, datum.content["annotations"][_BOXES_3D]) for datum in clouds if _has_boxes(datum)]
+
+    @property
+    def _ontology_keys(self) -> list[str]:
+        key = self._scene.get("ontologies", {}).get(_BOXES_3D)
+        return [key] if key and self._box_files else []
+
+    def boxes(self) -> pa.Table | None:
+        """The point clouds' boxes in the vehicle frame, or None where no point cloud has any."""
+        if not self._box_files or not self._ontology_keys:
+            return None
+        ontology = self._ontology_keys[0]
+        items = _read_json(self._inside(f"ontology/{ontology}.json"))["items"]
+        categories = {item["id"]: item["name"] for item in items}
+        rows: list[dict[str, Any]] = []
+        for datum, name in self._box_files:
+            vehicle_SE3_sensor = self._extrinsics[datum.calibration, datum.sensor]
+            file = self._inside(name)
+            for index, annotation in enumerate(_read_json(file)["annotations"]):
+                try:
+                    box = annotation["box"]
+                    pose = vehicle_SE3_sensor @ _pose(box["pose"])
+                    rows.append(
+                        {
+                            "timestamp_ns": datum.timestamp_ns,
+                            "track_id": str(annotation["instance_id"]),
+                            "category": categories[annotation["class_id"]],
+                            **{column: float(value[0]) for column, value in pose.to_columns().items()},
+                            **{f"{size}_m": box[size] for size in ("length", "width", "height")},
+                            "source": "dgp",
+                            "source_version": ontology[:8],
+                        }
+                    )
+                except (KeyError, TypeError) as error:
+                    raise RecordingError(
+                        f"no box ({error})", file=file, place=f"annotation {index}", expected="a DGP 3D box"
+                    ) from error
+        return pa.Table.from_pylist(rows, schema=BOXES.schema)
+
+
+def _has_boxes(datum: _Datum) -> bool:
+    return _BOXES_3D in (datum.content.get("annotations") or {})
+
+
+def _datum(entry: Mapping[str, Any], calibration: Mapping[str, str]) -> _Datum:
+    kind, content = next(iter(entry["datum"].items()))
+    identity = entry["id"]
+    return _Datum(
+        sensor=identity["name"],
+        kind=kind,
+        timestamp_ns=_stamp_ns(identity["timestamp"]),
+        pose=_pose(content["pose"]),
+        calibration=calibration[entry["key"]],
+        content=content,
+    )
+
+
+def _stamp_ns(text: str) -> int:
+    moment = datetime.fromisoformat(text)
+    microseconds = (moment - _EPOCH) // timedelta(microseconds=1)
+    return microseconds * (100 if moment.year > _LAST_YEAR else 1_000)
+
+
+def _pose(entry: Mapping[str, Any]) -> Poses:
+    rotation, translation = entry["rotation"], entry["translation"]
+    return Poses(
+        np.array([[rotation[f"q{axis}"] for axis in "wxyz"]]), np.array([[translation[axis] for axis in "xyz"]])
+    )
+
+
+def _camera_model(intrinsics: Mapping[str, Any], file: Path, camera: str) -> tuple[Any, tuple[float, ...]]:
+    names: tuple[str, ...]
+    used = {name for name, value in intrinsics.items() if value} - _PLAIN
+    if intrinsics.get("fisheye"):
+        model, names = "kannala_brandt", _FISHEYE
+    elif not used:
+        return "pinhole", ()
+    else:
+        model, names = ("brown_conrady", _BROWN) if used <= set(_BROWN) else ("rational", _RATIONAL)
+    if used - set(names):
+        raise RecordingError(
+            f"camera model with {', '.join(sorted(used - set(names)))} is not supported",
+            file=file,
+            place=f"camera {camera}",
+            expected="pinhole, Brown-Conrady, rational or fisheye (k1 to k4), without skew",
+        )
+    return model, tuple(float(intrinsics.get(name, 0.0)) for name in names)
+
+
+def _read_json(file: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(file.read_bytes())
+    except (OSError, ValueError) as error:
+        raise unreadable(file, error) from error
+    if not isinstance(found, dict):
+        raise RecordingError("not a JSON object", file=file, expected="a DGP document")
+    return found

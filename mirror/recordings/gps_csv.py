@@ -1,0 +1,281 @@
+"""Any GPS table: the columns are found by their usual names or named by the user.
+
+A file is one drive. A folder of tables is one drive in consecutive files, in the order of their names (numbers count by
+value). Nothing is dropped here: wild fixes are for cleaning, which counts them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mirror.arrays import Int64
+from mirror.errors import RecordingError
+from mirror.recordings.calibration import calibration_table
+from mirror.recordings.paths import identifier, list_folder, natural_key
+from mirror.recordings.protocol import DriveInfo, ImageStream, Track
+from mirror.recordings.registry import refuse_options
+from mirror.recordings.stamps import parse_stamps
+from mirror.recordings.tabular import Rows, header, read_rows
+from mirror.recordings.time import TIME_BASES
+from mirror.recordings.weather import weather_label
+
+_TABLES: Final = (".csv", ".tsv")
+_NOTES: Final = ("", ".md", ".txt")
+_OPTIONS: Final = (
+    "columns",
+    "tz",
+    "date_format",
+    "time_unit",
+    "delimiter",
+    "drive_id",
+    "vehicle_id",
+    "vehicle_type",
+)
+_LONG_UNITS: Final = ("ns", "us", "ms", "s")
+_USUAL: Final = {
+    "time": (
+        *(f"{name}_{unit}" for name in ("timestamp", "time", "unix") for unit in _LONG_UNITS),
+        *("timestamp", "datetime", "date_time", "utc", "gps_time", "gpstime", "epoch", "unix", "time", "t"),
+    ),
+    "date": ("date", "day"),
+    "lon": ("longitude_deg", "longitude", "lon_deg", "lon", "long", "lng", "gps_lon", "gps_longitude"),
+    "lat": ("latitude_deg", "latitude", "lat_deg", "lat", "gps_lat", "gps_latitude"),
+    "height": ("height_m", "height", "altitude_m", "altitude", "alt", "elevation", "ele", "gps_alt"),
+    "sigma": ("sigma_m", "sigma", "horizontal_accuracy", "hacc", "accuracy"),
+    "weather": ("weather",),
+    "vehicle": ("vehicle_id", "vehicle"),
+}
+_REQUIRED: Final = ("time", "lon", "lat")
+# 1973, in seconds. Seconds since 1970 reach 1e11 in the year 5138; milliseconds pass it in 1973.
+_SMALLEST_UNIX: Final = 1e8
+_UNIT_BY_MAGNITUDE: Final = ((1e11, "unix_s"), (1e14, "unix_ms"), (1e17, "unix_us"), (np.inf, "unix_ns"))
+
+
+class CsvReader:
+    """A GPS table."""
+
+    name = "csv"
+    expects = "a .csv or .tsv file with time, latitude and longitude, or a folder of nothing but such files"
+
+    def recognises(self, path: Path) -> bool:
+        """A file by its suffix; a folder if it holds only tables, by the header of the first."""
+        if path.is_file():
+            return path.suffix.lower() in _TABLES
+        children = list(path.iterdir())
+        tables = sorted(child for child in children if child.suffix.lower() in _TABLES)
+        others = [child for child in children if child not in tables and child.suffix.lower() not in _NOTES]
+        if not tables or others or any(child.is_dir() for child in children):
+            return False
+        usual = _usual_columns(header(tables[0])[0])
+        return all(usual.get(role) for role in _REQUIRED)
+
+    def open(self, path: Path, options: Mapping[str, str]) -> CsvRecording:
+        """Open a table, or a folder of tables; the options are described in docs/recordings.md."""
+        refuse_options(options, _OPTIONS, path)
+        if path.is_file():
+            files = [path]
+        else:
+            listed = list_folder(path, path)
+            names = sorted((name for name in listed if Path(name).suffix.lower() in _TABLES), key=natural_key)
+            files = [listed[name] for name in names]
+        if not files:
+            raise RecordingError("no tables", file=path, expected=" or ".join(f"*{suffix}" for suffix in _TABLES))
+        return CsvRecording(path, tuple(files), dict(options))
+
+
+@dataclass(frozen=True)
+class CsvRecording:
+    """A poses-only drive."""
+
+    path: Path
+    tables: tuple[Path, ...]
+    options: Mapping[str, str]
+
+    @cached_property
+    def _columns(self) -> dict[str, tuple[str, ...]]:
+        """Column names by role; ``time`` may be several, joined by a blank."""
+        names, _ = header(self.tables[0], self.options.get("delimiter"))
+        columns = _usual_columns(names)
+        columns |= _stated_columns(self.options.get("columns", ""), names, self.tables[0])
+        missing = [role for role in _REQUIRED if len(columns.get(role, ())) == 0]
+        if missing:
+            raise RecordingError(
+                f"no column is known as {' or '.join(missing)}",
+                file=self.tables[0],
+                place="header",
+                expected=f"usual names among {', '.join(names)}",
+                remedy=f"name it: --option columns={missing[0]}=<name of the column>",
+            )
+        return columns
+
+    @cached_property
+    def _rows(self) -> Rows:
+        _, delimiter = header(self.tables[0], self.options.get("delimiter"))
+        columns = self._columns
+        numbers = {columns[role][0]: pa.float64() for role in ("lon", "lat", "height", "sigma") if role in columns}
+        words = {columns[role][0]: pa.string() for role in ("weather", "vehicle") if role in columns}
+        stamps = {name: pa.string() for name in columns["time"]}
+        used = list(dict.fromkeys(name for names in columns.values() for name in names))
+        return read_rows(self.tables, types={**words, **numbers, **stamps}, columns=used, delimiter=delimiter)
+
+    @cached_property
+    def _stamps(self) -> tuple[Int64, str]:
+        """Unix nanoseconds, and the time base in words."""
+        rows, names = self._rows, self._columns["time"]
+        parts = [rows.column(name) for name in names]
+        text = parts[0] if len(parts) == 1 else pc.binary_join_element_wise(*parts, " ")
+        shown = "+".join(names)
+        empty = np.asarray(pc.is_null(text))
+        rows.refuse(empty, shown, "missing", expected="a stamp in every row", remedy="remove the row")
+        numeric = np.asarray(pc.match_substring_regex(text, r"^\s*[+-]?[0-9]+(\.[0-9]*)?\s*$"))
+        if len(names) == 1 and numeric[0]:
+            base = self._time_base(names[0], text)
+            stamps, words = rows.stamps(names[0], base), TIME_BASES[base].words
+        else:
+            tz = self.options.get("tz")
+            stamps = parse_stamps(rows, shown, text, tz=tz, date_format=self.options.get("date_format"))
+            words = f"date and time, local in {tz}" if tz else "date and time with UTC offset"
+        self._require_sequence(stamps)
+        return stamps, words
+
+    def _time_base(self, name: str, text: pa.ChunkedArray) -> str:
+        unit = self.options.get("time_unit")
+        if unit is None and "_" in name and name.rpartition("_")[2].lower() in _LONG_UNITS:
+            unit = name.rpartition("_")[2].lower()
+        if unit is not None:
+            return unit if unit in TIME_BASES else f"unix_{unit}"
+        first = abs(float(text[0].as_py()))
+        if first < _SMALLEST_UNIX:
+            raise self._rows.error(
+                0,
+                name,
+                f"{text[0].as_py()} is no time since 1970 in any unit",
+                expected="seconds, milliseconds, microseconds or nanoseconds since 1970",
+                remedy="convert the logger's own clock to Unix time, or state the unit: --option time_unit=s",
+            )
+        return next(base for limit, base in _UNIT_BY_MAGNITUDE if first < limit)
+
+    def _require_sequence(self, stamps: Int64) -> None:
+        starts = stamps[list(self._rows.starts)]
+        late = np.diff(starts) < 0
+        if late.any():
+            index = int(np.argmax(late))
+            raise RecordingError(
+                f"starts before {self.tables[index].name} does",
+                file=self.tables[index + 1],
+                expected="consecutive files of one drive, in the order of their names",
+                remedy="give the files one by one, if each is a drive of its own",
+            )
+
+    @cached_property
+    def info(self) -> DriveInfo:
+        """Ids from the options or the name; weather is the commonest word of its column."""
+        path = self.path.resolve()
+        name = path.stem if path.is_file() else path.name
+        return DriveInfo(
+            drive_id=identifier(self.options.get("drive_id", name)),
+            vehicle_id=identifier(self.options.get("vehicle_id") or self._vehicle()),
+            vehicle_type=self.options.get("vehicle_type", "unknown"),
+            time_base=self._stamps[1],
+            weather=self._weather(),
+        )
+
+    def _vehicle(self) -> str:
+        if "vehicle" not in self._columns:
+            return "unknown"
+        name = self._columns["vehicle"][0]
+        found = self._rows.column(name).drop_null().unique().to_pylist()
+        if len(found) > 1:
+            raise RecordingError(
+                f"rows of {len(found)} vehicles: {', '.join(found[:3])} ...",
+                file=self.tables[0],
+                place=f"column {name}",
+                expected="one drive of one vehicle",
+                remedy="split the table by vehicle and drive, or state one: --option vehicle_id=<id>",
+            )
+        return str(found[0]) if found else "unknown"
+
+    def _weather(self) -> str | None:
+        if "weather" not in self._columns:
+            return None
+        words = Counter(self._rows.column(self._columns["weather"][0]).drop_null().to_pylist())
+        return weather_label(words.most_common(1)[0][0]) if words else None
+
+    @property
+    def rig(self) -> None:
+        """None: tables have no cameras."""
+        return
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """The tables."""
+        return [(file.name, file) for file in sorted(self.tables)]
+
+    def track(self) -> Track:
+        """All fixes; a height is taken to be above the ellipsoid."""
+        found = {
+            role: self._rows.floats(self._columns[role][0])
+            for role in ("lon", "lat", "height", "sigma")
+            if role in self._columns
+        }
+        return Track(
+            self._stamps[0],
+            longitude_deg=found["lon"],
+            latitude_deg=found["lat"],
+            height_m=found.get("height"),
+            sigma_m=found.get("sigma"),
+            file=self.tables[0],
+        )
+
+    def calibrations(self) -> pa.Table:
+        """None, as a table without rows."""
+        return calibration_table([], vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+
+    def images(self) -> Mapping[str, ImageStream]:
+        """None."""
+        return {}
+
+    def boxes(self) -> None:
+        """None."""
+        return
+
+
+def _usual_columns(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Roles whose column is plain from its name; a date and a time column together make the time."""
+    by_key = {name.strip().lower().replace(" ", "_"): name for name in reversed(names)}
+    found: dict[str, tuple[str, ...]] = {}
+    for role, usual in _USUAL.items():
+        match = next((by_key[name] for name in usual if name in by_key), None)
+        if match is not None:
+            found[role] = (match,)
+    date = found.pop("date", None)
+    if date and "time" in by_key:
+        found["time"] = (*date, by_key["time"])
+    return found
+
+
+def _stated_columns(text: str, names: Sequence[str], file: Path) -> dict[str, tuple[str, ...]]:
+    """The option ``columns``: ``time=Date+Time,lon=LON``."""
+    stated = {}
+    for part in filter(None, text.split(",")):
+        role, _, columns = part.partition("=")
+        wanted = tuple(columns.split("+")) if role == "time" and columns not in names else (columns,)
+        absent = [name for name in wanted if name not in names]
+        if role not in _USUAL or role == "date" or absent:
+            known = [name for name in _USUAL if name != "date"]
+            raise RecordingError(
+                f"{part!r} names no column" if absent else f"{role!r} is nothing that a column can hold",
+                file=file,
+                place="option columns",
+                expected=f"one of {', '.join(names)}" if absent else f"one of {', '.join(known)}",
+            )
+        stated[role] = wanted
+    return stated

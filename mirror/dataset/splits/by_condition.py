@@ -1,0 +1,66 @@
+"""Traversals by the light and weather they were recorded in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mirror.dataset.splits.assignment import Assignment, why_tied
+from mirror.dataset.splits.candidates import Candidate
+from mirror.dataset.splits.leaks import Tie
+from mirror.dataset.splits.units import components, joined
+from mirror.errors import DatasetError
+from mirror.schema.documents import ByCondition, Condition, Role
+
+
+def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByCondition) -> Assignment:
+    """Traversals that fit a test condition are tested on, the others that fit a train condition are trained on.
+
+    Where a drive passes from one into the other (into dusk, out of the rain), its passes that fit a test condition stay
+    there and its others are in no role.
+
+    Args:
+        traversals: to be divided.
+        ties: what must not be torn apart.
+        parameters: the conditions.
+
+    Raises:
+        DatasetError: a role gets no traversal, because none fits or because all that do are tied to the other role.
+    """
+    roles: dict[str, Role] = {item.traversal_id: role_of(item, parameters) for item in traversals}
+    fitting = set(roles.values())
+    left_out: dict[str, str] = {}
+    units = components(joined(roles, (tie.members for tie in ties)))
+    for members in units.values():
+        tested = [key for key in members if roles[key] == "test"]
+        for key in members if tested else ():
+            if roles[key] == "train":
+                roles[key] = "unused"
+                left_out[key] = f"{key} and {tested[0]}, which is tested on, {why_tied(key, tested[0], ties)}"
+    for role, conditions in (("train", parameters.train), ("test", parameters.test)):
+        if role not in roles.values():
+            wanted = " or ".join(_text(condition) for condition in conditions)
+            reason = next(iter(left_out.values())) if role in fitting else f"no traversal has {wanted}"
+            raise DatasetError(
+                f"nothing is left to {role} on: {reason}",
+                expected=f"traversals with {wanted} that share no drive, no picture and no time of one vehicle with"
+                " those of the other role",
+                remedy="name other conditions; `mirror stats` lists what there is",
+            )
+    return Assignment(roles, left_out)
+
+
+def role_of(item: Candidate, parameters: ByCondition) -> Role:
+    """What a traversal's own light and weather make of it."""
+    if any(_fits(item, condition) for condition in parameters.test):
+        return "test"
+    if any(_fits(item, condition) for condition in parameters.train):
+        return "train"
+    return "unused"
+
+
+def _fits(item: Candidate, condition: Condition) -> bool:
+    return condition.light in (None, item.light) and condition.weather in (None, item.weather)
+
+
+def _text(condition: Condition) -> str:
+    return ",".join(f"{name}={value}" for name, value in condition.model_dump(exclude_none=True).items())

@@ -1,0 +1,103 @@
+"""The traversals that a split divides, with all that decides whether two of them may stand in different roles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import UInt8
+from mirror.dataset.index.global_tables import accepted_passes, read_passes
+from mirror.dataset.index.inputs import read_inputs
+from mirror.dataset.layout import Layout
+from mirror.dataset.store import Store
+from mirror.schema.documents import Roi
+from mirror.schema.files import read_table
+from mirror.schema.tables import IMAGES
+
+SHA256_BYTES = 32
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One traversal.
+
+    Attributes:
+        traversal_id: the traversal.
+        scene_id: its scene.
+        drive_id: its drive.
+        vehicle_id: the drive's vehicle.
+        entry_ns: entry.
+        exit_ns: exit.
+        light: light at the entry.
+        weather: weather at the entry.
+        manifest: SHA-256 of the recorded manifest.
+    """
+
+    traversal_id: str
+    scene_id: str
+    drive_id: str
+    vehicle_id: str
+    entry_ns: int
+    exit_ns: int
+    light: str
+    weather: str
+    manifest: str
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """All traversals of a dataset by id, in order, and its scenes."""
+
+    layout: Layout
+    scenes: Mapping[str, Roi]
+    traversals: Mapping[str, Candidate]
+
+    @cached_property
+    def picture_hashes(self) -> Mapping[str, UInt8]:
+        """SHA-256 of each picture as recorded, (N, 32) by traversal; unhashed pictures are left out."""
+        return {key: _hashes(self.layout, key) for key in self.traversals}
+
+
+def read_candidates(layout: Layout) -> Candidates:
+    """Read the traversals from what is recorded; the index is not needed.
+
+    Raises:
+        DatasetError: no dataset, or a traversal or ledger is missing.
+        SchemaError: a file is broken, or of another schema version.
+    """
+    inputs = read_inputs(Store(layout.root))
+    ledger = accepted_passes(read_passes(layout, inputs))
+    traversals = {
+        key: Candidate(
+            traversal_id=key,
+            scene_id=item.scene_id,
+            drive_id=item.drive.drive_id,
+            vehicle_id=item.drive.vehicle_id,
+            entry_ns=ledger[key]["entry_ns"],
+            exit_ns=ledger[key]["exit_ns"],
+            light=ledger[key]["light"],
+            weather=ledger[key]["weather"],
+            manifest=item.hashes["recorded"],
+        )
+        for key, item in inputs.traversals.items()
+    }
+    return Candidates(layout, inputs.scenes, traversals)
+
+
+def _hashes(layout: Layout, traversal_id: str) -> UInt8:
+    column = read_table(layout.recorded(traversal_id) / "images.parquet", IMAGES, ["sha256"]).column(0)
+    return hash_bytes(column)
+
+
+def hash_bytes(column: pa.ChunkedArray) -> UInt8:
+    """The non-null hashes of a column as (N, 32) bytes."""
+    values = column.drop_null().combine_chunks()
+    if not len(values):
+        return np.empty((0, SHA256_BYTES), np.uint8)
+    data = np.frombuffer(values.buffers()[1], np.uint8)
+    start = values.offset * SHA256_BYTES
+    return data[start : start + len(values) * SHA256_BYTES].reshape(-1, SHA256_BYTES)

@@ -1,0 +1,142 @@
+"""Per scene, some traversals to train on and one or more to hold out, with every drive on one side throughout."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Final, TypeAlias
+
+from mirror.dataset.splits.assignment import Assignment, why_tied
+from mirror.dataset.splits.candidates import Candidate
+from mirror.dataset.splits.leaks import Tie
+from mirror.dataset.splits.units import joined, rank
+from mirror.errors import DatasetError
+from mirror.schema.documents import NovelTraversal, Role
+
+_TRIALS: Final = 200_000
+_Passes: TypeAlias = dict[str, list[str]]
+"""Traversal ids by unit."""
+
+
+def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: NovelTraversal, seed: int) -> Assignment:
+    """Choose by seed.
+
+    What is tied (above all the passes of one drive) is a unit. Units are held out in the order of a keyed hash, until
+    every scene has its held-out traversals and enough others are left to train on; where that order leads into a dead
+    end, the next unit is tried, so that it fails only if no choice exists.
+
+    Args:
+        traversals: to be divided.
+        ties: what must not be torn apart.
+        parameters: how many traversals a scene.
+        seed: of the order.
+
+    Raises:
+        DatasetError: no choice exists; the scene and two traversals that stand in the way are named.
+    """
+    unit_of = joined((item.traversal_id for item in traversals), (tie.members for tie in ties))
+    order = {unit: rank(seed, unit) for unit in unit_of.values()}
+    scenes: dict[str, _Passes] = defaultdict(lambda: defaultdict(list))
+    for item in sorted(traversals, key=lambda item: (item.scene_id, item.traversal_id)):
+        scenes[item.scene_id][unit_of[item.traversal_id]].append(item.traversal_id)
+    wanted = parameters.train + parameters.held_out
+    left_out = {
+        scene_id: f"{count} traversals, but {parameters.train} to train on and {parameters.held_out} to hold out needed"
+        for scene_id, passes in scenes.items()
+        if (count := sum(map(len, passes.values()))) < wanted
+    }
+    enough = {scene_id: passes for scene_id, passes in scenes.items() if scene_id not in left_out}
+    # The scenes with the least choice first.
+    enough = dict(sorted(enough.items(), key=lambda item: (len(item[1]), item[0])))
+    held = _hold_out(enough, order, parameters)
+    if held is None:
+        raise _impossible(enough, order, parameters, ties)
+    roles: dict[str, Role] = {item.traversal_id: "unused" for item in traversals}
+    for passes in enough.values():
+        out = {unit: own for unit, own in passes.items() if unit in held}
+        rest = {unit: own for unit, own in passes.items() if unit not in held}
+        roles.update(dict.fromkeys(_fill(out, parameters.held_out, order), "held_out"))
+        roles.update(dict.fromkeys(_fill(rest, parameters.train, order), "train"))
+    return Assignment(roles, left_out)
+
+
+def _hold_out(
+    scenes: Mapping[str, _Passes], order: Mapping[str, bytes], parameters: NovelTraversal
+) -> frozenset[str] | None:
+    """The units to hold out, by backtracking; None if there is no choice."""
+    totals = {scene_id: sum(map(len, passes.values())) for scene_id, passes in scenes.items()}
+    count = dict.fromkeys(scenes, 0)
+    passes_of: dict[str, dict[str, int]] = defaultdict(dict)
+    for scene_id, passes in scenes.items():
+        for unit, own in passes.items():
+            passes_of[unit][scene_id] = len(own)
+    # Decided units, in order: True is held out, False is barred from it as long as what came before stands.
+    decided: dict[str, bool] = {}
+
+    def move(unit: str, sign: int) -> None:
+        for scene_id, number in passes_of[unit].items():
+            count[scene_id] += sign * number
+
+    def leaves_enough(unit: str) -> bool:
+        return all(totals[key] - count[key] - number >= parameters.train for key, number in passes_of[unit].items())
+
+    for _ in range(_TRIALS):
+        short = next((scene_id for scene_id in scenes if count[scene_id] < parameters.held_out), None)
+        if short is None:
+            return frozenset(unit for unit, out in decided.items() if out)
+        missing = parameters.held_out - count[short]
+        open_units = [unit for unit in scenes[short] if unit not in decided and leaves_enough(unit)]
+        if open_units:
+            # A unit with more passes than are missing would leave some of them unused.
+            unit = min(open_units, key=lambda unit: (passes_of[unit][short] > missing, order[unit]))
+            decided[unit] = True
+            move(unit, 1)
+            continue
+        while decided and not decided[next(reversed(decided))]:
+            decided.popitem()
+        if not decided:
+            return None
+        unit, _out = decided.popitem()
+        move(unit, -1)
+        decided[unit] = False
+    raise DatasetError(
+        f"no division without a leak was found in {_TRIALS} trials",
+        expected="scenes whose drives are not all entangled with each other",
+        remedy="divide fewer scenes at once: name them with --scene",
+    )
+
+
+def _fill(passes: _Passes, quota: int, order: Mapping[str, bytes]) -> list[str]:
+    """Traversals of whole units that make up the quota; only if there are none such, of one unit but a part."""
+    units = sorted(passes, key=lambda unit: order[unit])
+    # The first subset in that order for each sum that can be reached.
+    reached: dict[int, tuple[str, ...]] = {0: ()}
+    for unit in units:
+        for total, chosen in sorted(reached.items(), reverse=True):
+            reached.setdefault(total + len(passes[unit]), (*chosen, unit))
+        if quota in reached:
+            break
+    whole = reached.get(quota, tuple(units))
+    return [traversal_id for unit in whole for traversal_id in passes[unit]][:quota]
+
+
+def _impossible(
+    scenes: Mapping[str, _Passes], order: Mapping[str, bytes], parameters: NovelTraversal, ties: Sequence[Tie]
+) -> DatasetError:
+    """The error for scenes that cannot be divided: the first that cannot beside those before it."""
+    before: dict[str, _Passes] = {}
+    for scene_id, passes in scenes.items():
+        if _hold_out({**before, scene_id: passes}, order, parameters) is None:
+            break
+        before[scene_id] = passes
+    elsewhere = {unit: own for item in before.values() for unit, own in item.items()}
+    pairs = [(own[0], own[1]) for own in passes.values() if len(own) > 1]
+    pairs += [(elsewhere[unit][0], own[0]) for unit, own in passes.items() if unit in elsewhere]
+    first, second = pairs[0]
+    return DatasetError(
+        f"scene {scene_id} cannot be divided without a leak: {first} and {second} {why_tied(first, second, ties)},"
+        f" but one of them would have to be held out and the other trained on",
+        expected=f"{parameters.train} traversals to train on and {parameters.held_out} to hold out that share no drive,"
+        " no picture and no time of one vehicle",
+        remedy="leave the scene out by naming the others with --scene, ask for fewer with --train, or record it again",
+    )

@@ -1,0 +1,292 @@
+"""Making, keeping and extending splits: ``splits/<name>.json``, frozen once it is written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from mirror.dataset.layout import Layout
+from mirror.dataset.lock import writer_lock
+from mirror.dataset.splits import by_condition, by_scene, novel_traversal
+from mirror.dataset.splits.assignment import Assignment
+from mirror.dataset.splits.candidates import Candidates, read_candidates
+from mirror.dataset.splits.leaks import Tie, leaks, ties
+from mirror.errors import DatasetError, UsageError
+from mirror.schema.documents import ByCondition, ByScene, Identifier, NovelTraversal, Role, SplitDocument, SplitMethod
+from mirror.schema.files import read_json, write_json
+
+
+@dataclass(frozen=True)
+class SplitReport:
+    """What a call did.
+
+    Attributes:
+        document: the split as it is now.
+        action: ``made``, ``kept`` (it was there already) or ``extended``.
+        outside: traversals of the split's scenes that are in the dataset but not in the split.
+        changed: traversals of the split that were recorded anew since, or are gone.
+    """
+
+    document: SplitDocument
+    action: Literal["made", "kept", "extended"]
+    outside: tuple[str, ...]
+    changed: tuple[str, ...]
+
+    def roles(self) -> dict[str, int]:
+        """How many traversals each role has."""
+        return dict(Counter(self.document.assignments.values()))
+
+
+def make_split(
+    root: str | Path,
+    name: str,
+    parameters: SplitMethod | None = None,
+    *,
+    seed: int = 0,
+    scenes: Sequence[str] | None = None,
+    require: bool = False,
+    replace: bool = False,
+    wait: bool = False,
+) -> SplitReport:
+    """Divide a dataset's traversals and freeze the result; a split that is there already stays as it is.
+
+    Args:
+        root: the dataset's folder.
+        name: the split.
+        parameters: the method; None: `NovelTraversal`, the paper's 4 + 1.
+        seed: the same one gives the same division, whatever the order of ingest.
+        scenes: only these; None: all.
+        require: a scene with too few traversals is an error, and not left out.
+        replace: make it anew even if it is there.
+        wait: wait for another writer, or refuse at once.
+
+    Raises:
+        UsageError: a name or a scene that cannot be.
+        DatasetError: the split would leak (two traversals are named), another split has that name, a role or a scene
+            gets too little, or another run is writing.
+        SchemaError: a file is broken, or of another schema version.
+    """
+    layout = _existing(root)
+    path = _path(layout, name)
+    parameters = parameters or NovelTraversal()
+    chosen = None if scenes is None else tuple(sorted(set(scenes)))
+    with writer_lock(layout, wait=wait):
+        candidates = read_candidates(layout)
+        if path.is_file() and not replace:
+            return _kept(read_json(path, SplitDocument), candidates, path, parameters, seed, chosen)
+        _require_scenes(candidates, chosen)
+        own = _restricted(candidates, chosen)
+        found = ties(own, by_scene=isinstance(parameters, ByScene))
+        assignment = _assign(own, found, parameters, seed)
+        if require and assignment.left_out:
+            place, reason = next(iter(assignment.left_out.items()))
+            raise DatasetError(
+                reason,
+                file=layout.root,
+                place=place,
+                expected="a role for everything, as --require asks",
+                remedy="record more, ask for fewer traversals, or leave --require out",
+            )
+        if not set(assignment.roles.values()) - {"unused"}:
+            reasons = "; ".join(f"{key}: {reason}" for key, reason in list(assignment.left_out.items())[:3])
+            raise DatasetError(
+                f"no traversal gets a role ({reasons or 'the dataset has no traversals'})",
+                file=layout.root,
+                remedy="record more, or ask for fewer traversals",
+            )
+        _require_tight(found, assignment.roles, layout)
+        document = _document(name, parameters, seed, chosen, own, assignment)
+        write_json(path, document)
+        return SplitReport(document, "made", (), ())
+
+
+def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitReport:
+    """Put the traversals that came after a split into its train role; all others stay where they are.
+
+    A new traversal that is tied to one in another role (the same drive, picture, vehicle and time, or ground) would
+    leak, and one that does not fit a split by condition is not what to train on: both are left out, and the document
+    says why.
+
+    Args:
+        root: the dataset's folder.
+        name: the split.
+        wait: wait for another writer, or refuse at once.
+
+    Raises:
+        DatasetError: there is no such split, or a traversal of it was recorded anew or is gone.
+        SchemaError: a file is broken, or of another schema version.
+    """
+    layout = _existing(root)
+    path = _path(layout, name)
+    with writer_lock(layout, wait=wait):
+        candidates = read_candidates(layout)
+        if not path.is_file():
+            raise DatasetError("no such split", file=path, remedy=f"make it first: mirror split {root} {name}")
+        document = read_json(path, SplitDocument)
+        outside, changed = compare(document, candidates)
+        if changed:
+            raise DatasetError(
+                f"{len(changed)} traversals of the split are not what they were, such as {changed[0]}",
+                file=path,
+                expected="recorded traversals that never change",
+                remedy=f"make the split anew: mirror split {root} {name} --replace",
+            )
+        if not outside:
+            return SplitReport(document, "kept", (), ())
+        found = ties(_restricted(candidates, document.scenes), by_scene=isinstance(document.parameters, ByScene))
+        left_out = _tied_elsewhere(outside, document.assignments, found)
+        if isinstance(document.parameters, ByCondition):
+            conditions = document.parameters
+            unfit = [key for key in outside if by_condition.role_of(candidates.traversals[key], conditions) != "train"]
+            left_out |= {key: f"{key} does not fit a train condition of the split" for key in unfit}
+        added: dict[str, Role] = {key: "unused" if key in left_out else "train" for key in outside}
+        roles = {**document.assignments, **added}
+        _require_tight(found, roles, layout)
+        manifests = {**document.manifests, **{key: candidates.traversals[key].manifest for key in outside}}
+        document = document.model_copy(
+            update={
+                "manifests": dict(sorted(manifests.items())),
+                "dataset_hash": _hash(manifests),
+                "assignments": dict(sorted(roles.items())),
+                "left_out": {**document.left_out, **left_out},
+                "added": (*document.added, *outside),
+            }
+        )
+        write_json(path, document)
+        return SplitReport(document, "extended", (), ())
+
+
+def compare(document: SplitDocument, candidates: Candidates) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Traversals that came after a split, and those of it that are not what they were; both sorted."""
+    own = _restricted(candidates, document.scenes).traversals
+    outside = tuple(key for key in own if key not in document.manifests)
+    changed = tuple(key for key, value in document.manifests.items() if key not in own or own[key].manifest != value)
+    return outside, changed
+
+
+def _existing(root: str | Path) -> Layout:
+    layout = Layout(Path(root))
+    if not layout.document.is_file():
+        raise DatasetError(
+            "not a dataset: there is no dataset.json",
+            file=layout.root,
+            expected="the folder that `mirror ingest --out` wrote",
+            remedy="check the path",
+        )
+    return layout
+
+
+def _path(layout: Layout, name: str) -> Path:
+    try:
+        TypeAdapter(Identifier).validate_python(name)
+    except ValidationError as error:
+        raise UsageError(f"the name {name!r} cannot be", expected="letters, digits, `_` and `-`") from error
+    return layout.split(name)
+
+
+def _require_scenes(candidates: Candidates, scenes: Sequence[str] | None) -> None:
+    unknown = sorted(set(scenes or ()) - set(candidates.scenes))
+    if unknown:
+        raise UsageError(
+            f"unknown scene {unknown[0]!r}", place="--scene", expected=f"some of {', '.join(candidates.scenes)}"
+        )
+
+
+def _restricted(candidates: Candidates, scenes: Sequence[str] | None) -> Candidates:
+    if scenes is None:
+        return candidates
+    own = {key: item for key, item in candidates.traversals.items() if item.scene_id in scenes}
+    return Candidates(candidates.layout, candidates.scenes, own)
+
+
+def _assign(candidates: Candidates, found: Sequence[Tie], parameters: SplitMethod, seed: int) -> Assignment:
+    traversals = list(candidates.traversals.values())
+    if isinstance(parameters, NovelTraversal):
+        return novel_traversal.assign(traversals, found, parameters, seed)
+    if isinstance(parameters, ByScene):
+        return by_scene.assign(traversals, found, parameters, seed)
+    return by_condition.assign(traversals, found, parameters)
+
+
+def _document(
+    name: str,
+    parameters: SplitMethod,
+    seed: int,
+    scenes: tuple[str, ...] | None,
+    candidates: Candidates,
+    assignment: Assignment,
+) -> SplitDocument:
+    manifests = {key: item.manifest for key, item in sorted(candidates.traversals.items())}
+    return SplitDocument(
+        name=name,
+        parameters=parameters,
+        seed=seed,
+        scenes=scenes,
+        dataset_hash=_hash(manifests),
+        manifests=manifests,
+        assignments=dict(sorted(assignment.roles.items())),
+        left_out=dict(assignment.left_out),
+    )
+
+
+def _hash(manifests: Mapping[str, str]) -> str:
+    return hashlib.sha256(json.dumps(sorted(manifests.items())).encode()).hexdigest()
+
+
+def _kept(
+    document: SplitDocument,
+    candidates: Candidates,
+    path: Path,
+    parameters: SplitMethod,
+    seed: int,
+    scenes: tuple[str, ...] | None,
+) -> SplitReport:
+    asked = {"parameters": parameters, "seed": seed, "scenes": scenes}
+    for key, value in asked.items():
+        there = getattr(document, key)
+        if there != value:
+            raise DatasetError(
+                f"a split of this name was made with other {key}: {_text(there)}",
+                file=path,
+                place=key,
+                expected=_text(value),
+                remedy="choose a new name, or replace it: --replace",
+            )
+    return SplitReport(document, "kept", *compare(document, candidates))
+
+
+def _text(value: object) -> str:
+    plain = value.model_dump(mode="json", exclude_none=True) if hasattr(value, "model_dump") else value
+    return json.dumps(plain)
+
+
+def _tied_elsewhere(outside: Sequence[str], roles: Mapping[str, Role], found: Sequence[Tie]) -> dict[str, str]:
+    """Why new traversals cannot be trained on: they are tied to one in another role."""
+    reasons: dict[str, str] = {}
+    new = set(outside)
+    for tie in found:
+        other = next((key for key in tie.members if roles.get(key, "unused") not in ("unused", "train")), None)
+        if other is not None:
+            for key in tie.members:
+                if key in new:
+                    reasons.setdefault(key, f"{key} and {other} ({roles[other]}) {tie.reason}")
+    return dict(sorted(reasons.items()))
+
+
+def _require_tight(found: Sequence[Tie], roles: Mapping[str, Role], layout: Layout) -> None:
+    """A second look at what a method decided; an old split may also have been edited by hand."""
+    across = leaks(found, roles)
+    if across:
+        raise DatasetError(
+            f"the split leaks: {across[0]}" + (f" (and {len(across) - 1} more leaks)" if len(across) > 1 else ""),
+            file=layout.root / "splits",
+            expected="no drive, picture, ground, or time of one vehicle in two roles",
+            remedy="make the split anew with --replace, or leave a scene out by naming the others with --scene",
+        )

@@ -76,7 +76,7 @@ class Arguments:
     """Time zone of stamps that name none, e.g. Africa/Casablanca (csv reader)."""
     columns: str | None = None
     """Names of columns, e.g. time=Date+Time,lon=LON,lat=LAT (csv reader)."""
-    reader_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Any other option of the reader as key=value; may be repeated."""
     trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
     cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
@@ -117,7 +117,7 @@ def main(argv: Sequence[str]) -> int:
     rois += [parse_roi(text) for text in arguments.roi]
     options = IngestOptions(
         reader=arguments.reader,
-        reader_options=reader_options(arguments.reader_option, tz=arguments.tz, columns=arguments.columns),
+        reader_options=reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns),
         trigger=given(arguments.trigger),
         cleaning=given(arguments.cleaning),
         write=WriteOptions(transfer="copy" if arguments.copy else "link", hashing=arguments.hash),
@@ -159,7 +159,7 @@ def reader_options(pairs: Sequence[str], **named: str | None) -> dict[str, str]:
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals or not key:
-            raise UsageError(f"{pair!r} is not key=value", place="--reader-option")
+            raise UsageError(f"{pair!r} is not key=value", place="--option")
         options[key] = value
     return options
 

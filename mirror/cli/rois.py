@@ -40,7 +40,7 @@ class Propose:
     """Time zone of stamps that name none (csv reader)."""
     columns: str | None = None
     """Names of columns (csv reader)."""
-    reader_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Any other option of the reader as key=value; may be repeated."""
     trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
     cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
@@ -67,7 +67,7 @@ def main(argv: Sequence[str]) -> int:
 
     options = IngestOptions(
         reader=arguments.reader,
-        reader_options=reader_options(arguments.reader_option, tz=arguments.tz, columns=arguments.columns),
+        reader_options=reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns),
         trigger=given(arguments.trigger),
         cleaning=given(arguments.cleaning),
         workers=arguments.workers,

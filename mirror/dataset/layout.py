@@ -80,7 +80,7 @@ class Layout:
 
 def _folders(parent: Path) -> Iterator[Path]:
     if parent.is_dir():
-        yield from (folder for folder in parent.iterdir() if folder.is_dir())
+        yield from (folder for folder in parent.iterdir() if folder.is_dir() and not folder.name.startswith("."))
 
 
 def _complete(parent: Path) -> Iterator[Path]:

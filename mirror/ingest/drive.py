@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
-from mirror.dataset.layout import Layout, manifest_sha256, seal
+from mirror.dataset.layout import MANIFEST, Layout, manifest_sha256, seal
 from mirror.errors import DatasetError, RecordingError
 from mirror.ingest.judge import JudgedDrive
 from mirror.ingest.tables import pass_table
@@ -63,20 +62,11 @@ def write_rig(layout: Layout, drive: JudgedDrive) -> None:
 
 
 def seal_drive(layout: Layout, drive: JudgedDrive, scenes: Sequence[str], configuration: str) -> None:
-    """Write the drive's document and ledger, then its manifest: from here on the drive and its traversals exist.
-
-    Traversals of an earlier ingest of the same drive that are none any more are removed.
-    """
+    """Write the drive's document and ledger, then its manifest: from here on the drive and its traversals exist."""
     info = drive.info
     names = [traversal_id(info.drive_id, one) if one.accepted else None for one in drive.passes]
     folder = layout.drive(info.drive_id)
-    stale = []
-    if (folder / "passes.parquet").exists():
-        before = read_table(folder / "passes.parquet", PASSES, ["traversal_id"]).column("traversal_id").to_pylist()
-        stale = [name for name in before if name is not None and name not in names]
-    (folder / "manifest.json").unlink(missing_ok=True)
-    for name in stale:
-        shutil.rmtree(layout.traversal(name), ignore_errors=True)
+    (folder / MANIFEST).unlink(missing_ok=True)
     rig = drive.recording.rig
     document = DriveDocument(
         drive_id=info.drive_id,

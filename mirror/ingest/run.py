@@ -26,6 +26,7 @@ from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
 from mirror.ingest.drive import seal_drive, verify_source, write_rig
 from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
+from mirror.ingest.replace import set_aside, settle
 from mirror.ingest.rois import merge_rois, read_rois, write_rois
 from mirror.ingest.traversal import WriteOptions, Written, selected_pictures, traversal_id, write_traversal
 from mirror.ingest.trigger import Trigger
@@ -188,18 +189,26 @@ def ingest(
         _judge_all(run, recordings, *_settings(run, rois))
         return run.report
     with writer_lock(run.layout, wait=run.options.wait):
-        document, all_rois = _settings(run, rois)
-        configuration = _configuration(document, run.options)
-        judged = _judge_all(run, recordings, document, all_rois)
-        written = _write_all(run, judged, {roi.scene_id: roi for roi in all_rois}, configuration)
-        if written:
-            write_json(run.layout.document, document)
-            write_rois(run.layout.rois, all_rois)
-        for drive in written:
-            seal_drive(run.layout, drive, [roi.scene_id for roi in all_rois], configuration)
+        settle(run.layout)
+        try:
+            _ingest(run, recordings, rois)
+        finally:
+            settle(run.layout)
         if run.layout.document.exists():
             build_index(run.layout.root)
     return run.report
+
+
+def _ingest(run: _Run, recordings: Sequence[Path], rois: Sequence[Roi]) -> None:
+    document, all_rois = _settings(run, rois)
+    configuration = _configuration(document, run.options)
+    judged = _judge_all(run, recordings, document, all_rois)
+    written = _write_all(run, judged, {roi.scene_id: roi for roi in all_rois}, configuration)
+    if written:
+        write_json(run.layout.document, document)
+        write_rois(run.layout.rois, all_rois)
+    for drive in written:
+        seal_drive(run.layout, drive, [roi.scene_id for roi in all_rois], configuration)
 
 
 def _settings(run: _Run, rois: Sequence[Roi]) -> tuple[DatasetDocument, list[Roi]]:
@@ -308,7 +317,7 @@ def _is_unchanged(run: _Run, opened: _Opened, configuration: str, scenes: set[st
     if read_manifest(folder) is None:
         return False
     document = read_json(folder / "drive.json", DriveDocument)
-    if document.source.fingerprint != opened.source.fingerprint or document.configuration != configuration:
+    if not _same_source(run, document.drive_id, opened.source, configuration):
         if run.options.replace or run.options.dry_run:
             return False
         changed = "its files have changed" if document.source.name == opened.source.name else "another recording has it"
@@ -323,6 +332,15 @@ def _is_unchanged(run: _Run, opened: _Opened, configuration: str, scenes: set[st
     if run.options.verify:
         verify_source(run.layout, opened.recording, document.drive_id)
     return set(document.scenes) >= scenes
+
+
+def _same_source(run: _Run, drive_id: str, source: Source, configuration: str) -> bool:
+    """Whether a complete drive of the dataset was made of just this, with just these options; True if there is none."""
+    manifest = read_manifest(run.layout.drive(drive_id))
+    if manifest is None:
+        return True
+    made_from = {"source": source.fingerprint, "configuration": configuration}
+    return made_from.items() <= manifest.derived_from.items()
 
 
 def _write_all(
@@ -342,6 +360,8 @@ def _write_all(
             run.fail(drive.path, error)
             del run.report.drives[drive.info.drive_id]
             continue
+        if not _same_source(run, drive.info.drive_id, drive.source, configuration):
+            set_aside(run.layout, drive.info.drive_id)
         complete.append(drive)
         jobs += [(drive, number) for number in drive.slices]
     run.progress.start("writing pictures", total)

@@ -99,7 +99,24 @@ def write_traversal(
         advance(pictures.count)
         return Written(name, pictures.count, pictures.bytes, 0, reused=True)
     shutil.rmtree(layout.traversal(name), ignore_errors=True)
+    try:
+        return _write(layout, name, drive, number, roi, derived_from, options, advance)
+    except BaseException:
+        shutil.rmtree(layout.traversal(name), ignore_errors=True)
+        raise
 
+
+def _write(
+    layout: Layout,
+    name: str,
+    drive: JudgedDrive,
+    number: int,
+    roi: Roi,
+    derived_from: dict[str, str],
+    options: WriteOptions,
+    advance: Callable[[int], None],
+) -> Written:
+    one, folder = drive.passes[number], layout.recorded(name)
     streams = selected_pictures(drive, one)
     _write_boxes(layout, name, drive, one, derived_from)
     placed: dict[str, Placed] = {}

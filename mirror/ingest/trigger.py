@@ -75,6 +75,11 @@ class Pass:
     threshold: float | None
 
     @property
+    def mean_speed_mps(self) -> float:
+        """path_m / duration_s."""
+        return self.path_m / self.duration_s if self.duration_s > 0.0 else 0.0
+
+    @property
     def accepted(self) -> bool:
         """Whether the pass is a traversal."""
         return self.rule is None

@@ -17,7 +17,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64, Records, UInt8
 from mirror.ingest.clean import CleanTrack
 from mirror.ingest.path import FIGURES, figures, without_standstills
-from mirror.ingest.visits import CROSSING, RECORDING_EDGE, VISIT, build_grid, near, visits
+from mirror.ingest.visits import CROSSING, RECORDING_EDGE, VISIT, Grid, build_grid, near, visits
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 
 Rule = Literal["min_duration", "min_path", "min_overlap"]
@@ -85,6 +85,26 @@ class Pass:
         return self.rule is None
 
 
+@dataclass(frozen=True)
+class _Area:
+    """The ROIs of one frame as arrays, with the grid that finds them."""
+
+    rois: tuple[Roi, ...]
+    first: Float64
+    second: Float64
+    radius_m: Float64
+    reach_m: Float64
+    grid: Grid
+
+    @classmethod
+    def of(cls, rois: Sequence[Roi], margin_m: float) -> _Area:
+        axes = ("longitude_deg", "latitude_deg") if rois[0].frame is None else ("x_m", "y_m")
+        first, second = (np.array([getattr(roi, axis) for roi in rois], np.float64) for axis in axes)
+        radius = np.array([roi.radius_m for roi in rois], np.float64)
+        grid = build_grid(first, second, radius + margin_m, rois[0].frame is None)
+        return cls(tuple(rois), first, second, radius, radius + margin_m, grid)
+
+
 class Trigger:
     """The trigger for one set of ROIs; made once, used for any number of tracks, thread-safe.
 
@@ -97,8 +117,11 @@ class Trigger:
     def __init__(self, rois: Sequence[Roi], options: TriggerOptions, cleaning: CleaningOptions) -> None:
         self.options = options
         reach_s = max(options.max_gap_s, options.join_gap_s, _POSE_MARGIN_S)
-        self._margin_m = cleaning.max_speed_mps * reach_s + cleaning.noise_m
-        self._rois = tuple(rois)
+        margin_m = cleaning.max_speed_mps * reach_s + cleaning.noise_m
+        self._areas = {
+            frame: _Area.of([roi for roi in rois if roi.frame == frame], margin_m)
+            for frame in {roi.frame for roi in rois}
+        }
 
     def passes(self, track: CleanTrack, *, frame: str | None = None, is_clip: bool = False) -> list[Pass]:
         """Every pass of the track through the ROIs of its frame, accepted or refused, by ROI and time.
@@ -108,10 +131,12 @@ class Trigger:
             frame: name of the track's local metric frame; None: WGS 84.
             is_clip: the source arrives as clips: the whole track is the candidate, for every ROI that it visits.
         """
-        rois = [roi for roi in self._rois if roi.frame == frame]
-        if not rois:
+        area = self._areas.get(frame)
+        if area is None:
             return []
-        found = self._visits(track, rois, is_clip)
+        found = self._visits(track, area, is_clip)
+        if not len(found):
+            return []
         same_roi = found["roi"][1:] == found["roi"][:-1]
         joined = same_roi & (
             is_clip
@@ -119,31 +144,26 @@ class Trigger:
             & (found["entry_kind"][1:] == CROSSING)
             & (found["entry_ns"][1:] - found["exit_ns"][:-1] <= self.options.join_gap_s * 1e9)
         )
-        begin = np.flatnonzero(np.concatenate([[True], ~joined])) if len(found) else np.empty(0, np.int64)
+        begin = np.flatnonzero(np.concatenate([[True], ~joined]))
         end = np.append(begin[1:], len(found))
-        return self._judge(track, rois, found, begin, end, split=False, clip=is_clip)
+        return self._judge(track, area.rois, found, begin, end, split=False, clip=is_clip)
 
-    def _visits(self, track: CleanTrack, rois: Sequence[Roi], is_clip: bool) -> Records:
-        axes = ("longitude_deg", "latitude_deg") if track.geodetic else ("x_m", "y_m")
-        first, second = (np.array([getattr(roi, axis) for roi in rois], np.float64) for axis in axes)
-        radius = np.array([roi.radius_m for roi in rois], np.float64)
-        reach = radius + self._margin_m
-        grid = build_grid(first, second, reach, track.geodetic)
+    def _visits(self, track: CleanTrack, area: _Area, is_clip: bool) -> Records:
+        circles = (area.first, area.second)
         stretches = near(
             track.first,
             track.second,
             track.fate,
             track.geodetic,
-            first,
-            second,
-            reach,
-            grid.origin,
-            grid.inverse,
-            grid.columns,
-            grid.keys,
-            grid.begin,
-            grid.end,
-            grid.members,
+            *circles,
+            area.reach_m,
+            area.grid.origin,
+            area.grid.inverse,
+            area.grid.columns,
+            area.grid.keys,
+            area.grid.begin,
+            area.grid.end,
+            area.grid.members,
         )
         max_gap_ns = np.iinfo(np.int64).max if is_clip else round(self.options.max_gap_s * 1e9)
         room = np.zeros(max(64, 2 * len(stretches)), VISIT)
@@ -154,9 +174,8 @@ class Trigger:
                 track.second,
                 track.fate,
                 track.geodetic,
-                first,
-                second,
-                radius,
+                *circles,
+                area.radius_m,
                 stretches,
                 max_gap_ns,
                 room,

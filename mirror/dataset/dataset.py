@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.dataset.index.inputs import read_inputs
+from mirror.dataset.layers import LayerChoice
 from mirror.dataset.layout import MANIFEST, Layout
 from mirror.dataset.query.catalog import TABLES, Catalog
 from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.dataset.query.select import count, query
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.documents import DatasetDocument, Manifest
+from mirror.schema.documents import DatasetDocument, Manifest, Role, SplitDocument
 from mirror.schema.files import parse_json, sha256_bytes
 
 if TYPE_CHECKING:
@@ -32,23 +33,6 @@ Within: TypeAlias = tuple[float, float, float] | tuple[float, float, float, str]
 
 _LIGHT = ("day", "dusk", "night")
 _WEATHER = ("clear", "clouds", "rain", "snow", "fog", "unknown")
-
-
-@dataclass(frozen=True)
-class LayerChoice:
-    """Which layers stand behind poses, calibrations and boxes.
-
-    Attributes:
-        poses: ``recorded``, or a pose layer ``source@version``.
-        calibrations: ``recorded``, or a calibration layer.
-        stage: the calibration stage to take; None: refined before online before factory.
-        boxes: a box layer; None: the only one a traversal has.
-    """
-
-    poses: str = "recorded"
-    calibrations: str = "recorded"
-    stage: str | None = None
-    boxes: str | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,7 +139,7 @@ class Dataset:
             within: (longitude_deg, latitude_deg, radius_m) on the ellipsoid, the edge included; or
                 (x_m, y_m, radius_m, frame) in a local metric frame.
             split: name of a split; with it comes ``role``.
-            role: role or roles within the split.
+            role: role or roles within the split; None: every traversal that has one.
 
         Raises:
             UsageError: a value that the dataset does not know, or that cannot be.
@@ -282,8 +266,6 @@ class Dataset:
         )
 
     def _in_split(self, name: str, role: Choice) -> frozenset[str]:
-        from mirror.schema.documents import SplitDocument
-
         path = f"splits/{name}.json"
         try:
             data = self.store.read(path)
@@ -291,9 +273,10 @@ class Dataset:
             raise DatasetError(
                 "no such split", file=self.store.where(path), remedy=f"make it: mirror split {self.root} --name {name}"
             ) from error
-        assignments: Mapping[str, str] = parse_json(data, SplitDocument, self.store.where(path)).assignments
-        roles = self._known(f"role of split {name}", role, assignments.values)
-        return frozenset(key for key, own in assignments.items() if roles is None or own in roles)
+        assignments = parse_json(data, SplitDocument, self.store.where(path)).assignments
+        known = [value for value in get_args(Role) if value != "unused"]
+        roles = self._known("role", role, lambda: known) or frozenset(known)
+        return frozenset(key for key, own in assignments.items() if own in roles)
 
 
 def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:

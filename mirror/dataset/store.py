@@ -54,7 +54,9 @@ class Store:
         return f"{base}/{path}" if base else path
 
     def where(self, path: str) -> str:
-        """The full name of a file, for messages."""
+        """The full name of a file, for messages; an absolute uri is one already."""
+        if "://" in path:
+            return path
         return str(self.folder / path) if self.folder is not None else f"{self.root.rstrip('/')}/{path}"
 
     def read(self, path: str) -> bytes:

@@ -60,6 +60,7 @@ class Catalog:
         self.store = store
         self.columns = ColumnCache(store)
         self._groups: dict[str, RowGroups] = {}
+        self._by_traversal: dict[str, dict[int, int]] = {}
 
     def read_global(self, name: str, columns: Sequence[str]) -> pa.Table:
         """Columns of a global table, all rows."""
@@ -76,6 +77,19 @@ class Catalog:
         if name not in self._groups:
             self._groups[name] = self._load_groups(name)
         return self._groups[name]
+
+    def group_of(self, name: str, traversal: int) -> tuple[str, int] | None:
+        """File and position of the row group with a traversal's rows of a table; None: it has none.
+
+        Args:
+            name: the table.
+            traversal: row in the table of traversals.
+        """
+        groups = self.row_groups(name)
+        if name not in self._by_traversal:
+            self._by_traversal[name] = {row: group for group, row in enumerate(groups.traversal.tolist())}
+        group = self._by_traversal[name].get(traversal)
+        return None if group is None else (groups.path[group], int(groups.number[group]))
 
     def _load_groups(self, name: str) -> RowGroups:
         table = self.read_global("row_groups", TABLES["row_groups"].schema.names)

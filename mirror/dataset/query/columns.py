@@ -64,11 +64,6 @@ class ColumnCache:
                 self._held -= dropped.nbytes
             return found
 
-    def row_groups(self, path: str) -> int:
-        """How many row groups a file has."""
-        with self._lock:
-            return int(self._file(path).metadata.num_row_groups)
-
     def _decode(self, path: str, row_group: int, names: Sequence[str]) -> dict[str, pa.Array]:
         file = self._file(path)
         try:

@@ -1,0 +1,167 @@
+"""What the frames of a view share: traversals, rigs and masks loaded once, and the reading of pictures."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Collection, Sequence
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Final
+
+import pyarrow as pa
+
+from mirror.arrays import UInt8
+from mirror.dataset.layers import LayerChoice
+from mirror.dataset.query.catalog import Catalog
+from mirror.dataset.store import Store
+from mirror.dataset.traversal import Traversal
+from mirror.errors import DatasetError
+from mirror.schema.documents import Rig
+
+if TYPE_CHECKING:
+    from mirror.dataset.frames import Image
+    from mirror.dataset.pictures.video import VideoDecoders
+
+_TRAVERSALS_HELD: Final = 64
+
+
+class Loader:
+    """Reads for all frames of one sequence.
+
+    Args:
+        catalog: the index.
+        layers: the layers to read.
+        cameras: only these; None: all.
+    """
+
+    def __init__(self, catalog: Catalog, layers: LayerChoice, cameras: frozenset[str] | None) -> None:
+        self.catalog = catalog
+        self.store: Store = catalog.store
+        self._layers = layers
+        self._cameras = cameras
+        self._traversals: OrderedDict[int, Traversal] = OrderedDict()
+        self._rigs: dict[str, Rig] = {}
+        self._static_masks: dict[tuple[str, str], UInt8 | None] = {}
+        self._lock = threading.Lock()
+
+    @cached_property
+    def _keys(self) -> pa.Table:
+        return self.catalog.read_global("traversals", ["scene_id", "traversal_id", "rig_id"])
+
+    @cached_property
+    def _videos(self) -> VideoDecoders:
+        from mirror.dataset.pictures.video import VideoDecoders
+
+        return VideoDecoders(self.store)
+
+    def traversal(self, row: int) -> tuple[str, Traversal]:
+        """Scene id and traversal of a row of the table of traversals."""
+        with self._lock:
+            if row not in self._traversals:
+                traversal_id = self._keys.column("traversal_id")[row].as_py()
+                self._traversals[row] = Traversal(self.catalog, row, traversal_id, self._layers)
+                if len(self._traversals) > _TRAVERSALS_HELD:
+                    self._traversals.popitem(last=False)
+            self._traversals.move_to_end(row)
+            return self._keys.column("scene_id")[row].as_py(), self._traversals[row]
+
+    def rig(self, row: int) -> Rig | None:
+        """The rig of a traversal; None for a poses-only drive.
+
+        Raises:
+            DatasetError: its file is missing.
+        """
+        rig_id = self._keys.column("rig_id")[row].as_py()
+        if rig_id is None:
+            return None
+        if rig_id not in self._rigs:
+            self._rigs[rig_id] = self.store.json(f"rigs/{rig_id}.json", Rig)
+        return self._rigs[rig_id]
+
+    def rig_order(self, row: int, cameras: Collection[str]) -> list[str]:
+        """The wanted ones of some cameras, in the order of the rig."""
+        rig = self.rig(row)
+        order = [] if rig is None else [camera.name for camera in rig.cameras]
+        listed = [*(name for name in order if name in cameras), *sorted(set(cameras) - set(order))]
+        return [name for name in listed if self._cameras is None or name in self._cameras]
+
+    def static_mask(self, row: int, camera: str) -> UInt8 | None:
+        """The rig's mask of a camera (H, W); None: not known.
+
+        Raises:
+            DatasetError: the file is missing or broken.
+        """
+        rig = self.rig(row)
+        if rig is None:
+            return None
+        key = (rig.rig_id, camera)
+        if key not in self._static_masks:
+            names = [item.static_mask for item in rig.cameras if item.name == camera]
+            path = names[0] if names else None
+            found = None if path is None else self._grey(f"rigs/{path}", None, f"static mask of camera {camera}")
+            self._static_masks[key] = found
+        return self._static_masks[key]
+
+    def mask(self, uri: str, byte_length: int, place: str) -> UInt8:
+        """Pixels (H, W) of a mask.
+
+        Raises:
+            DatasetError: the file is missing or broken.
+        """
+        return self._grey(uri, byte_length, place)
+
+    def read(self, uri: str, offset: int, length: int, place: str) -> bytes:
+        """Some bytes of a file.
+
+        Raises:
+            DatasetError: the file is missing or ends before.
+        """
+        try:
+            data = self.store.read_range(uri, offset, length)
+        except OSError as error:
+            raise self._unreadable(uri, place, f"cannot be read: {error.strerror or error}") from error
+        if len(data) != length:
+            raise self._unreadable(uri, place, f"ends after {offset + len(data)} bytes", f"{offset + length} bytes")
+        return data
+
+    def decode_into(self, images: Sequence[Image], planes: UInt8, *, threads: int | None, verify: bool) -> None:
+        """Decode pictures into contiguous planes (C, 3, H, W), on several threads."""
+        from mirror.dataset.pictures.still import run_all, split_planes
+
+        def one(image: Image, out: UInt8) -> None:
+            split_planes(image.decode(verify=verify), out)
+
+        jobs = [partial(one, image, out) for image, out in zip(images, planes)]
+        run_all(jobs, [image.byte_length for image in images], threads)
+
+    def video_frame(self, uri: str, pts: int, place: str) -> UInt8 | None:
+        """Pixels (H, W, 3) of a video's frame; None: the video has no such frame, or is broken.
+
+        Raises:
+            DatasetError: the video cannot be opened.
+        """
+        try:
+            return self._videos.decode(uri, pts)
+        except OSError as error:
+            raise self._unreadable(uri, place, f"cannot be opened: {error.strerror or error}") from error
+
+    def _grey(self, uri: str, byte_length: int | None, place: str) -> UInt8:
+        from mirror.dataset.pictures.still import decode_grey
+
+        try:
+            data = self.store.read(uri) if byte_length is None else self.read(uri, 0, byte_length, place)
+        except OSError as error:
+            raise self._unreadable(uri, place, f"cannot be read: {error.strerror or error}") from error
+        pixels = decode_grey(data)
+        if pixels is None:
+            raise self._unreadable(uri, place, "cannot be decoded", "a complete PNG")
+        return pixels
+
+    def _unreadable(self, uri: str, place: str, problem: str, expected: str | None = None) -> DatasetError:
+        return DatasetError(
+            problem,
+            file=self.store.where(uri),
+            place=place,
+            expected=expected or "a readable file",
+            remedy="restore the file from the recording, or ingest the drive again",
+        )

@@ -1,0 +1,1 @@
+"""Pictures: their bytes, checked, and their pixels."""

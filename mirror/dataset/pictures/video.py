@@ -1,0 +1,113 @@
+"""Pictures that lie in videos: decoded by presentation time stamp, with decoders kept open.
+
+A group of pictures is decoded from its key frame; a request that follows the last one goes on from there.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mirror.arrays import UInt8
+from mirror.dataset.store import Store
+from mirror.errors import DatasetError
+
+if TYPE_CHECKING:
+    import av
+
+_OPEN_VIDEOS: Final = 16
+_NEAR_FRAMES: Final = 8
+
+
+class VideoDecoders:
+    """Open videos of a dataset, least recently used closed first.
+
+    Args:
+        store: where the videos are.
+        limit: how many to keep open.
+    """
+
+    def __init__(self, store: Store, limit: int = _OPEN_VIDEOS) -> None:
+        self._store = store
+        self._limit = limit
+        self._open: OrderedDict[str, _Decoder] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def decode(self, uri: str, pts: int) -> UInt8 | None:
+        """Pixels (H, W, 3) of the frame with a time stamp; None: the video has no such frame, or is broken.
+
+        Raises:
+            DatasetError: PyAV is not installed, or the uri leads out of the dataset.
+            OSError: the video cannot be opened.
+        """
+        with self._lock:
+            if uri not in self._open:
+                self._open[uri] = _Decoder(self._store, uri)
+                if len(self._open) > self._limit:
+                    _, oldest = self._open.popitem(last=False)
+                    oldest.close()
+            self._open.move_to_end(uri)
+            decoder = self._open[uri]
+        return decoder.decode(pts)
+
+
+class _Decoder:
+    def __init__(self, store: Store, uri: str) -> None:
+        try:
+            import av
+        except ImportError as error:
+            raise DatasetError(
+                "pictures in videos are read with PyAV, which is not installed",
+                file=uri,
+                remedy="pip install 'mirror-dataset[video]'",
+            ) from error
+        place = store.resolve(uri)
+        source: Any = str(place) if isinstance(place, Path) else place[0].open(place[1], "rb")
+        self._container = av.open(source)
+        self._stream = self._container.streams.video[0]
+        self._stream.thread_type = "AUTO"
+        self._frames: Iterator[av.VideoFrame] = iter(())
+        self._last: int | None = None
+        self._lock = threading.Lock()
+
+    def close(self) -> None:
+        with self._lock:
+            self._container.close()
+
+    def decode(self, pts: int) -> UInt8 | None:
+        import av
+
+        with self._lock:
+            try:
+                frame = self._forward(pts) if self._near(pts) else None
+                if frame is None:
+                    self._container.seek(pts, stream=self._stream, backward=True)
+                    self._frames = self._container.decode(self._stream)
+                    frame = self._forward(pts)
+            except av.FFmpegError:
+                frame = None
+            self._last = None if frame is None else pts
+            return None if frame is None else np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+
+    def _near(self, pts: int) -> bool:
+        """True if the picture follows the last one closely: going on then costs no more than a seek to a key frame."""
+        rate, unit = self._stream.average_rate, self._stream.time_base
+        if self._last is None or not rate or not unit:
+            return False
+        return 0 < (pts - self._last) * unit * rate <= _NEAR_FRAMES
+
+    def _forward(self, pts: int) -> av.VideoFrame | None:
+        beyond = 0
+        for frame in self._frames:
+            if frame.pts == pts:
+                return frame
+            # Frames come in order of display but for broken muxers: the next group of pictures is looked through too.
+            beyond += bool(frame.key_frame and frame.pts is not None and frame.pts > pts)
+            if beyond == 2:
+                return None
+        return None

@@ -1,0 +1,298 @@
+"""One traversal as loaders see it: its poses, calibrations, boxes and picture rows under the chosen layers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from mirror.arrays import Float64, Int64
+from mirror.dataset.layers import LayerChoice
+from mirror.dataset.query.arrow import degrees, mask, member, numbers
+from mirror.dataset.query.catalog import Catalog
+from mirror.errors import DatasetError, UsageError
+from mirror.geometry.cameras import Camera, camera_from_row
+from mirror.geometry.interpolation import interpolate
+from mirror.geometry.poses import Poses
+from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, MASKS
+
+STAGES: Final = ("refined", "online", "factory")
+_POSE: Final = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+_PICTURE: Final = tuple(name for name in IMAGES.schema.names if name != "frame_index")
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """One camera's calibration over a validity interval.
+
+    Attributes:
+        camera: the camera's name.
+        stage: factory, online or refined.
+        valid_from_ns: first instant; None: from the beginning.
+        valid_to_ns: last instant; None: without end.
+        model: intrinsics.
+        ego_SE3_camera: mounting, one pose.
+        row: the whole row of the table.
+    """
+
+    camera: str
+    stage: str
+    valid_from_ns: int | None
+    valid_to_ns: int | None
+    model: Camera
+    ego_SE3_camera: Poses  # noqa: N815
+    row: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameBoxes:
+    """The boxes at one instant.
+
+    Attributes:
+        frame: what the poses map into: ``ego`` (at ``timestamp_ns``), ``world`` or ``camera:<name>``.
+        timestamp_ns: the instant that the boxes describe.
+        pose: (N) poses, ``frame_SE3_box``.
+        size_m: (N, 3) length, width, height, along the box's x, y and z.
+        velocity_mps: (N, 3) over ground, along the frame's axes; NaN where unknown.
+        category: (N) classes.
+        track_id: (N) objects.
+        score: (N,) confidence; NaN where the label has none.
+        source: (N) ``source@version``.
+    """
+
+    frame: str
+    timestamp_ns: int
+    pose: Poses
+    size_m: Float64
+    velocity_mps: Float64
+    category: tuple[str, ...]
+    track_id: tuple[str, ...]
+    score: Float64
+    source: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def into(self, frame: str, frame_SE3_ego: Poses) -> FrameBoxes:
+        """The same boxes in another frame, given one pose of the ego frame in it."""
+        turn = Poses(frame_SE3_ego.rotation, np.zeros((1, 3)))
+        velocity = turn.transform(self.velocity_mps) if len(self) else self.velocity_mps
+        return FrameBoxes(
+            frame,
+            self.timestamp_ns,
+            frame_SE3_ego @ self.pose,
+            self.size_m,
+            velocity,
+            self.category,
+            self.track_id,
+            self.score,
+            self.source,
+        )
+
+
+class Traversal:
+    """What is loaded of one traversal, once.
+
+    Args:
+        catalog: the index.
+        row: the traversal's row in the table of traversals.
+        traversal_id: its id.
+        layers: the layers to read.
+    """
+
+    def __init__(self, catalog: Catalog, row: int, traversal_id: str, layers: LayerChoice) -> None:
+        self._catalog = catalog
+        self.row = row
+        self._layers = layers
+        self.traversal_id = traversal_id
+
+    @cached_property
+    def track(self) -> tuple[Int64, Poses]:
+        """Stamps (N,) and ``world_SE3_ego`` of the chosen pose layer.
+
+        Raises:
+            DatasetError: this traversal has no such layer.
+        """
+        columns = ["timestamp_ns", *_POSE]
+        arrays = self._table("poses", self._layers.poses, EGO_POSES.name, columns)
+        values = [numbers(array) for array in arrays]
+        return values[0], Poses(np.stack(values[1:5], axis=1), np.stack(values[5:], axis=1))
+
+    def world_SE3_ego(self, timestamp_ns: npt.ArrayLike) -> Poses:  # noqa: N802
+        """The ego's pose at any times (M,) of the traversal.
+
+        Raises:
+            DatasetError: the poses do not cover a time.
+        """
+        stamps, poses = self.track
+        try:
+            return interpolate(stamps, poses, timestamp_ns)
+        except UsageError as error:
+            raise DatasetError(
+                error.problem,
+                file=f"traversals/{self.traversal_id}",
+                place=f"poses of layer {self._layers.poses}",
+                expected="poses before and after every picture",
+                remedy="choose another pose layer: with_layers(poses=...)",
+            ) from error
+
+    @cached_property
+    def calibrations(self) -> Sequence[Calibration]:
+        """All calibrations of the chosen layer, sorted by camera, stage and validity."""
+        names = CALIBRATIONS.schema.names
+        arrays = self._table("calibrations", self._layers.calibrations, CALIBRATIONS.name, names)
+        rows = pa.Table.from_arrays(list(arrays), names=names).to_pylist()
+        return [
+            Calibration(
+                camera=row["camera"],
+                stage=row["stage"],
+                valid_from_ns=row["valid_from_ns"],
+                valid_to_ns=row["valid_to_ns"],
+                model=camera_from_row(row),
+                ego_SE3_camera=Poses(
+                    np.array([[row[name] for name in _POSE[:4]]]), np.array([[row[name] for name in _POSE[4:]]])
+                ),
+                row=row,
+            )
+            for row in rows
+        ]
+
+    def calibration(self, camera: str, timestamp_ns: int) -> Calibration:
+        """The calibration that holds for a camera at an instant.
+
+        Raises:
+            DatasetError: there is none.
+        """
+        valid = [
+            item
+            for item in self.calibrations
+            if item.camera == camera
+            and (item.valid_from_ns is None or item.valid_from_ns <= timestamp_ns)
+            and (item.valid_to_ns is None or timestamp_ns <= item.valid_to_ns)
+        ]
+        for stage in STAGES if self._layers.stage is None else (self._layers.stage,):
+            of_stage = [item for item in valid if item.stage == stage]
+            if of_stage:
+                return of_stage[-1]
+        there = sorted({item.stage for item in self.calibrations if item.camera == camera})
+        raise DatasetError(
+            f"no calibration of camera {camera} holds at {timestamp_ns}",
+            file=f"traversals/{self.traversal_id}",
+            place=f"calibrations of layer {self._layers.calibrations}",
+            expected=f"stage {self._layers.stage}" if self._layers.stage else "a row valid at that time",
+            remedy=f"choose a stage that is there: {', '.join(there)}" if there else "calibrate the camera",
+        )
+
+    def pictures(self, frame_index: int) -> Sequence[Mapping[str, Any]]:
+        """Rows of the pictures of one frame."""
+        group = self._group("images")
+        if group is None:
+            return []
+        (index,) = self._catalog.columns.read(*group, ["frame_index"])
+        rows = np.flatnonzero(degrees(index) == frame_index)
+        arrays = self._catalog.columns.read(*group, _PICTURE)
+        return [{name: array[row].as_py() for name, array in zip(_PICTURE, arrays)} for row in rows.tolist()]
+
+    def masks(self, camera: str, timestamp_ns: int) -> Sequence[Mapping[str, Any]]:
+        """Rows of the masks of one picture."""
+        group = self._group("masks")
+        if group is None:
+            return []
+        names = MASKS.schema.names
+        arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
+        hit = (numbers(arrays["timestamp_ns"]) == timestamp_ns) & member(arrays["camera"], frozenset([camera]))
+        return [{name: arrays[name][row].as_py() for name in names} for row in np.flatnonzero(hit).tolist()]
+
+    def boxes(self, timestamp_ns: int) -> FrameBoxes:
+        """The boxes nearest in time, in the ego frame of their own instant.
+
+        Boxes count as those of an instant if they are at most half a period of their layer away; of a layer with one
+        instant only those of that very instant do.
+
+        Raises:
+            UsageError: the traversal has several box layers and none was chosen.
+            DatasetError: the traversal does not have the chosen layer.
+        """
+        stamps, table = self._boxes
+        instants = np.unique(stamps)
+        if len(instants):
+            nearest = instants[np.argmin(np.abs(instants - timestamp_ns))]
+            period = float(np.median(np.diff(instants))) if len(instants) > 1 else 0.0
+            if 2 * abs(int(nearest) - timestamp_ns) <= period:
+                return _frame_boxes(table, np.flatnonzero(stamps == nearest), int(nearest))
+        return _frame_boxes(table, np.empty(0, np.int64), timestamp_ns)
+
+    @cached_property
+    def _boxes(self) -> tuple[Int64, Mapping[str, pa.Array]]:
+        names = BOXES.schema.names
+        group = self._group("boxes")
+        if group is None:
+            if self._layers.boxes is not None:
+                raise self._no_layer("boxes", self._layers.boxes)
+            return np.empty(0, np.int64), {}
+        arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
+        labels = list(zip(arrays["source"].to_pylist(), arrays["source_version"].to_pylist()))
+        sources = np.array([f"{source}@{version}" for source, version in labels], dtype=object)
+        there = sorted(set(sources))
+        chosen = self._layers.boxes
+        if chosen is None:
+            if len(there) > 1:
+                raise UsageError(
+                    f"traversal {self.traversal_id} has boxes of {', '.join(there)}",
+                    remedy=f"choose: with_layers(boxes={there[-1]!r})",
+                )
+            chosen = there[0]
+        if chosen not in there:
+            raise self._no_layer("boxes", chosen)
+        own = sources == chosen
+        return numbers(arrays["timestamp_ns"])[own], {name: array.filter(mask(own)) for name, array in arrays.items()}
+
+    def _group(self, name: str) -> tuple[str, int] | None:
+        """File and position of this traversal's row group of an index table; None: it has no rows."""
+        return self._catalog.group_of(name, self.row)
+
+    def _table(self, kind: str, layer: str, name: str, columns: Sequence[str]) -> list[pa.Array]:
+        """Columns of a recorded table, or of the same table in a layer."""
+        if layer == "recorded":
+            group = self._group(name)
+            return self._catalog.columns.read(*group, columns) if group else [pa.nulls(0) for _ in columns]
+        own = self._catalog.read_global("traversals", ["layers"]).column(0)[self.row].as_py()
+        if f"{kind}/{layer}" not in own:
+            raise self._no_layer(kind, layer)
+        path = f"traversals/{self.traversal_id}/layers/{kind}/{layer}/{name}.parquet"
+        return self._catalog.columns.read(path, 0, columns)
+
+    def _no_layer(self, kind: str, layer: str) -> DatasetError:
+        return DatasetError(
+            f"there is no {kind} layer {layer}",
+            file=f"traversals/{self.traversal_id}/layers/{kind}",
+            expected="a complete layer of that name",
+            remedy="choose another with with_layers(...), or leave this traversal out with where(...)",
+        )
+
+
+def _frame_boxes(table: Mapping[str, pa.Array], rows: Int64, timestamp_ns: int) -> FrameBoxes:
+    def floats(*names: str) -> Float64:
+        if not len(rows):
+            return np.empty((0, len(names)))
+        return np.stack([degrees(table[name])[rows] for name in names], axis=1)
+
+    def words(name: str) -> tuple[str, ...]:
+        return tuple(table[name][row].as_py() for row in rows.tolist())
+
+    return FrameBoxes(
+        frame="ego",
+        timestamp_ns=timestamp_ns,
+        pose=Poses(floats(*_POSE[:4]), floats(*_POSE[4:])),
+        size_m=floats("length_m", "width_m", "height_m"),
+        velocity_mps=floats("vx_mps", "vy_mps", "vz_mps"),
+        category=words("category"),
+        track_id=words("track_id"),
+        score=floats("score")[:, 0],
+        source=tuple(f"{source}@{version}" for source, version in zip(words("source"), words("source_version"))),
+    )

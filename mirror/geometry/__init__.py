@@ -5,6 +5,8 @@ Geodesy needs pyproj and shapely: it is imported from `mirror.geometry.geodesy` 
 
 from __future__ import annotations
 
+from mirror.geometry.box_projection import BoxProjections, convex_hull, project_boxes
+from mirror.geometry.boxes import corners, points_in_boxes
 from mirror.geometry.cameras import COEFFICIENTS, Camera, Projection, Rays, camera_from_row
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
@@ -25,15 +27,20 @@ from mirror.geometry.quaternions import (
 
 __all__ = [
     "COEFFICIENTS",
+    "BoxProjections",
     "Camera",
     "Poses",
     "Projection",
     "Rays",
     "angle_between_deg",
     "camera_from_row",
+    "convex_hull",
+    "corners",
     "heading_deg",
     "interpolate",
     "matrix_from_quaternion",
+    "points_in_boxes",
+    "project_boxes",
     "quaternion_exp",
     "quaternion_from_heading_pitch_roll",
     "quaternion_from_matrix",

@@ -20,7 +20,7 @@ from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.dataset.query.select import count, query
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.documents import DatasetDocument, Manifest, Role, SplitDocument
+from mirror.schema.documents import CANONICAL_CAMERAS, DatasetDocument, Manifest, Role, SplitDocument
 from mirror.schema.files import parse_json, sha256_bytes
 
 if TYPE_CHECKING:
@@ -98,9 +98,11 @@ class Dataset:
         return sorted(set(self._column("traversals", "drive_id")))
 
     def cameras(self) -> list[str]:
-        """Names of the cameras with pictures in the view, sorted."""
+        """Names of the cameras with pictures in the view: the canonical ones in their order, then others sorted."""
         names = {name for own in self._column("traversals", "cameras") for name in own}
-        return sorted(names if self.filters.camera is None else names & self.filters.camera)
+        chosen = names if self.filters.camera is None else names & self.filters.camera
+        canonical = [name for name in CANONICAL_CAMERAS if name in chosen]
+        return [*canonical, *sorted(chosen - set(canonical))]
 
     def passes(self) -> pa.Table:
         """The ledger: every pass, accepted or refused, with the rule that decided."""

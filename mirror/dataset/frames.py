@@ -259,8 +259,32 @@ class Frame:
             listed = ", ".join(f"{name} {width} x {height} px" for (height, width), name in sizes.items())
             raise UsageError(f"pictures of different sizes: {listed}", remedy="decode them one by one, or by size")
         planes = np.empty((len(names), 3, *next(iter(sizes), (0, 0))), np.uint8)
-        self._loader.decode_into([images[name] for name in names], planes, threads=threads, verify=verify)
+        self.decode_into(planes, names, threads=threads, verify=verify)
         return planes
+
+    def decode_into(
+        self, planes: UInt8, cameras: Sequence[str], *, threads: int | None = None, verify: bool = False
+    ) -> None:
+        """Decode into an array that is there already; that of a camera without a picture is left as it is.
+
+        Args:
+            planes: (C, 3, H, W), each camera's part contiguous.
+            cameras: (C,) names.
+            threads: as for `decode`.
+            verify: as for `decode`.
+
+        Raises:
+            UsageError: a picture is not of the size (H, W).
+            DatasetError: a picture is missing or broken.
+        """
+        wanted = [(self.images[name], out) for name, out in zip(cameras, planes) if name in self.images]
+        for image, out in wanted:
+            if out.shape != (3, image.height_px, image.width_px):
+                raise UsageError(
+                    f"camera {image.camera} of {self._name} has {image.width_px} x {image.height_px} px",
+                    expected=f"{out.shape[2]} x {out.shape[1]} px",
+                )
+        self._loader.decode_into(wanted, threads=threads, verify=verify)
 
     @property
     def _name(self) -> str:

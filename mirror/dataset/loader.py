@@ -124,15 +124,14 @@ class Loader:
             raise self._unreadable(uri, place, f"ends after {offset + len(data)} bytes", f"{offset + length} bytes")
         return data
 
-    def decode_into(self, images: Sequence[Image], planes: UInt8, *, threads: int | None, verify: bool) -> None:
-        """Decode pictures into contiguous planes (C, 3, H, W), on several threads."""
+    def decode_into(self, pictures: Sequence[tuple[Image, UInt8]], *, threads: int | None, verify: bool) -> None:
+        """Decode pictures, each into its contiguous planes (3, H, W), on several threads."""
         from mirror.dataset.pictures.still import run_all, split_planes
 
-        def one(image: Image, out: UInt8) -> None:
-            split_planes(image.decode(verify=verify), out)
+        def one(image: Image, planes: UInt8) -> None:
+            split_planes(image.decode(verify=verify), planes)
 
-        jobs = [partial(one, image, out) for image, out in zip(images, planes)]
-        run_all(jobs, [image.byte_length for image in images], threads)
+        run_all([partial(one, *picture) for picture in pictures], [image.byte_length for image, _ in pictures], threads)
 
     def video_frame(self, uri: str, pts: int, place: str) -> UInt8 | None:
         """Pixels (H, W, 3) of a video's frame; None: the video has no such frame, or is broken.

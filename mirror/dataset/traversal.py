@@ -45,7 +45,7 @@ class Calibration:
     valid_from_ns: int | None
     valid_to_ns: int | None
     model: Camera
-    ego_SE3_camera: Poses  # noqa: N815
+    ego_SE3_camera: Poses
     row: Mapping[str, Any]
 
 

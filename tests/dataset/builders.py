@@ -28,7 +28,7 @@ from mirror.schema.documents import (
     TriggerOptions,
 )
 from mirror.schema.files import encode_table, write_bytes, write_json
-from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, MASKS, PASSES, Table
+from mirror.schema.tables import CALIBRATIONS, EGO_POSES, IMAGES, PASSES, Table
 
 SECOND = 1_000_000_000
 EPOCH = 1_700_000_000 * SECOND
@@ -73,8 +73,8 @@ class Pass:
 
     def position(self, timestamp_ns: np.ndarray) -> np.ndarray:
         """World positions (N, 3): the exact truth of every pose."""
-        middle = (self.entry_ns + self.exit_ns) / 2
-        along = (np.asarray(timestamp_ns, np.float64) - middle) / SECOND * self.speed_mps
+        middle = (self.entry_ns + self.exit_ns) // 2
+        along = (np.asarray(timestamp_ns) - middle) / SECOND * self.speed_mps
         heading = np.radians(self.heading_deg)
         forward, left = np.array([np.sin(heading), np.cos(heading)]), np.array([-np.cos(heading), np.sin(heading)])
         flat = along[:, None] * forward + self.offset_m * left
@@ -343,12 +343,24 @@ def box(timestamp_ns: int, track_id: str, **more: object) -> dict[str, object]:
     }
 
 
+def mask_row(camera: str, timestamp_ns: int, uri: str, data: bytes = b"", **more: object) -> dict[str, object]:
+    """A mask of one picture."""
+    return {
+        "camera": camera,
+        "timestamp_ns": timestamp_ns,
+        "kind": "dynamic",
+        "uri": uri,
+        "byte_length": len(data),
+        "sha256": hashlib.sha256(data).digest(),
+        "source": "sam",
+        "source_version": "1",
+        **more,
+    }
+
+
 def encode_rows(rows: Sequence[Mapping[str, object]], table: Table) -> bytes:
     """A table's file from rows."""
     plain = pa.schema(
         [item.with_type(pa.string()) if pa.types.is_dictionary(item.type) else item for item in table.schema]
     )
     return encode_table(pa.Table.from_pylist([dict(row) for row in rows], schema=plain), table)
-
-
-__all__ = ["BOXES", "CALIBRATIONS", "EGO_POSES", "EPOCH", "IMAGES", "MASKS", "SECOND", "SEVEN", "Builder", "Pass"]

@@ -22,7 +22,9 @@ _LINESTRING, _POLYGON = 2, 3
 
 def continuous(longitude_deg: Float64) -> Float64:
     """Longitudes (N,) without the jump at the antimeridian."""
-    return np.unwrap(longitude_deg, period=360.0)
+    # Whole turns are counted, so that a ring that comes back to its first point does so to the last bit.
+    turns = np.round(np.diff(longitude_deg) / 360.0)
+    return longitude_deg - 360.0 * np.concatenate([[0.0], np.cumsum(turns)])
 
 
 def wkb_line(points: Float64) -> bytes:

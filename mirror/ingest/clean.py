@@ -5,14 +5,15 @@ In one pass, in time order:
 - fixes that are not finite or off the globe are dropped (``invalid``);
 - of equal stamps the first stays (``duplicate_time``); a fix earlier than one before it is sorted in, or the drive is
   refused (``backward_time``);
-- fixes at the very place of the one before collapse to the first (``repeated``): a receiver that repeats its fix moved
-  on the straight line. Where the step out of such a run is one that a standing vehicle can make in that time
-  (``min_step + a t^2 / 2``), it did stand still, and the last of the run stays too;
+- fixes at the very place of the last good one collapse to the first (``repeated``): a receiver that repeats its fix
+  moved on the straight line. Where the step out of such a run is one that a standing vehicle can make in that time
+  (``min_step + a t^2 / 2``), it did stand still, and the last of the run stays too; so it does at a track's end;
 - speed test: a fix farther from the last good one than ``max_speed * t + noise`` is an outlier;
 - acceleration test: a fix off the straight line between its neighbours by more than ``a t1 t2 / 2 + noise`` (what a
   vehicle that accelerates by ``a`` can be off) is an outlier, if the neighbours pass the speed test without it;
-- after three outliers in a row that agree with each other the new track is taken up (``restarts``): motion across the
-  break is unknown, as across a gap. A track of fewer than three fixes before a break is dropped with the outliers.
+- after three fixes in a row that fail the speed test and agree with each other by the same test, the new track is taken
+  up (``restarts``): motion across the break is unknown, as across a gap. A track of fewer than three fixes before a
+  break is dropped with the outliers.
 """
 
 from __future__ import annotations
@@ -223,6 +224,7 @@ def _judge(
         if x == first[last] and y == second[last]:
             fate[index] = _REPEATED
             run_end = index
+            rejected, agreeing = -1, 0
             index += 1
             continue
         if geodetic and not abs(y - scale_at) < _SCALE_REFRESH_DEG:
@@ -231,21 +233,20 @@ def _judge(
         dx = unwrap(x - first[last], geodetic) * scale_x
         dy = (y - second[last]) * scale_y
         moved2 = dx * dx + dy * dy
+        before = last
         if run_end >= 0:
             dt = (stamps[index] - stamps[run_end]) * 1e-9
             reach = min_step + 0.5 * max_acceleration * dt * dt
             if moved2 <= reach * reach:
-                fate[run_end] = KEPT
-                last = run_end
-                track_length += 1
-            run_end = -1
-        dt = (stamps[index] - stamps[last]) * 1e-9
+                before = run_end
+        dt = (stamps[index] - stamps[before]) * 1e-9
         reach = max_speed * dt + noise
         if moved2 <= reach * reach:
             # The neighbour is nearly always the next row; the search is for repeated and unusable ones.
             after = index + 1
             if after < total and not _follows(index, after, stamps, first, second, geodetic):
                 after = _next_fix(index, stamps, first, second, geodetic)
+            rejected, agreeing = -1, 0
             spike = False
             if after < total:
                 dt2 = (stamps[after] - stamps[index]) * 1e-9
@@ -262,10 +263,12 @@ def _judge(
             if spike:
                 fate[index] = _OUTLIER
             else:
+                if before != last:
+                    fate[before] = KEPT
+                    track_length += 1
                 fate[index] = KEPT
-                last = index
+                last, run_end = index, -1
                 track_length += 1
-                rejected, agreeing = -1, 0
             index += 1
             continue
         agrees = False
@@ -283,6 +286,10 @@ def _judge(
         fate[index] = _OUTLIER
         index += 1
         if agreeing == _AGREEING:
+            if run_end >= 0:
+                fate[run_end] = KEPT
+                last = run_end
+                track_length += 1
             if track_length < _AGREEING:
                 for row in range(track_start, last + 1):
                     if fate[row] <= RESTART:

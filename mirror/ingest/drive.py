@@ -19,46 +19,66 @@ from mirror.schema.files import encode_table, read_json, read_table, write_bytes
 from mirror.schema.tables import IMAGES, PASSES
 
 
-def write_rig(layout: Layout, drive: JudgedDrive) -> None:
-    """Write ``rigs/<rig_id>.json`` and its static masks, or find them as they should be.
-
-    Raises:
-        DatasetError: the id is there with other cameras.
-    """
+def rig_document(drive: JudgedDrive) -> Rig | None:
+    """``rigs/<rig_id>.json`` of a drive; None for a poses-only one."""
     rig = drive.recording.rig
     if rig is None:
-        return
-    masks = {
-        f"{rig.rig_id}.{camera.name}.png": bytes(cv2.imencode(".png", np.ascontiguousarray(camera.static_mask))[1])
+        return None
+    cameras = tuple(
+        RigCamera(
+            name=camera.name,
+            source_name=camera.source_name,
+            static_mask=_mask_name(rig.rig_id, camera.name) if camera.static_mask is not None else None,
+        )
         for camera in rig.cameras
-        if camera.static_mask is not None
-    }
-    document = Rig(
+    )
+    return Rig(
         rig_id=rig.rig_id,
         vehicle_type=drive.info.vehicle_type,
         reference_camera=rig.reference_camera,
-        cameras=tuple(
-            RigCamera(
-                name=camera.name,
-                source_name=camera.source_name,
-                static_mask=f"{rig.rig_id}.{camera.name}.png" if camera.static_mask is not None else None,
-            )
-            for camera in rig.cameras
-        ),
+        cameras=cameras,
     )
-    path = layout.rig(rig.rig_id)
-    if path.exists():
-        if read_json(path, Rig) != document:
-            raise RecordingError(
-                f"rig {rig.rig_id!r} is in the dataset with other cameras, another reference camera or vehicle type",
-                file=drive.path,
-                expected=f"the rig of {path.name}",
-                remedy="give the rig of this recording another id",
-            )
+
+
+def refuse_other_rig(layout: Layout, drive: JudgedDrive, seen: dict[str, Rig]) -> None:
+    """Refuse a rig whose id is taken by another, in the dataset or in this run.
+
+    Args:
+        layout: the dataset.
+        drive: judged.
+        seen: rigs of this run by id; the drive's is added.
+
+    Raises:
+        RecordingError: cameras, reference camera or vehicle type differ.
+    """
+    document = rig_document(drive)
+    if document is None:
         return
-    for name, data in masks.items():
-        write_bytes(path.parent / name, data)
-    write_json(path, document)
+    path = layout.rig(document.rig_id)
+    if document.rig_id not in seen:
+        seen[document.rig_id] = read_json(path, Rig) if path.exists() else document
+    if seen[document.rig_id] != document:
+        raise RecordingError(
+            f"rig {document.rig_id!r} is known with other cameras, another reference camera or vehicle type",
+            file=drive.path,
+            expected=f"the rig of {path.name}",
+            remedy="give the rig of this recording another id",
+        )
+
+
+def _write_rig(layout: Layout, drive: JudgedDrive) -> None:
+    document, rig = rig_document(drive), drive.recording.rig
+    if document is None or rig is None or layout.rig(document.rig_id).exists():
+        return
+    for camera in rig.cameras:
+        if camera.static_mask is not None:
+            encoded = cv2.imencode(".png", np.ascontiguousarray(camera.static_mask))[1]
+            write_bytes(layout.root / "rigs" / _mask_name(rig.rig_id, camera.name), encoded.tobytes())
+    write_json(layout.rig(document.rig_id), document)
+
+
+def _mask_name(rig_id: str, camera: str) -> str:
+    return f"{rig_id}.{camera}.png"
 
 
 def seal_drive(layout: Layout, drive: JudgedDrive, scenes: Sequence[str], configuration: str) -> None:
@@ -67,6 +87,7 @@ def seal_drive(layout: Layout, drive: JudgedDrive, scenes: Sequence[str], config
     names = [traversal_id(info.drive_id, one) if one.accepted else None for one in drive.passes]
     folder = layout.drive(info.drive_id)
     (folder / MANIFEST).unlink(missing_ok=True)
+    _write_rig(layout, drive)
     rig = drive.recording.rig
     document = DriveDocument(
         drive_id=info.drive_id,

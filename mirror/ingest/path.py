@@ -16,7 +16,7 @@ from numba import njit
 from mirror.arrays import Float64, Int64, Records, UInt8
 from mirror.ingest.clean import RESTART
 from mirror.ingest.metric import scales, step_m, unwrap
-from mirror.ingest.visits import STANDSTILL
+from mirror.ingest.visits import CROSSING, STANDSTILL
 
 FIGURES = np.dtype(
     [
@@ -48,8 +48,12 @@ def _counted(
     a: Float64,
     b: Float64,
     s: Float64,
-) -> tuple[int, int]:
-    """Fill times, coordinates and cumulative path of the counted points; return their number and that of the fixes."""
+) -> tuple[int, int, bool]:
+    """Fill times, coordinates and cumulative path of the counted points.
+
+    Returns:
+        The number of points, that of the fixes, and whether the last point is but the rest of the way to the exit.
+    """
     t[0], a[0], b[0], s[0] = candidate.entry_ns, candidate.entry_first, candidate.entry_second, 0.0
     count, fixes = 1, 0
     for position in range(candidate.start, candidate.stop):
@@ -59,17 +63,18 @@ def _counted(
         fixes += 1
         step = step_m(a[count - 1], b[count - 1], first[position], second[position], geodetic)
         least = min_step
-        if len(sigma):
-            least = max(least, step_sigmas * sigma[position])
+        if len(sigma) and step_sigmas * sigma[position] > least:
+            least = step_sigmas * sigma[position]
         if step >= least and stamp > t[count - 1]:
             t[count], a[count], b[count], s[count] = stamp, first[position], second[position], s[count - 1] + step
             count += 1
-    if candidate.exit_ns > t[count - 1]:
+    rest = candidate.exit_ns > t[count - 1]
+    if rest:
         step = step_m(a[count - 1], b[count - 1], candidate.exit_first, candidate.exit_second, geodetic)
         t[count], a[count], b[count] = candidate.exit_ns, candidate.exit_first, candidate.exit_second
         s[count] = s[count - 1] + step
         count += 1
-    return count, fixes
+    return count, fixes, rest
 
 
 @njit(cache=True, nogil=True)
@@ -130,7 +135,7 @@ def figures(
         longest = max(longest, candidates[row].stop - candidates[row].start)
     t, a, b, s = np.empty(longest + 2, np.int64), np.empty(longest + 2), np.empty(longest + 2), np.empty(longest + 2)
     for row in range(len(candidates)):
-        count, fixes = _counted(
+        count, fixes, _ = _counted(
             stamps, first, second, fate, sigma, step_sigmas, min_step, geodetic, candidates[row], t, a, b, s
         )
         inside, inside_ns, left_at, closest = 0.0, 0, 0.0, np.inf
@@ -176,7 +181,9 @@ def without_standstills(
 ) -> int:
     """Cut out of visits what stands still for longer than the limit; the parts are visits of their own.
 
-    A standstill lasts from a counted point to the last fix before the next counted one.
+    A standstill lasts from a counted point to the last fix before the next counted one or the crossing; at the end of a
+    recording or before a gap, to the end. Of a visit that is nothing else, an empty part stays at its entry, so that
+    the ledger tells of it.
 
     Args:
         stamps: (N,) time.
@@ -207,14 +214,16 @@ def without_standstills(
             visit.entry_second,
             visit.entry_kind,
         )
-        count = 0
+        count, rest, before = 0, False, parts
         if visit.exit_ns - visit.entry_ns > limit_ns:
-            count, _ = _counted(stamps, first, second, fate, sigma, step_sigmas, min_step, geodetic, visit, t, a, b, s)
+            count, _, rest = _counted(
+                stamps, first, second, fate, sigma, step_sigmas, min_step, geodetic, visit, t, a, b, s
+            )
         for index in range(count - 1):
             if t[index + 1] - t[index] <= limit_ns:
                 continue
             left = t[index + 1]
-            if s[index + 1] > s[index]:
+            if index + 2 < count or not rest or visit.exit_kind == CROSSING:
                 left = t[index]
                 for position in range(visit.start, visit.stop):
                     if fate[position] <= RESTART and left < stamps[position] < t[index + 1]:
@@ -222,20 +231,32 @@ def without_standstills(
             if left - t[index] <= limit_ns:
                 continue
             if t[index] > rest_ns:
-                if parts < len(out):
-                    out[parts] = visit
-                    part = out[parts]
-                    part.entry_ns, part.entry_first, part.entry_second = rest_ns, rest_first, rest_second
-                    part.entry_kind = rest_kind
-                    part.exit_ns, part.exit_first, part.exit_second = t[index], a[index], b[index]
-                    part.exit_kind = STANDSTILL
+                _part(out, parts, visit, rest_ns, rest_first, rest_second, rest_kind)
+                _end(out, parts, t[index], a[index], b[index])
                 parts += 1
             rest_ns, rest_first, rest_second, rest_kind = left, a[index], b[index], STANDSTILL
-        if visit.exit_ns > rest_ns or rest_ns == visit.entry_ns:
-            if parts < len(out):
-                out[parts] = visit
-                part = out[parts]
-                part.entry_ns, part.entry_first, part.entry_second = rest_ns, rest_first, rest_second
-                part.entry_kind = rest_kind
+        if visit.exit_ns > rest_ns or rest_kind != STANDSTILL:
+            _part(out, parts, visit, rest_ns, rest_first, rest_second, rest_kind)
+            parts += 1
+        elif parts == before:
+            _part(out, parts, visit, visit.entry_ns, visit.entry_first, visit.entry_second, visit.entry_kind)
+            _end(out, parts, visit.entry_ns, visit.entry_first, visit.entry_second)
             parts += 1
     return parts
+
+
+@njit(cache=True, nogil=True)
+def _part(out: Records, number: int, visit: Records, entry_ns: int, first: float, second: float, kind: int) -> None:
+    """Store a copy of a visit with another entry, if there is room."""
+    if number < len(out):
+        out[number] = visit
+        part = out[number]
+        part.entry_ns, part.entry_first, part.entry_second, part.entry_kind = entry_ns, first, second, kind
+
+
+@njit(cache=True, nogil=True)
+def _end(out: Records, number: int, exit_ns: int, first: float, second: float) -> None:
+    """Let a stored part end in a standstill."""
+    if number < len(out):
+        part = out[number]
+        part.exit_ns, part.exit_first, part.exit_second, part.exit_kind = exit_ns, first, second, STANDSTILL

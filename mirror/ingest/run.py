@@ -24,7 +24,7 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout, read_manifest
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
-from mirror.ingest.drive import seal_drive, verify_source, write_rig
+from mirror.ingest.drive import refuse_other_rig, seal_drive, verify_source
 from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
 from mirror.ingest.replace import set_aside, settle
 from mirror.ingest.rois import merge_rois, read_rois, write_rois
@@ -36,6 +36,7 @@ from mirror.schema.documents import (
     CleaningOptions,
     DatasetDocument,
     DriveDocument,
+    Rig,
     Roi,
     Source,
     TriggerOptions,
@@ -349,10 +350,11 @@ def _write_all(
     """Write all accepted passes of all drives; return the drives of which every one succeeded."""
     jobs: list[tuple[JudgedDrive, int]] = []
     complete: list[JudgedDrive] = []
+    rigs: dict[str, Rig] = {}
     total = 0
     for drive in judged:
         try:
-            write_rig(run.layout, drive)
+            refuse_other_rig(run.layout, drive, rigs)
             for number in drive.slices:
                 pictures = selected_pictures(drive, drive.passes[number]).values()
                 total += sum(len(indices) for _, indices, _ in pictures)

@@ -142,11 +142,11 @@ class Trigger:
             is_clip
             | (found["exit_kind"][:-1] == CROSSING)
             & (found["entry_kind"][1:] == CROSSING)
-            & (found["entry_ns"][1:] - found["exit_ns"][:-1] <= self.options.join_gap_s * 1e9)
+            & (found["entry_ns"][1:] - found["exit_ns"][:-1] <= round(self.options.join_gap_s * 1e9))
         )
         begin = np.flatnonzero(np.concatenate([[True], ~joined]))
         end = np.append(begin[1:], len(found))
-        return self._judge(track, area.rois, found, begin, end, split=False, clip=is_clip)
+        return self._judge(track, area.rois, found, begin, end, clip=is_clip)
 
     def _visits(self, track: CleanTrack, area: _Area, is_clip: bool) -> Records:
         circles = (area.first, area.second)
@@ -217,29 +217,34 @@ class Trigger:
         begin: Int64,
         end: Int64,
         *,
-        split: bool,
         clip: bool,
     ) -> list[Pass]:
         """Measure and judge the passes that join the visits ``begin:end``; split those with too little overlap."""
-        if clip:
-            candidates = np.repeat(_whole(track), len(begin))
-        else:
-            candidates = found[begin].copy()
-            for name in ("exit_ns", "exit_first", "exit_second", "exit_kind", "stop"):
-                candidates[name] = found[name][end - 1]
-        measured = np.zeros(len(begin), FIGURES)
-        figures(*self._steps(track), candidates, begin, end, found, measured)
-        passes: list[Pass] = []
-        rows = zip(candidates.tolist(), measured.tolist(), found["roi"][begin].tolist(), begin.tolist(), end.tolist())
-        for candidate, figure, roi, low, high in rows:
-            judged = self._verdict(rois[roi].scene_id, candidate, figure, visits=high - low, split=split)
-            if not clip and high - low > 1 and judged.overlap <= self.options.min_overlap:
-                cut = figure[-1]
-                parts = np.array([low, cut]), np.array([cut, high])
-                passes += self._judge(track, rois, found, *parts, split=True, clip=False)
+        judged: dict[int, Pass] = {}
+        split = False
+        while len(begin):
+            if clip:
+                candidates = np.repeat(_whole(track), len(begin))
             else:
-                passes.append(judged)
-        return passes
+                candidates = found[begin].copy()
+                for name in ("exit_ns", "exit_first", "exit_second", "exit_kind", "stop"):
+                    candidates[name] = found[name][end - 1]
+            measured = np.zeros(len(begin), FIGURES)
+            figures(*self._steps(track), candidates, begin, end, found, measured)
+            halves: list[tuple[int, int]] = []
+            rows = zip(
+                candidates.tolist(), measured.tolist(), found["roi"][begin].tolist(), begin.tolist(), end.tolist()
+            )
+            for candidate, figure, roi, low, high in rows:
+                one = self._verdict(rois[roi].scene_id, candidate, figure, visits=high - low, split=split)
+                if not clip and high - low > 1 and one.overlap <= self.options.min_overlap:
+                    cut = figure[-1]
+                    halves += [(low, cut), (cut, high)]
+                else:
+                    judged[low] = one
+            begin, end = np.array(halves, np.int64).reshape(-1, 2).T
+            split = True
+        return [judged[low] for low in sorted(judged)]
 
     def _verdict(
         self, scene_id: str, candidate: Sequence[Any], figure: Sequence[Any], *, visits: int, split: bool
@@ -247,7 +252,7 @@ class Trigger:
         options = self.options
         (_, entry_ns, exit_ns, entry_1, entry_2, exit_1, exit_2, _, _, entry_kind, exit_kind, _) = candidate
         path_m, inside_m, heading_in, heading_out, closest_m, poses, inside_ns, _ = figure
-        duration_s = (exit_ns - entry_ns) * 1e-9
+        duration_s = (exit_ns - entry_ns) / 1e9
         if path_m > 0.0:
             overlap = min(inside_m / path_m, 1.0)
         else:

@@ -21,6 +21,7 @@ from mirror.ingest.metric import distance_m, scales, unwrap
 CROSSING, RECORDING_EDGE, GAP, STANDSTILL = range(4)
 _EARTH_M = 6_371_000.0
 _TOLERANCE_M = 1e-6
+_CELLS = 256
 
 VISIT = np.dtype(
     [
@@ -74,10 +75,13 @@ def build_grid(first: Float64, second: Float64, reach_m: Float64, geodetic: bool
         geodetic: whether the coordinates are degrees.
     """
     metres = np.array([scales(float(value), geodetic) for value in second])
-    half = np.column_stack([reach_m / np.maximum(metres[:, 0], 1e-3), reach_m / metres[:, 1]]) * 1.01
+    half = np.column_stack([reach_m / metres[:, 0], reach_m / metres[:, 1]]) * 1.01
     if geodetic:
-        half = np.minimum(half, [[180.0, 180.0]])
-    cell = np.maximum(half.min(axis=0) * 0.5, 1e-9)
+        # The circle is widest in longitude at its poleward side; one round the pole spans all longitudes.
+        poleward = np.abs(second) + half[:, 1]
+        across = np.array([scales(min(float(value), 90.0), True)[0] for value in poleward])
+        half[:, 0] = np.where(poleward < 89.999, 1.01 * reach_m / np.maximum(across, 1e-3), 180.0).clip(max=180.0)
+    cell = np.maximum(np.maximum(half.min(axis=0) * 0.5, half.max(axis=0) / _CELLS), 1e-9)
     columns = 0
     if geodetic:
         columns = max(1, int(360.0 / cell[0]))
@@ -115,6 +119,14 @@ def _slot(key: int, slots: int) -> int:
 
 
 @njit(cache=True, nogil=True)
+def _plane_error(second: float, radius: float, geodetic: bool) -> float:
+    """Bound of the relative error of distances up to a radius, measured by the metric at the centre."""
+    if not geodetic:
+        return 1e-12
+    return 4.0 * radius / _EARTH_M * (1.0 + abs(math.tan(second * math.pi / 180.0))) + 1e-6
+
+
+@njit(cache=True, nogil=True)
 def near(
     first: Float64,
     second: Float64,
@@ -140,7 +152,9 @@ def near(
     scale = np.empty((rois, 2))
     for roi in range(rois):
         scale[roi, 0], scale[roi, 1] = scales(centre_second[roi], geodetic)
-    reach2 = (reach_m * 1.01) ** 2
+    reach2 = np.empty(rois)
+    for roi in range(rois):
+        reach2[roi] = (reach_m[roi] * (1.0 + _plane_error(centre_second[roi], reach_m[roi], geodetic))) ** 2
     begun, reached, ordinal_seen = np.empty(rois, np.int64), np.empty(rois, np.int64), np.full(rois, -2, np.int64)
     found = np.empty((256, 3), np.int64)
     count = 0
@@ -276,117 +290,113 @@ def visits(
         roi, begin, last = stretches[row, 0], stretches[row, 1], stretches[row, 2]
         c1, c2, radius = centre_first[roi], centre_second[roi], radius_m[roi]
         scale_x, scale_y = scales(c2, geodetic)
-        guard = 0.0
-        if geodetic:
-            guard = 4.0 * radius / _EARTH_M * (1.0 + abs(math.tan(c2 * math.pi / 180.0))) + 1e-6
-        sure_inside = (radius * max(0.0, 1.0 - guard)) ** 2
-        sure_outside = (radius * (1.0 + guard)) ** 2
+        bend = _bend(c2, geodetic)
+        error = _plane_error(c2, radius, geodetic)
+        sure_inside = (radius * max(0.0, 1.0 - error)) ** 2
+        sure_outside = (radius * (1.0 + error)) ** 2
         is_open = False
         entry_ns, entry_1, entry_2, entry_kind, entry_at = 0, 0.0, 0.0, 0, 0
-        closest = np.inf
+        closest2, closest_1, closest_2 = np.inf, 0.0, 0.0
         previous = -1
         was_inside = False
         px, py = 0.0, 0.0
         for position in range(begin, last + 1):
             if fate[position] > RESTART:
                 continue
-            x, y = unwrap(first[position] - c1, geodetic) * scale_x, (second[position] - c2) * scale_y
+            y = second[position] - c2
+            x, y = unwrap(first[position] - c1, geodetic) * (scale_x + bend * y), y * scale_y
             r2 = x * x + y * y
             inside = r2 <= sure_inside
             if not inside and r2 <= sure_outside:
                 inside = distance_m(first[position], second[position], c1, c2, geodetic) <= radius
-            gap = previous < 0 or fate[position] == RESTART or stamps[position] - stamps[previous] > max_gap_ns
-            closes_at, close_kind = -1.0, CROSSING
-            opens_at = -1.0
-            if gap:
+            if previous < 0 or fate[position] == RESTART or stamps[position] - stamps[previous] > max_gap_ns:
                 if is_open:
-                    closes_at, close_kind = 0.0, GAP
-            elif was_inside != inside:
-                d1, d2 = unwrap(first[position] - first[previous], geodetic), second[position] - second[previous]
-                share_in, share_out = (0.0, 1.0) if was_inside else (1.0, 0.0)
-                share = _solve(share_in, share_out, first[previous], second[previous], d1, d2, c1, c2, radius, geodetic)
+                    if count < room:
+                        closest = distance_m(closest_1, closest_2, c1, c2, geodetic)
+                        _enter(out, count, roi, entry_ns, entry_1, entry_2, entry_kind, entry_at, closest)
+                        _leave(out, count, stamps[previous], first[previous], second[previous], GAP, position)
+                    count += 1
+                is_open = inside
                 if inside:
-                    opens_at = share
-                else:
-                    closes_at = share
-            elif not inside:
+                    entry_ns, entry_1, entry_2, entry_at = stamps[position], first[position], second[position], position
+                    entry_kind = RECORDING_EDGE if previous < 0 else GAP
+                    closest2, closest_1, closest_2 = r2, entry_1, entry_2
+                previous, was_inside, px, py = position, inside, x, y
+                continue
+            ex, ey = x - px, y - py
+            length2 = ex * ex + ey * ey
+            nearest = min(max(-(px * ex + py * ey) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
+            mx, my = px + nearest * ex, py + nearest * ey
+            nearest2 = mx * mx + my * my
+            within = was_inside or inside
+            f0, s0 = first[previous], second[previous]
+            d1, d2 = unwrap(first[position] - f0, geodetic), second[position] - s0
+            if not within and nearest2 <= sure_outside:
                 # Both ends outside: the step may still cut the circle between them.
-                ex, ey = x - px, y - py
-                length2 = ex * ex + ey * ey
-                nearest = -(px * ex + py * ey) / length2 if length2 > 0.0 else -1.0
-                if 0.0 < nearest < 1.0:
-                    mx, my = px + nearest * ex, py + nearest * ey
-                    if mx * mx + my * my <= sure_outside:
-                        d1, d2 = (
-                            unwrap(first[position] - first[previous], geodetic),
-                            second[position] - second[previous],
-                        )
-                        f0, s0 = first[previous], second[previous]
-                        r = distance_m(f0 + nearest * d1, s0 + nearest * d2, c1, c2, geodetic)
-                        if r < radius:
-                            opens_at = _solve(nearest, 0.0, f0, s0, d1, d2, c1, c2, radius, geodetic)
-                            closes_at = _solve(nearest, 1.0, f0, s0, d1, d2, c1, c2, radius, geodetic)
-                            closest = r
-            if opens_at >= 0.0:
-                f0, s0 = first[previous], second[previous]
-                d1, d2 = unwrap(first[position] - f0, geodetic), second[position] - s0
-                entry_ns = stamps[previous] + np.int64(round(opens_at * (stamps[position] - stamps[previous])))
-                entry_1, entry_2, entry_kind, entry_at = f0 + opens_at * d1, s0 + opens_at * d2, CROSSING, position
-                is_open = True
-            if closes_at >= 0.0:
-                f0, s0 = first[previous], second[previous]
-                d1, d2, dt = 0.0, 0.0, np.int64(0)
-                if close_kind == CROSSING:
-                    d1, d2 = unwrap(first[position] - f0, geodetic), second[position] - s0
-                    dt = np.int64(round(closes_at * (stamps[position] - stamps[previous])))
-                if count < room:
-                    _store(out, count, roi, entry_ns, entry_1, entry_2, entry_kind, entry_at, closest)
-                    visit = out[count]
-                    visit.exit_ns = stamps[previous] + dt
-                    visit.exit_first, visit.exit_second = f0 + closes_at * d1, s0 + closes_at * d2
-                    visit.stop = position
-                    visit.exit_kind = close_kind
-                count += 1
-                is_open = False
-                closest = np.inf
-            if gap and inside:
-                entry_ns, entry_1, entry_2, entry_at = stamps[position], first[position], second[position], position
-                entry_kind = RECORDING_EDGE if previous < 0 else GAP
-                is_open = True
-            if inside:
-                r = math.sqrt(r2)
-                if r < closest * (1.0 + 2.0 * guard):
-                    closest = min(closest, distance_m(first[position], second[position], c1, c2, geodetic))
+                within = distance_m(f0 + nearest * d1, s0 + nearest * d2, c1, c2, geodetic) < radius
+            if within:
+                dt = stamps[position] - stamps[previous]
+                if not was_inside:
+                    share = 1.0 if inside else nearest
+                    share = _solve(share, 0.0, f0, s0, d1, d2, c1, c2, radius, geodetic)
+                    entry_ns = stamps[previous] + np.int64(round(share * dt))
+                    entry_1, entry_2 = unwrap(f0 + share * d1, geodetic), s0 + share * d2
+                    entry_kind, entry_at = CROSSING, position
+                    is_open, closest2 = True, np.inf
+                if nearest2 < closest2:
+                    closest2, closest_1, closest_2 = nearest2, f0 + nearest * d1, s0 + nearest * d2
+                if not inside:
+                    share = 0.0 if was_inside else nearest
+                    share = _solve(share, 1.0, f0, s0, d1, d2, c1, c2, radius, geodetic)
+                    if count < room:
+                        closest = distance_m(closest_1, closest_2, c1, c2, geodetic)
+                        _enter(out, count, roi, entry_ns, entry_1, entry_2, entry_kind, entry_at, closest)
+                        exit_ns, exit_1 = stamps[previous] + np.int64(round(share * dt)), f0 + share * d1
+                        _leave(out, count, exit_ns, unwrap(exit_1, geodetic), s0 + share * d2, CROSSING, position)
+                    count += 1
+                    is_open = False
             previous, was_inside, px, py = position, inside, x, y
         if is_open:
             if count < room:
-                _store(out, count, roi, entry_ns, entry_1, entry_2, entry_kind, entry_at, closest)
-                visit = out[count]
-                visit.exit_ns = stamps[previous]
-                visit.exit_first, visit.exit_second = first[previous], second[previous]
-                visit.stop = previous + 1
-                visit.exit_kind = RECORDING_EDGE
+                closest = distance_m(closest_1, closest_2, c1, c2, geodetic)
+                _enter(out, count, roi, entry_ns, entry_1, entry_2, entry_kind, entry_at, closest)
+                _leave(out, count, stamps[previous], first[previous], second[previous], RECORDING_EDGE, previous + 1)
             count += 1
     return count
 
 
 @njit(cache=True, nogil=True)
-def _store(
+def _bend(second: float, geodetic: bool) -> float:
+    """Half the change of metres a degree of longitude with each degree of latitude.
+
+    With it, differences of longitude are scaled at the middle latitude, which takes the plane's first error away.
+    """
+    if not geodetic:
+        return 0.0
+    scale_y = scales(second, True)[1]
+    return -0.5 * scale_y * math.sin(second * math.pi / 180.0) * math.pi / 180.0
+
+
+@njit(cache=True, nogil=True)
+def _enter(
     out: Records,
-    count: int,
+    number: int,
     roi: int,
     entry_ns: int,
-    entry_1: float,
-    entry_2: float,
-    entry_kind: int,
-    entry_at: int,
-    closest: float,
+    first: float,
+    second: float,
+    kind: int,
+    start: int,
+    closest_m: float,
 ) -> None:
-    visit = out[count]
+    visit = out[number]
     visit.roi = roi
-    visit.entry_ns = entry_ns
-    visit.entry_first = entry_1
-    visit.entry_second = entry_2
-    visit.entry_kind = entry_kind
-    visit.start = entry_at
-    visit.closest_m = closest
+    visit.entry_ns, visit.entry_first, visit.entry_second, visit.entry_kind = entry_ns, first, second, kind
+    visit.start, visit.closest_m = start, closest_m
+
+
+@njit(cache=True, nogil=True)
+def _leave(out: Records, number: int, exit_ns: int, first: float, second: float, kind: int, stop: int) -> None:
+    visit = out[number]
+    visit.exit_ns, visit.exit_first, visit.exit_second, visit.exit_kind = exit_ns, first, second, kind
+    visit.stop = stop

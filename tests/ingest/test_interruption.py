@@ -1,0 +1,91 @@
+"""Ingest stopped at any instant, and disks that are full: what is there afterwards is whole."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mirror.dataset.layout import Layout
+from mirror.ingest.rois import write_rois
+from mirror.ingest.run import ingest
+from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
+
+HOUR_NS = 3_600_000_000_000
+SCENES = [SCENE, SCENE.model_copy(update={"scene_id": "wide", "radius_m": 80.0})]
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("fleet")
+    for number in range(6):
+        direction = 120.0 if number % 2 else -120.0
+        write_recording(
+            root,
+            f"drive_{number}",
+            start_ns=START_NS + number * HOUR_NS,
+            from_m=direction,
+            to_m=-direction,
+            seed=number,
+        )
+    write_rois(root / "rois.geojson", SCENES)
+    return root
+
+
+def command(fleet: Path, out: Path, *more: str) -> list[str]:
+    recordings = [str(path) for path in sorted(fleet.glob("drive_*"))]
+    rois = ["--rois", str(fleet / "rois.geojson")]
+    return [sys.executable, "-m", "mirror.cli.main", "ingest", *recordings, *rois, "--out", str(out), *more]
+
+
+def test_killed_at_any_instant_and_run_again_it_ends_with_the_same_bytes(fleet: Path, tmp_path: Path) -> None:
+    ingest(sorted(fleet.glob("drive_*")), SCENES, tmp_path / "whole")
+    out = tmp_path / "killed"
+    interrupted = 0
+    for files in (1, 40, 90, 200, 330, 480, 10_000):
+        running = subprocess.Popen(command(fleet, out, "--copy"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        while running.poll() is None and _files(out) < files:
+            time.sleep(0.002)
+        interrupted += running.poll() is None
+        running.kill()
+        running.wait()
+    assert interrupted >= 3
+    subprocess.run(command(fleet, out, "--copy"), check=True, capture_output=True)
+    assert tree(out) == tree(tmp_path / "whole")
+
+
+def _files(root: Path) -> int:
+    return sum(len(names) for _, _, names in os.walk(root))
+
+
+def test_a_full_disk_is_an_error_with_a_remedy_and_the_next_run_goes_on(fleet: Path, tmp_path: Path) -> None:
+    out = tmp_path / "d"
+    first = sorted(fleet.glob("drive_*"))[:1]
+    ingest(first, SCENES, out)
+    before = tree(out)
+    limit = "import resource, runpy, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500));"
+    # The signal that would end the process becomes the error that a full disk gives.
+    limit += "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+    limit += "sys.argv = ['mirror', *sys.argv[1:]]; runpy.run_module('mirror.cli.main', run_name='__main__')"
+    words = command(fleet, out, "--copy")
+    run = subprocess.run([sys.executable, "-c", limit, *words[3:]], capture_output=True, text=True, check=False)
+    assert run.returncode == 2
+    assert "cannot be written" in run.stderr
+    assert "free space" in run.stderr
+    kept = {name: digest for name, digest in tree(out).items() if name in before}
+    assert kept == before
+    subprocess.run(words, check=True, capture_output=True)
+    assert len(Layout(out).drive_ids()) == 6
+    subprocess.run(command(fleet, tmp_path / "e", "--copy"), check=True, capture_output=True)
+    assert tree(out) == tree(tmp_path / "e")
+
+
+def test_an_unwritable_place_is_an_error(fleet: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    run = subprocess.run(command(fleet, tmp_path / "file" / "d"), capture_output=True, text=True, check=False)
+    assert run.returncode == 2
+    assert "cannot be written" in run.stderr

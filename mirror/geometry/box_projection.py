@@ -56,7 +56,7 @@ class BoxProjections:
         boxes = _Boxes(self.camera_SE3_box[one], self.lwh_m[one], self.edges_m[one])
         curves, lost = _project_edges(self.camera, boxes.edges, _steps(self.camera, boxes.edges)[0])
         points = [curves.reshape(-1, 2)]
-        if lost[0]:
+        if _ends_at_rim(self.camera, boxes, lost)[0]:
             points.append(_seen_through(boxes, *_rim(self.camera), _near(self.camera, self.near_m))[0])
         return convex_hull(np.concatenate(points))
 
@@ -168,6 +168,7 @@ def _steps(camera: Camera, edges: Float64) -> AnyArray:
 
 def _bounds(camera: Camera, boxes: _Boxes, steps: int, near: float) -> Float64:
     curves, lost = _project_edges(camera, boxes.edges, steps)
+    lost = _ends_at_rim(camera, boxes, lost)
     size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
     points = curves.reshape(len(curves), -1, 2)
     inside = _within(points, size)
@@ -253,6 +254,14 @@ def _seen_through(boxes: _Boxes, rays: Float64, pixels: Float64, near: float) ->
         leave = np.fmin.reduce(np.fmax(one, other), axis=-1)
         hit = (leave >= enter) & (leave >= near / np.abs(rays[:, 2])) & np.isfinite(rays[:, 0])
     return np.where(hit[..., None], pixels, np.nan)
+
+
+def _ends_at_rim(camera: Camera, boxes: _Boxes, lost: Bool) -> Bool:
+    """Which boxes (N,) are seen up to the lens's range: an edge leaves it, or all of it lies behind one face."""
+    if camera.lens.forward_only:
+        return lost
+    rays, pixels = _rim(camera)
+    return np.logical_or(lost, np.isfinite(_seen_through(boxes, rays[:1], pixels[:1], 0.0)[:, 0, 0]))
 
 
 def _rim(camera: Camera) -> tuple[Float64, Float64]:

@@ -26,9 +26,10 @@ from mirror.geometry.cameras.monotonic import InverseTable, first_positive_root
 
 # Newton's method squares the error: a step this small leaves less than rounding behind it.
 _CONVERGED: Final = 1e-8
+_CLOSE: Final = 1e-7
 _FAST_STEPS: Final = 4
 _CAREFUL_STEPS: Final = 60
-_FARTHEST: Final = 1e6
+_WIDEST_RAD: Final = np.pi / 2 - 1e-6
 
 
 class Perspective:
@@ -52,7 +53,7 @@ class Perspective:
         self._rational = any(self._denominator)
         self._tangential = (p1, p2)
         self.straight = not any(coefficients)
-        self.limit = self._find_limit()
+        self.limit, self._farthest = self._find_limit()
         if not self.straight:
             self._table = InverseTable(self._radial, self._table_end(reach))
 
@@ -86,18 +87,15 @@ class Perspective:
 
     def _undistort(self, u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
         radius = np.sqrt(u * u + v * v)
-        tangential = np.hypot(*self._tangential)
-        reachable = np.isfinite(radius)
-        if np.isfinite(self.limit):
-            reachable &= radius <= self._radial(np.array(self.limit)) + 3.0 * tangential * self.limit**2
+        reachable = np.isfinite(radius) & (radius <= self._farthest)
         u, v, radius = np.where(reachable, u, 0.0), np.where(reachable, v, 0.0), np.where(reachable, radius, 0.0)
         scale = self._table(radius) / np.where(radius == 0.0, 1.0, radius)
         x, y = u * scale, v * scale
         solved = np.zeros(x.shape, dtype=np.bool_)
         for _ in range(_FAST_STEPS):
-            dx, dy = self._newton_step(x, y, u, v)
+            dx, dy, close = self._newton_step(x, y, u, v)
             x, y = x - dx, y - dy
-            solved = (dx * dx + dy * dy <= _CONVERGED**2) & (x * x + y * y < self.limit * self.limit)
+            solved = close & (dx * dx + dy * dy <= _CONVERGED**2) & (x * x + y * y < self.limit * self.limit)
             if solved.all():
                 return x, y, reachable
         slow = np.flatnonzero(~solved)
@@ -110,12 +108,12 @@ class Perspective:
         solved = np.zeros(x.shape, dtype=np.bool_)
         for _ in range(_CAREFUL_STEPS):
             x, y = self._within_limit(x, y)
-            dx, dy = self._newton_step(x, y, u, v)
+            dx, dy, close = self._newton_step(x, y, u, v)
             length = np.sqrt(dx * dx + dy * dy)
             allowed = 0.1 + 0.5 * np.sqrt(x * x + y * y)
             shorter = np.where(length > allowed, allowed / length, 1.0)
             x, y = x - shorter * dx, y - shorter * dy
-            solved = (length <= _CONVERGED) & (x * x + y * y < self.limit * self.limit)
+            solved = close & (length <= _CONVERGED) & (x * x + y * y < self.limit * self.limit)
             if solved.all():
                 break
         return x, y, solved
@@ -127,7 +125,8 @@ class Perspective:
         back = np.where(radius > edge, edge / radius, 1.0) if np.isfinite(edge) else 1.0
         return x * back, y * back
 
-    def _newton_step(self, x: AnyArray, y: AnyArray, u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray]:
+    def _newton_step(self, x: AnyArray, y: AnyArray, u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
+        """The step, and whether it starts where the image is met closely: at a pole steps are short anywhere."""
         p1, p2 = self._tangential
         squared = x * x + y * y
         factor, slope = self._factor_and_slope(squared)
@@ -138,7 +137,8 @@ class Perspective:
         yy = factor + 2.0 * y * (y * slope + 2.0 * p1)
         xy = 2.0 * (x * y * slope + p1 * x + p2 * y)
         inverse = 1.0 / (xx * yy - xy * xy)
-        return (yy * du - xy * dv) * inverse, (xx * dv - xy * du) * inverse
+        close = du * du + dv * dv <= _CLOSE**2 * (1.0 + u * u + v * v)
+        return (yy * du - xy * dv) * inverse, (xx * dv - xy * du) * inverse, close
 
     def _factor(self, squared: AnyArray) -> AnyArray:
         factor = 1.0 + squared * _horner(self._numerator, squared)
@@ -161,7 +161,8 @@ class Perspective:
     def _radial(self, radius: AnyArray) -> AnyArray:
         return radius * self._factor(radius * radius)
 
-    def _find_limit(self) -> float:
+    def _find_limit(self) -> tuple[float, float]:
+        """The radius up to which the distortion is invertible, and one that no distorted point exceeds."""
         radius = Polynomial((0.0, 1.0))
         squared = radius**2
         numerator = 1.0 + squared * Polynomial(self._numerator)(squared)
@@ -178,13 +179,18 @@ class Perspective:
             3.0 * numerator - 10.0 * tangential * radius * denominator,
             denominator,
         )
-        return min(first_positive_root(np.asarray(condition.coef, dtype=np.float64)) for condition in conditions)
+        turn, excess, pole = (first_positive_root(np.asarray(one.coef, dtype=np.float64)) for one in conditions)
+        limit = min(turn, excess, pole)
+        if limit == pole:
+            return limit, np.inf
+        return limit, float(self._radial(np.array(limit))) + 3.0 * tangential * limit**2
 
     def _table_end(self, reach: float) -> float:
-        end = 1.0
-        while end < min(self.limit, _FARTHEST) and self._radial(np.array(end)) < 2.0 * reach:
-            end *= 2.0
-        return min(end, self.limit)
+        """Where the radial part has left the image, or, if it never does, the limit."""
+        angle = min(np.arctan(self.limit), _WIDEST_RAD)
+        radius = np.tan(np.linspace(0.0, angle * (1.0 - _CONVERGED), 4096))
+        left = np.flatnonzero(self._radial(radius) >= 2.0 * reach)
+        return float(radius[left[0] if len(left) else -1])
 
 
 def _horner(coefficients: tuple[float, float, float], squared: AnyArray) -> AnyArray:

@@ -15,7 +15,7 @@ import tyro
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from mirror.ingest.run import IngestReport
+    from mirror.ingest.request import IngestReport
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,9 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError("no dataset folder given", place="--out", expected="--out DATASET, or --dry-run")
 
     from mirror.cli.progress import progress_bar
+    from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import parse_roi, read_rois
-    from mirror.ingest.run import IngestOptions, ingest
+    from mirror.ingest.run import ingest
     from mirror.ingest.traversal import WriteOptions
 
     rois = read_rois(arguments.rois) if arguments.rois else []

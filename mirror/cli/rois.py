@@ -62,8 +62,8 @@ def main(argv: Sequence[str]) -> int:
 
     from mirror.cli.progress import progress_bar
     from mirror.ingest.propose import propose_rois
+    from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import write_rois
-    from mirror.ingest.run import IngestOptions
 
     options = IngestOptions(
         reader=arguments.reader,

@@ -12,6 +12,7 @@ from numba import njit
 from mirror.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 
 _RAD = math.pi / 180.0
+_EARTH_M = 6_371_000.0
 
 
 @njit(cache=True, nogil=True)
@@ -65,3 +66,11 @@ def distance_m(first: float, second: float, first0: float, second0: float, geode
     chord2 = (across - across0) ** 2 + 4.0 * across * across0 * math.sin(half_dlon) ** 2 + dz * dz
     radius = SEMI_MAJOR_M * math.sqrt(1.0 - ECCENTRICITY_SQUARED) / inner0
     return 2.0 * radius * math.asin(min(math.sqrt(chord2) / (2.0 * radius), 1.0))
+
+
+@njit(cache=True, nogil=True)
+def plane_error(second: float, radius: float, geodetic: bool) -> float:
+    """Bound of the relative error of distances up to a radius, measured by the metric at the centre."""
+    if not geodetic:
+        return 1e-12
+    return 4.0 * radius / _EARTH_M * (1.0 + abs(math.tan(second * _RAD))) + 1e-6

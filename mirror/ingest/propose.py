@@ -20,7 +20,7 @@ from mirror.arrays import Float64, Int64
 from mirror.errors import MirrorError, RecordingError
 from mirror.ingest.clean import CleanTrack, clean
 from mirror.ingest.metric import scales
-from mirror.ingest.run import IngestOptions, Progress, Silent
+from mirror.ingest.request import IngestOptions, Progress, Silent
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions

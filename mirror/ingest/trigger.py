@@ -16,8 +16,9 @@ import numpy as np
 
 from mirror.arrays import Float64, Int64, Records, UInt8
 from mirror.ingest.clean import CleanTrack
+from mirror.ingest.grid import Grid, build_grid, near
 from mirror.ingest.path import FIGURES, figures, without_standstills
-from mirror.ingest.visits import CROSSING, RECORDING_EDGE, VISIT, Grid, build_grid, near, visits
+from mirror.ingest.visits import CROSSING, RECORDING_EDGE, VISIT, visits
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 
 Rule = Literal["min_duration", "min_path", "min_overlap"]

@@ -14,7 +14,8 @@ import mirror
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
-from mirror.ingest.run import IngestOptions, ingest
+from mirror.ingest.request import IngestOptions
+from mirror.ingest.run import ingest
 from mirror.ingest.traversal import WriteOptions
 from mirror.schema.documents import DriveDocument
 from mirror.schema.files import read_json, read_table

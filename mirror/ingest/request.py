@@ -1,0 +1,103 @@
+"""What an ingest run is asked to do, how it tells how far it is, and what it came to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from mirror.errors import MirrorError
+from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.traversal import WriteOptions, Written
+
+
+class Progress(Protocol):
+    """How a run tells how far it is."""
+
+    def start(self, what: str, total: int) -> None:
+        """A phase begins, with so many steps."""
+        ...
+
+    def advance(self, steps: int) -> None:
+        """Steps are done; called from several threads."""
+        ...
+
+
+class Silent:
+    """No progress shown."""
+
+    def start(self, what: str, total: int) -> None:
+        """Say nothing."""
+
+    def advance(self, steps: int) -> None:
+        """Say nothing."""
+
+
+@dataclass(frozen=True)
+class IngestOptions:
+    """What an ingest run is asked to do.
+
+    Attributes:
+        reader: name of the recording reader; None: each recording is recognised.
+        reader_options: handed to the reader.
+        trigger: thresholds given on this run, by name; the dataset's own, else the defaults, for the rest.
+        cleaning: likewise.
+        write: how traversals are written.
+        workers: threads.
+        dry_run: judge only, write nothing.
+        verify: hash the source pictures of drives that look unchanged.
+        replace: drop a drive of the same id whose recording has changed.
+        fail_fast: stop at the first drive that cannot be ingested.
+        wait: wait for another writer of the dataset.
+        licence: licence of the data, for ``dataset.json`` of a new dataset.
+    """
+
+    reader: str | None = None
+    reader_options: Mapping[str, str] = field(default_factory=dict)
+    trigger: Mapping[str, object] = field(default_factory=dict)
+    cleaning: Mapping[str, object] = field(default_factory=dict)
+    write: WriteOptions = field(default_factory=WriteOptions)
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    dry_run: bool = False
+    verify: bool = False
+    replace: bool = False
+    fail_fast: bool = False
+    wait: bool = False
+    licence: str | None = None
+
+
+@dataclass
+class IngestReport:
+    """What an ingest run came to.
+
+    Attributes:
+        drives: judged drives, by id.
+        unchanged: ids of drives that were there already, unchanged.
+        traversals: written or found complete.
+        failures: recordings that could not be ingested, each with its error.
+        images: pictures written.
+        bytes: of those pictures.
+        linked: those of them that are hard links.
+    """
+
+    drives: dict[str, JudgedDrive] = field(default_factory=dict)
+    unchanged: list[str] = field(default_factory=list)
+    traversals: list[Written] = field(default_factory=list)
+    failures: list[tuple[Path, MirrorError]] = field(default_factory=list)
+
+    @property
+    def images(self) -> int:
+        """Pictures written by this run."""
+        return sum(one.images for one in self.traversals if not one.reused)
+
+    @property
+    def bytes(self) -> int:
+        """Their size."""
+        return sum(one.bytes for one in self.traversals if not one.reused)
+
+    @property
+    def linked(self) -> int:
+        """How many of them are hard links."""
+        return sum(one.linked for one in self.traversals)

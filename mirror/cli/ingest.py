@@ -78,6 +78,8 @@ class Arguments:
     """Names of columns, e.g. time=Date+Time,lon=LON,lat=LAT (csv reader)."""
     option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Any other option of the reader as key=value; may be repeated."""
+    weather_from: str | None = None
+    """Plug-in that tells the weather from pictures, for recordings that do not state it."""
     trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
     cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
     copy: bool = False
@@ -121,6 +123,7 @@ def main(argv: Sequence[str]) -> int:
         reader_options=reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns),
         trigger=given(arguments.trigger),
         cleaning=given(arguments.cleaning),
+        weather_plugin=arguments.weather_from,
         write=WriteOptions(transfer="copy" if arguments.copy else "link", hashing=arguments.hash),
         workers=arguments.workers,
         dry_run=arguments.dry_run,

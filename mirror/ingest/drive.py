@@ -13,6 +13,7 @@ from mirror.errors import DatasetError, RecordingError
 from mirror.ingest.judge import JudgedDrive
 from mirror.ingest.tables import pass_table
 from mirror.ingest.traversal import traversal_id
+from mirror.ingest.weather import weather_from_traversals
 from mirror.recordings.protocol import Recording
 from mirror.schema.documents import DriveDocument, Rig, RigCamera
 from mirror.schema.files import encode_table, read_json, read_table, write_bytes, write_json
@@ -81,7 +82,9 @@ def _mask_name(rig_id: str, camera: str) -> str:
     return f"{rig_id}.{camera}.png"
 
 
-def seal_drive(layout: Layout, drive: JudgedDrive, scenes: Sequence[str], configuration: str) -> None:
+def seal_drive(
+    layout: Layout, drive: JudgedDrive, scenes: Sequence[str], configuration: str, weather_plugin: str | None
+) -> None:
     """Write the drive's document and ledger, then its manifest: from here on the drive and its traversals exist."""
     info = drive.info
     names = [traversal_id(info.drive_id, one) if one.accepted else None for one in drive.passes]
@@ -106,7 +109,8 @@ def seal_drive(layout: Layout, drive: JudgedDrive, scenes: Sequence[str], config
         end_ns=drive.end_ns,
         cleaning=drive.cleaning,
     )
-    ledger = encode_table(pass_table(drive, names), PASSES)
+    weather = weather_from_traversals(layout, drive, names, weather_plugin) if weather_plugin else {}
+    ledger = encode_table(pass_table(drive, names, weather, weather_plugin), PASSES)
     write_json(folder / "drive.json", document)
     write_bytes(folder / "passes.parquet", ledger)
     derived_from = {f"traversal:{name}": manifest_sha256(layout.recorded(name)) for name in names if name is not None}

@@ -44,6 +44,7 @@ class IngestOptions:
         reader_options: handed to the reader.
         trigger: thresholds given on this run, by name; the dataset's own, else the defaults, for the rest.
         cleaning: likewise.
+        weather_plugin: asked for the weather of drives whose source does not state it.
         write: how traversals are written.
         workers: threads.
         dry_run: judge only, write nothing.
@@ -58,6 +59,7 @@ class IngestOptions:
     reader_options: Mapping[str, str] = field(default_factory=dict)
     trigger: Mapping[str, object] = field(default_factory=dict)
     cleaning: Mapping[str, object] = field(default_factory=dict)
+    weather_plugin: str | None = None
     write: WriteOptions = field(default_factory=WriteOptions)
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     dry_run: bool = False

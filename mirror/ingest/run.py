@@ -119,7 +119,7 @@ def _ingest(run: _Run, recordings: Sequence[Path], rois: Sequence[Roi]) -> None:
         write_json(run.layout.document, document)
         write_rois(run.layout.rois, all_rois)
     for drive in written:
-        seal_drive(run.layout, drive, [roi.scene_id for roi in all_rois], configuration)
+        seal_drive(run.layout, drive, [roi.scene_id for roi in all_rois], configuration, run.options.weather_plugin)
 
 
 def _settings(run: _Run, rois: Sequence[Roi]) -> tuple[DatasetDocument, list[Roi]]:
@@ -158,6 +158,7 @@ def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
         "reader": options.reader,
         "reader_options": dict(options.reader_options),
         "hashing": options.write.hashing,
+        "weather_plugin": options.weather_plugin,
     }
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
 

@@ -142,12 +142,16 @@ def _nearest(sorted_ns: Int64, query_ns: Int64) -> Int64:
     return np.where(query_ns - sorted_ns[left] <= sorted_ns[right] - query_ns, left, right)
 
 
-def pass_table(drive: JudgedDrive, traversal_ids: Sequence[str | None]) -> pa.Table:
+def pass_table(
+    drive: JudgedDrive, traversal_ids: Sequence[str | None], weather: Mapping[int, str], weather_plugin: str | None
+) -> pa.Table:
     """The ledger of one drive.
 
     Args:
         drive: judged.
         traversal_ids: one for each pass, None for the refused.
+        weather: by number of pass, where a plug-in told it.
+        weather_plugin: that plug-in.
     """
     light, light_source = [], []
     for one in drive.passes:
@@ -161,7 +165,8 @@ def pass_table(drive: JudgedDrive, traversal_ids: Sequence[str | None]) -> pa.Ta
             light.append("unknown")
             light_source.append("unknown")
     passes, count = drive.passes, len(drive.passes)
-    weather = drive.info.weather
+    stated = drive.info.weather
+    source = "metadata" if stated else "unknown"
     columns: dict[str, object] = {
         "scene_id": [one.scene_id for one in passes],
         "drive_id": [drive.info.drive_id] * count,
@@ -170,8 +175,8 @@ def pass_table(drive: JudgedDrive, traversal_ids: Sequence[str | None]) -> pa.Ta
         "rule": pa.array([one.rule for one in passes], pa.string()),
         "light": light,
         "light_source": light_source,
-        "weather": [weather or "unknown"] * count,
-        "weather_source": ["metadata" if weather else "unknown"] * count,
+        "weather": [weather.get(number, stated or "unknown") for number in range(count)],
+        "weather_source": [weather_plugin if number in weather else source for number in range(count)],
     }
     for field in PASSES.schema:
         if field.name not in columns:

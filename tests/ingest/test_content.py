@@ -1,0 +1,116 @@
+"""What ingest takes over besides poses and files: videos, boxes, weather, light."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import mirror
+from mirror.dataset.layout import Layout
+from mirror.errors import UsageError
+from mirror.ingest.request import IngestOptions
+from mirror.ingest.run import ingest
+from mirror.recordings import weather
+from mirror.recordings.registry import open_recording
+from mirror.schema.files import read_table, write_table
+from mirror.schema.tables import BOXES, IMAGES
+from tests.ingest.recordings import SCENE, START_NS, write_recording
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    return write_recording(tmp_path / "fleet", "there")
+
+
+def test_frames_of_a_video_are_decoded_only_inside_passes(drive: Path, tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    stamps = sorted(int(path.stem) for path in (drive / "images" / "rear").iterdir())
+    for path in (drive / "images" / "rear").iterdir():
+        path.unlink()
+    (drive / "images" / "rear").rmdir()
+    (drive / "videos").mkdir()
+    with av.open(str(drive / "videos" / "rear.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=10, options={"g": "10", "bf": "0"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for number in range(len(stamps)):
+            picture = np.full((48, 64, 3), 40 + number, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "rgb24")))
+        container.mux(stream.encode())
+    with av.open(str(drive / "videos" / "rear.mp4")) as container:
+        pts = sorted(packet.pts for packet in container.demux(video=0) if packet.pts is not None)
+    table = "pts,exposure_start_ns,exposure_end_ns\n" + "".join(f"{p},{t},{t}\n" for p, t in zip(pts, stamps))
+    (drive / "videos" / "rear.csv").write_text(table)
+
+    report = ingest([drive], [SCENE], tmp_path / "d")
+    assert not report.failures
+    rows = read_table(Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "images.parquet", IMAGES)
+    rear = [row for row in rows.to_pylist() if row["camera"] == "rear"]
+    assert {row["timestamp_ns"] for row in rear} == {t for t in stamps if 7.5e9 <= t - START_NS <= 22.5e9}
+    content = report.drives["there"].content.images()["rear"]
+    assert len(rear) <= content.decoded <= len(rear) + 10 < len(stamps)
+    dataset = mirror.open(tmp_path / "d")
+    for frame in dataset.frames()[::20]:
+        image = frame.images["rear"]
+        expected = 40 + stamps.index(image.timestamp_ns)
+        assert abs(float(image.decode().mean()) - expected) < 3
+
+
+def test_boxes_of_the_recording_become_a_layer(drive: Path, tmp_path: Path) -> None:
+    stamps = [START_NS + int(seconds * 1e9) for seconds in (2, 8, 15, 22, 28)]
+    values = {field.name: pa.nulls(5, pa.float64()) for field in BOXES.schema}
+    for name, value in {"qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "tx_m": 9.0, "ty_m": 1.0, "tz_m": 0.8}.items():
+        values[name] = pa.array([value] * 5)
+    for name, value in {"length_m": 4.5, "width_m": 1.9, "height_m": 1.6}.items():
+        values[name] = pa.array([value] * 5)
+    for name, text in {"track_id": "7", "category": "car", "source": "people", "source_version": "1.2"}.items():
+        values[name] = pa.array([text] * 5)
+    values["timestamp_ns"] = pa.array(stamps, pa.int64())
+    write_table(drive / "boxes.parquet", pa.table(values), BOXES)
+    report = ingest([drive], [SCENE], tmp_path / "d")
+    layout, name = Layout(tmp_path / "d"), report.traversals[0].traversal_id
+    assert layout.layers(name) == [("boxes", "people", "1.2")]
+    rows = read_table(layout.layer(name, "boxes", "people", "1.2") / "boxes.parquet", BOXES)
+    assert rows.column("timestamp_ns").to_pylist() == stamps[1:4]
+    assert mirror.open(tmp_path / "d").count("boxes") == 3
+
+
+def test_light_is_computed_from_the_sun_and_weather_is_as_stated(drive: Path, tmp_path: Path) -> None:
+    ingest([drive], [SCENE], tmp_path / "d")
+    row = mirror.open(tmp_path / "d").table("traversals").to_pylist()[0]
+    # 2023-11-14 22:13:20 UTC in Munich.
+    assert (row["light"], row["light_source"]) == ("night", "solar_elevation")
+    assert (row["weather"], row["weather_source"]) == ("clear", "metadata")
+    document = json.loads((drive / "recording.json").read_text())
+    (drive / "recording.json").write_text(json.dumps({**document, "light": "dusk"}))
+    ingest([drive], [SCENE], tmp_path / "e")
+    row = mirror.open(tmp_path / "e").table("traversals").to_pylist()[0]
+    assert (row["light"], row["light_source"]) == ("dusk", "metadata")
+
+
+def test_weather_plugin_sees_pictures_of_drives_that_do_not_state_it(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document = json.loads((drive / "recording.json").read_text())
+    (drive / "recording.json").write_text(json.dumps({**document, "weather": None}))
+    assert open_recording(drive).info.weather is None
+    seen = []
+
+    class Entry:
+        value = "somewhere:rainy"
+
+        @staticmethod
+        def load() -> object:
+            return lambda pictures: seen.extend(picture.shape for picture in pictures) or "rain"
+
+    monkeypatch.setattr(weather, "entry_points", lambda **_: [Entry])
+    ingest([drive], [SCENE], tmp_path / "d", IngestOptions(weather_plugin="rainy"))
+    row = mirror.open(tmp_path / "d").table("traversals").to_pylist()[0]
+    assert (row["weather"], row["weather_source"]) == ("rain", "rainy")
+    assert seen == [(48, 64, 3)] * 3
+    monkeypatch.undo()
+    with pytest.raises(UsageError, match="weather plug-ins are named"):
+        ingest([drive], [SCENE], tmp_path / "e", IngestOptions(weather_plugin="no_such"))

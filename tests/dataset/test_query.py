@@ -151,6 +151,12 @@ def test_circles_agree_with_the_exact_geodesic(
     if exact <= radius - 1e-6:
         assert circle.touches(lons, lons, lats, lats)[0]
         assert circle.touches(lons - 0.1, lons + 0.1, lats - 0.1, lats + 0.1)[0]
+    west, east = np.sort(np.column_stack([lons, np.full(1, lon)]), axis=1)[0]
+    south, north = np.sort(np.column_stack([lats, np.full(1, lat)]), axis=1)[0]
+    if circle.covers(*(np.array([edge]) for edge in (west, east, south, north)))[0]:
+        grid = np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5))
+        *_, farthest = GEOD.inv(*(axis.ravel() for axis in grid), np.full(25, lon), np.full(25, lat))
+        assert np.max(farthest) <= radius
 
 
 def test_the_edge_of_a_circle_belongs_to_it() -> None:
@@ -275,7 +281,9 @@ def test_a_query_reads_only_the_row_groups_and_columns_it_needs(
     assert by_scene() == []
     dataset.where(within=(0.0, 0.0, 1000.0)).table("images")
     assert by_scene() == []
-    dataset.where(within=(25.47, 65.01, 1e4)).table("images", ["timestamp_ns"])
+    dataset.where(within=(25.47, 65.01, 1e4)).count("images")
+    assert by_scene() == []
+    dataset.where(within=(25.47, 65.01, 15.0)).table("images", ["timestamp_ns"])
     assert {entry[0] for entry in by_scene()} == {"index/images/north.parquet"}
     assert {name for entry in by_scene() for name in entry[2]} == {"longitude_deg", "latitude_deg", "timestamp_ns"}
 

@@ -14,7 +14,9 @@ from mirror.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, surface_
 MAX_RADIUS_M: Final = 20_000.0
 # The smallest radius of curvature of the ellipsoid: no degree of latitude is shorter than one on this sphere.
 _SMALLEST_CURVATURE_M: Final = 6_335_439.0
+# Below this latitude, distances on the plane that touches at the centre are far enough from wrong up to this distance.
 _PLANAR_BELOW_DEG: Final = 85.0
+_PLANAR_WITHIN_M: Final = 250_000.0
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,28 @@ class Circle:
     def contains(self, longitude_deg: Float64, latitude_deg: Float64) -> Bool:
         """Which places (N,) lie in it: the distance is the geodesic's, to 1e-4 m at 20 km; NaN lies nowhere.
 
-        On the plane that touches at the centre a distance p is wrong by less than c p^2: only places nearer to the edge
-        than that, and places so far off that the bound says nothing, are measured on the ellipsoid.
+        Only places so near to the edge, or so far off, that the plane does not tell are measured on the ellipsoid.
         """
         if abs(self.latitude_deg) > _PLANAR_BELOW_DEG:
             return self._measured(longitude_deg, latitude_deg)
+        planar, margin = self._planar_m(longitude_deg, latitude_deg), self._planar_error_m
+        inside = planar <= self.radius_m - margin
+        unsure = ~inside & ((planar < self.radius_m + 4.0 * margin) | (planar > _PLANAR_WITHIN_M))
+        if unsure.any():
+            rows = np.flatnonzero(unsure)
+            inside[rows] = self._measured(longitude_deg[rows], latitude_deg[rows])
+        return inside
+
+    def covers(self, west: Float64, east: Float64, south: Float64, north: Float64) -> Bool:
+        """Boxes (N,) of longitudes and latitudes that surely lie in it as a whole; NaN boxes do not."""
+        if abs(self.latitude_deg) > _PLANAR_BELOW_DEG:
+            return np.zeros(len(west), np.bool_)
+        # On the plane a box is a rectangle, of which a corner is the farthest point.
+        corners = [self._planar_m(lon, lat) for lon in (west, east) for lat in (south, north)]
+        return (east - west < 180.0) & (np.max(corners, axis=0) <= self.radius_m - self._planar_error_m)
+
+    def _planar_m(self, longitude_deg: Float64, latitude_deg: Float64) -> Float64:
+        """Distances (N,) from the centre, by the metres that a degree is long at the centre."""
         lat = np.radians(self.latitude_deg)
         inner = 1.0 - ECCENTRICITY_SQUARED * np.sin(lat) ** 2
         normal = SEMI_MAJOR_M / np.sqrt(inner)
@@ -56,18 +75,19 @@ class Circle:
         turn = longitude_deg - self.longitude_deg
         if np.max(np.abs(turn), initial=0.0) > 180.0:
             turn = (turn + 180.0) % 360.0 - 180.0
-        planar = np.hypot(
+        return np.hypot(
             turn * np.radians(normal * np.cos(lat)), (latitude_deg - self.latitude_deg) * np.radians(meridian)
         )
-        # cos(latitude) changes by tan(latitude) a radian, which half enters the distance; the radii change by 1 %.
-        c = (abs(np.tan(lat)) + 0.1) / _SMALLEST_CURVATURE_M
-        margin = c * self.radius_m**2 + 1e-3
-        inside = planar <= self.radius_m - margin
-        unsure = ~inside & ((planar < self.radius_m + 4.0 * margin) | (planar > 0.5 / c))
-        if unsure.any():
-            rows = np.flatnonzero(unsure)
-            inside[rows] = self._measured(longitude_deg[rows], latitude_deg[rows])
-        return inside
+
+    @property
+    def _planar_error_m(self) -> float:
+        """Bound of the planar distance's error for places at the distance of the radius.
+
+        cos(latitude) changes by tan(latitude) a radian, of which half enters the distance; the radii of curvature
+        change by 1 %. The error grows with the square of the distance.
+        """
+        slope = abs(np.tan(np.radians(self.latitude_deg))) + 0.1
+        return float(slope * self.radius_m**2 / _SMALLEST_CURVATURE_M + 1e-3)
 
     def _measured(self, longitude_deg: Float64, latitude_deg: Float64) -> Bool:
         distance = surface_distance_m(longitude_deg, latitude_deg, self.longitude_deg, self.latitude_deg)

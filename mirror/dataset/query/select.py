@@ -82,10 +82,11 @@ def select(catalog: Catalog, filters: Filters, name: str) -> Iterator[Part]:
         start, end = filters.time
         keep &= (groups.end_ns >= start) & (groups.start_ns < end)
         cut = (groups.start_ns < start) | (groups.end_ns >= end)
-    if placed:
-        for circle in filters.within:
-            keep &= _touched(groups, circle)
-    circles = filters.within if placed else ()
+    edges = []
+    for circle in filters.within if placed else ():
+        touched, covered = _box_tests(groups, circle)
+        keep &= touched
+        edges.append((circle, touched & ~covered))
     cameras = filters.camera if "camera" in schema.names else None
     for group in np.flatnonzero(keep).tolist():
         path, number = groups.path[group], int(groups.number[group])
@@ -96,7 +97,7 @@ def select(catalog: Catalog, filters: Filters, name: str) -> Iterator[Part]:
             masks.append((values >= filters.time[0]) & (values < filters.time[1]))
         if cameras is not None:
             masks.append(member(catalog.columns.read(path, number, ["camera"])[0], cameras))
-        masks += [_inside(catalog, (path, number), circle, schema.names) for circle in circles]
+        masks += [_inside(catalog, (path, number), circle, schema.names) for circle, edge in edges if edge[group]]
         passing = np.logical_and.reduce(masks) if masks else None
         total = int(groups.rows[group])
         passed = total if passing is None else int(np.count_nonzero(passing))
@@ -166,10 +167,12 @@ def _overlaps(catalog: Catalog, name: str, time: tuple[int, int]) -> Bool:
     return (numbers(ends.column("exit_ns")) >= time[0]) & (numbers(ends.column("entry_ns")) < time[1])
 
 
-def _touched(groups: RowGroups, circle: Circle | LocalCircle) -> Bool:
+def _box_tests(groups: RowGroups, circle: Circle | LocalCircle) -> tuple[Bool, Bool]:
+    """Row groups that may have a row in the circle, and those that lie in it as a whole."""
     if isinstance(circle, Circle):
-        return circle.touches(groups.west, groups.east, groups.south, groups.north)
-    return np.ones(len(groups.path), np.bool_)
+        boxes = (groups.west, groups.east, groups.south, groups.north)
+        return circle.touches(*boxes), circle.covers(*boxes)
+    return np.ones(len(groups.path), np.bool_), np.zeros(len(groups.path), np.bool_)
 
 
 def _inside(catalog: Catalog, part: tuple[str, int], circle: Circle | LocalCircle, names: Sequence[str]) -> Bool:

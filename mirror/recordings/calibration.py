@@ -9,6 +9,8 @@ import numpy as np
 import pyarrow as pa
 from pydantic import Field, model_validator
 
+from mirror.errors import UsageError
+from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.placing import UNIT_TOLERANCE
 from mirror.schema.documents import Document
@@ -17,10 +19,7 @@ from mirror.schema.tables import CALIBRATIONS
 Stage = Literal["factory", "online", "refined"]
 STAGES: tuple[Stage, ...] = ("factory", "online", "refined")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 SE3 = Annotated[tuple[Finite, ...], Field(min_length=7, max_length=7)]
-
-_COEFFICIENTS = {"pinhole": 0, "brown_conrady": 5, "rational": 8, "kannala_brandt": 4}
 
 
 class Calibration(Document):
@@ -47,15 +46,15 @@ class Calibration(Document):
     """
 
     camera: str
-    model: Literal["pinhole", "brown_conrady", "rational", "kannala_brandt", "f_theta"]
-    width_px: Annotated[int, Field(gt=0)]
-    height_px: Annotated[int, Field(gt=0)]
-    fx_px: Positive
-    fy_px: Positive
-    cx_px: Finite
-    cy_px: Finite
-    distortion: tuple[Finite, ...] = ()
-    ego_SE3_camera: SE3  # noqa: N815
+    model: str
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, ...] = ()
+    ego_SE3_camera: SE3
     valid_from_ns: int | None = None
     valid_to_ns: int | None = None
     time_offset_ns: int = 0
@@ -66,12 +65,24 @@ class Calibration(Document):
 
     @model_validator(mode="after")
     def _consistent(self) -> Calibration:
-        wanted = _COEFFICIENTS.get(self.model)
-        if wanted is not None and len(self.distortion) != wanted:
-            raise ValueError(f"{self.model} takes {wanted} distortion coefficients, not {len(self.distortion)}")
+        try:
+            Camera(
+                self.model,
+                self.width_px,
+                self.height_px,
+                self.fx_px,
+                self.fy_px,
+                self.cx_px,
+                self.cy_px,
+                self.distortion,
+            )
+        except UsageError as error:
+            raise ValueError(str(error)) from error
         length = float(np.linalg.norm(self.ego_SE3_camera[:4]))
         if abs(length - 1.0) > UNIT_TOLERANCE:
             raise ValueError(f"the quaternion of ego_SE3_camera has length {length:.4g}, not 1")
+        if self.valid_from_ns is not None and self.valid_to_ns is not None and self.valid_from_ns > self.valid_to_ns:
+            raise ValueError("valid_from_ns lies after valid_to_ns")
         return self
 
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from mirror.arrays import AnyArray, Float64, Int64
@@ -209,15 +210,13 @@ def _load(segment: Path) -> dict[str, Float64]:
         raise RecordingError(f"arrays of different lengths {lengths}", file=segment, expected="one row a frame in each")
     stamps, _, orientation = arrays.values()
     _refuse(~np.isfinite(stamps).all(axis=1), segment, _ARRAYS[0], "a GPS week and seconds", stamps)
-    length: Float64 = np.linalg.norm(orientation, axis=1)
-    _refuse(
-        ~(np.abs(length - 1.0) <= UNIT_TOLERANCE), segment, _ARRAYS[2], "a unit quaternion, scalar first", orientation
-    )
+    off = ~(np.abs(np.linalg.norm(orientation, axis=1) - 1.0) <= UNIT_TOLERANCE)
+    _refuse(off, segment, _ARRAYS[2], "a unit quaternion, scalar first", orientation)
     return arrays
 
 
-def _refuse(bad: AnyArray, segment: Path, name: str, expected: str, values: Float64) -> None:
-    if bad.any():
+def _refuse(bad: npt.ArrayLike, segment: Path, name: str, expected: str, values: Float64) -> None:
+    if np.any(bad):
         row = int(np.argmax(bad))
         raise RecordingError(
             f"{values[row].tolist()} is not usable",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Collection
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from mirror.errors import RecordingError
@@ -69,12 +68,11 @@ def list_folder(root: Path, folder: Path) -> dict[str, Path]:
     return found
 
 
-def walk(root: Path, *, without: Collection[str] = ()) -> list[tuple[str, Path]]:
-    """Every file under a folder as ``(path relative to it, path)``, in the order of the relative paths.
+def walk(root: Path) -> list[tuple[str, Path]]:
+    """Every file under a folder, hidden ones left out, as ``(path relative to it, path)``, in the order of the former.
 
     Args:
         root: a recording's folder.
-        without: names of folders at its top that do not belong to the recording.
 
     Raises:
         RecordingError: a link leads out of the recording.
@@ -86,12 +84,14 @@ def walk(root: Path, *, without: Collection[str] = ()) -> list[tuple[str, Path]]
         with os.scandir(folder) as entries:
             for entry in entries:
                 relative, path = prefix + entry.name, folder / entry.name
+                if entry.name.startswith("."):
+                    continue
                 if entry.is_symlink():
                     inside(root, relative, file=path, place="link")
-                if entry.is_dir():
-                    if prefix or entry.name not in without:
-                        open_folders.append((relative + "/", path))
-                else:
+                # The folder that a link stands for lies inside and is met under its own name.
+                if entry.is_dir(follow_symlinks=False):
+                    open_folders.append((relative + "/", path))
+                elif entry.is_file():
                     found.append((relative, path))
     return sorted(found)
 

@@ -46,7 +46,8 @@ def checked_quaternions(quaternion: Float64, rows: Rows, column: str) -> Float64
     Raises:
         RecordingError: one is NaN, zero, or off unit length by over 1 %; its row is named.
     """
-    length = np.linalg.norm(quaternion, axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(quaternion, axis=1)
     bad = ~(np.abs(length - 1.0) <= UNIT_TOLERANCE)
     rows.refuse(
         bad,
@@ -87,7 +88,7 @@ def track_from_utm(
     rotation = None
     if grid_rotation is not None:
         # Where there is no position there is no convergence, and cleaning will drop the pose.
-        convergence = np.nan_to_num(utm_convergence_rad(lon, lat, zone, north))
+        convergence = np.nan_to_num(utm_convergence_rad(lon, lat, zone, north), posinf=0.0, neginf=0.0)
         rotation = quaternion_multiply(quaternion_exp(np.outer(-convergence, (0.0, 0.0, 1.0))), grid_rotation)
     return Track(
         timestamp_ns,

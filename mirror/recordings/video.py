@@ -205,12 +205,13 @@ def _by_time(container: InputContainer, stream: Stream, wanted: Collection[int])
     """
     pending = dict.fromkeys(sorted(wanted))
     while pending:
-        reached = -sys.maxsize
-        for pts, frame in _from_key_frame(container, stream, next(iter(pending))):
+        target, reached = next(iter(pending)), -sys.maxsize
+        for pts, frame in _from_key_frame(container, stream, target):
             yield pts, frame
             pending.pop(pts, None)
             reached = max(reached, pts)
-            if not pending or _key_frame_between(stream, reached, next(iter(pending))):
+            # A container may enter earlier than its index says: go on until the target is reached.
+            if not pending or (target not in pending and _key_frame_between(stream, reached, next(iter(pending)))):
                 break
         else:
             return
@@ -220,17 +221,19 @@ def _from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iter
     """Decode on from a key frame whose frames reach back to a pts.
 
     Containers are indexed in decoding order: the key frame found may be shown only after the wanted frame, whose group
-    of pictures is then the one before.
+    of pictures is then the one before. A container without an index (MPEG-TS) is decoded from where it stands.
     """
     target = pts
     first = stream.start_time or 0
+    indexed = len(stream.index_entries) > 0
     while True:
-        container.seek(target, stream=stream, backward=True)
+        if indexed:
+            container.seek(target, stream=stream, backward=True)
         frames = ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)
         head = next(frames, None)
         if head is None:
             return
-        if head[0] <= pts or target < first:
+        if head[0] <= pts or target < first or not indexed:
             break
         target = min(target, head[0]) - max(1, head[0] - pts)
     yield head

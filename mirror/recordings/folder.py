@@ -1,0 +1,227 @@
+"""The `folder` layout: MIRROR's own raw layout for fleet recordings, specified in docs/recordings.md."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import Float64, UInt8
+from mirror.errors import RecordingError
+from mirror.geometry.poses import Poses
+from mirror.geometry.quaternions import quaternion_from_heading_pitch_roll
+from mirror.recordings.calibration import STAGES, Calibration, Stage, calibration_table
+from mirror.recordings.folder_document import NAME, FolderDocument, read_calibrations, read_document, recording_errors
+from mirror.recordings.folder_pictures import picture_stream
+from mirror.recordings.paths import inside, list_folder, natural_key, walk
+from mirror.recordings.placing import checked_quaternions, ego_track, track_from_ecef, track_from_utm
+from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
+from mirror.recordings.registry import refuse_options
+from mirror.recordings.tabular import Rows, read_rows
+from mirror.recordings.time import TIME_BASES
+from mirror.schema.files import conform
+from mirror.schema.tables import BOXES
+
+_TABLES: Final = (".csv", ".parquet")
+_QUATERNION: Final = ("qw", "qx", "qy", "qz")
+_ANGLES: Final = ("heading_deg", "pitch_deg", "roll_deg")
+_POSITIONS: Final = {
+    "wgs84": ("longitude_deg", "latitude_deg", "height_m"),
+    "utm": ("easting_m", "northing_m", "height_m"),
+    "ecef": ("x_m", "y_m", "z_m"),
+    "local": ("x_m", "y_m", "z_m"),
+}
+_NUMBERS: Final = {name for names in (*_POSITIONS.values(), _QUATERNION, _ANGLES, ("sigma_m",)) for name in names}
+
+
+class FolderReader:
+    """One recording in the `folder` layout."""
+
+    name = "folder"
+    expects = "a folder with recording.json"
+
+    def recognises(self, path: Path) -> bool:
+        """By ``recording.json``."""
+        return (path / NAME).is_file()
+
+    def open(self, path: Path, options: Mapping[str, str]) -> FolderRecording:
+        """Open a recording; there are no options, ``recording.json`` says everything."""
+        refuse_options(options, (), path)
+        return FolderRecording(path, read_document(path / NAME))
+
+
+@dataclass(frozen=True)
+class FolderRecording:
+    """A drive with any number of cameras."""
+
+    path: Path
+    document: FolderDocument
+
+    @property
+    def info(self) -> DriveInfo:
+        """As ``recording.json`` says."""
+        document = self.document
+        return DriveInfo(
+            drive_id=document.drive_id,
+            vehicle_id=document.vehicle_id,
+            vehicle_type=document.vehicle_type,
+            time_base=TIME_BASES[document.time_base].words,
+            frame=document.frame.name,
+            body_frame=document.body_frame,
+            is_clip=document.is_clip,
+            city=document.city,
+            weather=document.weather,
+            light=document.light,
+            licence=document.licence,
+        )
+
+    @cached_property
+    def rig(self) -> RigInfo | None:
+        """The cameras with their masks, or None where the recording has none."""
+        document = self.document
+        if document.rig_id is None or document.reference_camera is None:
+            return None
+        cameras = tuple(
+            CameraInfo(name, entry.source_name or name, self._mask(name, entry.static_mask))
+            for name, entry in document.cameras.items()
+        )
+        return RigInfo(document.rig_id, cameras, document.reference_camera)
+
+    def _mask(self, camera: str, name: str | None) -> UInt8 | None:
+        if name is None:
+            return None
+        import cv2
+
+        file = inside(self.path, name, file=self.path / NAME, place=f"cameras.{camera}.static_mask")
+        mask = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) if file.is_file() else None
+        if mask is None:
+            raise RecordingError(
+                "the mask is missing or no picture" if file.is_file() else "the mask is missing",
+                file=file,
+                place=f"camera {camera}",
+                expected="a PNG of the camera's raster",
+                remedy="restore it, or take static_mask out of recording.json",
+            )
+        return np.asarray(mask, np.uint8)
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """Everything in the folder but hidden files."""
+        return walk(self.path)
+
+    @cached_property
+    def _pose_files(self) -> list[Path]:
+        found = [self.path / f"poses{suffix}" for suffix in _TABLES if (self.path / f"poses{suffix}").is_file()]
+        folder = self.path / "poses"
+        parts: list[Path] = []
+        if folder.is_dir():
+            listed = list_folder(self.path, folder)
+            parts = [listed[name] for name in sorted(listed, key=natural_key) if Path(name).suffix in _TABLES]
+        if len(found) + bool(parts) != 1 or len({file.suffix for file in parts}) > 1:
+            names = [file.relative_to(self.path).as_posix() for file in (*found, *parts[:3])]
+            raise RecordingError(
+                f"poses in {', '.join(names)}" if names else "no poses",
+                file=self.path,
+                expected="one of poses.csv, poses.parquet, and a folder poses/ of files of one kind",
+                remedy="keep one of them" if names else "add the poses: a recording without any has no place",
+            )
+        return found or parts
+
+    @cached_property
+    def _poses(self) -> Rows:
+        types = {name: pa.float64() for name in _NUMBERS}
+        return read_rows(self._pose_files, types={**types, "timestamp": pa.string(), "timestamp_ns": pa.string()})
+
+    def track(self) -> Track:
+        """All poses of all files, in Unix time, on WGS 84 or in the recording's local frame, of the ego."""
+        rows, document = self._poses, self.document
+        if "timestamp_ns" in rows:
+            stamps = rows.stamps("timestamp_ns", "unix_ns")
+        else:
+            stamps = rows.stamps("timestamp", document.time_base)
+        kind = document.frame.kind
+        first, second, third = _POSITIONS[kind]
+        across, along = rows.floats(first), rows.floats(second)
+        up = rows.floats(third) if third in rows or kind == "ecef" else None
+        rotation, level = self._orientation(rows)
+        sigma = rows.floats("sigma_m") if "sigma_m" in rows else None
+        file = self._pose_files[0]
+        if kind == "utm":
+            track = track_from_utm(
+                stamps,
+                across,
+                along,
+                up,
+                rotation,
+                zone=document.frame.zone or 0,
+                north=document.frame.hemisphere == "north",
+                sigma_m=sigma,
+                file=file,
+            )
+        elif kind == "ecef":
+            position = np.stack([across, along, np.asarray(up)], axis=1)
+            track = track_from_ecef(stamps, position, None if level else rotation, sigma_m=sigma, file=file)
+            track = replace(track, rotation=rotation) if level else track
+        elif kind == "local":
+            track = Track(stamps, None, None, across, along, up, rotation, sigma, file)
+        else:
+            track = Track(stamps, across, along, None, None, up, rotation, sigma, file)
+        if document.ego_SE3_body is None:
+            return track
+        offset = document.ego_SE3_body
+        return ego_track(track, Poses(np.array([offset[:4]]), np.array([offset[4:]])))
+
+    def _orientation(self, rows: Rows) -> tuple[Float64 | None, bool]:
+        """The rotations as read (None: there are none), and whether they are angles to the horizon and north."""
+        if any(name in rows for name in _QUATERNION):
+            quaternion = np.stack([rows.floats(name) for name in _QUATERNION], axis=1)
+            return checked_quaternions(quaternion, rows, "qw"), False
+        if not any(name in rows for name in _ANGLES):
+            return None, False
+        angles = []
+        for name in _ANGLES:
+            angle = rows.floats(name) if name in rows or name == "heading_deg" else np.zeros(len(rows))
+            rows.refuse(
+                ~np.isfinite(angle),
+                name,
+                "no angle",
+                expected="degrees",
+                remedy="remove the row, or leave the orientation columns out of the whole drive",
+            )
+            angles.append(angle)
+        return quaternion_from_heading_pitch_roll(*angles), True
+
+    def calibrations(self) -> pa.Table:
+        """All stages that have a file."""
+        found: list[tuple[Stage, Calibration]] = []
+        for stage in STAGES:
+            file = self.path / "calibrations" / f"{stage}.json"
+            if not file.is_file():
+                continue
+            for index, calibration in enumerate(read_calibrations(file)):
+                if calibration.camera not in self.document.cameras:
+                    raise RecordingError(
+                        f"unknown camera {calibration.camera!r}",
+                        file=file,
+                        place=f"{index}.camera",
+                        expected=f"one of {', '.join(self.document.cameras)}",
+                    )
+                found.append((stage, calibration))
+        return calibration_table(found, vehicle_id=self.document.vehicle_id, drive_id=self.document.drive_id)
+
+    def images(self) -> Mapping[str, ImageStream]:
+        """One stream a camera."""
+        return {name: picture_stream(self.path, name, entry) for name, entry in self.document.cameras.items()}
+
+    def boxes(self) -> pa.Table | None:
+        """``boxes.parquet``, held against the `boxes` table."""
+        file = self.path / "boxes.parquet"
+        if not file.is_file():
+            return None
+        rows = read_rows([file], types={})
+        with recording_errors():
+            return conform(rows.table, BOXES, file=file)

@@ -1,0 +1,149 @@
+"""``recording.json`` of the `folder` layout; docs/recordings.md specifies it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
+
+from mirror.errors import RecordingError, SchemaError
+from mirror.recordings.calibration import SE3, Calibration
+from mirror.recordings.tabular import unreadable
+from mirror.recordings.time import TIME_BASES
+from mirror.schema.documents import Document, Identifier
+
+NAME: Final = "recording.json"
+
+
+class Frame(Document):
+    """What the positions are counted in.
+
+    Attributes:
+        kind: WGS 84 degrees, UTM, earth-centred earth-fixed, or a metric frame of its own.
+        zone: of UTM.
+        hemisphere: of UTM.
+        name: of a local frame; recordings with the same name share it.
+    """
+
+    kind: Literal["wgs84", "utm", "ecef", "local"]
+    zone: Annotated[int, Field(ge=1, le=60)] | None = None
+    hemisphere: Literal["north", "south"] | None = None
+    name: Identifier | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Frame:
+        utm = self.zone is not None and self.hemisphere is not None
+        if (self.kind == "utm") != utm or (self.kind == "local") != (self.name is not None):
+            raise ValueError("utm takes zone and hemisphere, local takes name, the others nothing")
+        return self
+
+
+class FolderCamera(Document):
+    """One camera.
+
+    Attributes:
+        source_name: what the source calls it; None: the same.
+        static_mask: PNG inside the recording, non-zero where the vehicle itself is seen.
+        video_start_ns: Unix time of the first frame of a video without a table of exposures.
+    """
+
+    source_name: str | None = None
+    static_mask: str | None = None
+    video_start_ns: int | None = None
+
+
+class FolderDocument(Document):
+    """``recording.json``; the attributes are those of `mirror.recordings.protocol.DriveInfo` and `RigInfo`."""
+
+    format: Literal["mirror-folder"]
+    version: Annotated[str, Field(pattern=r"^1\.\d+$")]
+    drive_id: Identifier
+    vehicle_id: Identifier
+    vehicle_type: str
+    rig_id: Identifier | None = None
+    time_base: str
+    frame: Frame
+    body_frame: str = "ego"
+    ego_SE3_body: SE3 | None = None
+    is_clip: bool = False
+    city: str | None = None
+    weather: Literal["clear", "clouds", "rain", "snow", "fog"] | None = None
+    light: Literal["day", "dusk", "night"] | None = None
+    licence: str | None = None
+    reference_camera: str | None = None
+    cameras: dict[Identifier, FolderCamera] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> FolderDocument:
+        if self.time_base not in TIME_BASES:
+            raise ValueError(f"time_base is none of {', '.join(TIME_BASES)}")
+        if self.cameras and (self.rig_id is None or self.reference_camera not in self.cameras):
+            raise ValueError("a recording with cameras has a rig_id, and a reference_camera among them")
+        return self
+
+
+def read_document(file: Path) -> FolderDocument:
+    """Read ``recording.json``.
+
+    Raises:
+        RecordingError: it is missing or broken, or a key is not as specified; the key is named.
+    """
+    with _named(file):
+        return FolderDocument.model_validate(_json(file))
+
+
+def read_calibrations(file: Path) -> list[Calibration]:
+    """Read one stage's calibrations.
+
+    Raises:
+        RecordingError: the file is broken, or an entry is not as specified; entry and key are named.
+    """
+    with _named(file):
+        return TypeAdapter(list[Calibration]).validate_python(_json(file))
+
+
+@contextmanager
+def recording_errors() -> Iterator[None]:
+    """Give what the tables' checks find in a recording's file as an error of the recording."""
+    try:
+        yield
+    except SchemaError as error:
+        raise RecordingError(
+            error.problem, file=error.file, place=error.place, expected=error.expected, remedy=error.remedy
+        ) from error
+
+
+def _json(file: Path) -> Any:
+    try:
+        text = file.read_bytes()
+    except OSError as error:
+        raise unreadable(file, error) from error
+    try:
+        return json.loads(text)
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        place = f"line {error.lineno}, column {error.colno}" if isinstance(error, json.JSONDecodeError) else None
+        raise RecordingError(
+            f"not valid JSON ({error})",
+            file=file,
+            place=place,
+            remedy="correct it, or copy the file again: a truncated file ends before its last bracket",
+        ) from error
+
+
+@contextmanager
+def _named(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RecordingError(
+            f"{first['msg']} (got {first.get('input')!r:.80})",
+            file=file,
+            place=".".join(str(part) for part in first["loc"]) or "the whole document",
+            expected="what docs/recordings.md specifies for this key",
+            remedy="correct the key",
+        ) from error

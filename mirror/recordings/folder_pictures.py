@@ -1,0 +1,147 @@
+"""Pictures of the `folder` layout: one file a picture, or one video a camera, with their exposures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import Int64
+from mirror.errors import RecordingError
+from mirror.recordings.folder_document import FolderCamera
+from mirror.recordings.paths import list_folder
+from mirror.recordings.protocol import FileStream, ImageStream
+from mirror.recordings.tabular import Rows, read_rows
+from mirror.recordings.video import VideoStream, stamps_ns, video_stamps
+
+_CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
+_VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi", ".h264", ".hevc", ".h265")
+_EXPOSURES: Final = ("exposure_start_ns", "exposure_end_ns")
+
+
+def picture_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
+    """The pictures of one camera in the order of their exposures.
+
+    Args:
+        root: the recording.
+        camera: the camera's name.
+        entry: its entry in ``recording.json``.
+
+    Raises:
+        RecordingError: pictures are missing, of two kinds, or not those of their table; camera, file and row are named.
+    """
+    folder = root / "images" / camera
+    listed = list_folder(root, root / "videos") if (root / "videos").is_dir() else {}
+    videos = [file for name, file in sorted(listed.items()) if file.stem == camera and file.suffix.lower() in _VIDEOS]
+    if folder.is_dir() == bool(videos) or len(videos) > 1:
+        found = [str(file.relative_to(root)) for file in videos] + ([f"images/{camera}"] if folder.is_dir() else [])
+        raise RecordingError(
+            f"camera {camera} has pictures in {' and in '.join(found)}" if found else f"camera {camera} is missing",
+            file=root,
+            place=f"camera {camera}",
+            expected=f"either the folder images/{camera} or one video videos/{camera}.mp4",
+            remedy="put its pictures there, or take the camera out of recording.json",
+        )
+    return _video(root, camera, entry, videos[0]) if videos else _files(root, camera, folder)
+
+
+def _files(root: Path, camera: str, folder: Path) -> FileStream:
+    pictures = list_folder(root, folder)
+    if not pictures:
+        raise RecordingError(f"camera {camera} has no pictures", file=folder, expected="<timestamp_ns>.jpg or .png")
+    table = root / "images" / f"{camera}.csv"
+    if table.is_file():
+        start, end, paths = _listed(table, pictures)
+    else:
+        paths = list(pictures.values())
+        start = end = _stamps_of_names(paths)
+    suffixes = {path.suffix.lower() for path in paths}
+    codecs = {_CODECS.get(suffix) for suffix in suffixes}
+    codec = codecs.pop()
+    if codecs or codec is None:
+        raise RecordingError(
+            f"pictures of kinds {', '.join(sorted(suffixes))}", file=folder, expected="JPEG or PNG, one kind a camera"
+        )
+    order = np.argsort(start + end, kind="stable")
+    ordered = tuple(paths[index] for index in order)
+    middle = (start + end)[order]
+    repeated = np.flatnonzero(middle[1:] == middle[:-1])
+    if len(repeated):
+        first = int(repeated[0])
+        raise RecordingError(
+            f"{ordered[first].name} and {ordered[first + 1].name} have the same time",
+            file=folder,
+            expected="one picture a camera and instant",
+            remedy="remove one of the two",
+        )
+    return FileStream(camera, codec, start[order], end[order], ordered)
+
+
+def _stamps_of_names(paths: list[Path]) -> Int64:
+    try:
+        return np.array([int(path.stem) for path in paths], np.int64)
+    except (ValueError, OverflowError) as error:
+        odd = next(path for path in paths if not (path.stem.isdecimal() and len(path.stem) <= 19))
+        raise RecordingError(
+            "the name is no time",
+            file=odd,
+            expected="<timestamp_ns>.jpg: Unix time of mid-exposure in nanoseconds",
+            remedy=f"rename the pictures, or give images/{odd.parent.name}.csv with file,{','.join(_EXPOSURES)}",
+        ) from error
+
+
+def _listed(table: Path, pictures: dict[str, Path]) -> tuple[Int64, Int64, list[Path]]:
+    rows = read_rows([table], types=dict.fromkeys(("file", *_EXPOSURES), pa.string()), columns=("file", *_EXPOSURES))
+    names = rows.column("file").to_pylist()
+    unknown = np.array([name not in pictures for name in names])
+    rows.refuse(
+        unknown,
+        "file",
+        f"{names[int(np.argmax(unknown))]!r} is no picture of images/{table.stem}",
+        expected="a bare file name in that folder",
+        remedy="remove the row, or put the picture there",
+    )
+    unlisted = sorted(set(pictures) - set(names))
+    if unlisted:
+        raise RecordingError(
+            f"{len(unlisted)} pictures of images/{table.stem} are not listed, such as {unlisted[0]}",
+            file=table,
+            expected="one row a picture",
+            remedy="add the rows, or remove the pictures",
+        )
+    start, end = _exposures(rows)
+    return start, end, [pictures[name] for name in names]
+
+
+def _exposures(rows: Rows) -> tuple[Int64, Int64]:
+    start, end = (rows.stamps(name, "unix_ns") for name in _EXPOSURES)
+    rows.refuse(
+        end < start,
+        "exposure_end_ns",
+        "the exposure ends before it starts",
+        expected="at least exposure_start_ns",
+        remedy="correct the row",
+    )
+    return start, end
+
+
+def _video(root: Path, camera: str, entry: FolderCamera, video: Path) -> VideoStream:
+    table = root / "videos" / f"{camera}.csv"
+    if table.is_file():
+        names = ("pts", *_EXPOSURES)
+        rows = read_rows([table], types={"pts": pa.int64(), **dict.fromkeys(_EXPOSURES, pa.string())}, columns=names)
+        missing = np.asarray(rows.column("pts").is_null())
+        rows.refuse(missing, "pts", "missing", expected="a time stamp of the video", remedy="correct the row")
+        start, end = _exposures(rows)
+        return VideoStream(camera, start, end, video, np.asarray(rows.column("pts"), np.int64))
+    if entry.video_start_ns is None:
+        raise RecordingError(
+            "nothing says when its frames were taken",
+            file=video,
+            expected=f"videos/{camera}.csv with pts,{','.join(_EXPOSURES)}, or video_start_ns in recording.json",
+        )
+    pts, time_base = video_stamps(video)
+    stamps = stamps_ns(pts, time_base, entry.video_start_ns)
+    return VideoStream(camera, stamps, stamps, video, pts)

@@ -1,0 +1,92 @@
+"""Names of files: none leads out of a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mirror.errors import RecordingError
+from mirror.recordings.paths import identifier, inside, list_folder, natural_key, walk
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / "secret.png").write_bytes(b"secret")
+    recording = tmp_path / "recording"
+    (recording / "masks").mkdir(parents=True)
+    (recording / "masks" / "front.png").write_bytes(b"mask")
+    return recording
+
+
+@pytest.mark.parametrize("name", ["masks/front.png", "masks//front.png", "./masks/front.png", "not there yet.png"])
+def test_names_inside_are_found(root: Path, name: str) -> None:
+    assert inside(root, name, file=root, place="here") == root / name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        ".",
+        "..",
+        "../outside/secret.png",
+        "masks/../../outside/secret.png",
+        "/etc/passwd",
+        "//host/share",
+        "C:/secret.png",
+        "C:secret.png",
+        "..\\outside\\secret.png",
+        "masks\0/front.png",
+    ],
+)
+def test_names_that_lead_out_are_refused(root: Path, name: str) -> None:
+    with pytest.raises(RecordingError, match="leads out of the recording") as caught:
+        inside(root, name, file=root / "recording.json", place="cameras.front.static_mask")
+    assert caught.value.place == "cameras.front.static_mask"
+
+
+def test_links_that_lead_out_are_refused(root: Path) -> None:
+    (root / "masks" / "link.png").symlink_to(root.parent / "outside" / "secret.png")
+    (root / "away").symlink_to(root.parent / "outside")
+    for attempt in (
+        lambda: inside(root, "masks/link.png", file=root, place="here"),
+        lambda: inside(root, "away/secret.png", file=root, place="here"),
+        lambda: list_folder(root, root / "masks"),
+        lambda: list_folder(root, root / "away"),
+        lambda: walk(root),
+    ):
+        with pytest.raises(RecordingError, match="leads out of the recording"):
+            attempt()
+
+
+def test_links_within_are_followed(root: Path) -> None:
+    (root / "masks" / "same.png").symlink_to("front.png")
+    (root / "again").symlink_to(root)
+    (root / ".hidden").write_text("")
+    assert set(list_folder(root, root / "masks")) == {"front.png", "same.png"}
+    assert [name for name, _ in walk(root)] == ["masks/front.png", "masks/same.png"]
+
+
+def test_numbers_count_by_value() -> None:
+    assert sorted(["10", "9", "part_2", "part_10", "part_1a"], key=natural_key) == [
+        "9",
+        "10",
+        "part_1a",
+        "part_2",
+        "part_10",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("b0c9|2018-08-02--08", "b0c9_2018-08-02--08"), ("_drive 1", "drive_1"), ("x" * 200, "x" * 120)],
+)
+def test_identifiers(text: str, expected: str) -> None:
+    assert identifier(text) == expected
+
+
+def test_nothing_makes_no_identifier() -> None:
+    with pytest.raises(RecordingError, match="no letter or digit"):
+        identifier("|||")

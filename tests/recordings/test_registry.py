@@ -1,0 +1,104 @@
+"""Readers are found by entry point, and a path by its reader."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from mirror.errors import RecordingError
+from mirror.recordings import registry
+from mirror.recordings.protocol import ENTRY_POINT_GROUP, Recording
+from tests.recordings.layout import write_recording
+
+
+class OddReader:
+    """Takes what the folder reader takes."""
+
+    name = "odd"
+    expects = "a folder with odd things"
+
+    def recognises(self, path: Path) -> bool:
+        return (path / "recording.json").is_file()
+
+    def open(self, path: Path, options: Mapping[str, str]) -> Recording:
+        raise RecordingError("odd")
+
+
+def install(monkeypatch: pytest.MonkeyPatch, *extra: EntryPoint) -> None:
+    ours = [
+        EntryPoint("folder", "mirror.recordings.folder:FolderReader", ENTRY_POINT_GROUP),
+        EntryPoint("csv", "mirror.recordings.gps_csv:CsvReader", ENTRY_POINT_GROUP),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: [*ours, *extra])
+
+
+def entry(name: str, value: str) -> EntryPoint:
+    return EntryPoint(name, value, ENTRY_POINT_GROUP)
+
+
+def test_the_built_in_readers_are_installed() -> None:
+    assert {"boreas", "comma2k19", "csv", "dgp", "folder"} <= set(registry.readers())
+
+
+def test_a_path_finds_its_reader(tmp_path: Path) -> None:
+    recording = registry.open_recording(write_recording(tmp_path / "drive"))
+    assert recording.info.drive_id == "drive-1"
+    assert isinstance(recording, Recording)
+
+
+def test_another_package_adds_a_reader(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    install(monkeypatch, entry("odd", f"{__name__}:OddReader"))
+    path = write_recording(tmp_path / "drive")
+    with pytest.raises(RecordingError, match="looks like folder and odd") as caught:
+        registry.open_recording(path)
+    assert "--reader folder" in str(caught.value)
+    assert "a folder with odd things" in str(caught.value)
+    with pytest.raises(RecordingError, match=r"^odd$"):
+        registry.open_recording(path, "odd")
+    assert registry.open_recording(path, "folder").info.drive_id == "drive-1"
+
+
+def test_a_reader_declared_twice_by_one_package_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, entry("folder", "mirror.recordings.folder:FolderReader"))
+    assert list(registry.readers()) == ["csv", "folder"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "problem"),
+    [
+        ("folder", f"{__name__}:OddReader", "two recording readers are named 'folder'"),
+        ("strange", f"{__name__}:OddReader", "no reader named 'strange'"),
+        ("strange", "pathlib:Path", "no reader named 'strange'"),
+        ("strange", "no.such.module:Reader", "cannot be loaded"),
+        ("strange", f"{__name__}:NoReader", "cannot be loaded"),
+    ],
+)
+def test_bad_entry_points_are_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str, problem: str) -> None:
+    install(monkeypatch, entry(name, value))
+    with pytest.raises(RecordingError, match=problem):
+        registry.readers()
+
+
+def test_a_path_that_nobody_knows_lists_the_readers(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no reader recognises this path") as caught:
+        registry.open_recording(tmp_path)
+    for name in ("boreas: ", "csv: ", "folder: a folder with recording.json", "--reader"):
+        assert name in str(caught.value)
+
+
+def test_nothing_there(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="nothing at this path"):
+        registry.open_recording(tmp_path / "gone")
+
+
+def test_an_unknown_reader_lists_those_there_are(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"no reader 'rosbag'.*folder"):
+        registry.open_recording(tmp_path, "rosbag")
+
+
+def test_unknown_options_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="unknown option 'tz'"):
+        registry.open_recording(write_recording(tmp_path / "drive"), options={"tz": "UTC"})

@@ -1,0 +1,61 @@
+"""Weather words and plug-ins."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+
+from mirror.arrays import UInt8
+from mirror.errors import UsageError
+from mirror.recordings import weather
+
+
+def darkness(pictures: list[UInt8]) -> str:
+    return "rain" if np.mean(pictures) < 100 else "bright"
+
+
+@pytest.fixture
+def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = EntryPoint("darkness", f"{__name__}:darkness", weather.ENTRY_POINT_GROUP)
+
+    def entry_points(*, group: str, name: str = "darkness") -> list[EntryPoint]:
+        return [entry] if name == "darkness" and group == weather.ENTRY_POINT_GROUP else []
+
+    monkeypatch.setattr(weather, "entry_points", entry_points)
+
+
+@pytest.mark.parametrize(
+    ("word", "label"),
+    [("Clouds", "clouds"), (" Light-Rain ", "rain"), ("MIST", "fog"), ("sleet", "snow"), ("Sunny", "clear")],
+)
+def test_words_are_brought_to_ours(word: str, label: str) -> None:
+    assert weather.weather_label(word) == label
+
+
+@pytest.mark.parametrize("word", [None, "", "banana"])
+def test_unknown_words_say_nothing(word: str | None) -> None:
+    assert weather.weather_label(word) is None
+
+
+def test_every_own_word_is_known() -> None:
+    assert [weather.weather_label(word) for word in weather.WEATHER] == list(weather.WEATHER)
+
+
+@pytest.mark.usefixtures("plugins")
+def test_a_plugin_looks_at_pictures() -> None:
+    assert weather.weather_plugins() == ["darkness"]
+    assert weather.weather_from_pictures("darkness", [np.zeros((2, 2, 3), np.uint8)]) == "rain"
+
+
+@pytest.mark.usefixtures("plugins")
+def test_an_answer_outside_the_words_is_refused() -> None:
+    with pytest.raises(UsageError, match="answered 'bright'"):
+        weather.weather_from_pictures("darkness", [np.full((2, 2, 3), 255, np.uint8)])
+
+
+@pytest.mark.usefixtures("plugins")
+def test_an_unknown_plugin_lists_those_there_are() -> None:
+    with pytest.raises(UsageError, match="expected one of darkness"):
+        weather.weather_from_pictures("clairvoyance", [])

@@ -149,11 +149,12 @@ def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -
     """
     try:
         with pq.ParquetFile(path) as file:
-            stored = file.schema_arrow.metadata or {}
+            there = file.schema_arrow
+            stored = there.metadata or {}
             if _VERSION_KEY in stored:
                 require_readable(stored[_VERSION_KEY].decode(), path)
             wanted = list(columns) if columns is not None else table.schema.names
-            missing = [name for name in wanted if name not in file.schema_arrow.names]
+            missing = [name for name in wanted if name not in there.names]
             if missing:
                 raise SchemaError(
                     f"table {table.name} has no column {missing[0]!r}",

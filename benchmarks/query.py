@@ -1,0 +1,238 @@
+"""Opening, querying and decoding: time, exactness and memory, against reading everything with pandas.
+
+``python -m benchmarks query [--rows N] [--keep FOLDER]`` generates an index (10 scenes, 7 cameras, 400 frames a
+traversal; no pictures), and one traversal of real JPEGs. Rows: ``name, size, ms, error, peer``; the error of a query is
+the number of rows that differ from brute force over all rows with PROJ's exact geodesic.
+
+The peers: pandas reading the same Parquet files and filtering; for py123d 0.7.0 the figures that were measured on a
+similar machine (280 k image rows, 200 m radius by one callback a scene: 4.8 s; a seven-camera 960 x 540 set from JPEG:
+35 to 39 ms) are quoted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+import mirror
+from mirror.arrays import UInt8
+from mirror.dataset import Dataset
+from mirror.dataset.index import build_index
+from tests.dataset.builders import EPOCH, SECOND, SEVEN, Builder, Pass
+
+SCENES = 10
+FRAMES = 400
+KEYS = ("scene_id", "traversal_id", "camera", "timestamp_ns", "uri")
+CAMERA_SIZE = (960, 540)
+
+# What is measured in a process of its own, so that imports and the memory of the generator do not count.
+_CHILD = """
+import json, sys, time
+import numpy as np
+import mirror.dataset.dataset
+def rss():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096 / 2**20
+root, centres, keys = json.loads(sys.argv[1])
+imported = rss()
+start = time.perf_counter(); dataset = mirror.open(root); opened = time.perf_counter() - start
+idle = rss()
+lon, lat = centres[0]
+start = time.perf_counter(); dataset.where(within=(lon, lat, 1000.0)).table("images", keys)
+first = time.perf_counter() - start
+rng = np.random.default_rng(0)
+memory = []
+for number in range(200):
+    lon, lat = centres[rng.integers(len(centres))]
+    dataset.where(within=(lon + rng.uniform(-1e-3, 1e-3), lat, rng.uniform(20, 400))).table("images", keys)
+    memory.append(rss())
+print(json.dumps({"imported": imported, "open_ms": opened * 1e3, "idle": idle, "first_ms": first * 1e3,
+                  "after_100": max(memory[:100]), "after_200": max(memory[100:]),
+                  "cache": dataset.catalog.columns.held_bytes / 2**20}))
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the report."""
+
+    name: str
+    size: str
+    ms: float
+    error: str
+    peer: str
+
+
+def centre(scene: int) -> tuple[float, float]:
+    """Where a generated scene lies."""
+    return -79.4 + 0.02 * scene, 43.6 + 0.01 * (scene % 3)
+
+
+def generate(root: Path, rows: int) -> Path:
+    """A dataset of about as many image rows, without pictures, and its index."""
+    builder = Builder(root, cameras=SEVEN, size=CAMERA_SIZE)
+    for scene in range(SCENES):
+        builder.scene(f"s{scene}", *centre(scene))
+    rng = np.random.default_rng(0)
+    for number in range(round(rows / (FRAMES * len(SEVEN)))):
+        one = Pass(
+            f"s{number % SCENES}",
+            EPOCH + number * 1000 * SECOND,
+            frames=FRAMES,
+            heading_deg=float(rng.uniform(0, 360)),
+            offset_m=float(rng.uniform(-100, 100)),
+            light=("day", "dusk", "night")[number % 3],
+        )
+        builder.drive(f"d{number}", [one])
+    build_index(root)
+    return root
+
+
+def street(seed: int) -> UInt8:
+    """A picture with smooth parts, edges and noise, that compresses as a photograph does."""
+    import cv2
+
+    rng = np.random.default_rng(seed)
+    width, height = CAMERA_SIZE
+    y, x = np.mgrid[:height, :width]
+    waves = [np.sin(x / (20 + seed) + y / 37), np.cos(y / 23 + x / 51), np.sin((x + y) / 29)]
+    pixels = 128 + 80 * np.stack(waves, axis=-1) + rng.normal(0, 6, (height, width, 3))
+    for left, top in zip(rng.integers(0, width - 40, 60).tolist(), rng.integers(0, height - 30, 60).tolist()):
+        cv2.rectangle(pixels, (left, top), (left + 40, top + 30), rng.integers(0, 255, 3).tolist(), -1)
+    return np.clip(pixels, 0, 255).astype(np.uint8)
+
+
+def median_ms(call: Callable[[], object], repeats: int) -> float:
+    """Median run time after one run to warm up."""
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times)) * 1e3
+
+
+def brute_force(dataset: Dataset, within: tuple[float, float, float]) -> tuple[set[tuple[object, ...]], float]:
+    """Keys of all rows within a circle, by reading everything with pandas and asking PROJ; and how long that took."""
+    import pandas as pd
+    import pyproj
+
+    start = time.perf_counter()
+    files = sorted((dataset.layout.index / "images").glob("*.parquet"))
+    rows = pd.concat([pd.read_parquet(file, columns=[*KEYS, "longitude_deg", "latitude_deg"]) for file in files])
+    count = len(rows)
+    _, _, distance = pyproj.Geod(ellps="WGS84").inv(
+        rows["longitude_deg"], rows["latitude_deg"], np.full(count, within[0]), np.full(count, within[1])
+    )
+    inside = rows[np.asarray(distance) <= within[2]]
+    elapsed = (time.perf_counter() - start) * 1e3
+    return set(zip(inside["traversal_id"], inside["camera"], inside["timestamp_ns"])), elapsed
+
+
+def query_rows(root: Path, size: str) -> list[Row]:
+    """Queries on one generated dataset."""
+    task = json.dumps([str(root), [centre(scene) for scene in range(SCENES)], KEYS])
+    done = subprocess.run([sys.executable, "-c", _CHILD, task], capture_output=True, text=True, check=True)
+    child = json.loads(done.stdout)
+    grown = child["idle"] - child["imported"]
+    found = [
+        Row("open", size, child["open_ms"], "-", "nuScenes devkit: 4.6 s for 263 k rows"),
+        Row("first ROI query", size, child["first_ms"], "-", "-"),
+        Row("idle memory, MiB RSS", size, child["idle"], f"{grown:.0f} above imports", "-"),
+        Row(
+            "memory after 200 random queries, MiB RSS",
+            size,
+            child["after_200"],
+            f"{child['after_100']:.0f} in the first 100",
+            "-",
+        ),
+    ]
+    dataset = mirror.open(root)
+    total = dataset.count("images")
+    quoted = ", py123d 4.8 s" if total < 500_000 else ""
+    for name, radius in (("ROI query, a whole scene", 1000.0), ("ROI query, a part of a scene", 150.0)):
+        within = (*centre(3), radius)
+
+        def run(within: tuple[float, float, float] = within) -> object:
+            return dataset.where(within=within).table("images", KEYS)
+
+        ms = median_ms(run, 15)
+        expected, peer = brute_force(dataset, within)
+        keys = dataset.where(within=within).table("images", ("traversal_id", "camera", "timestamp_ns")).to_pydict()
+        mismatches = len(expected ^ set(zip(*keys.values())))
+        share = len(expected) / total
+        found.append(
+            Row(f"{name}: {share:.0%} of rows", size, ms, f"{mismatches} rows", f"pandas {peer:.0f} ms{quoted}")
+        )
+    return found
+
+
+def decode_row(folder: Path) -> Row:
+    """A random seven-camera set, from the file to one contiguous array."""
+    import cv2
+
+    pixels = {camera: street(number) for number, camera in enumerate(SEVEN)}
+    pictures = {
+        camera: cv2.imencode(".jpg", own, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes() for camera, own in pixels.items()
+    }
+    builder = Builder(folder, cameras=SEVEN, size=CAMERA_SIZE)
+    builder.scene("s")
+    builder.drive("d", [Pass("s", frames=40, pictures=pictures)])
+    build_index(folder)
+    frames = mirror.open(folder).frames()
+    rng = np.random.default_rng(0)
+    ms = median_ms(lambda: frames[int(rng.integers(len(frames)))].decode(), 60)
+
+    def one_by_one() -> UInt8:
+        images = frames[int(rng.integers(len(frames)))].images.values()
+        read = [np.asarray(cv2.imdecode(np.frombuffer(image.read(), np.uint8), cv2.IMREAD_COLOR)) for image in images]
+        return np.ascontiguousarray(np.stack([own[..., ::-1].transpose(2, 0, 1) for own in read]), np.uint8)
+
+    peer = median_ms(one_by_one, 20)
+    differing = int(np.count_nonzero(frames[0].decode() != one_by_one()))
+    kilobytes = sum(map(len, pictures.values())) // 1000
+    return Row(
+        "seven cameras to CHW",
+        f"960x540, {kilobytes} kB",
+        ms,
+        f"{differing} values",
+        f"cv2 {peer:.0f} ms, py123d 35-39 ms",
+    )
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the benchmark and print its rows."""
+    parser = argparse.ArgumentParser(prog="benchmarks query", description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--rows", type=int, nargs="+", default=[280_000, 1_000_000], help="image rows of each dataset")
+    parser.add_argument("--keep", type=Path, help="generate here, and use what is there already")
+    parser.add_argument("--json", type=Path, help="write the rows there too")
+    options = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.keep or Path(temporary)
+        found = []
+        for rows in options.rows:
+            root = folder / f"rows-{rows}"
+            if not (root / "index" / "manifest.json").is_file():
+                generate(root, rows)
+            found += query_rows(root, f"{rows:,} rows")
+        found.append(decode_row(Path(temporary) / "pictures"))
+    for row in [Row("name", "size", 0.0, "error", "peer"), *found]:
+        ms = "ms" if row.name == "name" else f"{row.ms:.1f}"
+        print(f"{row.name:44} {row.size:18} {ms:>8}  {row.error:20} {row.peer}")
+    if options.json is not None:
+        options.json.write_text(json.dumps([asdict(row) for row in found], indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

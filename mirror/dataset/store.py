@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 import pyarrow as pa
@@ -16,7 +17,8 @@ from mirror.errors import DatasetError, SchemaError
 from mirror.schema.files import Model, parse_json
 from mirror.schema.version import require_readable
 
-_REMEDY = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
+_REMOTE_REQUESTS: Final = 16
+_REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
 
 
 class Store:
@@ -92,6 +94,13 @@ class Store:
         except (FileNotFoundError, NotADirectoryError):
             return []
         return sorted(PurePosixPath(item["name"].rstrip("/")).name for item in listed if item["type"] == "directory")
+
+    def folders_of(self, paths: Sequence[str]) -> dict[str, list[str]]:
+        """As `folders` for several; a remote store is asked in parallel."""
+        if self.folder is not None or len(paths) < 2:
+            return {path: self.folders(path) for path in paths}
+        with ThreadPoolExecutor(_REMOTE_REQUESTS) as pool:
+            return dict(zip(paths, pool.map(self.folders, paths)))
 
     def json(self, path: str, model: type[Model]) -> Model:
         """A validated JSON document.

@@ -170,15 +170,13 @@ def _manifests(store: Store, folders: list[str]) -> dict[str, tuple[Manifest, st
 
 def _layers(store: Store, traversals: list[str]) -> dict[str, dict[tuple[str, str, str], str]]:
     """Hashes of the complete layers of each traversal's folder, by kind, source and version, sorted."""
-    folders = {
-        f"{traversal}/layers/{kind}/{name}": (traversal, kind, name)
-        for traversal in traversals
-        for kind in store.folders(f"{traversal}/layers")
-        for name in store.folders(f"{traversal}/layers/{kind}")
-    }
+    kinds = store.folders_of([f"{traversal}/layers" for traversal in traversals])
+    names = store.folders_of([f"{layers}/{kind}" for layers, own in kinds.items() for kind in own])
+    folders = {f"{kind}/{name}" for kind, own in names.items() for name in own}
     found: dict[str, dict[tuple[str, str, str], str]] = {}
-    for path, data in sorted(store.read_many([f"{folder}/{MANIFEST}" for folder in folders]).items()):
-        traversal, kind, name = folders[path.removesuffix(f"/{MANIFEST}")]
+    for path, data in sorted(store.read_many([f"{folder}/{MANIFEST}" for folder in sorted(folders)]).items()):
+        traversal, _, layer = path.removesuffix(f"/{MANIFEST}").partition("/layers/")
+        kind, _, name = layer.partition("/")
         source, _, version = name.partition("@")
         found.setdefault(traversal, {})[(kind, source, version)] = sha256_bytes(data)
     return {traversal: dict(sorted(own.items())) for traversal, own in found.items()}

@@ -18,7 +18,7 @@ from mirror.geometry.unit_quaternions import rotate_unit
 _STEP_RAD: Final = np.radians(1.0)
 _RIM_RAYS: Final = 360
 # The rim is taken this much inside the range, on the side on which pixels are defined.
-_RIM_SHARE: Final = 1.0 - 1e-7
+_RIM_SHARE: Final = 1.0 - 1e-9
 
 
 @dataclass(frozen=True, eq=False)

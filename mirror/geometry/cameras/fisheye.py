@@ -55,7 +55,7 @@ class Fisheye:
         radius = np.sqrt(u * u + v * v)
         reachable = radius < self._largest
         wanted = np.where(reachable, radius, 0.0)
-        angle = self._table(wanted)
+        angle = self._table.quick(wanted)
         solved = np.zeros(angle.shape, dtype=np.bool_)
         for _ in range(_FAST_STEPS):
             step = (_horner(self._polynomial, angle) - wanted) / _horner(self._slope, angle)
@@ -72,7 +72,7 @@ class Fisheye:
     def _angle_near_limit(self, radius: AnyArray) -> AnyArray:
         """Newton's method within a shrinking bracket, for the few angles that need care."""
         low, high = np.zeros_like(radius), np.full_like(radius, self.angle_limit)
-        angle = self._table(radius)
+        angle = self._table.careful(radius)
         for _ in range(_CAREFUL_STEPS):
             excess = _horner(self._polynomial, angle) - radius
             low, high = np.where(excess < 0.0, angle, low), np.where(excess < 0.0, high, angle)

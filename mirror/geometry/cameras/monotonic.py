@@ -10,7 +10,10 @@ import numpy as np
 from mirror.arrays import AnyArray, Float64
 
 _CELLS: Final = 4096
+_WIDEST_RAD: Final = np.pi / 2 - 1e-6
 _REAL_PART: Final = 1e-7
+# A root beyond 1e9 focal lengths, or radians, is none.
+_LEAST_RECIPROCAL: Final = 1e-9
 
 
 def first_positive_root(coefficients: Float64) -> float:
@@ -27,7 +30,8 @@ def first_positive_root(coefficients: Float64) -> float:
     companion = np.eye(degree, k=-1)
     companion[0] = -coefficients[1:] / coefficients[0]
     reciprocal = np.linalg.eigvals(companion)
-    real = reciprocal.real[(np.abs(reciprocal.imag) <= _REAL_PART * np.abs(reciprocal)) & (reciprocal.real > 0)]
+    real = reciprocal.real[np.abs(reciprocal.imag) <= _REAL_PART * np.abs(reciprocal)]
+    real = real[real > _LEAST_RECIPROCAL]
     if not len(real):
         return np.inf
     return _polish(np.polynomial.Polynomial(coefficients), float(1.0 / real.max()))
@@ -47,21 +51,34 @@ def _polish(polynomial: np.polynomial.Polynomial, root: float) -> float:
 
 
 class InverseTable:
-    """First guesses for the inverse of an increasing function on ``[0, end]``, to start Newton's method from."""
+    """First guesses for the inverse of a function that increases on ``[0, limit)``, to start Newton's method from."""
 
-    def __init__(self, function: Callable[[AnyArray], AnyArray], end: float) -> None:
+    def __init__(self, function: Callable[[AnyArray], AnyArray], limit: float, reach: float = np.inf) -> None:
+        """Tabulate the function.
+
+        Args:
+            function: of arrays; 0 at 0.
+            limit: end of the range; may be infinite.
+            reach: the quick table need not go beyond twice this value.
+        """
         # Tangents of equal steps: fine near the axis, and still there where a lens bends 90 degrees into the image.
-        argument = np.tan(np.linspace(0.0, np.arctan(end), 4 * _CELLS))
-        value = np.maximum.accumulate(function(argument))
-        self._cells_per_value = _CELLS / value[-1]
-        self._argument = np.interp(np.linspace(0.0, value[-1], _CELLS + 1), value, argument)
-        self._slope = np.append(np.diff(self._argument), 0.0)
+        widest = min(np.arctan(limit), _WIDEST_RAD) * (1.0 - 1e-9)
+        self._argument = np.tan(np.linspace(0.0, widest, 4 * _CELLS))
+        self._value = np.maximum.accumulate(function(self._argument))
+        end = self._value[min(int(np.searchsorted(self._value, 2.0 * reach)), len(self._value) - 1)]
+        self._cells_per_value = _CELLS / end
+        self._start = np.interp(np.linspace(0.0, end, _CELLS + 1), self._value, self._argument)
+        self._slope = np.append(np.diff(self._start), 0.0)
 
-    def __call__(self, value: AnyArray) -> AnyArray:
-        """Arguments whose function values are near ``value``; the end where it is greater."""
+    def quick(self, value: AnyArray) -> AnyArray:
+        """Arguments whose function values are near ``value``, where that is within the reach."""
         position = np.minimum(value * self._cells_per_value, _CELLS)
         cell = position.astype(np.intp)
         position -= cell
         position *= self._slope.take(cell)
-        position += self._argument.take(cell)
+        position += self._start.take(cell)
         return np.asarray(position)
+
+    def careful(self, value: AnyArray) -> AnyArray:
+        """Arguments whose function values are near ``value``, however steep or far; 30 times as slow."""
+        return np.asarray(np.interp(value, self._value, self._argument))

@@ -29,7 +29,6 @@ _CONVERGED: Final = 1e-8
 _CLOSE: Final = 1e-7
 _FAST_STEPS: Final = 4
 _CAREFUL_STEPS: Final = 60
-_WIDEST_RAD: Final = np.pi / 2 - 1e-6
 
 
 class Perspective:
@@ -55,7 +54,7 @@ class Perspective:
         self.straight = not any(coefficients)
         self.limit, self._farthest = self._find_limit()
         if not self.straight:
-            self._table = InverseTable(self._radial, self._table_end(reach))
+            self._table = InverseTable(self._radial, self.limit, reach)
 
     @property
     def angle_limit(self) -> float:
@@ -89,7 +88,7 @@ class Perspective:
         radius = np.sqrt(u * u + v * v)
         reachable = np.isfinite(radius) & (radius <= self._farthest)
         u, v, radius = np.where(reachable, u, 0.0), np.where(reachable, v, 0.0), np.where(reachable, radius, 0.0)
-        scale = self._table(radius) / np.where(radius == 0.0, 1.0, radius)
+        scale = self._table.quick(radius) / np.where(radius == 0.0, 1.0, radius)
         x, y = u * scale, v * scale
         solved = np.zeros(x.shape, dtype=np.bool_)
         for _ in range(_FAST_STEPS):
@@ -99,11 +98,12 @@ class Perspective:
             if solved.all():
                 return x, y, reachable
         slow = np.flatnonzero(~solved)
-        x[slow], y[slow], solved[slow] = self._undistort_near_limit(u[slow], v[slow], scale[slow])
+        x[slow], y[slow], solved[slow] = self._undistort_carefully(u[slow], v[slow], radius[slow])
         return x, y, reachable & solved
 
-    def _undistort_near_limit(self, u: AnyArray, v: AnyArray, scale: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
+    def _undistort_carefully(self, u: AnyArray, v: AnyArray, radius: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
         """Newton's method for the few points that need care: steps are shortened and stay within the limit."""
+        scale = self._table.careful(radius) / np.where(radius == 0.0, 1.0, radius)
         x, y = u * scale, v * scale
         solved = np.zeros(x.shape, dtype=np.bool_)
         for _ in range(_CAREFUL_STEPS):
@@ -184,13 +184,6 @@ class Perspective:
         if limit == pole:
             return limit, np.inf
         return limit, float(self._radial(np.array(limit))) + 3.0 * tangential * limit**2
-
-    def _table_end(self, reach: float) -> float:
-        """Where the radial part has left the image, or, if it never does, the limit."""
-        angle = min(np.arctan(self.limit), _WIDEST_RAD)
-        radius = np.tan(np.linspace(0.0, angle * (1.0 - _CONVERGED), 4096))
-        left = np.flatnonzero(self._radial(radius) >= 2.0 * reach)
-        return float(radius[left[0] if len(left) else -1])
 
 
 def _horner(coefficients: tuple[float, float, float], squared: AnyArray) -> AnyArray:

@@ -15,6 +15,7 @@ from mirror.ingest.clean import RESTART
 from mirror.ingest.metric import plane_error, scales, unwrap
 
 _CELLS = 256
+_NOWHERE = np.iinfo(np.int64).min
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def near(
     found = np.empty((256, 3), np.int64)
     count = 0
     slots = len(keys)
-    cell_x, cell_y, cell_begin, cell_end = -1, -1, 0, 0
+    cell_x, cell_y, cell_begin, cell_end = _NOWHERE, _NOWHERE, 0, 0
     ordinal, previous = 0, -1
     for position in range(len(first)):
         if fate[position] > RESTART:

@@ -18,6 +18,10 @@ from mirror.ingest.clean import RESTART
 from mirror.ingest.metric import scales, step_m, unwrap
 from mirror.ingest.visits import CROSSING, STANDSTILL
 
+# Excursions count as equally long within this; of equals the first is the longest, whatever the rounding.
+_SAME_M = 1e-3
+_SAME_NS = 1_000_000
+
 FIGURES = np.dtype(
     [
         ("path_m", np.float64),
@@ -145,7 +149,7 @@ def figures(
             if visit > begin[row]:
                 away_ns = found[visit].entry_ns - found[visit - 1].exit_ns
                 away_m = entered_at - left_at
-                if away_m > longest_m or (away_m == longest_m and away_ns > longest_ns):
+                if away_m > longest_m + _SAME_M or (away_m > longest_m - _SAME_M and away_ns > longest_ns + _SAME_NS):
                     longest_m, longest_ns, cut = away_m, away_ns, visit
             left_at = _path_at(found[visit].exit_ns, t, s, count)
             inside += left_at - entered_at

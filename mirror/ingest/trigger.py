@@ -117,8 +117,8 @@ class Trigger:
 
     def __init__(self, rois: Sequence[Roi], options: TriggerOptions, cleaning: CleaningOptions) -> None:
         self.options = options
-        reach_s = max(options.max_gap_s, options.join_gap_s, _POSE_MARGIN_S)
-        margin_m = cleaning.max_speed_mps * reach_s + cleaning.noise_m
+        self._reach_s = max(options.max_gap_s, options.join_gap_s, _POSE_MARGIN_S)
+        margin_m = cleaning.max_speed_mps * self._reach_s + cleaning.noise_m
         self._areas = {
             frame: _Area.of([roi for roi in rois if roi.frame == frame], margin_m)
             for frame in {roi.frame for roi in rois}
@@ -151,21 +151,23 @@ class Trigger:
 
     def _visits(self, track: CleanTrack, area: _Area, is_clip: bool) -> Records:
         circles = (area.first, area.second)
-        stretches = near(
-            track.first,
-            track.second,
-            track.fate,
-            track.geodetic,
-            *circles,
-            area.reach_m,
-            area.grid.origin,
-            area.grid.inverse,
-            area.grid.columns,
-            area.grid.keys,
-            area.grid.begin,
-            area.grid.end,
-            area.grid.members,
-        )
+        stretches = self._long_stretches(track, len(area.rois)) if is_clip else None
+        if stretches is None:
+            stretches = near(
+                track.first,
+                track.second,
+                track.fate,
+                track.geodetic,
+                *circles,
+                area.reach_m,
+                area.grid.origin,
+                area.grid.inverse,
+                area.grid.columns,
+                area.grid.keys,
+                area.grid.begin,
+                area.grid.end,
+                area.grid.members,
+            )
         max_gap_ns = np.iinfo(np.int64).max if is_clip else round(self.options.max_gap_s * 1e9)
         room = np.zeros(max(64, 2 * len(stretches)), VISIT)
         while True:
@@ -188,6 +190,13 @@ class Trigger:
         if self.options.trim_standstill_s is not None and not is_clip:
             found = self._without_standstills(track, found, round(self.options.trim_standstill_s * 1e9))
         return found[np.lexsort((found["entry_ns"], found["roi"]))]
+
+    def _long_stretches(self, track: CleanTrack, rois: int) -> Int64 | None:
+        """All of a clip for every ROI, if it has gaps in which it may leap over one: a gap does not end its visits."""
+        kept = track.kept()
+        if len(kept) < 2 or np.diff(track.timestamp_ns[kept]).max() <= self._reach_s * 1e9:
+            return None
+        return np.array([[roi, kept[0], kept[-1]] for roi in range(rois)], np.int64)
 
     def _without_standstills(self, track: CleanTrack, found: Records, limit_ns: int) -> Records:
         room = np.zeros(2 * len(found) + 64, VISIT)

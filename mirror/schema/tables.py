@@ -237,7 +237,7 @@ PASSES: Final = Table(
             _field("visits", pa.int32(), "How many visits were joined into this pass."),
             _field("split", pa.bool_(), "True if it is one part of a stretch that was split at its longest excursion."),
             _field("poses", pa.int32(), "Cleaned poses between entry and exit."),
-            _field("closest_m", pa.float64(), "Smallest distance of a pose or crossing from the ROI's centre."),
+            _field("closest_m", pa.float64(), "Smallest distance from the ROI's centre on the way."),
             _field("mean_speed_mps", pa.float64(), "path_m / duration_s."),
             _field(
                 "heading_in_deg",

@@ -116,7 +116,7 @@ choices = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(filters=choices, name=st.sampled_from(["images", "frames", "ego_poses"]))
 def test_filters_agree_with_brute_force(
     dataset: Dataset, tables: dict[str, pd.DataFrame], filters: dict[str, object], name: str

@@ -18,7 +18,7 @@ from mirror.schema.documents import Roi
 def overlap(low: np.ndarray, high: np.ndarray, drawn: dict[str, float]) -> float:
     """Intersection over union of two rectangles."""
     other_low = np.array([drawn["x"], drawn["y"]])
-    other_high = other_low + [drawn["w"], drawn["h"]]
+    other_high = other_low + np.array([drawn["w"], drawn["h"]])
     shared = np.prod(np.clip(np.minimum(high, other_high) - np.maximum(low, other_low), 0, None))
     return float(shared / (np.prod(high - low) + np.prod(other_high - other_low) - shared))
 

@@ -28,7 +28,7 @@ def test_boxes_project_onto_what_was_drawn(real_data: Path, tmp_path: Path) -> N
     recording = DgpReader().open(scene, {})
     track = recording.track()
     roi = Roi(scene_id="s", frame=recording.info.frame, x_m=float(track.x_m[0]), y_m=float(track.y_m[0]))
-    ingest([scene], [roi], tmp_path, IngestOptions(trigger={"min_duration_s": 0.0, "min_path_m": 0.0}))
+    ingest([scene], [roi], tmp_path, IngestOptions(trigger={"min_duration_s": 0.0, "min_path_m": 0.0}, fail_fast=True))
     frames = mirror.open(tmp_path).frames()
     assert [len(frame.images) for frame in frames] == [6, 6, 6]
     overlaps = []

@@ -27,7 +27,7 @@ import pyarrow as pa
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_exp, quaternion_inverse, quaternion_multiply
-from mirror.recordings.calibration import Calibration, Stage, calibration_table
+from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
 from mirror.recordings.paths import list_folder
 from mirror.recordings.placing import FLU_FROM_CAMERA, track_from_utm
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
@@ -152,8 +152,9 @@ class BoreasRecording:
                 raise RecordingError(
                     f"a matrix of shape {projection.shape}", file=self._projection, expected="3 or 4 rows of 4 numbers"
                 )
-            calibration = Calibration(
-                camera=_CAMERA,
+            calibration = checked_calibration(
+                self._projection,
+                _CAMERA,
                 model="pinhole",
                 width_px=_RASTER_PX[0],
                 height_px=_RASTER_PX[1],

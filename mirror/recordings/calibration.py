@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pyarrow as pa
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from mirror.errors import UsageError
+from mirror.errors import RecordingError, UsageError
 from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.placing import UNIT_TOLERANCE
@@ -84,6 +85,30 @@ class Calibration(Document):
         if self.valid_from_ns is not None and self.valid_to_ns is not None and self.valid_from_ns > self.valid_to_ns:
             raise ValueError("valid_from_ns lies after valid_to_ns")
         return self
+
+
+def checked_calibration(file: Path, camera: str, **values: Any) -> Calibration:
+    """A calibration of a format's own file.
+
+    Args:
+        file: the file that the values come from.
+        camera: the camera's name.
+        values: the other attributes of `Calibration`.
+
+    Raises:
+        RecordingError: a value makes no camera; file, camera and attribute are named.
+    """
+    try:
+        return Calibration(camera=camera, **values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RecordingError(
+            f"{first['msg']} (got {first.get('input')!r:.80})",
+            file=file,
+            place=".".join((f"camera {camera}", *(str(part) for part in first["loc"]))),
+            expected="the intrinsics and mounting of a camera",
+            remedy="correct the file, or take it away: the camera is then uncalibrated",
+        ) from error
 
 
 def calibration_table(calibrations: Sequence[tuple[Stage, Calibration]], *, vehicle_id: str, drive_id: str) -> pa.Table:

@@ -27,7 +27,7 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry.poses import Poses
-from mirror.recordings.calibration import Calibration, Stage, calibration_table
+from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
 from mirror.recordings.paths import identifier, inside
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
@@ -41,7 +41,8 @@ _LAST_YEAR: Final = 2200
 _BROWN: Final = ("k1", "k2", "p1", "p2", "k3")
 _RATIONAL: Final = (*_BROWN, "k4", "k5", "k6")
 _FISHEYE: Final = ("k1", "k2", "k3", "k4")
-_PLAIN: Final = {"fx", "fy", "cx", "cy", "fov", "fisheye"}
+_FOCAL: Final = ("fx", "fy", "cx", "cy")
+_PLAIN: Final = {*_FOCAL, "fov", "fisheye"}
 
 
 class DgpReader:
@@ -107,11 +108,19 @@ class DgpRecording:
 
     @cached_property
     def _extrinsics(self) -> dict[tuple[str, str], Poses]:
-        return {
-            (key, name): _pose(entry["extrinsics"][index])
-            for key, entry in self._calibration_files.items()
-            for index, name in enumerate(entry["names"])
-        }
+        found = {}
+        for key, entry in self._calibration_files.items():
+            for name, extrinsic in zip(entry["names"], entry["extrinsics"]):
+                try:
+                    found[key, name] = _pose(extrinsic)
+                except (KeyError, TypeError, ValueError, UsageError) as error:
+                    raise RecordingError(
+                        f"no pose ({type(error).__name__}: {error})",
+                        file=self.path / "calibration" / f"{key}.json",
+                        place=f"extrinsics of {name}",
+                        expected="a rotation qw qx qy qz and a translation x y z",
+                    ) from error
+        return found
 
     @cached_property
     def _calibration_files(self) -> dict[str, dict[str, Any]]:
@@ -158,15 +167,17 @@ class DgpRecording:
     def _inside(self, name: str) -> Path:
         return inside(self.path, name, file=self.scene_file, place=name)
 
-    def _vehicle_pose(self, datum: _Datum) -> Poses:
-        extrinsic = self._extrinsics.get((datum.calibration, datum.sensor))
-        if extrinsic is None:
+    def _extrinsic(self, key: str, sensor: str) -> Poses:
+        if (key, sensor) not in self._extrinsics:
             raise RecordingError(
-                f"no extrinsics of {datum.sensor}",
-                file=self.path / "calibration" / f"{datum.calibration}.json",
+                f"no extrinsics of {sensor}",
+                file=self.path / "calibration" / f"{key}.json",
                 expected="every sensor of the scene",
             )
-        return datum.pose @ extrinsic.inverse()
+        return self._extrinsics[key, sensor]
+
+    def _vehicle_pose(self, datum: _Datum) -> Poses:
+        return datum.pose @ self._extrinsic(datum.calibration, datum.sensor).inverse()
 
     def track(self) -> Track:
         """The vehicle's poses at the stamps of the point clouds and of the reference camera.
@@ -200,13 +211,14 @@ class DgpRecording:
     def _calibration(
         self, camera: str, key: str, content: Mapping[str, Any], span: tuple[int | None, int | None]
     ) -> Calibration:
+        mounting = self._extrinsic(key, camera)
         entry = self._calibration_files[key]
         file = self.path / "calibration" / f"{key}.json"
-        intrinsics = entry["intrinsics"][entry["names"].index(camera)]
+        intrinsics = dict.fromkeys(_FOCAL, 0.0) | entry["intrinsics"][entry["names"].index(camera)]
         model, distortion = _camera_model(intrinsics, file, camera)
-        mounting = self._extrinsics[key, camera]
-        return Calibration(
-            camera=camera,
+        return checked_calibration(
+            file,
+            camera,
             model=model,
             width_px=content["width"],
             height_px=content["height"],
@@ -254,7 +266,7 @@ class DgpRecording:
         categories = {item["id"]: item["name"] for item in items}
         rows: list[dict[str, Any]] = []
         for datum, name in self._box_files:
-            vehicle_SE3_sensor = self._extrinsics[datum.calibration, datum.sensor]
+            vehicle_SE3_sensor = self._extrinsic(datum.calibration, datum.sensor)
             file = self._inside(name)
             for index, annotation in enumerate(_read_json(file)["annotations"]):
                 try:
@@ -271,9 +283,12 @@ class DgpRecording:
                             "source_version": ontology[:8],
                         }
                     )
-                except (KeyError, TypeError) as error:
+                except (KeyError, TypeError, ValueError, UsageError) as error:
                     raise RecordingError(
-                        f"no box ({error})", file=file, place=f"annotation {index}", expected="a DGP 3D box"
+                        f"no box ({type(error).__name__}: {error})",
+                        file=file,
+                        place=f"annotation {index}",
+                        expected="a DGP 3D box",
                     ) from error
         return pa.Table.from_pylist(rows, schema=BOXES.schema)
 
@@ -303,8 +318,10 @@ def _stamp_ns(text: str) -> int:
 
 def _pose(entry: Mapping[str, Any]) -> Poses:
     rotation, translation = entry["rotation"], entry["translation"]
+    # Protocol buffers written as JSON may leave zeros out.
     return Poses(
-        np.array([[rotation[f"q{axis}"] for axis in "wxyz"]]), np.array([[translation[axis] for axis in "xyz"]])
+        np.array([[rotation.get(f"q{axis}", 0.0) for axis in "wxyz"]]),
+        np.array([[translation.get(axis, 0.0) for axis in "xyz"]]),
     )
 
 

@@ -172,15 +172,15 @@ def _opened(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
         raise _broken(file, error) from error
     with container:
         if not container.streams.video:
-            raise RecordingError("holds no video", file=file, expected="a video stream")
+            raise _broken(file, "no video stream in it")
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         yield container, stream
 
 
-def _broken(file: Path, error: Exception) -> RecordingError:
+def _broken(file: Path, reason: object) -> RecordingError:
     return RecordingError(
-        f"cannot be read ({error})",
+        f"cannot be read ({reason})",
         file=file,
         expected="a complete video",
         remedy="copy it again from the vehicle or archive: one cut short has lost its index",

@@ -151,7 +151,7 @@ def test_no_video_at_all(tmp_path: Path) -> None:
             video_stamps(file)
 
 
-@given(st.integers(1, 1_000_000), st.integers(1, 1_001), st.integers(0, 2 * 10**9))
+@given(st.integers(1, 1_000_000), st.integers(1, 1_001), st.integers(0, 10**6))
 def test_stamps_are_exact_to_the_nanosecond(denominator: int, numerator: int, units: int) -> None:
     time_base = Fraction(numerator, denominator)
     found = stamps_ns(np.array([7, 7 + units]), time_base, 10**18)

@@ -1,0 +1,240 @@
+"""DGP: the real scene, whose boxes must land on the cars; altered scenes for the rest."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mirror.arrays import Float64
+from mirror.errors import RecordingError
+from mirror.geometry.cameras.camera import Camera
+from mirror.geometry.interpolation import interpolate
+from mirror.geometry.poses import Poses
+from mirror.geometry.quaternions import rotate
+from mirror.recordings.dgp import DgpReader
+from mirror.recordings.registry import open_recording
+from mirror.schema.files import conform
+from mirror.schema.tables import BOXES, CALIBRATIONS
+
+CAMERAS = ("CAMERA_01", "CAMERA_05", "CAMERA_06", "CAMERA_07", "CAMERA_08", "CAMERA_09")
+COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+
+
+@pytest.fixture
+def scene(real_data: Path) -> Path:
+    return real_data / "dgp_scene_02"
+
+
+@pytest.fixture
+def copy(scene: Path, tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], None]], Path]:
+    """The scene's JSON files with the scene file altered."""
+
+    def altered(change: Callable[[dict[str, Any]], None]) -> Path:
+        path = tmp_path / "scene"
+        shutil.copytree(scene, path, ignore=lambda folder, names: {"rgb", "point_cloud"} & set(names))
+        file = next(path.glob("scene_*.json"))
+        document = json.loads(file.read_text())
+        change(document)
+        file.write_text(json.dumps(document))
+        return path
+
+    return altered
+
+
+@pytest.mark.real_data
+def test_the_real_scene(scene: Path) -> None:
+    recording = open_recording(scene)
+    assert recording.info.drive_id == recording.info.frame == "dgp_scene_02_fe9f29d3"
+    assert recording.info.is_clip
+    assert recording.rig is not None
+    assert tuple(camera.name for camera in recording.rig.cameras) == CAMERAS
+    assert recording.rig.reference_camera == "CAMERA_01"
+    streams = recording.images()
+    assert tuple(streams) == CAMERAS
+    # The file names count units of 100 ns.
+    for stream in streams.values():
+        names = [int((stream.path(index) or Path()).stem) * 100 for index in range(3)]
+        assert stream.exposure_start_ns.tolist() == stream.exposure_end_ns.tolist() == names
+        assert next(iter(stream.read([2])))[1][:2] == b"\xff\xd8"
+    conform(recording.calibrations(), CALIBRATIONS, file="calibrations")
+    names = [name for name, _ in recording.files()]
+    assert names == sorted(names)
+    assert len(names) == 18 + 3 + 3
+    assert not any(name.startswith("point_cloud") for name in names)
+
+
+@pytest.mark.real_data
+def test_the_vehicle_drives_forward_on_level_ground(scene: Path) -> None:
+    track = open_recording(scene).track()
+    assert track.x_m is not None and track.y_m is not None and track.rotation is not None
+    assert len(track) == 6
+    assert (np.diff(track.timestamp_ns) > 0).all()
+    moved = np.array([track.x_m[-1] - track.x_m[0], track.y_m[-1] - track.y_m[0]])
+    forward = rotate(track.rotation, (1.0, 0.0, 0.0))
+    assert np.hypot(*moved) / ((track.timestamp_ns[-1] - track.timestamp_ns[0]) / 1e9) == pytest.approx(12.5, abs=0.5)
+    assert (forward[:, :2] @ (moved / np.hypot(*moved)) > 0.999).all()
+    assert (rotate(track.rotation, (0.0, 0.0, 1.0))[:, 2] > 0.99).all()
+
+
+def _camera_SE3_boxes(recording: Any, stamp: int, calibration: dict[str, Any]) -> list[tuple[dict[str, Any], Poses]]:  # noqa: N802
+    """Boxes of the sweep nearest to a picture, in its camera, through our track and calibration alone."""
+    track = recording.track()
+    world_SE3_ego = Poses(track.rotation, np.stack([track.x_m, track.y_m, track.height_m], axis=1))
+    ego_SE3_camera = Poses.from_columns({name: [calibration[name]] for name in COLUMNS})
+    rows = recording.boxes().to_pylist()
+    sweep = min({row["timestamp_ns"] for row in rows}, key=lambda other: abs(other - stamp))
+    at = interpolate(track.timestamp_ns, world_SE3_ego, [stamp, sweep])
+    camera_SE3_ego = (at[0] @ ego_SE3_camera).inverse() @ at[1]
+    chosen = [row for row in rows if row["timestamp_ns"] == sweep]
+    return [(row, camera_SE3_ego @ Poses.from_columns({name: [row[name]] for name in COLUMNS})) for row in chosen]
+
+
+def _hull(camera: Camera, camera_SE3_box: Poses, row: dict[str, Any]) -> Float64 | None:
+    half = np.array([row["length_m"], row["width_m"], row["height_m"]]) / 2
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+    seen = camera.project(camera_SE3_box.transform(corners)[0])
+    if not seen.valid.all():
+        return None
+    raster = (camera.width_px, camera.height_px)
+    return np.concatenate([np.clip(seen.uv_px.min(axis=0), 0, raster), np.clip(seen.uv_px.max(axis=0), 0, raster)])
+
+
+@pytest.mark.real_data
+def test_boxes_land_where_people_drew_them(scene: Path) -> None:
+    """DGP also has each box in each camera, and a 2D box drawn by a person: both are independent of our chain."""
+    recording = open_recording(scene)
+    boxes = recording.boxes()
+    assert boxes is not None
+    conform(boxes, BOXES, file="boxes")
+    assert boxes.num_rows == 39
+    assert set(boxes.column("category").to_pylist()) <= {"Car", "Truck", "Person", "Bicycle", "Bus/RV/Caravan"}
+    document = json.loads(next(scene.glob("scene_*.json")).read_text())
+    images = {entry["datum"]["image"]["filename"]: entry for entry in document["data"] if "image" in entry["datum"]}
+    off_m, overlaps = [], []
+    for calibration in recording.calibrations().to_pylist():
+        names = ("model", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
+        camera = Camera(*(calibration[name] for name in names))
+        stream = recording.images()[calibration["camera"]]
+        for index in range(3):
+            file = stream.path(index)
+            assert file is not None
+            annotations = images[file.relative_to(scene).as_posix()]["datum"]["image"]["annotations"]
+            flat, solid = (
+                {
+                    str(a["instance_id"]): a["box"]
+                    for a in json.loads((scene / annotations[kind]).read_text())["annotations"]
+                }
+                for kind in "01"
+            )
+            for row, pose in _camera_SE3_boxes(recording, int(stream.exposure_start_ns[index]), calibration):
+                if row["track_id"] not in solid:
+                    continue
+                there = solid[row["track_id"]]["pose"]["translation"]
+                off_m.append(np.linalg.norm(pose.translation[0] - [there["x"], there["y"], there["z"]]))
+                hull = _hull(camera, pose, row)
+                if hull is not None and row["track_id"] in flat:
+                    box = flat[row["track_id"]]
+                    overlaps.append(
+                        _iou(hull, np.array([box["x"], box["y"], box["x"] + box["w"], box["y"] + box["h"]]))
+                    )
+    assert len(off_m) >= 30
+    assert np.median(off_m) < 0.015
+    assert max(off_m) < 0.06
+    assert len(overlaps) >= 30
+    assert np.median(overlaps) > 0.9
+    assert min(overlaps) > 0.65
+
+
+def _iou(a: Float64, b: Float64) -> float:
+    inner = np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None).prod()
+    return float(inner / ((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - inner))
+
+
+@pytest.mark.real_data
+def test_right_stamps_are_kept(copy: Callable[..., Path], scene: Path) -> None:
+    """A stamp of this century is taken as it is, one of the year 2464 is ten times too large."""
+
+    def change(document: dict[str, Any]) -> None:
+        for entry in document["data"]:
+            entry["id"]["timestamp"] = entry["id"]["timestamp"].replace("2464-11-12T01:04", "2019-06-27T14:30")
+
+    track = open_recording(copy(change)).track()
+    assert str(np.datetime64(int(track.timestamp_ns[0]), "ns")) == "2019-06-27T14:30:09.936530000"
+    assert str(np.datetime64(int(open_recording(scene).track().timestamp_ns[0]), "ns")).startswith(
+        "2019-06-27T14:30:24"
+    )
+
+
+@pytest.mark.real_data
+def test_a_scene_without_point_clouds_has_no_boxes(copy: Callable[..., Path]) -> None:
+    def change(document: dict[str, Any]) -> None:
+        document["data"] = [entry for entry in document["data"] if "image" in entry["datum"]]
+
+    recording = open_recording(copy(change))
+    assert recording.boxes() is None
+    assert len(recording.track()) == 3
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (lambda d: d["data"][1]["datum"]["image"].update(filename="../../secret.jpg"), "leads out of the recording"),
+        (lambda d: d["samples"][0].update(calibration_key="../secret"), "leads out of the recording"),
+        (lambda d: d["samples"][0].update(calibration_key="gone"), "missing"),
+        (lambda d: d.pop("samples"), "not a DGP scene"),
+        (lambda d: d["data"][1]["id"].update(timestamp="noon"), "not a DGP scene"),
+        (lambda d: d["data"][1]["datum"]["image"]["pose"]["rotation"].update(qw=0, qx=0, qy=0, qz=0), "no rotation"),
+        (lambda d: d["data"][1]["datum"]["image"]["pose"]["translation"].update(x=float("nan")), "not finite"),
+        (lambda d: d.update(data=[]), "no pictures"),
+        (lambda d: d["data"][1]["id"].update(name="CAMERA_77"), "no extrinsics of CAMERA_77"),
+    ],
+)
+def test_broken_scenes_are_refused(
+    copy: Callable[..., Path], change: Callable[[dict[str, Any]], None], problem: str
+) -> None:
+    recording = open_recording(copy(change))
+    with pytest.raises(RecordingError, match=problem) as caught:
+        recording.files()
+        recording.track()
+        recording.images()
+        recording.calibrations()
+    assert caught.value.file is not None
+
+
+@pytest.mark.real_data
+def test_camera_models(copy: Callable[..., Path]) -> None:
+    path = copy(lambda document: None)
+    file = next((path / "calibration").iterdir())
+    original = json.loads(file.read_text())
+
+    def model(**intrinsics: float) -> dict[str, Any]:
+        altered = json.loads(json.dumps(original))
+        altered["intrinsics"][1].update(intrinsics)
+        file.write_text(json.dumps(altered))
+        return dict(open_recording(path).calibrations().to_pylist()[0])
+
+    with pytest.raises(RecordingError, match="fx, fy > 0"):
+        model(fx=0.0)
+    assert (model()["model"], model()["distortion"]) == ("pinhole", [])
+    assert model(k1=0.1, p2=0.02)["distortion"] == [0.1, 0.0, 0.0, 0.02, 0.0]
+    assert model(k1=0.1, k5=0.3)["model"] == "rational"
+    assert model(k1=0.1, k4=0.3, fisheye=1)["distortion"] == [0.1, 0.0, 0.0, 0.3]
+    for unsupported in ({"skew": 1.0}, {"xi": 0.2, "alpha": 0.5}, {"k5": 0.1, "fisheye": 1}):
+        with pytest.raises(RecordingError, match="not supported"):
+            model(**unsupported)
+
+
+def test_not_json(tmp_path: Path) -> None:
+    (tmp_path / "scene_1.json").write_text('{"data": [')
+    with pytest.raises(RecordingError, match="cannot be read"):
+        _ = DgpReader().open(tmp_path, {}).info
+    (tmp_path / "scene_2.json").write_text("{}")
+    with pytest.raises(RecordingError, match="2 scene files"):
+        DgpReader().open(tmp_path, {})

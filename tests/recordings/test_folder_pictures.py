@@ -1,0 +1,141 @@
+"""Pictures and videos of the `folder` layout."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mirror.errors import RecordingError
+from mirror.recordings.protocol import ImageStream
+from mirror.recordings.registry import open_recording
+from tests.recordings.layout import START_NS, write_picture, write_recording
+from tests.recordings.test_video import FRAMES, decode_all, write_video
+
+
+def stream_of(path: Path) -> ImageStream:
+    return open_recording(path).images()["front_wide"]
+
+
+def refusal(path: Path) -> RecordingError:
+    with pytest.raises(RecordingError) as caught:
+        stream_of(path)
+    return caught.value
+
+
+def test_names_are_mid_exposures_in_time_order(tmp_path: Path) -> None:
+    path = write_recording(tmp_path, pictures=["1000.png", "999.png", "20.png"])
+    stream = stream_of(path)
+    assert stream.codec == "png"
+    assert stream.exposure_start_ns.tolist() == stream.exposure_end_ns.tolist() == [20, 999, 1000]
+    assert stream.path(1) == path / "images" / "front_wide" / "999.png"
+    assert dict(stream.read([0, 2]))[2] == (path / "images" / "front_wide" / "1000.png").read_bytes()
+
+
+def test_a_table_gives_the_exposures(tmp_path: Path) -> None:
+    path = write_recording(tmp_path, pictures=["b.jpg", "a.jpg"])
+    table = path / "images" / "front_wide.csv"
+    table.write_text(f"file,exposure_start_ns,exposure_end_ns\nb.jpg,{START_NS},{START_NS + 9}\na.jpg,5,7\n")
+    stream = stream_of(path)
+    assert stream.exposure_start_ns.tolist() == [5, START_NS]
+    assert stream.exposure_end_ns.tolist() == [7, START_NS + 9]
+    assert stream.path(0) == path / "images" / "front_wide" / "a.jpg"
+
+
+@pytest.mark.parametrize(
+    ("rows", "place", "problem"),
+    [
+        ("a.jpg,1,2\ngone.jpg,3,4\n", "line 3, column file", "'gone.jpg' is no picture of images/front_wide"),
+        ("a.jpg,1,2\n../front_wide/b.jpg,3,4\n", "line 3, column file", "is no picture"),
+        ("a.jpg,1,2\n/etc/hostname,3,4\n", "line 3, column file", "is no picture"),
+        ("a.jpg,1,2\n,3,4\n", "line 3, column file", "is no picture"),
+        ("a.jpg,1,2\n", None, "1 pictures of images/front_wide are not listed, such as b.jpg"),
+        ("a.jpg,1,2\nb.jpg,4,3\n", "line 3, column exposure_end_ns", "ends before it starts"),
+        ("a.jpg,1,2\nb.jpg,x,3\n", "line 3, column exposure_start_ns", "no number"),
+    ],
+)
+def test_wrong_tables_are_named(tmp_path: Path, rows: str, place: str | None, problem: str) -> None:
+    path = write_recording(tmp_path, pictures=["a.jpg", "b.jpg"])
+    (path / "images" / "front_wide.csv").write_text(f"file,exposure_start_ns,exposure_end_ns\n{rows}")
+    error = refusal(path)
+    assert error.file == str(path / "images" / "front_wide.csv")
+    assert error.place == place
+    assert problem in error.problem
+
+
+@pytest.mark.parametrize(
+    ("pictures", "problem"),
+    [
+        ([], "has no pictures"),
+        (["1.jpg", "2.png"], "pictures of kinds .jpg, .png"),
+        (["1.bmp"], "pictures of kinds .bmp"),
+        (["1.jpg", "front.jpg"], "the name is no time"),
+        (["1.jpg", f"{10**20}.jpg"], "the name is no time"),
+        (["7.jpg", "07.jpg"], "have the same time"),
+    ],
+)
+def test_wrong_folders_are_named(tmp_path: Path, pictures: list[str], problem: str) -> None:
+    error = refusal(write_recording(tmp_path, pictures=pictures))
+    assert problem in error.problem
+    assert error.file is not None and "front_wide" in error.file
+
+
+def test_a_missing_camera_is_named(tmp_path: Path) -> None:
+    path = write_recording(tmp_path)
+    shutil.rmtree(path / "images")
+    error = refusal(path)
+    assert error.problem == "camera front_wide is missing"
+    assert error.remedy is not None
+
+
+def test_links_out_of_the_recording_are_refused(tmp_path: Path) -> None:
+    write_picture(tmp_path / "elsewhere" / "1.jpg")
+    path = write_recording(tmp_path / "drive", pictures=["2.jpg"])
+    (path / "images" / "front_wide" / "1.jpg").symlink_to(tmp_path / "elsewhere" / "1.jpg")
+    assert "leads out" in refusal(path).problem
+    shutil.rmtree(path / "images" / "front_wide")
+    (path / "images" / "front_wide").symlink_to(tmp_path / "elsewhere")
+    assert "leads out" in refusal(path).problem
+
+
+def test_a_video_with_its_table(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "drive")
+    shutil.rmtree(path / "images")
+    (path / "videos").mkdir()
+    video = write_video(path / "videos" / "front_wide.mp4")
+    reference = decode_all(video)
+    assert "nothing says when" in refusal(path).problem
+    rows = "".join(f"{pts},{1000 + index},{2000 + index}\n" for index, (pts, _) in enumerate(reference))
+    (path / "videos" / "front_wide.csv").write_text("pts,exposure_start_ns,exposure_end_ns\n" + rows)
+    stream = stream_of(path)
+    assert stream.codec == "video"
+    assert stream.path(0) is None
+    assert stream.exposure_start_ns.tolist() == list(range(1000, 1000 + FRAMES))
+    assert dict(stream.read([17, 40])) == {index: reference[index][1] for index in (17, 40)}
+    shutil.copy(video, path / "videos" / "front_wide.mkv")
+    assert "front_wide.mkv and in videos/front_wide.mp4" in refusal(path).problem
+
+
+def test_a_video_whose_start_is_known(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "drive", cameras={"front_wide": {"video_start_ns": START_NS}})
+    shutil.rmtree(path / "images")
+    (path / "videos").mkdir()
+    write_video(path / "videos" / "front_wide.mkv")
+    stream = stream_of(path)
+    milliseconds = [index * 33 + index % 3 for index in range(FRAMES)]
+    assert ((stream.exposure_start_ns - START_NS) // 10**6).tolist() == milliseconds
+    (path / "videos" / "front_wide.mkv").rename(path / "videos" / "front_wide.h264")
+    write_video(path / "videos" / "front_wide.h264", b_frames=0)
+    assert "no time stamps" in refusal(path).problem
+
+
+def test_many_pictures_are_listed_by_their_names_alone(tmp_path: Path) -> None:
+    """The files are empty: opening one would fail."""
+    path = write_recording(tmp_path, pictures=[])
+    for index in range(5_000):
+        (path / "images" / "front_wide" / f"{START_NS + index * 33_333_333}.jpg").touch()
+    stream = stream_of(path)
+    assert len(stream.exposure_start_ns) == 5_000
+    assert (np.diff(stream.exposure_start_ns) == 33_333_333).all()

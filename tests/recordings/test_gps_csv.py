@@ -1,0 +1,198 @@
+"""Any GPS table: the real drives, usual names, stated names, and what is refused."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mirror.errors import RecordingError
+from mirror.recordings.gps_csv import CsvReader, CsvRecording
+from mirror.recordings.protocol import Recording
+from mirror.recordings.registry import open_recording
+from tests.recordings.layout import POSES, write_recording
+
+PLAIN = "timestamp,lat,lon\n1628184886,43.78,-79.46\n1628184887,43.79,-79.45\n"
+LOCAL = "Date,Time,LAT,LON,ALT,Weather\n"
+
+
+def write(file: Path, text: str) -> Path:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text)
+    return file
+
+
+def refusal(path: Path, options: Mapping[str, str] | None = None) -> RecordingError:
+    with pytest.raises(RecordingError) as caught:
+        recording = CsvReader().open(path, options or {})
+        _ = recording.info
+        recording.track()
+    return caught.value
+
+
+@pytest.mark.real_data
+def test_the_real_drives(real_data: Path) -> None:
+    files = sorted((real_data / "rsk_twizy_t3").glob("*.csv"))
+    assert len(files) == 10
+    options = {"tz": "Africa/Casablanca", "date_format": "MM/DD/YYYY", "vehicle_type": "Renault Twizy"}
+    starts = []
+    for file in files:
+        recording = open_recording(file, options=options)
+        assert isinstance(recording, CsvRecording) and isinstance(recording, Recording)
+        assert recording.info.drive_id == file.stem
+        assert recording.info.weather == "clouds"
+        assert recording.rig is None and recording.images() == {} and recording.boxes() is None
+        assert recording.calibrations().num_rows == 0
+        track = recording.track()
+        assert track.rotation is None
+        raw = np.genfromtxt(file, delimiter=",", names=True, dtype=None, encoding="utf-8")
+        np.testing.assert_array_equal(track.longitude_deg, raw["LON"])
+        np.testing.assert_array_equal(track.latitude_deg, raw["LAT"])
+        np.testing.assert_array_equal(track.height_m, raw["ALT"])
+        starts.append(str(np.datetime64(int(track.timestamp_ns[0]), "ns"))[:19])
+    # In Ramadan (until 2021-05-16) Morocco kept UTC, then UTC+1.
+    assert starts[0] == "2021-04-22T08:42:50"
+    assert starts[-1] == "2021-06-07T15:06:28"
+    wild = open_recording(files[-1], options=options).track()
+    assert wild.longitude_deg is not None and np.nanmax(wild.longitude_deg) > 1555
+
+
+@pytest.mark.real_data
+def test_only_one_real_drive_has_an_ambiguous_date(real_data: Path) -> None:
+    for file in sorted((real_data / "rsk_twizy_t3").glob("*.csv")):
+        if file.name == "T3_06_07_2021.csv":
+            assert "date_format=MM/DD/YYYY" in str(refusal(file, {"tz": "UTC"}))
+        else:
+            open_recording(file, options={"tz": "UTC"}).track()
+
+
+@pytest.mark.parametrize(
+    ("text", "first_ns"),
+    [
+        (PLAIN, 1_628_184_886_000_000_000),
+        ("time_us;latitude;longitude\n1628184886438099;43.8;-79.5\n", 1_628_184_886_438_099_000),
+        ("Timestamp\tLATITUDE\tLng\n1628184886438\t43.8\t-79.5\n", 1_628_184_886_438_000_000),
+        ("timestamp_ns,lat,lon\n1628184886438099001,43.8,-79.5\n", 1_628_184_886_438_099_001),
+        ("t,lat,lon\n1628184886.438099001,43.8,-79.5\n", 1_628_184_886_438_099_001),
+        ('"datetime","gps_lat","gps_lon"\n"2021-08-05T17:34:46.438099001Z",43.8,-79.5\n', 1_628_184_886_438_099_001),
+        ("\ufefftime,lat,long\n2021-08-05 19:34:46+02:00,43.8,-79.5\n", 1_628_184_886_000_000_000),
+    ],
+)
+def test_usual_tables_need_no_options(tmp_path: Path, text: str, first_ns: int) -> None:
+    recording = open_recording(write(tmp_path / "drive 1.csv", text))
+    assert recording.track().timestamp_ns[0] == first_ns
+    assert recording.info.drive_id == "drive_1"
+    assert recording.info.vehicle_id == "unknown"
+
+
+def test_stated_columns_units_and_ids(tmp_path: Path) -> None:
+    file = write(
+        tmp_path / "x.csv", "a,b,c,d,e,f\n1312220104,43.8,-79.5,120,0.5,van 3\n1312220105,43.9,-79.4,,,van 3\n"
+    )
+    options = {
+        "columns": "time=a,lat=b,lon=c,height=d,sigma=e,vehicle=f",
+        "time_unit": "gps_s",
+        "drive_id": "loop-1",
+        "vehicle_type": "van",
+    }
+    recording = open_recording(file, options=options)
+    track = recording.track()
+    # GPS second 1,312,220,104 is 2021-08-05T17:34:46 UTC, 18 leap seconds on.
+    assert str(np.datetime64(int(track.timestamp_ns[0]), "ns"))[:19] == "2021-08-05T17:34:46"
+    assert (recording.info.drive_id, recording.info.vehicle_id) == ("loop-1", "van_3")
+    assert recording.info.time_base == "GPS seconds"
+    np.testing.assert_array_equal(track.height_m, [120, np.nan])
+    np.testing.assert_array_equal(track.sigma_m, [0.5, np.nan])
+
+
+def test_a_folder_is_one_drive_in_the_order_of_the_names(tmp_path: Path) -> None:
+    for number in (10, 9, 1):
+        write(tmp_path / "drive" / f"part{number}.csv", f"timestamp,lat,lon\n{1628184886 + number},43.8,-79.5\n")
+    write(tmp_path / "drive" / "README.md", "notes")
+    recording = open_recording(tmp_path / "drive")
+    assert recording.info.drive_id == "drive"
+    assert (np.diff(recording.track().timestamp_ns) // 10**9).tolist() == [8, 1]
+    assert [name for name, _ in recording.files()] == ["part1.csv", "part10.csv", "part9.csv"]
+
+
+def test_files_that_are_drives_of_their_own_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "timestamp,lat,lon\n1628184886,43.8,-79.5\n")
+    write(tmp_path / "b.csv", "timestamp,lat,lon\n1628100000,43.8,-79.5\n")
+    error = refusal(tmp_path)
+    assert "one by one" in str(error)
+    assert error.file is not None and error.file.endswith("b.csv")
+
+
+def test_the_folder_layout_is_not_taken_for_tables(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "drive")
+    assert not CsvReader().recognises(path)
+    write(tmp_path / "tables" / "poses.csv", POSES)
+    write(tmp_path / "tables" / "calibration.json", "{}")
+    assert not CsvReader().recognises(tmp_path / "tables")
+    write(tmp_path / "other" / "prices.csv", "item,price\nbread,3\n")
+    assert not CsvReader().recognises(tmp_path / "other")
+
+
+def test_the_wrong_date_of_the_sibling_files_is_named(tmp_path: Path) -> None:
+    rows = ["05/25/2021,15:46:55", "05/25/2021,15:46:56", "90/02/2032,15:46:57"]
+    file = write(tmp_path / "T3.csv", LOCAL + "".join(f"{row},33.9,-6.7,139,Clouds\n" for row in rows))
+    error = refusal(file, {"tz": "Africa/Casablanca"})
+    assert error.file == str(file)
+    assert error.place == "line 4, column Date+Time"
+    assert "90/02/2032" in error.problem
+    assert error.remedy is not None and "date_format" in error.remedy
+    assert "90/02/2032" in refusal(file, {"tz": "UTC", "date_format": "MM/DD/YYYY"}).problem
+
+
+def test_weather_is_the_commonest_word(tmp_path: Path) -> None:
+    rows = [("Rain", 10), ("Clouds", 11), ("Rain", 12)]
+    file = write(
+        tmp_path / "d.csv",
+        LOCAL + "".join(f"05/25/2021,15:46:{second},33.9,-6.7,139,{word}\n" for word, second in rows),
+    )
+    assert open_recording(file, options={"tz": "UTC"}).info.weather == "rain"
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "expected"),
+    [
+        (PLAIN, {"colums": "lat=a"}, "unknown option 'colums'"),
+        (PLAIN.replace("lat", "breite"), {}, "columns=lat="),
+        (PLAIN, {"columns": "lat=breite"}, "names no column"),
+        (PLAIN, {"columns": "speed=lat"}, "nothing that a column can hold"),
+        (PLAIN, {"time_unit": "hours"}, "unknown time base"),
+        (PLAIN.replace("1628184886", "12"), {}, "no time since 1970 in any unit"),
+        (PLAIN.replace("1628184887", "later"), {}, "line 3, column timestamp"),
+        (PLAIN.replace("1628184887", ""), {}, "line 3, column timestamp: missing"),
+        (PLAIN.replace("43.79", "north"), {}, "Row #3"),
+        (PLAIN + "1628184888,43.8\n", {}, "Expected 3 columns, got 2"),
+        (PLAIN.replace("162818488", "2021-08-05 17:34:4"), {}, "--tz"),
+        ("timestamp,lat,lon\n", {}, "no rows"),
+        ("", {}, "empty"),
+        ("timestamp,lat,lon,vehicle\n1628184886,1,1,a\n1628184887,1,1,b\n", {}, "vehicle_id=<id>"),
+    ],
+)
+def test_refusals_name_place_and_remedy(tmp_path: Path, text: str, options: dict[str, str], expected: str) -> None:
+    assert expected in str(refusal(write(tmp_path / "drive.csv", text), options))
+
+
+def test_a_binary_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "drive.csv").write_bytes(gzip.compress(PLAIN.encode()))
+    assert refusal(tmp_path / "drive.csv").file == str(tmp_path / "drive.csv")
+
+
+def test_wild_fixes_are_left_to_cleaning(tmp_path: Path) -> None:
+    file = write(tmp_path / "drive.csv", PLAIN + "1628184888,nan,1555.6\n1628184880,inf,-79.46\n")
+    track = open_recording(file).track()
+    assert len(track) == 4
+    np.testing.assert_array_equal(track.longitude_deg, [-79.46, -79.45, 1555.6, -79.46])
+    assert track.latitude_deg is not None and np.isnan(track.latitude_deg[2]) and np.isinf(track.latitude_deg[3])
+
+
+def test_no_tables(tmp_path: Path) -> None:
+    assert not CsvReader().recognises(tmp_path)
+    with pytest.raises(RecordingError, match="no tables"):
+        CsvReader().open(tmp_path, {})

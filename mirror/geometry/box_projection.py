@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from mirror.arrays import AnyArray, Bool, Float64
 from mirror.errors import UsageError
+from mirror.geometry.blocks import split
 from mirror.geometry.boxes import EDGES, FACES, corners, sizes
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
@@ -95,13 +96,16 @@ def project_boxes(
     lwh = sizes(camera_SE3_box, lwh_m)
     vertices = corners(camera_SE3_box, lwh)
     edges = _clip(vertices, near_m) if camera.lens.forward_only else vertices[:, EDGES]
-    boxes = _Boxes(camera_SE3_box, lwh, edges)
     bounds = np.full((len(lwh), 4), np.nan)
     with np.errstate(all="ignore"):
         steps = _steps(camera, edges)
+        cut = np.isfinite(edges[:, len(EDGES) :, 0, 0]).any(axis=1)
         for count in np.unique(steps[steps > 0]):
-            rows = np.flatnonzero(steps == count)
-            bounds[rows] = _bounds(camera, boxes[rows], int(count), near_m)
+            for used in (len(EDGES), edges.shape[1]):
+                rows = np.flatnonzero((steps == count) & (cut == (used > len(EDGES))))
+                if len(rows):
+                    part = _Boxes(camera_SE3_box[rows], lwh[rows], edges[rows, :used])
+                    bounds[rows] = _bounds(camera, part, int(count), near_m)
     return BoxProjections(np.isfinite(bounds[:, 0]), bounds, camera, camera_SE3_box, lwh, edges, near_m)
 
 
@@ -172,7 +176,7 @@ def _bounds(camera: Camera, boxes: _Boxes, steps: int, near: float) -> Float64:
     size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
     points = curves.reshape(len(curves), -1, 2)
     inside = _within(points, size)
-    bounds = _least_and_greatest(np.where(inside[..., None], points, np.nan))
+    bounds = _least_and_greatest(points, inside)
     # Where all of a box is in the image, its edges are its bounds; the others end at the raster or the lens's range.
     rows = np.flatnonzero(lost | ~(inside | np.isnan(points[..., 0])).all(axis=-1))
     if len(rows):
@@ -183,8 +187,7 @@ def _bounds(camera: Camera, boxes: _Boxes, steps: int, near: float) -> Float64:
         if lost.any():
             found.append(_seen_through(boxes[rows], *_rim(camera), _near(camera, near)))
         candidates = np.concatenate(found, axis=1)
-        inside = _within(candidates, size)
-        bounds[rows] = _least_and_greatest(np.where(inside[..., None], candidates, np.nan))
+        bounds[rows] = _least_and_greatest(candidates, _within(candidates, size))
     return bounds
 
 
@@ -278,9 +281,16 @@ def _near(camera: Camera, near: float) -> float:
     return near if camera.lens.forward_only else 0.0
 
 
-def _least_and_greatest(points: Float64) -> Float64:
-    return np.concatenate((np.fmin.reduce(points, axis=1), np.fmax.reduce(points, axis=1)), axis=-1)
+def _least_and_greatest(points: Float64, chosen: Bool) -> Float64:
+    """Bounds (N, 4) of the chosen ones of points (N, P, 2); NaN where none is."""
+    bounds = np.full((len(points), 4), np.nan)
+    some = chosen.any(axis=1)
+    for axis, values in enumerate(split(points[some])):
+        bounds[some, axis] = np.where(chosen[some], values, np.inf).min(axis=1, initial=np.inf)
+        bounds[some, 2 + axis] = np.where(chosen[some], values, -np.inf).max(axis=1, initial=-np.inf)
+    return bounds
 
 
 def _within(points: Float64, size: Float64) -> Bool:
-    return np.asarray(((points >= 0.0) & (points <= size)).all(axis=-1))
+    u, v = points[..., 0], points[..., 1]
+    return np.asarray((u >= 0.0) & (u <= size[0]) & (v >= 0.0) & (v <= size[1]))

@@ -60,15 +60,16 @@ class Poses:
                 expected="three finite numbers, in metres",
                 remedy="drop that row, or find out why its source has no position",
             )
-        object.__setattr__(self, "rotation", quaternion_normalise(rotation))
-        object.__setattr__(self, "translation", translation)
+        object.__setattr__(self, "rotation", np.ascontiguousarray(quaternion_normalise(rotation)))
+        object.__setattr__(self, "translation", np.ascontiguousarray(translation))
 
     @classmethod
     def unchecked(cls, rotation: Float64, translation: Float64) -> Poses:
         """Poses of arrays that are known to be valid: a second check would double the time of a single pose."""
         poses = object.__new__(cls)
-        object.__setattr__(poses, "rotation", rotation)
-        object.__setattr__(poses, "translation", translation)
+        # Contiguous: gathering a few rows of a strided array would copy all of it first.
+        object.__setattr__(poses, "rotation", np.ascontiguousarray(rotation))
+        object.__setattr__(poses, "translation", np.ascontiguousarray(translation))
         return poses
 
     @classmethod

@@ -11,6 +11,7 @@ from mirror.arrays import AnyArray, Float64
 
 _CELLS: Final = 4096
 _WIDEST_RAD: Final = np.pi / 2 - 1e-6
+# A pair of complex roots this close to the real axis is a double root, split by rounding: the slope touches zero.
 _REAL_PART: Final = 1e-7
 # A root beyond 1e9 focal lengths, or radians, is none.
 _LEAST_RECIPROCAL: Final = 1e-9

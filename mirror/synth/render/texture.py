@@ -1,0 +1,64 @@
+"""Procedural texture, filtered in closed form over a pixel's footprint so that the distance does not flicker."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+_MASK: Final = 127
+_RANDOM: Final = np.random.default_rng(0).uniform(-1.0, 1.0, (_MASK + 1, _MASK + 1)).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def chance(i: int, j: int, seed: int) -> float:
+    """A number in [0, 1) that depends on the three integers alone (a xor-shift multiply hash)."""
+    h = np.uint64(i * 0x9E3779B1 + j * 0x85EBCA77 + seed * 0xC2B2AE3D)
+    h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+    h = (h ^ (h >> np.uint64(32))) * np.uint64(0x94D049BB133111EB)
+    return float(h >> np.uint64(40)) / 16777216.0
+
+
+@njit(cache=True, nogil=True)
+def noise(x: float, y: float, seed: int) -> float:
+    """Smooth noise in [-1, 1] with a grain of 1; it repeats after 128 grains."""
+    i, j = math.floor(x), math.floor(y)
+    u, v = x - i, y - j
+    u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
+    row, column = (int(j) + 37 * seed) & _MASK, (int(i) + 59 * seed) & _MASK
+    below, right = (row + 1) & _MASK, (column + 1) & _MASK
+    a = _RANDOM[row, column] * (1.0 - u) + _RANDOM[row, right] * u
+    b = _RANDOM[below, column] * (1.0 - u) + _RANDOM[below, right] * u
+    return a * (1.0 - v) + b * v
+
+
+@njit(cache=True, nogil=True)
+def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float:
+    """Noise of a grain size, faded out where the footprint is wider than the grain."""
+    shown = 1.5 - footprint / size
+    if shown <= 0.0:
+        return 0.0
+    return min(shown, 1.0) * noise(x / size, y / size, seed)
+
+
+@njit(cache=True, nogil=True)
+def band(x: float, low: float, high: float, footprint: float) -> float:
+    """Share of the footprint about x that lies within [low, high]."""
+    width = max(footprint, 1e-6)
+    covered = min(high, x + 0.5 * width) - max(low, x - 0.5 * width)
+    return min(max(covered / width, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _stripes_before(x: float, duty: float) -> float:
+    whole = math.floor(x)
+    return whole * duty + min(x - whole, duty)
+
+
+@njit(cache=True, nogil=True)
+def stripes(x: float, period: float, duty: float, footprint: float) -> float:
+    """Share of the footprint about x within stripes that fill the first ``duty`` of every period."""
+    x, width = x / period, max(footprint / period, 1e-6)
+    return (_stripes_before(x + 0.5 * width, duty) - _stripes_before(x - 0.5 * width, duty)) / width

@@ -1,0 +1,155 @@
+"""One picture: every pixel's ray is cast and shaded, edges with four; then the picture is developed."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from mirror.arrays import Float32, Float64, Int32, Records, UInt8
+from mirror.synth.render.casting import TILE_PX, between, cast, choose, turn
+from mirror.synth.render.shading import shade
+from mirror.synth.render.texture import chance
+
+_CURVE: Final = 4096
+_WHITE: Final = 5.0
+_AROUND: Final = ((-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def trace(
+    streets: Records,
+    solids: Records,
+    radii: Float64,
+    still: Float32,
+    moving: Float32,
+    lamps: Float32,
+    below: Float32,
+    setting: Records,
+    rays: Float64,
+    cones: Float64,
+    pixel_rad: float,
+    rotation: Float64,
+    origin: Float64,
+    with_ground: bool,
+    smooth: bool,
+) -> tuple[Float32, Float32, Int32]:
+    """Trace one picture.
+
+    Args:
+        streets: this to ``setting``: the fields of `mirror.synth.render.shading.Surroundings`.
+        solids: of it.
+        radii: of it.
+        still: of it.
+        moving: of it.
+        lamps: of it.
+        below: of it.
+        setting: of it.
+        rays: this to ``pixel_rad``: the fields of `mirror.synth.render.casting.Lens`.
+        cones: of it.
+        pixel_rad: of it.
+        rotation: (3, 3) world_R_camera; for a picture mirrored in the ground, with its last row negated.
+        origin: (3,) the camera's place.
+        with_ground: whether rays end on the ground.
+        smooth: whether pixels on edges get four rays.
+
+    Returns:
+        (H, W, 4) radiance and mirror share; (H, W) distances along the rays; (H, W) solids, SKY or GROUND.
+    """
+    height, width = rays.shape[:2]
+    starts, lists, near = choose(cones, rotation, origin, solids, radii)
+    picture = np.empty((height, width, 4), np.float32)
+    distance = np.empty((height, width), np.float32)
+    seen = np.empty((height, width), np.int32)
+    sides = np.empty((height, width), np.int32)
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    down, across = cones.shape[:2]
+    for tile in range(down * across):
+        top, left = tile // across * TILE_PX, tile % across * TILE_PX
+        candidates = lists[starts[tile] : starts[tile + 1]]
+        for row in range(top, min(top + TILE_PX, height)):
+            for column in range(left, min(left + TILE_PX, width)):
+                dx, dy, dz = turn(rotation, rays[row, column, 0], rays[row, column, 1], rays[row, column, 2])
+                t, found, face = cast(solids, candidates, near, with_ground, ox, oy, oz, dx, dy, dz)
+                distance[row, column], seen[row, column], sides[row, column] = t, found, face
+    for tile in range(down * across):
+        top, left = tile // across * TILE_PX, tile % across * TILE_PX
+        candidates = lists[starts[tile] : starts[tile + 1]]
+        for row in range(top, min(top + TILE_PX, height)):
+            for column in range(left, min(left + TILE_PX, width)):
+                samples = 4 if smooth and _is_edge(seen, sides, row, column) else 1
+                t, found, face = distance[row, column], seen[row, column], sides[row, column]
+                x, y, z = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
+                r, g, b, m = 0.0, 0.0, 0.0, 0.0
+                for sample in range(samples):
+                    if samples > 1:
+                        x, y, z = between(rays, row, column, _AROUND[sample][0], _AROUND[sample][1])
+                    dx, dy, dz = turn(rotation, x, y, z)
+                    if samples > 1:
+                        t, found, face = cast(solids, candidates, near, with_ground, ox, oy, oz, dx, dy, dz)
+                    pr, pg, pb, pm = shade(
+                        streets,
+                        solids,
+                        still,
+                        moving,
+                        lamps,
+                        below,
+                        setting,
+                        pixel_rad,
+                        t,
+                        found,
+                        face,
+                        ox,
+                        oy,
+                        oz,
+                        dx,
+                        dy,
+                        dz,
+                    )
+                    # Lamps are clipped before they are averaged, or their edges stay hard.
+                    r, g, b, m = r + min(pr, 3.0), g + min(pg, 3.0), b + min(pb, 3.0), m + pm
+                picture[row, column, 0], picture[row, column, 1] = r / samples, g / samples
+                picture[row, column, 2], picture[row, column, 3] = b / samples, m / samples
+    return picture, distance, seen
+
+
+@njit(cache=True, nogil=True)
+def _is_edge(seen: Int32, sides: Int32, row: int, column: int) -> bool:
+    height, width = seen.shape
+    here, side = seen[row, column], sides[row, column]
+    for i, j in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
+        if 0 <= i < height and 0 <= j < width and (seen[i, j] != here or sides[i, j] != side):
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def develop(picture: Float32, reflection: Float32, look: Records, seed: int) -> UInt8:
+    """Radiance (H, W, 4) to an 8-bit picture (H, W, 3), blue first: exposure, film curve, vignette, noise."""
+    height, width = picture.shape[:2]
+    out = np.empty((height, width, 3), np.uint8)
+    wet = reflection.shape[0] == height
+    curve = np.empty(_CURVE + 1, np.float32)
+    for step in range(_CURVE + 1):
+        curve[step] = 255.0 * (1.0 - math.exp(-_WHITE * step / _CURVE)) ** (1.0 / 1.95) + 0.5
+    for row in range(height):
+        v = (row + 0.5) / height - 0.5
+        for column in range(width):
+            u = (column + 0.5) / width - 0.5
+            bright = look.exposure * (1.0 - 0.45 * (u * u + v * v)) * (_CURVE / _WHITE)
+            mirror = picture[row, column, 3]
+            noise = 255.0 * look.noise * (chance(row, column, seed) + chance(row, column, seed + 1) - 1.0)
+            for channel in range(3):
+                value = picture[row, column, channel]
+                if wet and mirror > 0.0:
+                    # Ripples and the roughness of the road draw a reflection out lengthwise.
+                    drawn = 0.0
+                    for step in range(-2, 3):
+                        at = min(max(row + 5 * step, 0), height - 1)
+                        drawn += reflection[at, column, channel]
+                    value = value * (1.0 - 0.5 * mirror) + mirror * drawn / 5.0
+                level = curve[int(min(value * bright, float(_CURVE)))] + noise
+                out[row, column, 2 - channel] = int(min(max(level, 0.0), 255.0))
+    return out

@@ -18,6 +18,7 @@ from mirror.geometry.unit_quaternions import rotate_unit
 
 _STEP_RAD: Final = np.radians(1.0)
 _RIM_RAYS: Final = 360
+_POINTS_AT_ONCE: Final = 1 << 16
 # The rim is taken this much inside the range, on the side on which pixels are defined.
 _RIM_SHARE: Final = 1.0 - 1e-9
 
@@ -55,10 +56,12 @@ class BoxProjections:
         """
         one = slice(index, index + 1) if index >= 0 else slice(len(self) + index, len(self) + index + 1)
         boxes = _Boxes(self.camera_SE3_box[one], self.lwh_m[one], self.edges_m[one])
-        curves, lost = _project_edges(self.camera, boxes.edges, _steps(self.camera, boxes.edges)[0])
-        points = [curves.reshape(-1, 2)]
-        if _ends_at_rim(self.camera, boxes, lost)[0]:
-            points.append(_seen_through(boxes, *_rim(self.camera), _near(self.camera, self.near_m))[0])
+        with np.errstate(all="ignore"):
+            steps = int(_steps(self.camera, boxes.edges)[0])
+            curves, lost = _project_edges(self.camera, boxes.edges, max(steps, 1))
+            points = [curves.reshape(-1, 2)]
+            if _ends_at_rim(self.camera, boxes, lost)[0]:
+                points.append(_seen_through(boxes, *_rim(self.camera), _near(self.camera, self.near_m))[0])
         return convex_hull(np.concatenate(points))
 
 
@@ -101,9 +104,11 @@ def project_boxes(
         steps = _steps(camera, edges)
         cut = np.isfinite(edges[:, len(EDGES) :, 0, 0]).any(axis=1)
         for count in np.unique(steps[steps > 0]):
-            for used in (len(EDGES), edges.shape[1]):
-                rows = np.flatnonzero((steps == count) & (cut == (used > len(EDGES))))
-                if len(rows):
+            for used in {len(EDGES), edges.shape[1]}:
+                alike = np.flatnonzero((steps == count) & (cut == (used > len(EDGES))))
+                size = max(1, _POINTS_AT_ONCE // (used * (int(count) + 1)))
+                for start in range(0, len(alike), size):
+                    rows = alike[start : start + size]
                     part = _Boxes(camera_SE3_box[rows], lwh[rows], edges[rows, :used])
                     bounds[rows] = _bounds(camera, part, int(count), near_m)
     return BoxProjections(np.isfinite(bounds[:, 0]), bounds, camera, camera_SE3_box, lwh, edges, near_m)

@@ -10,16 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pydantic import TypeAdapter, ValidationError
-
-from mirror.dataset.layout import Layout
+from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.splits import by_condition, by_scene, novel_traversal
 from mirror.dataset.splits.assignment import Assignment
 from mirror.dataset.splits.candidates import Candidates, read_candidates
 from mirror.dataset.splits.leaks import Tie, leaks, ties
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.documents import ByCondition, ByScene, Identifier, NovelTraversal, Role, SplitDocument, SplitMethod
+from mirror.schema.documents import (
+    ByCondition,
+    ByScene,
+    NovelTraversal,
+    Role,
+    SplitDocument,
+    SplitMethod,
+    is_identifier,
+)
 from mirror.schema.files import read_json, write_json
 
 
@@ -173,21 +179,13 @@ def compare(document: SplitDocument, candidates: Candidates) -> tuple[tuple[str,
 
 def _existing(root: str | Path) -> Layout:
     layout = Layout(Path(root))
-    if not layout.document.is_file():
-        raise DatasetError(
-            "not a dataset: there is no dataset.json",
-            file=layout.root,
-            expected="the folder that `mirror ingest --out` wrote",
-            remedy="check the path",
-        )
+    require_dataset(layout)
     return layout
 
 
 def _path(layout: Layout, name: str) -> Path:
-    try:
-        TypeAdapter(Identifier).validate_python(name)
-    except ValidationError as error:
-        raise UsageError(f"the name {name!r} cannot be", expected="letters, digits, `_` and `-`") from error
+    if not is_identifier(name):
+        raise UsageError(f"the name {name!r} cannot be", expected="letters, digits, `_` and `-`")
     return layout.split(name)
 
 

@@ -1,0 +1,100 @@
+"""Running the rules over a dataset."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mirror.dataset.check.dataset_view import DatasetView
+from mirror.dataset.check.registry import selected
+from mirror.dataset.check.rule import Cost, Finding, Findings, Rule, Severity
+from mirror.dataset.check.scene_view import SceneView
+from mirror.dataset.layout import Layout, require_dataset
+from mirror.errors import ExitCode, MirrorError
+
+Progress = Callable[[int, int], None]
+_ORDER = tuple(Severity)
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What a check found.
+
+    Attributes:
+        rules: the rules that ran.
+        findings: what they found: errors first, then by rule, file and place.
+        unread: errors of files that could not be read and that no finding names, because no rule that ran asks for it.
+    """
+
+    rules: Sequence[Rule]
+    findings: Sequence[tuple[Rule, Finding]]
+    unread: Sequence[MirrorError]
+
+    def counts(self) -> dict[str, int]:
+        """Number of findings by severity."""
+        found = Counter(rule.severity.value for rule, _ in self.findings)
+        return {severity.value: found[severity.value] for severity in _ORDER}
+
+    def exit_code(self, *, strict: bool = False) -> ExitCode:
+        """What the verb answers.
+
+        Args:
+            strict: warnings count as errors do.
+        """
+        failing = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
+        if any(rule.severity in failing for rule, _ in self.findings):
+            return ExitCode.FINDINGS
+        return ExitCode.COULD_NOT_RUN if self.unread else ExitCode.DONE
+
+
+def check(
+    root: str | Path,
+    *,
+    only: Iterable[str] = (),
+    skip: Iterable[str] = (),
+    cost: Cost = Cost.FILES,
+    progress: Progress | None = None,
+) -> CheckReport:
+    """Hold a dataset against the integrity rules. Nothing is written.
+
+    Tables are read one scene at a time, so that memory does not grow with the number of scenes; pictures are opened
+    once for all rules.
+
+    Args:
+        root: the dataset's folder.
+        only: ids of rules, or letters of groups; these run whatever they cost. Empty: all up to ``cost``.
+        skip: ids of rules, or letters of groups, that do not run.
+        cost: the dearest rules that run.
+        progress: called with the scenes done and to do.
+
+    Raises:
+        DatasetError: there is no dataset.
+        UsageError: there is no such rule.
+    """
+    layout = Layout(Path(root))
+    require_dataset(layout)
+    rules = selected(only, skip, cost)
+    view = DatasetView(layout)
+    findings: list[tuple[Rule, Finding]] = []
+
+    def collect(rule: Rule, found: Findings) -> None:
+        findings.extend((rule, finding) for finding in found)
+
+    for rule in rules:
+        if rule.of_dataset is not None:
+            collect(rule, rule.of_dataset(view))
+    of_scene = [rule for rule in rules if rule.of_scene is not None]
+    scenes = list(view.scenes.values()) if of_scene else []
+    for number, scene in enumerate(scenes):
+        scene_view = SceneView(view, scene)
+        for rule in of_scene:
+            if rule.of_scene is not None:
+                collect(rule, rule.of_scene(scene_view))
+        if progress is not None:
+            progress(number + 1, len(scenes))
+    findings.sort(key=lambda hit: (_ORDER.index(hit[0].severity), hit[0].rule_id, hit[1].file, hit[1].place or ""))
+    named = {finding.file for _, finding in findings}
+    unread = [error for file, error in sorted(view.problems.items()) if file not in named]
+    return CheckReport(rules, findings, unread)

@@ -1,0 +1,1 @@
+"""BOX: 3D boxes; MSK: masks."""

@@ -1,0 +1,1 @@
+"""CAM: calibrations and rigs."""

@@ -1,0 +1,1 @@
+"""IDX: the index, which is derived from everything else."""

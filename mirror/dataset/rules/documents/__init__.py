@@ -1,0 +1,1 @@
+"""DS: the dataset's documents, folders and ids."""

@@ -1,0 +1,1 @@
+"""FIL: the files that manifests list."""

@@ -1,0 +1,1 @@
+"""GEO: places on the globe, and the world that hangs on them."""

@@ -1,0 +1,1 @@
+"""IMG: pictures, their rows, files and pixels."""

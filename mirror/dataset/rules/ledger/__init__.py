@@ -1,0 +1,1 @@
+"""LED: the ledgers of passes, accepted and refused."""

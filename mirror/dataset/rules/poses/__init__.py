@@ -1,0 +1,1 @@
+"""POS: the ego poses of a traversal, recorded and in layers."""

@@ -1,0 +1,15 @@
+"""SPL005."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from mirror.dataset.check.dataset_view import DatasetView
+from mirror.dataset.check.rule import Finding, Severity, dataset_rule
+from mirror.dataset.rules.splits.leak_findings import leak_findings
+
+
+@dataset_rule("SPL005", Severity.ERROR, remedy="make the split anew: `mirror split --replace`")
+def time_leak(view: DatasetView) -> Iterator[Finding]:
+    """One vehicle is in two roles of a split at the same time."""
+    yield from leak_findings(view, "time")

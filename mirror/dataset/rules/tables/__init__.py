@@ -1,0 +1,1 @@
+"""TAB: every table against its schema."""

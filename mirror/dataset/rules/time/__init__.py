@@ -1,0 +1,1 @@
+"""TIM: stamps of pictures, frames and drives."""

@@ -1,0 +1,51 @@
+"""Every rule finds what breaks it, and nothing in a dataset that is whole."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from mirror.dataset.check import Cost, check
+from mirror.dataset.check.registry import rules
+from tests.dataset_rules import edits_of_files, edits_of_scenes
+from tests.dataset_rules.clean import Broken, make_clean
+from tests.dataset_rules.edit import Edit
+
+EDITS = [*edits_of_files.edits(), *edits_of_scenes.edits()]
+
+
+@pytest.fixture(scope="session")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_clean(tmp_path_factory.mktemp("clean") / "dataset")
+
+
+@pytest.fixture
+def broken(clean: Path, tmp_path: Path) -> Broken:
+    return Broken(Path(shutil.copytree(clean, tmp_path / "dataset")))
+
+
+def test_a_whole_dataset_has_no_findings(clean: Path) -> None:
+    report = check(clean, cost=Cost.PICTURES)
+    assert [(rule.rule_id, finding) for rule, finding in report.findings] == []
+    assert report.unread == []
+    assert report.exit_code(strict=True) == 0
+    assert len(report.rules) == len(rules())
+
+
+@pytest.mark.parametrize("edit", EDITS, ids=[f"{edit.rule}-{number}" for number, edit in enumerate(EDITS)])
+def test_an_edit_triggers_its_rule(edit: Edit, broken: Broken) -> None:
+    edit.change(broken)
+    if edit.seal:
+        broken.seal()
+    report = check(broken.root, cost=Cost.PICTURES)
+    found = {rule.rule_id for rule, _ in report.findings}
+    listed = "\n".join(f"{rule.rule_id} {finding}" for rule, finding in report.findings)
+    assert found == {edit.rule} | edit.also, listed
+    if edit.file is not None:
+        assert edit.file in {finding.file for rule, finding in report.findings if rule.rule_id == edit.rule}, listed
+
+
+def test_every_rule_has_an_edit() -> None:
+    assert {edit.rule for edit in EDITS} == set(rules())

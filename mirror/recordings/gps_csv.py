@@ -113,7 +113,7 @@ class CsvRecording:
                 file=self.tables[0],
                 place="header",
                 expected=f"usual names among {', '.join(names)}",
-                remedy=f"name it: --option columns={missing[0]}=<name of the column>",
+                remedy=f"name it: --columns {missing[0]}=<name of the column>",
             )
         return columns
 

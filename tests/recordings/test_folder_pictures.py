@@ -134,8 +134,8 @@ def test_a_video_whose_start_is_known(tmp_path: Path) -> None:
 def test_many_pictures_are_listed_by_their_names_alone(tmp_path: Path) -> None:
     """The files are empty: opening one would fail."""
     path = write_recording(tmp_path, pictures=[])
-    for index in range(5_000):
+    for index in range(1_000):
         (path / "images" / "front_wide" / f"{START_NS + index * 33_333_333}.jpg").touch()
     stream = stream_of(path)
-    assert len(stream.exposure_start_ns) == 5_000
+    assert len(stream.exposure_start_ns) == 1_000
     assert (np.diff(stream.exposure_start_ns) == 33_333_333).all()

@@ -160,7 +160,7 @@ def test_weather_is_the_commonest_word(tmp_path: Path) -> None:
     ("text", "options", "expected"),
     [
         (PLAIN, {"colums": "lat=a"}, "unknown option 'colums'"),
-        (PLAIN.replace("lat", "breite"), {}, "columns=lat="),
+        (PLAIN.replace("lat", "breite"), {}, "--columns lat="),
         (PLAIN, {"columns": "lat=breite"}, "names no column"),
         (PLAIN, {"columns": "speed=lat"}, "nothing that a column can hold"),
         (PLAIN, {"time_unit": "hours"}, "unknown time base"),

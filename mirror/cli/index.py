@@ -38,10 +38,10 @@ def main(argv: Sequence[str]) -> int:
     require_dataset(layout)
     with writer_lock(layout, wait=arguments.wait):
         report = build_index(arguments.dataset, force=arguments.force)
-    plain = asdict(report)
     if arguments.json:
-        print(json.dumps(plain))
-    else:
-        print(", ".join(f"{name.replace('_', ' ')}: {value}" for name, value in plain.items()))
-        print(f"index: {layout.index}")
+        print(json.dumps(asdict(report)))
+        return ExitCode.DONE
+    rows = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in report.rows.items() if count)
+    print(f"{len(report.scenes_written)} scenes written, {len(report.scenes_kept)} up to date; {rows}")
+    print(f"index: {layout.index} ({report.seconds:.1f} s)")
     return ExitCode.DONE

@@ -35,7 +35,7 @@ class Trigger:
     min_step_m: float | None = None
     """Path counts only after moving this far (0.5)."""
     step_sigmas: float | None = None
-    """... or this many sigmas of the fix, if more (3)."""
+    """... or this many sigmas of the fix, if more (6)."""
     trim_standstill_s: float | None = None
     """Longer standstills are left out (60); 0 keeps them."""
 
@@ -107,6 +107,8 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = tyro.cli(Arguments, args=list(argv), prog="mirror ingest")
+    if not arguments.recordings:
+        raise UsageError("no recording given", expected="mirror ingest RECORDING... --rois FILE --out DATASET")
     if arguments.out is None and not arguments.dry_run:
         raise UsageError("no dataset folder given", place="--out", expected="--out DATASET, or --dry-run")
 

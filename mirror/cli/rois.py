@@ -60,6 +60,9 @@ def main(argv: Sequence[str]) -> int:
         return ExitCode.DONE if words else ExitCode.COULD_NOT_RUN
     arguments = tyro.cli(Propose, args=words[1:], prog="mirror rois propose")
 
+    if not arguments.recordings:
+        raise UsageError("no recording given", expected="mirror rois propose RECORDING...")
+
     from mirror.cli.progress import progress_bar
     from mirror.ingest.propose import propose_rois
     from mirror.ingest.request import IngestOptions

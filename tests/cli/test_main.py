@@ -1,0 +1,122 @@
+"""The command line as a stranger meets it: help, wrong words, wrong input, exit codes, start-up time."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mirror.cli.main import VERBS, main
+from mirror.ingest.rois import write_rois
+from mirror.version import __version__
+from tests.ingest.recordings import LAT, LON, SCENE, tree, write_recording
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("fleet")
+    write_recording(root, "there")
+    write_rois(root / "rois.geojson", [SCENE])
+    return root
+
+
+def test_help_lists_every_verb_and_every_verb_has_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for verb in VERBS:
+        assert verb in text
+        assert callable(importlib.import_module(f"mirror.cli.{verb}").main)
+    assert main(["--version"]) == 0
+    assert __version__ in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb != "rois"])
+def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([verb, "--help"])
+    assert ended.value.code == 0
+    assert f"mirror {verb}" in capsys.readouterr().out
+
+
+def test_unknown_verb_gets_a_hint(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ingets"]) == 2
+    assert "mirror ingest" in capsys.readouterr().err
+    assert main([]) == 2
+
+
+@pytest.mark.parametrize("verb", ["index", "split", "stats", "check", "info", "report"])
+def test_a_folder_that_is_no_dataset(verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [verb, str(tmp_path / "none"), *(["name"] if verb == "split" else [])]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert str(tmp_path / "none") in said
+    assert not (tmp_path / "none").exists()
+
+
+def test_wrong_options_exit_with_two(fleet: Path, tmp_path: Path) -> None:
+    for words in (["ingest", "x", "--no-such"], ["index"], ["check", "a", "b"]):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert ended.value.code == 2
+    there = str(fleet / "there")
+    assert main(["ingest", there, "--rois", str(fleet / "rois.geojson")]) == 2
+    assert main(["ingest", there, "--out", str(tmp_path / "d")]) == 2
+    assert main(["ingest", there, "--roi", "11.5", "--out", str(tmp_path / "d")]) == 2
+    assert main(["ingest", str(fleet / "none"), "--roi", f"{LON},{LAT}", "--out", str(tmp_path / "d")]) == 2
+    assert main(["ingest", there, "--roi", f"{LON},{LAT}", "--out", str(tmp_path / "d"), "--reader", "ros"]) == 2
+    assert main(["ingest"]) == main(["rois"]) == main(["rois", "propose"]) == 2
+    assert main(["rois", "purpose"]) == 2
+    assert not tree(tmp_path)
+
+
+def test_exit_codes_of_ingest(fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    there, rois, out = str(fleet / "there"), str(fleet / "rois.geojson"), str(tmp_path / "d")
+    assert main(["ingest", there, "--rois", rois, "--out", out, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["drives"]["there"]["accepted"] == 1
+    assert report["images"] == len(list((tmp_path / "d").rglob("*.jpg")))
+    assert main(["ingest", there, str(fleet / "none"), "--rois", rois, "--out", out, "--json"]) == 3
+    report = json.loads(capsys.readouterr().out)
+    assert report["unchanged"] == ["there"]
+    assert report["failures"][0]["file"].endswith("none")
+    assert main(["ingest", there, "--rois", rois, "--out", out, "--min-duration-s", "3", "--json"]) == 2
+    assert "dataset's 10.0" in json.loads(capsys.readouterr().out)["problem"]
+    assert main(["index", out]) == 0
+    assert (
+        main(["rois", "propose", there, "--min-traversals", "1", "--json", "--out", str(tmp_path / "r.geojson")]) == 0
+    )
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["proposals"][0]["traversals"] == 1
+    assert main(["ingest", there, "--rois", str(tmp_path / "r.geojson"), "--dry-run"]) == 0
+
+
+def test_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(argv: list[str]) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mirror.cli.index.main", interrupted)
+    assert main(["index", "x"]) == 130
+    assert "goes on where it stopped" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "limit_s"), [(["-c", "import mirror"], 0.3), (["-m", "mirror.cli.main", "--help"], 0.4)]
+)
+def test_start_up_is_quick(words: list[str], limit_s: float) -> None:
+    taken = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        subprocess.run([sys.executable, *words], check=True, capture_output=True)
+        taken.append(time.perf_counter() - begin)
+    assert min(taken) < limit_s, statistics.median(taken)
+
+
+def test_import_is_light() -> None:
+    heavy = ("numpy", "pandas", "pyarrow", "numba", "torch", "cv2", "scipy", "pydantic", "tyro")
+    code = f"import sys, mirror; print([name for name in {heavy} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"

@@ -7,7 +7,8 @@ In one pass, in time order:
   refused (``backward_time``);
 - fixes at the very place of the last good one collapse to the first (``repeated``): a receiver that repeats its fix
   moved on the straight line. Where the step out of such a run is one that a standing vehicle can make in that time
-  (``min_step + a t^2 / 2``), it did stand still, and the last of the run stays too; so it does at a track's end;
+  (``min_step + a t^2 / 2``), it did stand still, and the whole run stays: a stop at a light is no gap. So it does at a
+  track's end;
 - speed test: a fix farther from the last good one than ``max_speed * t + noise`` is an outlier;
 - acceleration test: a fix off the straight line between its neighbours by more than ``a t1 t2 / 2 + noise`` (what a
   vehicle that accelerates by ``a`` can be off) is an outlier, if the neighbours pass the speed test without it;
@@ -264,8 +265,7 @@ def _judge(
                 fate[index] = _OUTLIER
             else:
                 if before != last:
-                    fate[before] = KEPT
-                    track_length += 1
+                    track_length += _restore(last, before, fate)
                 fate[index] = KEPT
                 last, run_end = index, -1
                 track_length += 1
@@ -287,9 +287,8 @@ def _judge(
         index += 1
         if agreeing == _AGREEING:
             if run_end >= 0:
-                fate[run_end] = KEPT
+                track_length += _restore(last, run_end, fate)
                 last = run_end
-                track_length += 1
             if track_length < _AGREEING:
                 for row in range(track_start, last + 1):
                     if fate[row] <= RESTART:
@@ -299,5 +298,16 @@ def _judge(
             rejected, agreeing = -1, 0
             index = rejected_start + 1
     if run_end >= 0:
-        fate[run_end] = KEPT
+        _restore(last, run_end, fate)
     return fate
+
+
+@njit(cache=True, nogil=True)
+def _restore(last: int, run_end: int, fate: UInt8) -> int:
+    """Keep a run of repetitions after all; their number."""
+    count = 0
+    for row in range(last + 1, run_end + 1):
+        if fate[row] == _REPEATED:
+            fate[row] = KEPT
+            count += 1
+    return count

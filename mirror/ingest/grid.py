@@ -14,7 +14,7 @@ from mirror.arrays import Float64, Int64, UInt8
 from mirror.ingest.clean import RESTART
 from mirror.ingest.metric import plane_error, scales, unwrap
 
-_CELLS = 256
+_CELLS = 32
 _NOWHERE = np.iinfo(np.int64).min
 
 

@@ -113,7 +113,7 @@ class CleaningReport(Document):
         invalid: not finite, or off the globe.
         backward_time: fixes that were earlier than one before them (sorted).
         duplicate_time: fixes with the stamp of the one before.
-        repeated: fixes at the very place of the one before (collapsed to the first).
+        repeated: fixes at the very place of the one before, collapsed to the first: the receiver was frozen.
         outliers: fixes that failed the speed or the acceleration test.
         restarts: how often a new track was taken up after a run of outliers that agreed with each other.
     """

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from mirror.errors import RecordingError
 from mirror.recordings.protocol import ENTRY_POINT_GROUP, Reader, Recording
 
 
-def readers() -> dict[str, Reader]:
-    """All readers by name, in the order of the names: ours and those of other installed packages.
+def readers(name: str | None = None) -> dict[str, Reader]:
+    """Readers by name, in the order of the names: ours and those of other installed packages.
+
+    Args:
+        name: load this one alone, so that a broken package does not stand in the way of the others.
 
     Raises:
         RecordingError: two packages claim one name, or an entry point does not give a reader of its name.
@@ -19,7 +22,7 @@ def readers() -> dict[str, Reader]:
     found: dict[str, str] = {}
     loaded: dict[str, Reader] = {}
     for entry in sorted(entry_points(group=ENTRY_POINT_GROUP)):
-        if found.get(entry.name) == entry.value:
+        if found.get(entry.name) == entry.value or name not in (None, entry.name):
             continue
         if entry.name in found:
             raise RecordingError(
@@ -27,24 +30,28 @@ def readers() -> dict[str, Reader]:
                 place=f"entry-point group {ENTRY_POINT_GROUP}",
                 remedy="uninstall one of the packages",
             )
-        try:
-            reader = entry.load()()
-        except (ImportError, AttributeError) as error:
-            raise RecordingError(
-                f"the reader {entry.name!r} cannot be loaded ({error})",
-                place=f"entry point {entry.value}",
-                remedy="repair or uninstall the package that declares it",
-            ) from error
-        if not isinstance(reader, Reader) or reader.name != entry.name:
-            raise RecordingError(
-                f"{entry.value} is no reader named {entry.name!r}",
-                place=f"entry-point group {ENTRY_POINT_GROUP}",
-                expected="a class that follows mirror.recordings.protocol.Reader",
-                remedy="repair or uninstall the package that declares it",
-            )
         found[entry.name] = entry.value
-        loaded[entry.name] = reader
+        loaded[entry.name] = _load(entry)
     return loaded
+
+
+def _load(entry: EntryPoint) -> Reader:
+    try:
+        reader = entry.load()()
+    except (ImportError, AttributeError) as error:
+        raise RecordingError(
+            f"the reader {entry.name!r} cannot be loaded ({error})",
+            place=f"entry point {entry.value}",
+            remedy="repair or uninstall the package that declares it, or name the reader you want: --reader",
+        ) from error
+    if not isinstance(reader, Reader) or reader.name != entry.name:
+        raise RecordingError(
+            f"{entry.value} is no reader named {entry.name!r}",
+            place=f"entry-point group {ENTRY_POINT_GROUP}",
+            expected="a class that follows mirror.recordings.protocol.Reader",
+            remedy="repair or uninstall the package that declares it, or name the reader you want: --reader",
+        )
+    return reader
 
 
 def open_recording(path: str | Path, reader: str | None = None, options: Mapping[str, str] | None = None) -> Recording:
@@ -61,10 +68,10 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
     path = Path(path)
     if not path.exists():
         raise RecordingError("there is nothing at this path", file=path, expected="a recording")
-    known = readers()
+    known = readers(reader)
     if reader is not None:
         if reader not in known:
-            raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(known)}")
+            raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(readers())}")
         return known[reader].open(path, options or {})
     fitting = [name for name, candidate in known.items() if candidate.recognises(path)]
     if len(fitting) != 1:

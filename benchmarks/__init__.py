@@ -1,0 +1,1 @@
+"""Run time and error together, for ours and for the peers that users would otherwise take."""

@@ -1,29 +1,26 @@
 """Poses and cameras: run time and error, ours and the peers', in one run.
 
-``python -m benchmarks geometry [--size N] [--json FILE]`` prints rows ``name, size, ms, error, peer`` and, where
-matplotlib is installed, draws time against error to ``benchmarks/out/geometry.png``. Errors are the largest of a sample
-against the same formulas in 80-bit floats: of a pose its matrix's entries (translations of about 100 m), of a pixel its
-distance in pixels, of a ray the distance in pixels between the pixel asked for and the one where the ray is imaged.
+``python -m benchmarks geometry [--size N]`` prints rows ``name, size, ms, error, peer`` and draws time against error.
+Errors are the largest of a sample against the same formulas in 80-bit floats: of a pose its matrix's entries
+(translations of about 100 m), of a pixel its distance in pixels, of a ray the distance in pixels between the pixel
+asked for and the one where the ray is imaged.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.report import Peer, Row, best_ms, report
 from mirror.arrays import AnyArray, Float64, Int64
 from mirror.geometry import Camera, Poses, interpolate, project_boxes, quaternion_from_matrix, quaternion_normalise
 
-OUT = Path(__file__).parent / "out"
 SAMPLE = 5_000
 TRACK = 10_000
 Long = npt.NDArray[np.longdouble]
@@ -40,40 +37,6 @@ CAMERAS = (
     full_hd("kannala_brandt", 600.0, 601.0, 0.05, -0.01, 0.003, -0.001),
     full_hd("f_theta", 1.0, 1.0, 0.0, 620.0, 3.0, -20.0, 2.0),
 )
-
-
-@dataclass(frozen=True)
-class Peer:
-    """What another library needs for the same."""
-
-    name: str
-    ms: float
-    error: float
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.ms:.1f} ms, {self.error:.0e}"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the report."""
-
-    name: str
-    size: str
-    ms: float
-    error: float
-    peers: tuple[Peer, ...] = field(default=())
-
-
-def best_ms(call: Callable[[], object], repeats: int = 3) -> float:
-    """Least time of some calls, after one that does not count."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times) * 1e3
 
 
 def largest(values: AnyArray) -> float:
@@ -340,36 +303,7 @@ def box_rows(count: int) -> Iterator[Row]:
         )
         error = max(0.0, float(np.max(short[seen], initial=0.0)))
         ms = best_ms(partial(project_boxes, camera, poses, sizes))
-        yield Row(f"project boxes, {camera.model}", f"{count:,}", ms, error)
-
-
-def plot(groups: Sequence[Sequence[Row]], path: Path) -> None:
-    """Draw time against error, a panel a group; a line joins each of ours with its peers."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, panels = pyplot.subplots(1, len(groups), figsize=(5.5 * len(groups), 7), layout="constrained")
-    floor = 1e-17
-    for axes, rows in zip(panels, groups):
-        for number, row in enumerate(rows, start=1):
-            colour = f"C{(number - 1) % 10}"
-            ours = (row.ms, max(row.error, floor))
-            for peer in row.peers:
-                theirs = (peer.ms, max(peer.error, floor))
-                axes.plot(*zip(ours, theirs), color=colour, alpha=0.3, zorder=1)
-                axes.scatter(*theirs, color=colour, marker="x", zorder=2)
-            axes.scatter(*ours, color=colour, zorder=3, label=f"{number} {row.name}")
-            axes.annotate(str(number), ours, xytext=(4, 3), textcoords="offset points")
-        axes.set(xscale="log", yscale="log", xlabel="time (ms)")
-        axes.grid(alpha=0.3)
-        axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
-    panels[0].set_ylabel("largest error (matrix entry, m, px)")
-    figure.suptitle("MIRROR (dots) and scipy, OpenCV (crosses)")
-    path.parent.mkdir(exist_ok=True)
-    figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+        yield Row(f"project boxes, {camera.model}", f"{count:,}", ms, error, unit="px")
 
 
 def main(argv: list[str]) -> int:
@@ -378,25 +312,15 @@ def main(argv: list[str]) -> int:
         prog="benchmarks geometry", description=__doc__.splitlines()[0] if __doc__ else None
     )
     parser.add_argument("--size", type=int, default=1_000_000, help="poses, stamps and points")
-    parser.add_argument("--json", type=Path, help="write the rows there too")
     options = parser.parse_args(argv)
-    print(f"{'name':32} {'size':20} {'ms':>8}  {'error':8} peer")
-    poses = [*_printed(pose_rows(options.size)), *_printed(interpolation_rows(options.size))]
-    cameras = [*_printed(camera_rows(options.size)), *_printed(box_rows(1000))]
-    if options.json is not None:
-        options.json.write_text(json.dumps([asdict(row) for row in (*poses, *cameras)], indent=1))
-    try:
-        plot((poses, cameras), OUT / "geometry.png")
-    except ModuleNotFoundError:
-        print("no plot: pip install 'mirror-dataset[view]'", file=sys.stderr)
-    return 0
-
-
-def _printed(rows: Iterator[Row]) -> Iterator[Row]:
-    for row in rows:
-        peers = "; ".join(str(peer) for peer in row.peers) or "-"
-        print(f"{row.name:32} {row.size:20} {row.ms:8.2f}  {row.error:8.0e} {peers}", flush=True)
-        yield row
+    return report(
+        "geometry",
+        {
+            "poses": chain(pose_rows(options.size), interpolation_rows(options.size)),
+            "cameras": chain(camera_rows(options.size), box_rows(1000)),
+        },
+        errors="largest error (matrix entry, m, px)",
+    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Opening, querying and decoding: time, exactness and memory, against reading everything with pandas.
 
-``python -m benchmarks query [--rows N] [--keep FOLDER]`` generates an index (10 scenes, 7 cameras, 400 frames a
+``python -m benchmarks query [--rows N ...] [--keep FOLDER]`` generates an index (10 scenes, 7 cameras, 400 frames a
 traversal; no pictures), and one traversal of real JPEGs. Rows: ``name, size, ms, error, peer``; the error of a query is
 the number of rows that differ from brute force over all rows with PROJ's exact geodesic.
 
@@ -17,13 +17,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 import mirror
+from benchmarks.report import Peer, Row, median_ms, report
 from mirror.arrays import UInt8
 from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
@@ -59,17 +59,6 @@ print(json.dumps({"imported": imported, "open_ms": opened * 1e3, "idle": idle, "
                   "after_100": max(memory[:100]), "after_200": max(memory[100:]),
                   "cache": dataset.catalog.columns.held_bytes / 2**20}))
 """
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the report."""
-
-    name: str
-    size: str
-    ms: float
-    error: str
-    peer: str
 
 
 def centre(scene: int) -> tuple[float, float]:
@@ -111,17 +100,6 @@ def street(seed: int) -> UInt8:
     return np.clip(pixels, 0, 255).astype(np.uint8)
 
 
-def median_ms(call: Callable[[], object], repeats: int) -> float:
-    """Median run time after one run to warm up."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return float(np.median(times)) * 1e3
-
-
 def brute_force(dataset: Dataset, within: tuple[float, float, float]) -> tuple[set[tuple[object, ...]], float]:
     """Keys of all rows within a circle, by reading everything with pandas and asking PROJ; and how long that took."""
     import pandas as pd
@@ -139,27 +117,20 @@ def brute_force(dataset: Dataset, within: tuple[float, float, float]) -> tuple[s
     return set(zip(inside["traversal_id"], inside["camera"], inside["timestamp_ns"])), elapsed
 
 
-def query_rows(root: Path, size: str) -> list[Row]:
+def query_rows(root: Path) -> Iterator[Row]:
     """Queries on one generated dataset."""
     task = json.dumps([str(root), [centre(scene) for scene in range(SCENES)], KEYS])
     done = subprocess.run([sys.executable, "-c", _CHILD, task], capture_output=True, text=True, check=True)
     child = json.loads(done.stdout)
-    grown = child["idle"] - child["imported"]
-    found = [
-        Row("open", size, child["open_ms"], "-", "nuScenes devkit: 4.6 s for 263 k rows"),
-        Row("first ROI query", size, child["first_ms"], "-", "-"),
-        Row("idle memory, MiB RSS", size, child["idle"], f"{grown:.0f} above imports", "-"),
-        Row(
-            "memory after 200 random queries, MiB RSS",
-            size,
-            child["after_200"],
-            f"{child['after_100']:.0f} in the first 100",
-            "-",
-        ),
-    ]
     dataset = mirror.open(root)
     total = dataset.count("images")
-    quoted = ", py123d 4.8 s" if total < 500_000 else ""
+    size = f"{total:,} rows"
+    grown = child["idle"] - child["imported"]
+    yield Row("open", size, child["open_ms"], peers=(Peer("nuScenes devkit, quoted, 263 k rows:", 4600.0),), bar=300.0)
+    yield Row("first ROI query", size, child["first_ms"], bar=400.0)
+    yield Row("idle memory, MiB RSS", size, child["idle"], grown, unit="MiB above imports", bar=120.0)
+    grown = child["after_200"] - child["after_100"]
+    yield Row("memory after 200 queries, MiB RSS", size, child["after_200"], grown, unit="MiB in the last 100")
     for name, radius in (("ROI query, a whole scene", 1000.0), ("ROI query, a part of a scene", 150.0)):
         within = (*centre(3), radius)
 
@@ -167,14 +138,14 @@ def query_rows(root: Path, size: str) -> list[Row]:
             return dataset.where(within=within).table("images", KEYS)
 
         ms = median_ms(run, 15)
-        expected, peer = brute_force(dataset, within)
+        expected, brute_ms = brute_force(dataset, within)
         keys = dataset.where(within=within).table("images", ("traversal_id", "camera", "timestamp_ns")).to_pydict()
         mismatches = len(expected ^ set(zip(*keys.values())))
-        share = len(expected) / total
-        found.append(
-            Row(f"{name}: {share:.0%} of rows", size, ms, f"{mismatches} rows", f"pandas {peer:.0f} ms{quoted}")
-        )
-    return found
+        peers: tuple[Peer, ...] = (Peer("pandas", brute_ms, 0.0),)
+        if total < 500_000:
+            peers += (Peer("py123d, quoted:", 4800.0),)
+        bar = 20.0 if total < 500_000 else 40.0
+        yield Row(f"{name}: {len(expected) / total:.0%} of rows", size, ms, mismatches, peers, "rows", bar)
 
 
 def decode_row(folder: Path) -> Row:
@@ -198,16 +169,10 @@ def decode_row(folder: Path) -> Row:
         read = [np.asarray(cv2.imdecode(np.frombuffer(image.read(), np.uint8), cv2.IMREAD_COLOR)) for image in images]
         return np.ascontiguousarray(np.stack([own[..., ::-1].transpose(2, 0, 1) for own in read]), np.uint8)
 
-    peer = median_ms(one_by_one, 20)
+    peers = (Peer("cv2", median_ms(one_by_one, 20), 0.0), Peer("py123d, quoted:", 35.0))
     differing = int(np.count_nonzero(frames[0].decode() != one_by_one()))
     kilobytes = sum(map(len, pictures.values())) // 1000
-    return Row(
-        "seven cameras to CHW",
-        f"960x540, {kilobytes} kB",
-        ms,
-        f"{differing} values",
-        f"cv2 {peer:.0f} ms, py123d 35-39 ms",
-    )
+    return Row("seven cameras to CHW", f"960x540, {kilobytes} kB", ms, differing, peers, "values", 18.0)
 
 
 def main(argv: Sequence[str]) -> int:
@@ -215,23 +180,18 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="benchmarks query", description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rows", type=int, nargs="+", default=[280_000, 1_000_000], help="image rows of each dataset")
     parser.add_argument("--keep", type=Path, help="generate here, and use what is there already")
-    parser.add_argument("--json", type=Path, help="write the rows there too")
     options = parser.parse_args(argv)
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = options.keep or Path(temporary)
-        found = []
-        for rows in options.rows:
-            root = folder / f"rows-{rows}"
+
+    def rows(folder: Path) -> Iterator[Row]:
+        for count in options.rows:
+            root = (options.keep or folder) / f"rows-{count}"
             if not (root / "index" / "manifest.json").is_file():
-                generate(root, rows)
-            found += query_rows(root, f"{rows:,} rows")
-        found.append(decode_row(Path(temporary) / "pictures"))
-    for row in [Row("name", "size", 0.0, "error", "peer"), *found]:
-        ms = "ms" if row.name == "name" else f"{row.ms:.1f}"
-        print(f"{row.name:44} {row.size:18} {ms:>8}  {row.error:20} {row.peer}")
-    if options.json is not None:
-        options.json.write_text(json.dumps([asdict(row) for row in found], indent=1))
-    return 0
+                generate(root, count)
+            yield from query_rows(root)
+        yield decode_row(folder / "pictures")
+
+    with tempfile.TemporaryDirectory() as temporary:
+        return report("query", {"query": rows(Path(temporary))}, errors="rows or values that differ")
 
 
 if __name__ == "__main__":

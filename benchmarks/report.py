@@ -1,0 +1,169 @@
+"""How every benchmark reports: rows of ``name, size, ms, error, peer``, a JSON file, and a plot of time against error.
+
+Both files go to ``benchmarks/out/<name>.json`` and ``.png``; the plot needs matplotlib (the ``view`` extra).
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+OUT = Path(__file__).parent / "out"
+_HEADER = ("name", "size", "ms", "error", "bar", "peer")
+_SMALLEST = 1e-17
+
+
+@dataclass(frozen=True)
+class Peer:
+    """What another way needs for the same.
+
+    Attributes:
+        name: library or method; ``quoted`` stands where it was measured elsewhere.
+        ms: its time.
+        error: its error, in the row's unit; None: not measured.
+    """
+
+    name: str
+    ms: float
+    error: float | None = None
+
+    def __str__(self) -> str:
+        text = f"{self.name} {_number(self.ms)} ms"
+        return text if self.error is None else f"{text}, {_number(self.error)}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a report.
+
+    Attributes:
+        name: what was done.
+        size: to how much.
+        ms: how long it took, or another figure that the name gives a unit to.
+        error: how far the result is off; None: there is nothing to be off.
+        peers: other ways to the same.
+        unit: of the error.
+        bar: what ``ms`` must stay below; None: nothing is asked.
+    """
+
+    name: str
+    size: str
+    ms: float
+    error: float | None = None
+    peers: tuple[Peer, ...] = ()
+    unit: str = ""
+    bar: float | None = None
+
+    @property
+    def missed(self) -> bool:
+        """Whether the row is not below its bar."""
+        return self.bar is not None and not self.ms < self.bar
+
+    def cells(self) -> tuple[str, ...]:
+        """The line's cells as text."""
+        error = "-" if self.error is None else f"{_number(self.error)} {self.unit}".rstrip()
+        bar = "-" if self.bar is None else f"< {_number(self.bar)}{' MISSED' if self.missed else ''}"
+        return self.name, self.size, _number(self.ms), error, bar, "; ".join(map(str, self.peers)) or "-"
+
+
+def best_ms(call: Callable[[], object], repeats: int = 3) -> float:
+    """Least time of some calls, after one that does not count."""
+    return min(times_ms(call, repeats))
+
+
+def median_ms(call: Callable[[], object], repeats: int = 5) -> float:
+    """Median time of some calls, after one that does not count."""
+    return float(np.median(times_ms(call, repeats)))
+
+
+def times_ms(call: Callable[[], object], repeats: int) -> list[float]:
+    """Times of some calls, after one that does not count."""
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append((time.perf_counter() - start) * 1e3)
+    return times
+
+
+def report(name: str, groups: Mapping[str, Iterable[Row]], *, errors: str = "error") -> int:
+    """Print rows as they come, write and plot them.
+
+    Args:
+        name: of the benchmark and its files.
+        groups: rows by title; a panel of the plot each.
+        errors: what the error axis is called.
+
+    Returns:
+        The exit code: 1 if a row missed its bar.
+    """
+    print(_line(_HEADER))
+    done: dict[str, list[Row]] = {}
+    for title, rows in groups.items():
+        done[title] = []
+        for row in rows:
+            print(_line(row.cells()), flush=True)
+            done[title].append(row)
+    OUT.mkdir(exist_ok=True)
+    lines = [{"group": title, **asdict(row)} for title, rows in done.items() for row in rows]
+    (OUT / f"{name}.json").write_text(json.dumps(lines, indent=1) + "\n")
+    try:
+        plot(done, OUT / f"{name}.png", errors)
+    except ModuleNotFoundError:
+        print("no plot: pip install 'mirror-dataset[view]'", file=sys.stderr)
+    return int(any(row.missed for rows in done.values() for row in rows))
+
+
+def plot(groups: Mapping[str, Sequence[Row]], path: Path, errors: str = "error") -> None:
+    """Draw time against error, a panel a group; a line joins each of ours with its peers."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    shown = {title: [row for row in rows if row.error is not None] for title, rows in groups.items()}
+    shown = {title: rows for title, rows in shown.items() if rows}
+    if not shown:
+        return
+    figure, grid = pyplot.subplots(1, len(shown), figsize=(5.5 * len(shown), 7), layout="constrained", squeeze=False)
+    for axes, (title, rows) in zip(grid[0], shown.items()):
+        for number, row in enumerate(rows, start=1):
+            colour = f"C{(number - 1) % 10}"
+            ours = (row.ms, max(row.error or 0.0, _SMALLEST))
+            for peer in row.peers:
+                if peer.error is not None:
+                    theirs = (peer.ms, max(peer.error, _SMALLEST))
+                    axes.plot(*zip(ours, theirs), color=colour, alpha=0.3, zorder=1)
+                    axes.scatter(*theirs, color=colour, marker="x", zorder=2)
+            label = f"{number} {row.name}" + (f" ({row.unit})" if row.unit else "")
+            axes.scatter(*ours, color=colour, zorder=3, label=label)
+            axes.annotate(str(number), ours, xytext=(4, 3), textcoords="offset points")
+        axes.set(xscale="log", yscale="log", xlabel="time (ms)", title=title)
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
+    grid[0][0].set_ylabel(errors)
+    figure.suptitle("MIRROR (dots) and peers (crosses)")
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=120)
+    pyplot.close(figure)
+
+
+def _number(value: float) -> str:
+    """Short, and readable at any magnitude."""
+    if value == 0.0:
+        return "0"
+    if 0.01 <= abs(value) < 1e6:
+        return f"{value:.0f}" if abs(value) >= 1000 or value == int(value) else f"{value:.3g}"
+    return f"{value:.0e}"
+
+
+def _line(cells: Sequence[str]) -> str:
+    name, size, ms, error, bar, peer = cells
+    return f"{name:44} {size:20} {ms:>9}  {error:24} {bar:16} {peer}"

@@ -23,8 +23,8 @@ from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, encode_row
 
 CAMERAS = ("front_wide", "front_left", "front_right")
 SIZE = (48, 32)
-FRAMES = 25
-FRAME_NS = 500_000_000
+FRAMES = 11
+FRAME_NS = 1_000_000_000
 TABLES = {table.name: table for table in (EGO_POSES, IMAGES, CALIBRATIONS, BOXES, MASKS, PASSES)}
 Rows = list[dict[str, Any]]
 

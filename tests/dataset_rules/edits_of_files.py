@@ -112,6 +112,7 @@ def _forget_index_rows(broken: Broken) -> None:
     path = broken.root / "index/row_groups.parquet"
     table = pq.read_table(path)
     rows = [row for row in table.to_pylist() if not (row["table"] == "boxes" and row["scene_id"] == "a")]
+    path.unlink()
     pq.write_table(type(table).from_pylist(rows, schema=table.schema), path)
 
 
@@ -131,7 +132,9 @@ def _tables() -> Iterator[Edit]:
 
 def _without_column(broken: Broken) -> None:
     path = broken.path(A0, "ego_poses")
-    pq.write_table(pq.read_table(path).drop_columns(["tx_m"]), path)
+    table = pq.read_table(path).drop_columns(["tx_m"])
+    path.unlink()
+    pq.write_table(table, path)
 
 
 def _ledger() -> Iterator[Edit]:
@@ -151,7 +154,7 @@ def _ledger() -> Iterator[Edit]:
     yield of("LED004", cell("d0", "passes", 0, closest_m=200.5), file)
     yield of(
         "LED005",
-        cell("d0", "passes", 1, path_m=130.0, inside_path_m=130.0, mean_speed_mps=10.4),
+        cell("d0", "passes", 1, path_m=132.0, inside_path_m=132.0, mean_speed_mps=12.0),
         f"{RECORDED}/ego_poses.parquet",
     )
     yield of("LED006", cell("d0", "passes", 1, traversal_id="a.d0.1"), file, "IDX002")

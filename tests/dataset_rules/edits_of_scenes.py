@@ -9,7 +9,7 @@ import numpy as np
 from mirror.dataset.layout import MANIFEST
 from mirror.schema.files import write_bytes
 from tests.dataset.builders import EPOCH, SECOND
-from tests.dataset_rules.clean import FRAME_NS, SIZE, Broken, Rows, jpeg, png
+from tests.dataset_rules.clean import FRAME_NS, FRAMES, SIZE, Broken, Rows, jpeg, png
 from tests.dataset_rules.edit import (
     A0,
     B2,
@@ -119,7 +119,7 @@ def _time() -> Iterator[Edit]:
     late = {name: plus(name, 0.55 * FRAME_NS) for name in ("timestamp_ns", "exposure_start_ns", "exposure_end_ns")}
     whole = {name: (lambda row, change=change: int(change(row))) for name, change in late.items()}
     yield of("TIM003", cell(A0, "images", 3, **whole), file, "TIM005")
-    yield of("TIM004", cell(A0, "images", 53, frame_index=None), file, "TIM006")
+    yield of("TIM004", cell(A0, "images", 2 * FRAMES + 3, frame_index=None), file, "TIM006")
     yield of("TIM004", cell(A0, "images", WIDE, frame_index=plus("frame_index", 1)), file, "TIM003")
     yield of("TIM005", _lost_frame, file)
     yield of("TIM006", cell(A0, "images", 3, frame_index=None), file)
@@ -129,12 +129,12 @@ def _time() -> Iterator[Edit]:
 
 
 def _lost_frame(broken: Broken) -> None:
-    """Frame 12 is missing in all cameras, and those behind it are counted on."""
+    """Frame 5 is missing in all cameras, and those behind it are counted on."""
 
     def change(rows: Rows) -> Rows:
-        kept = [row for row in rows if row["frame_index"] != 12]
+        kept = [row for row in rows if row["frame_index"] != 5]
         for row in kept:
-            row["frame_index"] -= row["frame_index"] > 12
+            row["frame_index"] -= row["frame_index"] > 5
         return kept
 
     broken.rows(A0, "images", change)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,10 +13,12 @@ import pyarrow as pa
 from mirror.dataset.check.rows import Part, Rows
 from mirror.dataset.index.inputs import Inputs, read_inputs, read_rois
 from mirror.dataset.layout import MANIFEST, Layout, manifest_sha256
+from mirror.dataset.pictures.still import usable_cores
 from mirror.dataset.splits.candidates import Candidate, Candidates
 from mirror.dataset.splits.leaks import Tie, ties
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, SchemaError
+from mirror.geometry.cameras import Camera
 from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
 from mirror.schema.files import Model, read_json, read_table
 from mirror.schema.tables import PASSES, ROW_GROUPS, Table
@@ -52,12 +55,14 @@ class DatasetView:
 
     Attributes:
         problems: why a file could not be read, by the file relative to the root.
+        cameras: the cameras that were made so far, so that equal ones are made once.
     """
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self.store = Store(layout.root)
         self.problems: dict[str, MirrorError] = {}
+        self.cameras: dict[Camera, Camera] = {}
 
     def name(self, path: Path) -> str:
         """A path relative to the dataset's root."""
@@ -150,12 +155,8 @@ class DatasetView:
     @cached_property
     def passes(self) -> Rows:
         """The ledgers of all drives."""
-        parts: list[Part] = []
-        for number, name in enumerate(self.drive_manifests):
-            data = self.table(self.layout.drive(name) / "passes.parquet", PASSES)
-            if data is not None:
-                parts.append((self.name(self.layout.drive(name) / "passes.parquet"), number, data))
-        return Rows(PASSES, parts)
+        folders = [(number, self.layout.drive(name)) for number, name in enumerate(self.drive_manifests)]
+        return Rows(PASSES, self.parts(PASSES, folders))
 
     @cached_property
     def traversals(self) -> Mapping[str, TraversalView]:
@@ -230,6 +231,19 @@ class DatasetView:
         for folder, manifest in {**self.folder_manifests, **indexed}.items():
             for name, entry in manifest.files.items():
                 yield folder / name, entry
+
+    def parts(self, table: Table, folders: Sequence[tuple[int, Path]]) -> list[Part]:
+        """A table of many folders; those that have none, or a broken one, are left out.
+
+        Args:
+            table: which.
+            folders: the folders, each with the number by which its rows are to be known.
+        """
+        paths = [folder / f"{table.name}.parquet" for _, folder in folders]
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            tables = pool.map(lambda path: self.table(path, table), paths)
+        read = zip(paths, folders, tables)
+        return [(self.name(path), number, data) for path, (number, _), data in read if data is not None]
 
     def table(self, path: Path, table: Table) -> pa.Table | None:
         """A table, or None: the file is missing, or it is broken, which is kept as a problem."""

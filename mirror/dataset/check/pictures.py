@@ -147,7 +147,7 @@ class PictureReader:
 
 def leads_out(uri: str) -> bool:
     """Whether a picture's relative uri leads out of the dataset."""
-    return ".." in PurePosixPath(uri).parts
+    return ".." in uri and ".." in PurePosixPath(uri).parts
 
 
 def _spread(pixels: UInt8) -> int:

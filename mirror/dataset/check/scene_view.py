@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -114,7 +113,9 @@ class SceneView:
         errors: dict[int, UsageError] = {}
         for number, row in enumerate(self.all_calibrations.data.to_pylist()):
             try:
-                made[number] = camera_from_row(row)
+                # Most traversals have the same cameras: one of equals serves for all, with what it has worked out.
+                camera = camera_from_row(row)
+                made[number] = self.dataset.cameras.setdefault(camera, camera)
             except UsageError as error:
                 errors[number] = error
         return made, errors
@@ -177,25 +178,18 @@ class SceneView:
         return np.array(values, np.int64)
 
     def _recorded(self, table: Table) -> Rows:
-        parts = []
-        for number, item in enumerate(self.traversals):
-            parts += self._part(self.dataset.layout.recorded(item.traversal_id), number, table)
-        return Rows(table, parts)
+        folders = [(n, self.dataset.layout.recorded(item.traversal_id)) for n, item in enumerate(self.traversals)]
+        return Rows(table, self.dataset.parts(table, folders))
 
     def _layers(self, kind: str) -> list[Part]:
-        parts = []
-        for number, item in enumerate(self.traversals):
-            for layer_kind, source, version in item.layers:
-                if layer_kind == kind:
-                    folder = self.dataset.layout.layer(item.traversal_id, kind, source, version)
-                    parts += self._part(folder, number, _LAYER_TABLES[kind])
-        return parts
+        folders = [
+            (number, self.dataset.layout.layer(item.traversal_id, kind, source, version))
+            for number, item in enumerate(self.traversals)
+            for layer_kind, source, version in item.layers
+            if layer_kind == kind
+        ]
+        return self.dataset.parts(_LAYER_TABLES[kind], folders)
 
     def _with_layers(self, recorded: Rows, kind: str) -> Rows:
         layers = self._layers(kind)
         return Rows(recorded.table, [*recorded.parts, *layers]) if layers else recorded
-
-    def _part(self, folder: Path, number: int, table: Table) -> list[Part]:
-        path = folder / f"{table.name}.parquet"
-        data = self.dataset.table(path, table)
-        return [] if data is None else [(self.dataset.name(path), number, data)]

@@ -23,7 +23,7 @@ def box_unseen(view: SceneView) -> Iterator[Finding]:
     placed = Motion(boxes)
     size = np.column_stack([boxes.floats(name) for name in ("length_m", "width_m", "height_m")])
     usable = placed.unit & np.isfinite(placed.position).all(axis=1) & (np.isfinite(size) & (size > 0)).all(axis=1)
-    cameras = _cameras(view)
+    cameras = _cameras(view) if len(boxes) else {}
     unseen = np.zeros(len(boxes), np.bool_)
     for _, number, rows in boxes.slices():
         left = np.flatnonzero(usable[rows]) + rows.start

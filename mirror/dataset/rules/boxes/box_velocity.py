@@ -14,7 +14,7 @@ from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import rotate
 
-_LONGEST_S = 1.0
+_LONGEST_S = 1.5
 _OFF_MPS = 3.0
 _SHARE = 0.5
 
@@ -33,7 +33,7 @@ def box_velocity(view: SceneView) -> Iterator[Finding]:
     one, two = order[:-1], order[1:]
     seconds = (boxes.integers("timestamp_ns")[two] - boxes.integers("timestamp_ns")[one]) * 1e-9
     usable = (track[one] == track[two]) & (boxes.owner[one] == boxes.owner[two]) & placed[one] & placed[two]
-    usable &= (seconds > 0) & (seconds < _LONGEST_S) & np.isfinite(turned[two] + turned[one]).all(axis=1)
+    usable &= (seconds > 0) & (seconds <= _LONGEST_S) & np.isfinite(turned[two] + turned[one]).all(axis=1)
     one, two, seconds = one[usable], two[usable], seconds[usable]
     moved = (world[two] - world[one])[:, :2] / seconds[:, None]
     stated = 0.5 * (turned[one] + turned[two])[:, :2]

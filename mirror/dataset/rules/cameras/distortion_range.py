@@ -8,6 +8,7 @@ import numpy as np
 
 from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
+from mirror.geometry.cameras import Camera
 
 
 @scene_rule(
@@ -16,17 +17,24 @@ from mirror.dataset.check.scene_view import SceneView
 def distortion_range(view: SceneView) -> Iterator[Finding]:
     """The distortion folds back within the picture: beyond that radius no pixel has a ray."""
     rows = view.all_calibrations
+    share = {camera: _valid_share(camera) for camera in set(view.cameras.values())}
     reached = np.ones(len(rows))
     for row, camera in view.cameras.items():
-        # From the principal point to the middles of the edges: a fisheye's dark corners are no fault.
-        across = np.linspace(0.0, 1.0, 33)[:, None]
-        centre = np.array([camera.cx_px, camera.cy_px])
-        width, height = camera.width_px, camera.height_px
-        ends = np.array([[0.0, centre[1]], [width, centre[1]], [centre[0], 0.0], [centre[0], height]])
-        seen = camera.unproject(centre + across[:, None] * (ends - centre)).valid.all(axis=1)
-        reached[row] = across[seen.argmin() - 1, 0] if not seen.all() else 1.0
+        reached[row] = share[camera]
     yield from rows.findings(
         reached < 1.0,
         lambda row: f"valid only up to {reached[row]:.0%} of the way from the principal point to an edge's middle",
         worst=-reached,
     )
+
+
+def _valid_share(camera: Camera) -> float:
+    """How far the ways from the principal point to the middles of the edges have rays.
+
+    Not to the corners: those of a fisheye are dark.
+    """
+    across = np.linspace(0.0, 1.0, 33)[:, None, None]
+    x, y = camera.cx_px, camera.cy_px
+    ends = np.array([[0.0, y], [camera.width_px, y], [x, 0.0], [x, camera.height_px]])
+    seen = camera.unproject((x, y) + across * (ends - (x, y))).valid.all(axis=1)
+    return 1.0 if seen.all() else float(across[max(int(np.argmin(seen)) - 1, 0), 0, 0])

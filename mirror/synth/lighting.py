@@ -105,7 +105,7 @@ def lighting(condition: Condition, longitude_deg: float, latitude_deg: float) ->
     look["headlight"] = 1.3 if dark > 0.3 else 0.0
     look["lit_windows"] = 0.45 * np.clip(dark * 1.5 - 0.4, 0.0, 1.0)
     look["haze_per_m"] = 1 / 380 if condition.weather == "rain" else 1 / 1500
-    look["exposure"] = (1.9 if condition.weather == "rain" else 1.7) + 1.5 * dark
+    look["exposure"] = (2.5 if condition.weather == "rain" else 2.1) + 1.1 * dark
     look["noise"] = 0.008 + 0.022 * dark
     month = np.datetime64(condition.start_ns, "ns").astype("datetime64[M]").astype(int) % 12
     look["season"] = {9: 0.6, 10: 1.0, 11: 0.8}.get(int(month), 0.0)

@@ -131,7 +131,7 @@ PRESETS: Final = {
             traversals=5,
             width_px=400,
             height_px=225,
-            picture_hz=1.25,
+            picture_hz=1.0,
         ),
         Preset(
             "quick",
@@ -144,7 +144,7 @@ PRESETS: Final = {
             traversals=5,
             width_px=320,
             height_px=180,
-            picture_hz=0.65,
+            picture_hz=0.55,
         ),
         Preset(
             "tiny",

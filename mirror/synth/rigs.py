@@ -112,7 +112,7 @@ SALOON: Final = VehicleType(
         rear_m=-1.05,
         nose_m=2.2,
     ),
-    bonnet=solid((2.80, 0.0, 0.76), (1.70, 1.72, 0.24), (0.05, 0.10, 0.24), PAINT, slope=(0.9, 0.0)),
+    bonnet=solid((2.75, 0.0, 0.73), (1.60, 1.66, 0.22), (0.05, 0.10, 0.24), PAINT, slope=(0.9, 0.0)),
     stagger_ns=0,
     exposure_ns=8_000_000,
 )

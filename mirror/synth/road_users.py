@@ -124,7 +124,7 @@ def car(rng: np.random.Generator) -> Body:
             [
                 solid(
                     (0, 0, 0.5 * (0.19 + waist)),
-                    (length, width, waist - 0.19),
+                    (length, width - 0.04, waist - 0.19),
                     colour,
                     PAINT,
                     slope=(0.12, 0.10),
@@ -172,9 +172,9 @@ def van(rng: np.random.Generator) -> Body:
         (5.4, 2.02, 2.35),
         np.concatenate(
             [
-                solid((0, 0, 0.73), (5.4, 2.02, 1.06), colour, PAINT, slope=(0.16, 0.0), seed=seed),
+                solid((0, 0, 0.73), (5.4, 1.98, 1.06), colour, PAINT, slope=(0.16, 0.0), seed=seed),
                 solid((1.375, 0, 1.785), (2.31, 1.86, 1.05), colour, GLASS, slope=(0.75, 0.0), seed=seed),
-                solid((-1.15, 0, 1.805), (3.1, 2.0, 1.09), colour, CONTAINER, slope=(0.0, 0.05), seed=seed),
+                solid((-1.15, 0, 1.805), (3.1, 1.98, 1.09), colour, CONTAINER, slope=(0.0, 0.05), seed=seed),
                 *_wheels(5.4, 2.02, 0.36),
             ]
         ),
@@ -210,7 +210,7 @@ def bus(rng: np.random.Generator) -> Body:
         (11.8, 2.55, 3.1),
         np.concatenate(
             [
-                solid((0, 0, 0.85), (11.8, 2.55, 1.2), colour, PAINT, slope=(0.02, 0.02), seed=seed),
+                solid((0, 0, 0.85), (11.8, 2.51, 1.2), colour, PAINT, slope=(0.02, 0.02), seed=seed),
                 solid((0, 0, 2.0), (11.7, 2.5, 1.1), colour, GLASS, slope=(0.04, 0.02), seed=seed),
                 solid((0, 0, 2.825), (11.6, 2.5, 0.55), colour, METAL),
                 *_wheels(11.8, 2.55, 0.5),

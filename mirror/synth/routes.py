@@ -34,7 +34,7 @@ def _turn(world: World, speed: float) -> tuple[Waypoints, dict[str, object]]:
 
 def _edge(world: World, speed: float) -> tuple[Waypoints, dict[str, object]]:
     """The street at the edge of the ROI: inside for 8 s."""
-    half = math.sqrt(world.roi.radius_m**2 - world.edge_m**2)
+    half = math.sqrt(world.roi.radius_m**2 - (world.edge_m + LANE_CENTRE_M) ** 2)
     end = half + 3.0 * speed
     return [(world.edge_m, -end), (world.edge_m, end)], {"speed_mps": 2.0 * half / 8.0}
 

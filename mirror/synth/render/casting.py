@@ -77,18 +77,13 @@ def choose(
     spread = np.empty((count, 2))
     for index in range(count):
         one = solids[index]
-        for axis in range(3):
-            away[index, axis] = one.centre[axis] - origin[axis]
-        far = math.sqrt(away[index, 0] ** 2 + away[index, 1] ** 2 + away[index, 2] ** 2)
-        beyond = 0.0
-        for axis in range(3):
-            along = (
-                one.axes[axis, 0] * away[index, 0]
-                + one.axes[axis, 1] * away[index, 1]
-                + one.axes[axis, 2] * away[index, 2]
-            )
-            beyond += max(abs(along) - one.half[axis], 0.0) ** 2
-        near[index] = math.sqrt(beyond)
+        x, y, z = one.centre_0 - origin[0], one.centre_1 - origin[1], one.centre_2 - origin[2]
+        far = math.sqrt(x * x + y * y + z * z)
+        over_x = max(abs(one.axes_00 * x + one.axes_01 * y + one.axes_02 * z) - one.half_0, 0.0)
+        over_y = max(abs(one.axes_10 * x + one.axes_11 * y + one.axes_12 * z) - one.half_1, 0.0)
+        over_z = max(abs(one.axes_20 * x + one.axes_21 * y + one.axes_22 * z) - one.half_2, 0.0)
+        near[index] = math.sqrt(over_x * over_x + over_y * over_y + over_z * over_z)
+        away[index, 0], away[index, 1], away[index, 2] = x, y, z
         # A camera within the sphere may see the solid anywhere: the cone is all directions.
         spread[index, 0], spread[index, 1] = -1.0, 0.0
         if far > radii[index]:

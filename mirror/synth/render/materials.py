@@ -62,7 +62,7 @@ def ground(
     gap = 1e9
     for index in range(len(streets)):
         street = streets[index]
-        side = street.direction[0] * (y - street.origin[1]) - street.direction[1] * (x - street.origin[0])
+        side = street.direction_0 * (y - street.origin_1) - street.direction_1 * (x - street.origin_0)
         gap = min(gap, abs(side) - street.half_road)
     if gap > streets[0].pavement:
         if green:
@@ -102,11 +102,11 @@ def _pavement(
     curb = band(gap, 0.0, 0.16, wide)
     gutter = band(gap, 0.0, 0.03, wide)
     first = streets[0]
-    along = first.direction[0] * x + first.direction[1] * y
-    across = first.direction[0] * y - first.direction[1] * x
+    along = first.direction_0 * x + first.direction_1 * y
+    across = first.direction_0 * y - first.direction_1 * x
     c, s = (
-        abs(first.direction[0] * dx + first.direction[1] * dy),
-        abs(first.direction[0] * dy - first.direction[1] * dx),
+        abs(first.direction_0 * dx + first.direction_1 * dy),
+        abs(first.direction_0 * dy - first.direction_1 * dx),
     )
     joint = max(stripes(along, 0.9, 0.03, near * s + far * c), stripes(across, 0.9, 0.03, near * c + far * s))
     slab = chance(math.floor(along / 0.9), math.floor(across / 0.9), seed) if wide < 0.9 else 0.5
@@ -122,17 +122,17 @@ def _markings(streets: Records, x: float, y: float, dx: float, dy: float, near: 
     white = 0.0
     for index in range(len(streets)):
         street = streets[index]
-        ux, uy = street.direction[0], street.direction[1]
-        rx, ry = x - street.origin[0], y - street.origin[1]
+        ux, uy = street.direction_0, street.direction_1
+        rx, ry = x - street.origin_0, y - street.origin_1
         along, side = ux * rx + uy * ry, ux * ry - uy * rx
         if abs(side) > street.half_road:
             continue
         gap = 1e9
         for other in range(len(streets)):
             crossing = streets[other]
-            if abs(crossing.direction[0] * ux + crossing.direction[1] * uy) < 0.5:
-                qx, qy = x - crossing.origin[0], y - crossing.origin[1]
-                gap = min(gap, abs(crossing.direction[0] * qy - crossing.direction[1] * qx) - crossing.half_road)
+            if abs(crossing.direction_0 * ux + crossing.direction_1 * uy) < 0.5:
+                qx, qy = x - crossing.origin_0, y - crossing.origin_1
+                gap = min(gap, abs(crossing.direction_0 * qy - crossing.direction_1 * qx) - crossing.half_road)
         if gap < 0.0:
             return 0.0
         c, s = abs(ux * dx + uy * dy), abs(ux * dy - uy * dx)
@@ -155,13 +155,13 @@ def _towards(streets: Records, index: int, x: float, y: float) -> float:
     nearest, sign = 1e9, 1.0
     for other in range(len(streets)):
         crossing = streets[other]
-        if abs(crossing.direction[0] * street.direction[0] + crossing.direction[1] * street.direction[1]) < 0.5:
-            qx, qy = x - crossing.origin[0], y - crossing.origin[1]
-            side = crossing.direction[0] * qy - crossing.direction[1] * qx
+        if abs(crossing.direction_0 * street.direction_0 + crossing.direction_1 * street.direction_1) < 0.5:
+            qx, qy = x - crossing.origin_0, y - crossing.origin_1
+            side = crossing.direction_0 * qy - crossing.direction_1 * qx
             if abs(side) < nearest:
                 nearest = abs(side)
                 # Moving along the street changes the side by this much a metre.
-                rate = crossing.direction[0] * street.direction[1] - crossing.direction[1] * street.direction[0]
+                rate = crossing.direction_0 * street.direction_1 - crossing.direction_1 * street.direction_0
                 sign = -1.0 if side * rate > 0.0 else 1.0
     return sign
 
@@ -169,8 +169,8 @@ def _towards(streets: Records, index: int, x: float, y: float) -> float:
 @njit(cache=True, nogil=True, error_model="numpy")
 def surface(one: Records, face: int, px: float, py: float, pz: float, footprint: float, look: Records) -> Look:
     """A solid at a point (px, py, pz) of its own frame."""
-    r, g, b = one.colour[0], one.colour[1], one.colour[2]
-    material, half, seed = one.material, one.half, one.seed
+    r, g, b = one.colour_0, one.colour_1, one.colour_2
+    material, seed = one.material, one.seed
     if material == FACADE:
         return _facade(one, face, px, py, pz, footprint, look)
     if material == LEAVES:
@@ -193,11 +193,11 @@ def surface(one: Records, face: int, px: float, py: float, pz: float, footprint:
     if material == PAINT:
         return _paintwork(one, face, px, py, pz, look)
     if material == GLASS:
-        up = (pz + half[2]) / (2.0 * half[2])
-        edge = half[0] - one.slope[0] * (pz + half[2])
+        up = (pz + one.half_2) / (2.0 * one.half_2)
+        edge = one.half_0 - one.slope_0 * (pz + one.half_2)
         pillar = 0.0
         if face >= 2 and face < TOP:
-            pillar = band(px, -0.18 * half[0] - 0.05, -0.18 * half[0] + 0.05, footprint) + band(
+            pillar = band(px, -0.18 * one.half_0 - 0.05, -0.18 * one.half_0 + 0.05, footprint) + band(
                 px, edge - 0.12, edge, footprint
             )
         if face == TOP or pillar > 0.5 or up < 0.04:
@@ -207,24 +207,22 @@ def surface(one: Records, face: int, px: float, py: float, pz: float, footprint:
         rib = 1.0 - 0.12 * stripes(px if face >= 2 else py, 0.45, 0.12, footprint)
         return r * rib, g * rib, b * rib, 0.0, 0.0, 0.0, 0.03
     if material == TYRE and face >= 2 and face <= RIGHT:
-        hub = math.sqrt(px * px + pz * pz) / half[0]
+        hub = math.sqrt(px * px + pz * pz) / one.half_0
         if hub < 0.62:
             spoke = 0.5 + 0.5 * math.cos(5.0 * math.atan2(pz, px))
             tone = 0.10 + 0.28 * spoke
             return tone, tone, tone, 0.0, 0.0, 0.0, 0.05
     if material == LAMP and face == BOTTOM:
-        on = look.lamp_light
-        return r, g, b, 6.0 * on[0], 6.0 * on[1], 6.0 * on[2], 0.0
+        return r, g, b, 6.0 * look.lamp_light_0, 6.0 * look.lamp_light_1, 6.0 * look.lamp_light_2, 0.0
     return r, g, b, 0.0, 0.0, 0.0, 0.02
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _paintwork(one: Records, face: int, px: float, py: float, pz: float, look: Records) -> Look:
     """Bodywork with lamps, number plates and dark sills."""
-    r, g, b = one.colour[0], one.colour[1], one.colour[2]
-    half = one.half
-    up, out = pz / half[2], abs(py) / half[1]
-    burn = look.dark
+    r, g, b = one.colour_0, one.colour_1, one.colour_2
+    up, out = pz / one.half_2, abs(py) / one.half_1
+    burn = look.dark if one.lights else 0.0
     if face in (FRONT, BACK):
         if up > 0.05 and up < 0.62 and out > 0.62 and out < 0.95:
             if face == FRONT:
@@ -238,9 +236,9 @@ def _paintwork(one: Records, face: int, px: float, py: float, pz: float, look: R
         return 0.03, 0.03, 0.03, 0.0, 0.0, 0.0, 0.01
     if face >= 2 and face < TOP:
         for axle in (0.62, -0.60):
-            if (px - axle * half[0]) ** 2 + (pz + half[2] - 0.14) ** 2 < 0.40**2:
+            if (px - axle * one.half_0) ** 2 + (pz + one.half_2 - 0.14) ** 2 < 0.40**2:
                 return 0.012, 0.012, 0.012, 0.0, 0.0, 0.0, 0.0
-        seam = abs(px - 0.24 * half[0]) < 0.012 or abs(px + 0.22 * half[0]) < 0.012
+        seam = abs(px - 0.24 * one.half_0) < 0.012 or abs(px + 0.22 * one.half_0) < 0.012
         if seam and up > -0.6:
             return 0.4 * r, 0.4 * g, 0.4 * b, 0.0, 0.0, 0.0, 0.02
     return r, g, b, 0.0, 0.0, 0.0, 0.06
@@ -249,14 +247,14 @@ def _paintwork(one: Records, face: int, px: float, py: float, pz: float, look: R
 @njit(cache=True, nogil=True, error_model="numpy")
 def _facade(one: Records, face: int, px: float, py: float, pz: float, footprint: float, look: Records) -> Look:
     """A wall of bricks or plaster with a grid of windows; shops or doors on the ground floor towards the street."""
-    r, g, b = one.colour[0], one.colour[1], one.colour[2]
-    half, seed = one.half, one.seed
+    r, g, b = one.colour_0, one.colour_1, one.colour_2
+    seed = one.seed
     if face in (TOP, BOTTOM):
         return 0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0
     side = face >= 2
-    width = half[0] if side else half[1]
+    width = one.half_0 if side else one.half_1
     along = (px if side else py) + width
-    up = pz + half[2]
+    up = pz + one.half_2
     rough = 1.0 + 0.06 * grain(along, up, 0.35, footprint, seed) + 0.06 * grain(along, up, 4.0, footprint, seed)
     if seed % 2 == 0:
         course = math.floor(up / 0.09)
@@ -273,7 +271,7 @@ def _facade(one: Records, face: int, px: float, py: float, pz: float, footprint:
     high = up - 3.9 - 3.1 * storey
     broad = 0.52 + 0.2 * chance(seed, 5, 0)
     low, top = 0.75, 2.45
-    if 3.9 + 3.1 * storey + top > 2.0 * half[2] - 0.3:
+    if 3.9 + 3.1 * storey + top > 2.0 * one.half_2 - 0.3:
         return r, g, b, 0.0, 0.0, 0.0, 0.0
     aside, spread = inner - 0.5 * pitch, 0.5 * broad * pitch
     glass = band(aside, -spread, spread, footprint) * band(high, low, top, footprint)
@@ -353,7 +351,7 @@ def _ground_floor(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _far_house(one: Records, face: int, py: float, pz: float, footprint: float, look: Records) -> Look:
-    r, g, b = one.colour[0], one.colour[1], one.colour[2]
+    r, g, b = one.colour_0, one.colour_1, one.colour_2
     if g > 1.2 * r:
         rough = 1.0 + 0.5 * grain(py, pz, 1.6, footprint, one.seed)
         return r * rough, g * rough, b * rough, 0.0, 0.0, 0.0, 0.0
@@ -368,9 +366,9 @@ def sky(look: Records, dx: float, dy: float, dz: float, seed: int) -> tuple[floa
     """Radiance of the sky in a direction."""
     up = max(dz, 0.0)
     share = math.sqrt(up)
-    r = look.horizon[0] + (look.zenith[0] - look.horizon[0]) * share
-    g = look.horizon[1] + (look.zenith[1] - look.horizon[1]) * share
-    b = look.horizon[2] + (look.zenith[2] - look.horizon[2]) * share
+    r = look.horizon_0 + (look.zenith_0 - look.horizon_0) * share
+    g = look.horizon_1 + (look.zenith_1 - look.horizon_1) * share
+    b = look.horizon_2 + (look.zenith_2 - look.horizon_2) * share
     if up > 0.02:
         x, y = dx / (up + 0.12), dy / (up + 0.12)
         puff = 0.55 * noise(1.1 * x, 1.1 * y, seed) + 0.28 * noise(2.6 * x, 2.6 * y, seed + 1)
@@ -378,14 +376,14 @@ def sky(look: Records, dx: float, dy: float, dz: float, seed: int) -> tuple[floa
         cover = (
             min(max((puff - 0.42 + 0.85 * look.cloud) * 2.2, 0.0), 1.0) * min(up * 6.0, 1.0) * (1.0 - 0.55 * look.cloud)
         )
-        bright = 0.40 * (look.sky_light[0] + look.sky_light[1] + look.sky_light[2]) + 0.30 * look.sunlight[1]
+        bright = 0.40 * (look.sky_light_0 + look.sky_light_1 + look.sky_light_2) + 0.30 * look.sunlight_1
         r, g, b = r + (bright - r) * cover, g + (bright - g) * cover, b + (1.02 * bright - b) * cover
-    facing = dx * look.sun[0] + dy * look.sun[1] + dz * look.sun[2]
+    facing = dx * look.sun_0 + dy * look.sun_1 + dz * look.sun_2
     if facing > 0.0:
-        low = 1.0 - min(abs(look.sun[2]) * 2.0, 1.0)
-        glow = facing**6 * 0.25 * low * (look.horizon[0] + look.horizon[1])
-        disc = (facing**900) * 6.0 if look.sunlight[0] > 0.0 else 0.0
-        r += glow + disc * look.sunlight[0]
-        g += 0.75 * glow + disc * look.sunlight[1]
-        b += 0.45 * glow + disc * look.sunlight[2]
+        low = 1.0 - min(abs(look.sun_2) * 2.0, 1.0)
+        glow = facing**6 * 0.25 * low * (look.horizon_0 + look.horizon_1)
+        disc = (facing**900) * 6.0 if look.sunlight_0 > 0.0 else 0.0
+        r += glow + disc * look.sunlight_0
+        g += 0.75 * glow + disc * look.sunlight_1
+        b += 0.45 * glow + disc * look.sunlight_2
     return r, g, b

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from functools import lru_cache
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -50,9 +51,25 @@ SOLID: Final = np.dtype(
         ("material", np.int64),
         ("seed", np.int64),
         ("object", np.int64),
+        ("lights", np.int64),
     ]
 )
 NO_OBJECT: Final = -1
+
+
+@lru_cache
+def flat(kind: np.dtype[np.void]) -> np.dtype[np.void]:
+    """The same memory with a field for every number: ``axes`` becomes ``axes_00`` to ``axes_22``.
+
+    Compiled kernels read such fields at once; an array within a record costs them two counts of references.
+    """
+    names: list[tuple[str, np.dtype[Any]]] = []
+    for name in kind.names or ():
+        field = kind[name]
+        for index in np.ndindex(field.shape):
+            digits = "".join(map(str, index))
+            names.append((f"{name}_{digits}" if digits else name, field.base))
+    return np.dtype(names)
 
 
 def solid(
@@ -116,26 +133,25 @@ def meet(
 
     A ray that starts inside meets nothing: no camera looks out of a solid.
     """
-    axes, centre, half = one.axes, one.centre, one.half
-    x, y, z = ox - centre[0], oy - centre[1], oz - centre[2]
-    px = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-    py = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-    pz = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
-    vx = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
-    vy = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
-    vz = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
+    x, y, z = ox - one.centre_0, oy - one.centre_1, oz - one.centre_2
+    px = one.axes_00 * x + one.axes_01 * y + one.axes_02 * z
+    py = one.axes_10 * x + one.axes_11 * y + one.axes_12 * z
+    pz = one.axes_20 * x + one.axes_21 * y + one.axes_22 * z
+    vx = one.axes_00 * dx + one.axes_01 * dy + one.axes_02 * dz
+    vy = one.axes_10 * dx + one.axes_11 * dy + one.axes_12 * dz
+    vz = one.axes_20 * dx + one.axes_21 * dy + one.axes_22 * dz
     if one.shape == BLOCK:
-        return _meet_block(px, py, pz, vx, vy, vz, half, one.slope, far)
+        return _meet_block(px, py, pz, vx, vy, vz, one, far)
     if one.shape == ELLIPSOID:
-        a = (vx / half[0]) ** 2 + (vy / half[1]) ** 2 + (vz / half[2]) ** 2
-        b = px * vx / half[0] ** 2 + py * vy / half[1] ** 2 + pz * vz / half[2] ** 2
-        c = (px / half[0]) ** 2 + (py / half[1]) ** 2 + (pz / half[2]) ** 2 - 1.0
+        a = (vx / one.half_0) ** 2 + (vy / one.half_1) ** 2 + (vz / one.half_2) ** 2
+        b = px * vx / one.half_0**2 + py * vy / one.half_1**2 + pz * vz / one.half_2**2
+        c = (px / one.half_0) ** 2 + (py / one.half_1) ** 2 + (pz / one.half_2) ** 2 - 1.0
         inside = b * b - a * c
         if inside < 0.0 or c < 0.0:
             return far, -1
         t = (-b - math.sqrt(inside)) / a
         return (t, ROUND) if 0.0 < t < far else (far, -1)
-    return _meet_cylinder(px, py, pz, vx, vy, vz, half, far)
+    return _meet_cylinder(px, py, pz, vx, vy, vz, one.half_0, one.half_1, far)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -146,23 +162,23 @@ def _meet_block(
     vx: float,
     vy: float,
     vz: float,
-    half: Float64,
-    slope: Float64,
+    one: Records,
     far: float,
 ) -> tuple[float, int]:
     # A ray along a slab divides by zero, which gives infinities of the right sign.
     inverse = 1.0 / vy
-    first, second = (-half[1] - py) * inverse, (half[1] - py) * inverse
+    first, second = (-one.half_1 - py) * inverse, (one.half_1 - py) * inverse
     enter, leave, face = min(first, second), max(first, second), RIGHT if vy > 0.0 else LEFT
     inverse = 1.0 / vz
-    first, second = (-half[2] - pz) * inverse, (half[2] - pz) * inverse
+    first, second = (-one.half_2 - pz) * inverse, (one.half_2 - pz) * inverse
     if min(first, second) > enter:
         enter, face = min(first, second), BOTTOM if vz > 0.0 else TOP
     leave = min(leave, max(first, second))
     for end in range(2):
         sign = 1.0 if end == FRONT else -1.0
-        rate = sign * vx + slope[end] * vz
-        t = (half[0] - sign * px - slope[end] * (pz + half[2])) / rate
+        lean = one.slope_0 if end == FRONT else one.slope_1
+        rate = sign * vx + lean * vz
+        t = (one.half_0 - sign * px - lean * (pz + one.half_2)) / rate
         if rate < 0.0:
             if t > enter:
                 enter, face = t, end
@@ -175,12 +191,12 @@ def _meet_block(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _meet_cylinder(
-    px: float, py: float, pz: float, vx: float, vy: float, vz: float, half: Float64, far: float
+    px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, length: float, far: float
 ) -> tuple[float, int]:
     enter, leave, face = 0.0, far, -1
     a = vx * vx + vz * vz
     b = px * vx + pz * vz
-    c = px * px + pz * pz - half[0] * half[0]
+    c = px * px + pz * pz - radius * radius
     if a > 0.0:
         inside = b * b - a * c
         if inside <= 0.0:
@@ -193,7 +209,7 @@ def _meet_cylinder(
         return far, -1
     for side in (LEFT, RIGHT):
         sign = 1.0 if side == LEFT else -1.0
-        d, v = sign * py - half[1], sign * vy
+        d, v = sign * py - length, sign * vy
         if v < 0.0:
             if -d / v > enter:
                 enter, face = -d / v, side
@@ -207,12 +223,11 @@ def _meet_cylinder(
 @njit(cache=True, nogil=True, error_model="numpy")
 def local(one: Records, x: float, y: float, z: float) -> tuple[float, float, float]:
     """A point in a solid's own frame."""
-    axes, centre = one.axes, one.centre
-    x, y, z = x - centre[0], y - centre[1], z - centre[2]
+    x, y, z = x - one.centre_0, y - one.centre_1, z - one.centre_2
     return (
-        axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z,
-        axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z,
-        axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z,
+        one.axes_00 * x + one.axes_01 * y + one.axes_02 * z,
+        one.axes_10 * x + one.axes_11 * y + one.axes_12 * z,
+        one.axes_20 * x + one.axes_21 * y + one.axes_22 * z,
     )
 
 
@@ -220,11 +235,10 @@ def local(one: Records, x: float, y: float, z: float) -> tuple[float, float, flo
 def normal(one: Records, face: int, px: float, py: float, pz: float) -> tuple[float, float, float]:
     """The outward unit normal at a point (px, py, pz) of the solid's own frame, in the frame it stands in."""
     nx, ny, nz = 0.0, 0.0, 0.0
-    half = one.half
     if face == FRONT:
-        nx, nz = 1.0, one.slope[0]
+        nx, nz = 1.0, one.slope_0
     elif face == BACK:
-        nx, nz = -1.0, one.slope[1]
+        nx, nz = -1.0, one.slope_1
     elif face == LEFT:
         ny = 1.0
     elif face == RIGHT:
@@ -234,13 +248,12 @@ def normal(one: Records, face: int, px: float, py: float, pz: float) -> tuple[fl
     elif face == BOTTOM:
         nz = -1.0
     elif one.shape == ELLIPSOID:
-        nx, ny, nz = px / half[0] ** 2, py / half[1] ** 2, pz / half[2] ** 2
+        nx, ny, nz = px / one.half_0**2, py / one.half_1**2, pz / one.half_2**2
     else:
         nx, nz = px, pz
     scale = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
-    axes = one.axes
     return (
-        scale * (axes[0, 0] * nx + axes[1, 0] * ny + axes[2, 0] * nz),
-        scale * (axes[0, 1] * nx + axes[1, 1] * ny + axes[2, 1] * nz),
-        scale * (axes[0, 2] * nx + axes[1, 2] * ny + axes[2, 2] * nz),
+        scale * (one.axes_00 * nx + one.axes_10 * ny + one.axes_20 * nz),
+        scale * (one.axes_01 * nx + one.axes_11 * ny + one.axes_21 * nz),
+        scale * (one.axes_02 * nx + one.axes_12 * ny + one.axes_22 * nz),
     )

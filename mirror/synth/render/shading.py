@@ -87,10 +87,9 @@ def _read(value: Float32, column: float, row: float) -> float:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _beam_at(setting: Records, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Light of the recording vehicle's headlights."""
-    beam = setting.beam
-    vx, vy, vz = x - beam[0], y - beam[1], z - beam[2]
+    vx, vy, vz = x - setting.beam_0, y - setting.beam_1, z - setting.beam_2
     far = math.sqrt(vx * vx + vy * vy + vz * vz) + 1e-6
-    ahead = (vx * beam[3] + vy * beam[4] + vz * beam[5]) / far
+    ahead = (vx * setting.beam_3 + vy * setting.beam_4 + vz * setting.beam_5) / far
     if ahead < 0.75:
         return 0.0
     facing = -(nx * vx + ny * vy + nz * vz) / far
@@ -133,9 +132,7 @@ def shade(
         fr, fg, fb, er, eg, eb, gloss = ground(
             streets, look.green, look.seed, look.wet, x, y, dx / flat, dy / flat, footprint, -footprint / dz
         )
-        opening = 1.0 - _read(
-            below, (x - look.below_origin[0]) / BELOW_CELL_M, (y - look.below_origin[1]) / BELOW_CELL_M
-        )
+        opening = 1.0 - _read(below, (x - look.below_origin_0) / BELOW_CELL_M, (y - look.below_origin_1) / BELOW_CELL_M)
         mirror = gloss * (0.025 + 0.62 * (1.0 + dz) ** 6)
     else:
         one = solids[found]
@@ -153,34 +150,41 @@ def shade(
             share *= 0.85 if rz > 0.0 else 0.25
             er, eg, eb = er + share * sr, eg + share * sg, eb + share * sb
     sun, lamp, beam = 0.0, 0.0, 0.0
-    if look.sunlight[0] > 0.0:
-        sun = max(nx * look.sun[0] + ny * look.sun[1] + nz * look.sun[2], 0.0)
+    if look.sunlight_0 > 0.0:
+        sun = max(nx * look.sun_0 + ny * look.sun_1 + nz * look.sun_2, 0.0)
         if sun > 0.0:
             # A step off the surface keeps it out of its own shadow at the map's resolution.
             sx, sy, sz = x + 0.12 * nx, y + 0.12 * ny, z + 0.12 * nz
-            axes = look.sun_axes
-            a = axes[0, 0] * sx + axes[0, 1] * sy + axes[0, 2] * sz
-            c = axes[1, 0] * sx + axes[1, 1] * sy + axes[1, 2] * sz
+            a = look.sun_axes_00 * sx + look.sun_axes_01 * sy + look.sun_axes_02 * sz
+            c = look.sun_axes_10 * sx + look.sun_axes_11 * sy + look.sun_axes_12 * sz
             # A tenth of a metre covers the slant of a surface within a cell.
-            height = sx * look.sun[0] + sy * look.sun[1] + sz * look.sun[2] + 0.10
-            first, second = look.still_origin, look.moving_origin
-            sun *= _sunlit(still, (a - first[0]) / SHADOW_CELL_M, (c - first[1]) / SHADOW_CELL_M, height)
-            sun *= _sunlit(moving, (a - second[0]) / SHADOW_CELL_M, (c - second[1]) / SHADOW_CELL_M, height)
-    if look.lamp_light[0] > 0.0:
-        at_x, at_y = x + 0.6 * nx - look.lamps_origin[0], y + 0.6 * ny - look.lamps_origin[1]
+            height = sx * look.sun_0 + sy * look.sun_1 + sz * look.sun_2 + 0.10
+            sun *= _sunlit(
+                still, (a - look.still_origin_0) / SHADOW_CELL_M, (c - look.still_origin_1) / SHADOW_CELL_M, height
+            )
+            sun *= _sunlit(
+                moving, (a - look.moving_origin_0) / SHADOW_CELL_M, (c - look.moving_origin_1) / SHADOW_CELL_M, height
+            )
+    if look.lamp_light_0 > 0.0:
+        at_x, at_y = x + 0.6 * nx - look.lamps_origin_0, y + 0.6 * ny - look.lamps_origin_1
         lamp = _read(lamps, at_x / LAMP_CELL_M, at_y / LAMP_CELL_M)
         lamp *= (0.45 + 0.55 * nz if nz > 0.0 else 0.35) / (1.0 + 0.04 * z * z)
     if look.headlight > 0.0:
         beam = _beam_at(look, x, y, z, nx, ny, nz)
     above, under = opening * (0.5 + 0.5 * nz), opening * (0.5 - 0.5 * nz)
     clear = math.exp(-t * look.haze_per_m)
-    light = look.sunlight, look.sky_light, look.ground_light, look.lamp_light, look.horizon
-    r = er + fr * (sun * light[0][0] + above * light[1][0] + under * light[2][0] + lamp * light[3][0] + beam)
-    g = eg + fg * (sun * light[0][1] + above * light[1][1] + under * light[2][1] + lamp * light[3][1] + beam)
-    b = eb + fb * (sun * light[0][2] + above * light[1][2] + under * light[2][2] + lamp * light[3][2] + beam)
+    r = er + fr * (
+        sun * look.sunlight_0 + above * look.sky_light_0 + under * look.ground_light_0 + lamp * look.lamp_light_0 + beam
+    )
+    g = eg + fg * (
+        sun * look.sunlight_1 + above * look.sky_light_1 + under * look.ground_light_1 + lamp * look.lamp_light_1 + beam
+    )
+    b = eb + fb * (
+        sun * look.sunlight_2 + above * look.sky_light_2 + under * look.ground_light_2 + lamp * look.lamp_light_2 + beam
+    )
     return (
-        light[4][0] * (1.0 - clear) + clear * r,
-        light[4][1] * (1.0 - clear) + clear * g,
-        light[4][2] * (1.0 - clear) + clear * b,
+        look.horizon_0 * (1.0 - clear) + clear * r,
+        look.horizon_1 * (1.0 - clear) + clear * g,
+        look.horizon_2 * (1.0 - clear) + clear * b,
         mirror * clear,
     )

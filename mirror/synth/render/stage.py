@@ -16,7 +16,7 @@ from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 from mirror.synth.lighting import Condition, lighting
 from mirror.synth.render.casting import Lens, make_lens
-from mirror.synth.render.primitives import NO_OBJECT, SOLID, meet, placed, radius_m
+from mirror.synth.render.primitives import NO_OBJECT, SOLID, flat, meet, placed, radius_m
 from mirror.synth.render.shading import BELOW_CELL_M, LAMP_CELL_M, SETTING, SHADOW_CELL_M, Surroundings
 from mirror.synth.render.tracing import develop, trace
 from mirror.synth.road_users import Body, Placement, RoadUser
@@ -98,10 +98,13 @@ class Stage:
             place = user.motion.at(time_s)
             if math.hypot(place.x_m - ego[0], place.y_m - ego[1]) < _DRAWN_WITHIN_M:
                 placements[number] = place
-        drawn = [_standing(self.users[number], place, number) for number, place in placements.items()]
+        first_parked = len(self.users) - len(self.world.parked)
+        drawn = [
+            _standing(self.users[number], place, number, lights=number < first_parked)
+            for number, place in placements.items()
+        ]
         nothing = np.zeros(0, SOLID)
         own = placed(self.own, turn, ego, NO_OBJECT)
-        first_parked = len(self.users) - len(self.world.parked)
         moving = np.concatenate([nothing, *(one for one, number in zip(drawn, placements) if number < first_parked)])
         solids = np.concatenate([self.world.solids, own, *drawn])
         still, lamps, setting = self._static
@@ -112,7 +115,14 @@ class Stage:
         )
         setting["beam"] = *(ego + turn @ (3.4, 0.0, 0.7)), *(turn @ (0.998, 0.0, -0.06))
         surroundings = Surroundings(
-            self.world.streets, solids, radius_m(solids), still, shadows, lamps, below, setting[0]
+            self.world.streets.view(flat(STREET)),
+            solids.view(flat(SOLID)),
+            radius_m(solids),
+            still,
+            shadows,
+            lamps,
+            below,
+            setting.view(flat(SETTING))[0],
         )
         return Instant(surroundings, placements)
 
@@ -133,7 +143,7 @@ class Stage:
             flip = np.array([1.0, 1.0, -1.0])
             mirrored, _, _ = trace(*scene, *lens, flip[:, None] * rotation, flip * origin, False, False)
         numbers = np.concatenate([scene.solids["object"], [NO_OBJECT, NO_OBJECT]]).astype(np.int32)
-        return Picture(develop(radiance, mirrored, self.look, seed), distance, numbers[seen])
+        return Picture(develop(radiance, mirrored, scene.setting, seed), distance, numbers[seen])
 
 
 def own_mask(camera: Camera, ego_SE3_camera: Poses, own: Records) -> UInt8:
@@ -146,7 +156,14 @@ def own_mask(camera: Camera, ego_SE3_camera: Poses, own: Records) -> UInt8:
     """
     nothing = np.zeros((0, 0), np.float32)
     surroundings = Surroundings(
-        np.zeros(0, STREET), own, radius_m(own), nothing, nothing, nothing, nothing, np.zeros(1, SETTING)[0]
+        np.zeros(0, flat(STREET)),
+        own.view(flat(SOLID)),
+        radius_m(own),
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        np.zeros(1, flat(SETTING))[0],
     )
     rotation = matrix_from_quaternion(ego_SE3_camera.rotation)[0]
     _, _, seen = trace(*surroundings, *make_lens(camera), rotation, ego_SE3_camera.translation[0], False, False)
@@ -158,8 +175,10 @@ def _motion(place: Placement) -> tuple[Float64, Float64]:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.array([place.x_m, place.y_m, 0.0])
 
 
-def _standing(user: RoadUser, place: Placement, number: int) -> Records:
-    return placed(user.body.solids, *_motion(place), number)
+def _standing(user: RoadUser, place: Placement, number: int, *, lights: bool = False) -> Records:
+    solids = placed(user.body.solids, *_motion(place), number)
+    solids["lights"] = lights
+    return solids
 
 
 def _shadows(solids: Records, setting: Records) -> tuple[Float32, Float64]:
@@ -168,11 +187,11 @@ def _shadows(solids: Records, setting: Records) -> tuple[Float32, Float64]:
     if not setting["sunlight"].any() or not len(solids):
         return np.zeros((0, 0), np.float32), np.zeros(2)
     reach = radius_m(solids)
-    flat = solids["centre"] @ axes.T
-    low, high = (flat - reach[:, None]).min(axis=0), (flat + reach[:, None]).max(axis=0)
+    plane = solids["centre"] @ axes.T
+    low, high = (plane - reach[:, None]).min(axis=0), (plane + reach[:, None]).max(axis=0)
     columns, rows = np.ceil((high - low) / SHADOW_CELL_M).astype(int) + 1
     depth = np.full((rows, columns), -1e9, np.float32)
-    _occlude(solids, reach, sun, axes, low, SHADOW_CELL_M, depth)
+    _occlude(solids.view(flat(SOLID)), reach, sun, axes, low, SHADOW_CELL_M, depth)
     return depth, low
 
 
@@ -183,11 +202,9 @@ def _occlude(
     """Fill ``depth`` with how far towards the sun the last solid on each ray stands."""
     for index in range(len(solids)):
         one = solids[index]
-        a, b, along = 0.0, 0.0, 0.0
-        for k in range(3):
-            a += axes[0, k] * one.centre[k]
-            b += axes[1, k] * one.centre[k]
-            along += sun[k] * one.centre[k]
+        x, y, z = one.centre_0, one.centre_1, one.centre_2
+        a, b = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+        along = sun[0] * x + sun[1] * y + sun[2] * z
         start = along + reach[index] + 1.0
         first, last = math.floor((a - reach[index] - low[0]) / cell), math.ceil((a + reach[index] - low[0]) / cell)
         for row in range(

@@ -1,4 +1,4 @@
-"""One picture: every pixel's ray is cast and shaded, edges with four; then the picture is developed."""
+"""One picture: every pixel's ray is cast and shaded, edges with three; then the picture is developed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mirror.synth.render.texture import chance
 
 _CURVE: Final = 4096
 _WHITE: Final = 5.0
-_AROUND: Final = ((-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375))
+_OFFSETS: Final = ((0.0, 0.0), (0.34, 0.22), (-0.34, -0.22))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -53,7 +53,7 @@ def trace(
         rotation: (3, 3) world_R_camera; for a picture mirrored in the ground, with its last row negated.
         origin: (3,) the camera's place.
         with_ground: whether rays end on the ground.
-        smooth: whether pixels on edges get four rays.
+        smooth: whether pixels on edges get three rays.
 
     Returns:
         (H, W, 4) radiance and mirror share; (H, W) distances along the rays; (H, W) solids, SKY or GROUND.
@@ -79,15 +79,15 @@ def trace(
         candidates = lists[starts[tile] : starts[tile + 1]]
         for row in range(top, min(top + TILE_PX, height)):
             for column in range(left, min(left + TILE_PX, width)):
-                samples = 4 if smooth and _is_edge(seen, sides, row, column) else 1
+                samples = len(_OFFSETS) if smooth and _is_edge(seen, sides, row, column) else 1
                 t, found, face = distance[row, column], seen[row, column], sides[row, column]
                 x, y, z = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
                 r, g, b, m = 0.0, 0.0, 0.0, 0.0
                 for sample in range(samples):
-                    if samples > 1:
-                        x, y, z = between(rays, row, column, _AROUND[sample][0], _AROUND[sample][1])
+                    if sample > 0:
+                        x, y, z = between(rays, row, column, _OFFSETS[sample][0], _OFFSETS[sample][1])
                     dx, dy, dz = turn(rotation, x, y, z)
-                    if samples > 1:
+                    if sample > 0:
                         t, found, face = cast(solids, candidates, near, with_ground, ox, oy, oz, dx, dy, dz)
                     pr, pg, pb, pm = shade(
                         streets,

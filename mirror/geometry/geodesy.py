@@ -52,7 +52,7 @@ def geodetic_to_ecef(
 
 
 def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Float64, Float64, Float64]:
-    """Longitude, latitude and height of ECEF points (PROJ).
+    """Longitude, latitude and height of ECEF points (PROJ; heights to a micrometre).
 
     Args:
         xyz_m: (N, 3) ECEF metres.

@@ -33,7 +33,8 @@ def test_ecef_agrees_with_proj_and_inverts() -> None:
     lon, lat, height = ecef_to_geodetic(xyz)
     assert np.abs(lon - LON).max() < 1e-10
     assert np.abs(lat - LAT).max() < 1e-11
-    assert np.abs(height - HEIGHT).max() < 1e-7
+    # PROJ's closed form is good to a micrometre.
+    assert np.abs(height - HEIGHT).max() < 2e-6
 
 
 @pytest.mark.parametrize(("metres", "error"), [(1e-3, 1e-8), (200.0, 2e-8), (2_000.0, 2e-7), (20_000.0, 1e-4)])

@@ -88,7 +88,7 @@ def _layers(builder: Builder, broken: Broken, traversal_id: str) -> None:
     boxes = []
     for number, stamp in enumerate(stamps):
         boxes.append(box(stamp, "ahead", tx_m=15.0, vx_mps=10.0))
-        boxes.append(box(stamp, "parked", tx_m=45.0 - 5.0 * number, ty_m=1.0, qw=1.0))
+        boxes.append(box(stamp, "parked", tx_m=50.0 - 10.0 * number, ty_m=1.0))
     builder.layer(traversal_id, "boxes", "petr@1", BOXES, boxes)
     data = png(np.zeros(SIZE[::-1], np.uint8))
     folder = broken.layout.layer(traversal_id, "masks", "sam", "2.1")

@@ -206,68 +206,94 @@ def _judge(
     last, run_end = -1, -1  # the last kept fix, and the last repetition of it
     rejected, rejected_start, agreeing = -1, -1, 0
     scale_x, scale_y, scale_at = 1.0, 1.0, np.inf
+    noise2 = noise * noise
+    # What the look ahead found of the step to the next row, where that row is a fix that follows a kept one.
+    ahead, ex, ey, ahead2 = False, 0.0, 0.0, 0.0
     index = 0
     while index < total:
         x, y = first[index], second[index]
-        if not _usable(x, y, geodetic):
-            fate[index] = _INVALID
-            index += 1
-            continue
-        if last < 0:
-            fate[index] = KEPT
-            last, track_start, track_length = index, index, 1
-            index += 1
-            continue
-        if stamps[index] == stamps[run_end if run_end >= 0 else last]:
-            fate[index] = _DUPLICATE
-            index += 1
-            continue
-        if x == first[last] and y == second[last]:
-            fate[index] = _REPEATED
-            run_end = index
-            rejected, agreeing = -1, 0
-            index += 1
-            continue
-        if geodetic and not abs(y - scale_at) < _SCALE_REFRESH_DEG:
+        if geodetic and not abs(y - scale_at) < _SCALE_REFRESH_DEG and _usable(x, y, True):
             scale_x, scale_y = scales(y, True)
             scale_at = y
-        dx = unwrap(x - first[last], geodetic) * scale_x
-        dy = (y - second[last]) * scale_y
-        moved2 = dx * dx + dy * dy
         before = last
-        if run_end >= 0:
-            dt = (stamps[index] - stamps[run_end]) * 1e-9
-            reach = min_step + 0.5 * max_acceleration * dt * dt
-            if moved2 <= reach * reach:
-                before = run_end
+        if ahead:
+            # Between two steps within the noise a fix passes both tests: kept, as nearly all are.
+            while ahead2 <= noise2 and index + 1 < total:
+                next_x, next_y = first[index + 1], second[index + 1]
+                step_x, step_y = (next_x - x) * scale_x, (next_y - y) * scale_y
+                step2 = step_x * step_x + step_y * step_y
+                if not (
+                    0.0 < step2 <= noise2
+                    and stamps[index + 1] > stamps[index]
+                    and _usable(next_x, next_y, geodetic)
+                    and (not geodetic or abs(next_y - scale_at) < _SCALE_REFRESH_DEG)
+                ):
+                    break
+                fate[index] = KEPT
+                last, before = index, index
+                track_length += 1
+                index += 1
+                x, y, ex, ey, ahead2 = next_x, next_y, step_x, step_y, step2
+            ahead, dx, dy, moved2 = False, ex, ey, ahead2
+        else:
+            if not _usable(x, y, geodetic):
+                fate[index] = _INVALID
+                index += 1
+                continue
+            if last < 0:
+                fate[index] = KEPT
+                last, track_start, track_length = index, index, 1
+                index += 1
+                continue
+            if stamps[index] == stamps[run_end if run_end >= 0 else last]:
+                fate[index] = _DUPLICATE
+                index += 1
+                continue
+            if x == first[last] and y == second[last]:
+                fate[index] = _REPEATED
+                run_end = index
+                rejected, agreeing = -1, 0
+                index += 1
+                continue
+            dx = unwrap(x - first[last], geodetic) * scale_x
+            dy = (y - second[last]) * scale_y
+            moved2 = dx * dx + dy * dy
+            if run_end >= 0:
+                dt = (stamps[index] - stamps[run_end]) * 1e-9
+                reach = min_step + 0.5 * max_acceleration * dt * dt
+                if moved2 <= reach * reach:
+                    before = run_end
         dt = (stamps[index] - stamps[before]) * 1e-9
         reach = max_speed * dt + noise
         if moved2 <= reach * reach:
             # The neighbour is nearly always the next row; the search is for repeated and unusable ones.
             after = index + 1
-            if after < total and not _follows(index, after, stamps, first, second, geodetic):
+            follows = after < total and _follows(index, after, stamps, first, second, geodetic)
+            if not follows:
                 after = _next_fix(index, stamps, first, second, geodetic)
             rejected, agreeing = -1, 0
             spike = False
             if after < total:
-                dt2 = (stamps[after] - stamps[index]) * 1e-9
                 ex = unwrap(first[after] - x, geodetic) * scale_x
                 ey = (second[after] - y) * scale_y
-                off_x, off_y = dx * dt2 - ex * dt, dy * dt2 - ey * dt
-                span = dt + dt2
-                allowed = (0.5 * max_acceleration * dt * dt2 + noise) * span
-                reach = max_speed * span + noise
-                spike = (
-                    off_x * off_x + off_y * off_y > allowed * allowed
-                    and (dx + ex) * (dx + ex) + (dy + ey) * (dy + ey) <= reach * reach
-                )
+                ahead2 = ex * ex + ey * ey
+                if moved2 > noise2 or ahead2 > noise2:
+                    dt2 = (stamps[after] - stamps[index]) * 1e-9
+                    off_x, off_y = dx * dt2 - ex * dt, dy * dt2 - ey * dt
+                    span = dt + dt2
+                    allowed = (0.5 * max_acceleration * dt * dt2 + noise) * span
+                    reach = max_speed * span + noise
+                    spike = (
+                        off_x * off_x + off_y * off_y > allowed * allowed
+                        and (dx + ex) * (dx + ex) + (dy + ey) * (dy + ey) <= reach * reach
+                    )
             if spike:
                 fate[index] = _OUTLIER
             else:
                 if before != last:
                     track_length += _restore(last, before, fate)
                 fate[index] = KEPT
-                last, run_end = index, -1
+                last, run_end, ahead = index, -1, follows
                 track_length += 1
             index += 1
             continue

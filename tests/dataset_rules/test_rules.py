@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from pathlib import Path
 
 import pytest
@@ -11,21 +9,10 @@ import pytest
 from mirror.dataset.check import Cost, check
 from mirror.dataset.check.registry import rules
 from tests.dataset_rules import edits_of_files, edits_of_scenes
-from tests.dataset_rules.clean import Broken, make_clean
+from tests.dataset_rules.clean import Broken
 from tests.dataset_rules.edit import Edit
 
 EDITS = [*edits_of_files.edits(), *edits_of_scenes.edits()]
-
-
-@pytest.fixture(scope="session")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_clean(tmp_path_factory.mktemp("clean") / "dataset")
-
-
-@pytest.fixture
-def broken(clean: Path, tmp_path: Path) -> Broken:
-    # Edits replace files and never write into them, so that links will do.
-    return Broken(Path(shutil.copytree(clean, tmp_path / "dataset", copy_function=os.link)))
 
 
 def test_a_whole_dataset_has_no_findings(clean: Path) -> None:

@@ -14,7 +14,6 @@ from mirror.dataset.check.scene_view import SceneView
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.errors import ExitCode, MirrorError
 
-Progress = Callable[[int, int], None]
 _ORDER = tuple(Severity)
 
 
@@ -55,7 +54,8 @@ def check(
     only: Iterable[str] = (),
     skip: Iterable[str] = (),
     cost: Cost = Cost.FILES,
-    progress: Progress | None = None,
+    start: Callable[[int], object] = lambda scenes: None,
+    advance: Callable[[int], object] = lambda scenes: None,
 ) -> CheckReport:
     """Hold a dataset against the integrity rules. Nothing is written.
 
@@ -67,7 +67,8 @@ def check(
         only: ids of rules, or letters of groups; these run whatever they cost. Empty: all up to ``cost``.
         skip: ids of rules, or letters of groups, that do not run.
         cost: the dearest rules that run.
-        progress: called with the scenes done and to do.
+        start: called with the number of scenes.
+        advance: called with the number of scenes done since the last call.
 
     Raises:
         DatasetError: there is no dataset.
@@ -87,13 +88,13 @@ def check(
             collect(rule, rule.of_dataset(view))
     of_scene = [rule for rule in rules if rule.of_scene is not None]
     scenes = list(view.scenes.values()) if of_scene else []
-    for number, scene in enumerate(scenes):
+    start(len(scenes))
+    for scene in scenes:
         scene_view = SceneView(view, scene)
         for rule in of_scene:
             if rule.of_scene is not None:
                 collect(rule, rule.of_scene(scene_view))
-        if progress is not None:
-            progress(number + 1, len(scenes))
+        advance(1)
     findings.sort(key=lambda hit: (_ORDER.index(hit[0].severity), hit[0].rule_id, hit[1].file, hit[1].place or ""))
     named = {finding.file for _, finding in findings}
     unread = [error for file, error in sorted(view.problems.items()) if file not in named]

@@ -47,7 +47,7 @@ def _corner(world: World, speed: float) -> tuple[Waypoints, dict[str, object]]:
 
 def _still(world: World, speed: float) -> tuple[Waypoints, dict[str, object]]:
     """Stands in the ROI, and then moves up by 14 m."""
-    return [(-20.0, 0.0), (-6.0, 0.0)], {"speed_mps": 2.0, "stops": (Stop(0.5, 35.0),)}
+    return [(-20.0, 0.0), (-6.0, 0.0)], {"speed_mps": 2.0, "stops": (Stop(0.0, 35.0),)}
 
 
 def _twice(world: World, speed: float) -> tuple[Waypoints, dict[str, object]]:

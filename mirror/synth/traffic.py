@@ -22,7 +22,7 @@ def traffic(world: World, drive: Drive, route: str, rng: np.random.Generator) ->
         rng: of numbers, kinds and places.
     """
     found = [*_in_its_lane(drive, route, rng), *_oncoming(world, route, rng), *_at_the_crossing(world, rng)]
-    found += [*_on_foot(world, rng), *_cycling(world, rng)]
+    found += [*_on_foot(world, rng), *_cycling(world, route, rng)]
     counts: dict[str, int] = {}
     users = []
     for body, motion in found:
@@ -48,7 +48,7 @@ def _in_its_lane(drive: Drive, route: str, rng: np.random.Generator) -> Iterator
 
 def _oncoming(world: World, route: str, rng: np.random.Generator) -> Iterator[tuple[Body, Motion]]:
     """A stream of one speed, so that nobody catches up with anybody."""
-    if route == "twice":
+    if route not in ("along", "back", "turn"):
         return
     reach = world.roi.radius_m + 30.0
     speed = rng.uniform(8.0, 12.0)
@@ -83,7 +83,9 @@ def _on_foot(world: World, rng: np.random.Generator) -> Iterator[tuple[Body, Mot
         yield pedestrian(rng), Straight(start, 2.0 * reach, rng.uniform(0.0, 2.0 * reach))
 
 
-def _cycling(world: World, rng: np.random.Generator) -> Iterator[tuple[Body, Motion]]:
+def _cycling(world: World, route: str, rng: np.random.Generator) -> Iterator[tuple[Body, Motion]]:
+    if route == "corner":
+        return
     reach = world.roi.radius_m + 20.0
     for side in (1.0, -1.0):
         speed = rng.uniform(3.5, 5.5)

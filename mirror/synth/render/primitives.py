@@ -178,13 +178,13 @@ def _meet_block(
         sign = 1.0 if end == FRONT else -1.0
         lean = one.slope_0 if end == FRONT else one.slope_1
         rate = sign * vx + lean * vz
-        t = (one.half_0 - sign * px - lean * (pz + one.half_2)) / rate
+        room = one.half_0 - sign * px - lean * (pz + one.half_2)
         if rate < 0.0:
-            if t > enter:
-                enter, face = t, end
+            if room / rate > enter:
+                enter, face = room / rate, end
         elif rate > 0.0:
-            leave = min(leave, t)
-        elif t < 0.0:
+            leave = min(leave, room / rate)
+        elif room < 0.0:
             return far, -1
     return (enter, face) if 0.0 < enter < leave and enter < far else (far, -1)
 

@@ -13,9 +13,12 @@ from mirror.arrays import Float64
 from mirror.geometry import Poses, quaternion_from_heading_pitch_roll
 from mirror.synth.road_users import Placement
 
-_STEP_M: Final = 0.25
+_STEP_M: Final = 0.05
 _SIDEWAYS_MPS2: Final = 2.2
 _FORWARD_MPS2: Final = 1.6
+# Nobody keeps a speed exactly: now and then drivers let up.
+_EASING: Final = 0.14
+_EASING_M: Final = 17.0
 
 
 @dataclass(frozen=True)
@@ -32,11 +35,11 @@ class Drive:
 
     Attributes:
         waypoints: (N, 2) world metres; the line is straight between them and runs on straight beyond the ends.
-        speed_mps: cruising speed; less in bends.
+        speed_mps: greatest cruising speed; less in bends.
         corner_m: radius of the rounded corners.
         keep_right_m: how far right of the line of the waypoints it drives.
         stops: halts, in order.
-        sway: phase of the small motions of the body on its springs.
+        sway: phase of the small motions of the body on its springs, and of the speed.
     """
 
     waypoints: Sequence[tuple[float, float]]
@@ -69,7 +72,8 @@ class Drive:
         """Times and the lengths driven by then: as fast as bends, halts and the pedals allow."""
         length, _, yaw = self._line
         bend = np.abs(np.gradient(yaw, length))
-        speed = np.minimum(self.speed_mps, np.sqrt(_SIDEWAYS_MPS2 / np.maximum(bend, 1e-4)))
+        cruise = self.speed_mps * (1.0 - _EASING * (0.5 + 0.5 * np.sin(length / _EASING_M + self.sway)))
+        speed = np.minimum(cruise, np.sqrt(_SIDEWAYS_MPS2 / np.maximum(bend, 1e-4)))
         for stop in self.stops:
             speed[np.argmin(np.abs(length - stop.at_m))] = 0.05
         step = np.diff(length)

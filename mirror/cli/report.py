@@ -1,0 +1,38 @@
+"""``mirror report DATASET``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from mirror.errors import ExitCode
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Write one HTML page on a dataset: pictures of every camera, maps, charts, the ledger of refused passes."""
+
+    dataset: tyro.conf.Positional[Path]
+    """The dataset's folder."""
+    out: Path = Path("report.html")
+    """The page."""
+    title: str = "MIRROR dataset"
+    """Its title."""
+    json: bool = False
+    """Print where the page is as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror report")
+
+    import mirror
+    from mirror.view.report import write_report
+
+    write_report(mirror.open(arguments.dataset), arguments.out, arguments.title)
+    print(json.dumps({"report": str(arguments.out)}) if arguments.json else f"report: {arguments.out}")
+    return ExitCode.DONE

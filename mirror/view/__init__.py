@@ -1,0 +1,1 @@
+"""Looking at a dataset: the HTML report, its map and charts, plots."""

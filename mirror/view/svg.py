@@ -1,0 +1,99 @@
+"""Charts and maps as inline SVG: no script, no network, colours by CSS classes so that dark mode applies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from mirror.arrays import Float64
+
+_BAR_HEIGHT, _BAR_GAP, _LABEL_WIDTH, _BAR_WIDTH, _VALUE_WIDTH = 22, 8, 120, 260, 80
+
+
+def bars(title: str, values: Mapping[str, float], *, unit: str = "", digits: int = 0) -> str:
+    """A horizontal bar chart, one bar a label in the given order."""
+    top = max(values.values(), default=0.0) or 1.0
+    height = len(values) * (_BAR_HEIGHT + _BAR_GAP)
+    width = _LABEL_WIDTH + _BAR_WIDTH + _VALUE_WIDTH
+    rows = []
+    for number, (label, value) in enumerate(values.items()):
+        y = number * (_BAR_HEIGHT + _BAR_GAP)
+        middle = y + _BAR_HEIGHT * 0.7
+        rows.append(
+            f'<text x="{_LABEL_WIDTH - 8}" y="{middle:.1f}" class="end">{escape(label)}</text>'
+            f'<rect x="{_LABEL_WIDTH}" y="{y}" width="{_BAR_WIDTH * value / top:.1f}" height="{_BAR_HEIGHT}" rx="3"'
+            f' class="bar {_css(label)}"/>'
+            f'<text x="{_LABEL_WIDTH + _BAR_WIDTH * value / top + 6:.1f}" y="{middle:.1f}">'
+            f"{value:,.{digits}f}{escape(unit)}</text>"
+        )
+    drawing = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">{"".join(rows)}</svg>'
+    return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One traversal on a map.
+
+    Attributes:
+        x_m: (N,) east of the scene's centre.
+        y_m: (N,) north of it.
+        kind: CSS class that colours it.
+        title: what a pointer on it shows.
+    """
+
+    x_m: Float64
+    y_m: Float64
+    kind: str
+    title: str
+
+
+def scene_map(title: str, radius_m: float, lines: Sequence[Line]) -> str:
+    """A scene's circle with its traversals, north up; a dot marks each entry, an arrow head each exit."""
+    reach = radius_m * 1.12
+    parts = [f'<circle cx="0" cy="0" r="{radius_m:.1f}" class="roi"/>']
+    for line in lines:
+        if len(line.x_m) < 2:
+            continue
+        points = " ".join(f"{x:.1f},{-y:.1f}" for x, y in zip(line.x_m, line.y_m))
+        tip = _arrow(line, radius_m * 0.05)
+        parts.append(
+            f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title><polyline points="{points}"/>'
+            f'<circle cx="{line.x_m[0]:.1f}" cy="{-line.y_m[0]:.1f}" r="{radius_m * 0.02:.1f}" class="entry"/>{tip}</g>'
+        )
+    bar = _scale_bar(radius_m)
+    parts.append(
+        f'<path d="M {-reach * 0.95:.1f} {reach * 0.95:.1f} h {bar}" class="scale"/>'
+        f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" font-size="{radius_m * 0.075:.1f}">{bar} m</text>'
+        f'<text x="{reach * 0.9:.1f}" y="{-reach * 0.86:.1f}" font-size="{radius_m * 0.09:.1f}">N ↑</text>'
+    )
+    box = f"{-reach:.1f} {-reach:.1f} {2 * reach:.1f} {2 * reach:.1f}"
+    drawing = (
+        f'<svg viewBox="{box}" class="map" style="--line:{radius_m * 0.012:.2f}px" role="img"'
+        f' aria-label="{escape(title)}">{"".join(parts)}</svg>'
+    )
+    return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
+
+
+def _arrow(line: Line, size: float) -> str:
+    """A triangle at the end of a line, along its last motion."""
+    x, y = float(line.x_m[-1]), float(line.y_m[-1])
+    for px, py in zip(line.x_m[::-1], line.y_m[::-1]):
+        if math.hypot(x - px, y - py) > 1.0:
+            break
+    angle = math.degrees(math.atan2(-(y - py), x - px))
+    return (
+        f'<path class="exit" transform="translate({x:.1f} {-y:.1f}) rotate({angle:.1f})"'
+        f' d="M {size:.1f} 0 L {-size * 0.5:.1f} {size * 0.6:.1f} L {-size * 0.5:.1f} {-size * 0.6:.1f} Z"/>'
+    )
+
+
+def _scale_bar(radius_m: float) -> int:
+    """A round length of about a third of the radius."""
+    power = 10 ** math.floor(math.log10(max(radius_m / 2, 1.0)))
+    return int(max(step * power for step in (1, 2, 5) if step * power <= max(radius_m / 2, 1.0)))
+
+
+def _css(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "-" for letter in name.lower())

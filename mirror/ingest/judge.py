@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -115,7 +116,7 @@ def fingerprint(recording: Recording, reader: str, name: str) -> Source:
     files, total = 0, 0
     for relative, path in sorted(recording.files()):
         try:
-            status = path.stat()
+            status = os.stat(path)  # noqa: PTH116
         except OSError as error:
             raise RecordingError(f"cannot be read: {error.strerror}", file=path) from error
         digest.update(f"{relative}\0{status.st_size}\0{status.st_mtime_ns}\n".encode())

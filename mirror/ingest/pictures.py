@@ -18,6 +18,7 @@ from mirror.schema.files import unwritable
 
 Transfer = Literal["link", "copy"]
 _SUFFIX = {"jpeg": "jpg", "png": "png"}
+_TOLD_EVERY = 16
 _NOT_LINKABLE = (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.ENOTSUP)
 
 
@@ -65,6 +66,9 @@ def place_pictures(
         hashing: read every byte: hash it, and refuse truncated pictures.
         advance: called with the number of pictures done since the last call.
 
+    Returns:
+        What lies in the folder now.
+
     Raises:
         RecordingError: a picture is missing, truncated or no picture.
         DatasetError: the folder cannot be written.
@@ -91,7 +95,8 @@ def place_pictures(
             sizes.append(size)
             digests.append(digest)
             linked += was_linked
-            advance(1)
+            if len(sizes) % _TOLD_EVERY == 0:
+                advance(_TOLD_EVERY)
     else:
         for (_, data), name in zip(stream.read(indices), names):
             if not sizes:
@@ -99,7 +104,9 @@ def place_pictures(
             _write(f"{folder}/{name}", data)
             sizes.append(len(data))
             digests.append(hashlib.sha256(data).digest() if hashing else None)
-            advance(1)
+            if len(sizes) % _TOLD_EVERY == 0:
+                advance(_TOLD_EVERY)
+    advance(len(sizes) % _TOLD_EVERY)
     if len(sizes) != len(indices):
         raise RecordingError(f"gave {len(sizes)} of {len(indices)} pictures", place=f"camera {stream.camera}")
     return Placed(names, sizes, digests, codec, width, height, linked)

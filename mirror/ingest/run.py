@@ -278,6 +278,8 @@ def _write_all(
         complete.append(drive)
         jobs += [(drive, number) for number in drive.slices]
     run.progress.start("writing pictures", total)
+    # Few passes and many workers: the cameras of a pass are written side by side.
+    threads = max(1, run.options.workers // max(1, len(jobs)))
     failed: set[str] = set()
     lock = threading.Lock()
 
@@ -292,6 +294,7 @@ def _write_all(
                 rois[drive.passes[number].scene_id],
                 configuration,
                 run.options.write,
+                threads,
                 run.progress.advance,
             )
         except RecordingError:

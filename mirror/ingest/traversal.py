@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -68,6 +70,7 @@ def write_traversal(
     roi: Roi,
     configuration: str,
     options: WriteOptions,
+    threads: int,
     advance: Callable[[int], None],
 ) -> Written:
     """Write one accepted pass, or find it complete.
@@ -79,7 +82,8 @@ def write_traversal(
         roi: its scene.
         configuration: hash of the options that decide what is written.
         options: how.
-        advance: called with the number of pictures done since the last call.
+        threads: how many cameras are written at a time.
+        advance: called with the number of pictures done since the last call, from those threads.
 
     Raises:
         RecordingError: something in the recording cannot be used; the folder is left without a manifest.
@@ -100,7 +104,7 @@ def write_traversal(
         return Written(name, pictures.count, pictures.bytes, 0, reused=True)
     shutil.rmtree(layout.traversal(name), ignore_errors=True)
     try:
-        return _write(layout, name, drive, number, roi, derived_from, options, advance)
+        return _write(layout, name, drive, number, roi, derived_from, options, threads, advance)
     except BaseException:
         shutil.rmtree(layout.traversal(name), ignore_errors=True)
         raise
@@ -114,22 +118,23 @@ def _write(
     roi: Roi,
     derived_from: dict[str, str],
     options: WriteOptions,
+    threads: int,
     advance: Callable[[int], None],
 ) -> Written:
     one, folder = drive.passes[number], layout.recorded(name)
     streams = selected_pictures(drive, one)
     _write_boxes(layout, name, drive, one, derived_from)
-    placed: dict[str, Placed] = {}
-    for camera, (stream, indices, stamps) in streams.items():
-        placed[camera] = place_pictures(
-            stream,
-            indices,
-            stamps,
-            folder / camera,
-            transfer=options.transfer,
-            hashing=options.hashing,
-            advance=advance,
-        )
+    place = partial(place_pictures, transfer=options.transfer, hashing=options.hashing, advance=advance)
+    with ThreadPoolExecutor(threads) as pool:
+        futures = {
+            camera: pool.submit(place, stream, indices, stamps, folder / camera)
+            for camera, (stream, indices, stamps) in streams.items()
+        }
+        try:
+            placed = {camera: future.result() for camera, future in futures.items()}
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     tables: list[tuple[Table, pa.Table]] = [
         (EGO_POSES, pose_table(drive.slices[number], roi, drive)),
         (IMAGES, _image_table(name, drive, streams, placed)),

@@ -109,7 +109,7 @@ class FolderRecording:
             )
         return np.asarray(mask, np.uint8)
 
-    def files(self) -> Sequence[tuple[str, Path]]:
+    def files(self) -> Sequence[tuple[str, str]]:
         """Everything in the folder but hidden files."""
         return walk(self.path)
 

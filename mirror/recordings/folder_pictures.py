@@ -56,7 +56,7 @@ def _files(root: Path, camera: str, folder: Path) -> FileStream:
         start, end, paths = _listed(table, pictures)
     else:
         paths = list(pictures.values())
-        start = end = _stamps_of_names(paths)
+        start = end = _stamps_of_names(folder, list(pictures))
     suffixes = {path.suffix.lower() for path in paths}
     codecs = {_CODECS.get(suffix) for suffix in suffixes}
     codec = codecs.pop()
@@ -79,16 +79,17 @@ def _files(root: Path, camera: str, folder: Path) -> FileStream:
     return FileStream(camera, codec, start[order], end[order], ordered)
 
 
-def _stamps_of_names(paths: list[Path]) -> Int64:
+def _stamps_of_names(folder: Path, names: list[str]) -> Int64:
+    stems = [name.rpartition(".")[0] for name in names]
     try:
-        return np.array([int(path.stem) for path in paths], np.int64)
+        return np.array([int(stem) for stem in stems], np.int64)
     except (ValueError, OverflowError) as error:
-        odd = next(path for path in paths if not (path.stem.isdecimal() and len(path.stem) <= 19))
+        odd = next(name for name, stem in zip(names, stems) if not (stem.isdecimal() and len(stem) <= 19))
         raise RecordingError(
             "the name is no time",
-            file=odd,
+            file=folder / odd,
             expected="<timestamp_ns>.jpg: Unix time of mid-exposure in nanoseconds",
-            remedy=f"rename the pictures, or give images/{odd.parent.name}.csv with file,{','.join(_EXPOSURES)}",
+            remedy=f"rename the pictures, or give images/{folder.name}.csv with file,{','.join(_EXPOSURES)}",
         ) from error
 
 

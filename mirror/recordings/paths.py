@@ -68,8 +68,10 @@ def list_folder(root: Path, folder: Path) -> dict[str, Path]:
     return found
 
 
-def walk(root: Path) -> list[tuple[str, Path]]:
+def walk(root: Path) -> list[tuple[str, str]]:
     """Every file under a folder, hidden ones left out, as ``(path relative to it, path)``, in the order of the former.
+
+    Plain strings: of a recording's hundred thousand pictures, most are never opened.
 
     Args:
         root: a recording's folder.
@@ -77,17 +79,17 @@ def walk(root: Path) -> list[tuple[str, Path]]:
     Raises:
         RecordingError: a link leads out of the recording.
     """
-    found: list[tuple[str, Path]] = []
-    open_folders = [("", root)]
+    found: list[tuple[str, str]] = []
+    open_folders = [("", str(root))]
     while open_folders:
         prefix, folder = open_folders.pop()
         with os.scandir(folder) as entries:
             for entry in entries:
-                relative, path = prefix + entry.name, folder / entry.name
+                relative, path = prefix + entry.name, entry.path
                 if entry.name.startswith("."):
                     continue
                 if entry.is_symlink():
-                    inside(root, relative, file=path, place="link")
+                    inside(root, relative, file=Path(path), place="link")
                 # The folder that a link stands for lies inside and is met under its own name.
                 if entry.is_dir(follow_symlinks=False):
                     open_folders.append((relative + "/", path))

@@ -183,7 +183,7 @@ class Recording(Protocol):
         """The cameras; None for a poses-only recording."""
         ...
 
-    def files(self) -> Sequence[tuple[str, Path]]:
+    def files(self) -> Sequence[tuple[str, Path | str]]:
         """Every file of the recording as ``(path relative to the recording, path)``, for the fingerprint."""
         ...
 

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from pyproj import Geod
 
+from mirror.arrays import Float64
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 
@@ -31,6 +32,9 @@ class Plane:
     def distance(self, p: Point, q: Point) -> float:
         return math.hypot(p[0] - q[0], p[1] - q[1])
 
+    def distances(self, p: Float64, q: Float64) -> Float64:
+        return np.hypot(*(p - q).T)
+
     def between(self, p: Point, q: Point, share: float) -> Point:
         return p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1])
 
@@ -46,6 +50,10 @@ class Globe:
 
     def distance(self, p: Point, q: Point) -> float:
         return float(GEOD.inv(p[0], p[1], q[0], q[1])[2])
+
+    def distances(self, p: Float64, q: Float64) -> Float64:
+        p, q = np.broadcast_arrays(p, q)
+        return np.asarray(GEOD.inv(p[:, 0], p[:, 1], q[:, 0], q[:, 1])[2])
 
     def between(self, p: Point, q: Point, share: float) -> Point:
         turn = (q[0] - p[0] + 540.0) % 360.0 - 180.0
@@ -243,16 +251,19 @@ def find_visits(surface: Surface, fixes: list[Fix], centre: Point, radius: float
     """Maximal intervals with r <= R on the linear motion between fixes."""
     found: list[Visit] = []
     is_open = False
-    r = [surface.distance(fix.p, centre) for fix in fixes]
+    places = np.array([fix.p for fix in fixes])
+    r = surface.distances(places, np.array([centre]))
+    # By the triangle inequality no step comes nearer than this; 0.1 m for the bend of linear motion on the globe.
+    nearest_possible = 0.5 * (r[:-1] + r[1:] - surface.distances(places[:-1], places[1:])) - 0.1
 
     def point(i: int, share: float) -> tuple[int, Point]:
         a, b = fixes[i], fixes[i + 1]
         return a.t + round(share * (b.t - a.t)), surface.between(a.p, b.p, share)
 
-    if fixes and r[0] <= radius:
+    if r[0] <= radius:
         found.append(Visit(fixes[0].t, 0, fixes[0].p, (0, 0), "recording_edge", "", r[0]))
         is_open = True
-    for i in range(len(fixes) - 1):
+    for i in np.flatnonzero(nearest_possible <= radius).tolist():
         a, b = fixes[i], fixes[i + 1]
         if b.unknown or b.t - a.t > max_gap_ns:
             if is_open:
@@ -261,9 +272,8 @@ def find_visits(surface: Surface, fixes: list[Fix], centre: Point, radius: float
             if is_open:
                 found.append(Visit(b.t, 0, b.p, (0, 0), "gap", "", r[i + 1]))
             continue
-        at_best = (r[i] + r[i + 1] - surface.distance(a.p, b.p)) / 2.0 - 0.1
         share, nearest = 0.0, r[i]
-        if at_best <= radius and (not is_open or at_best < found[-1].closest):
+        if not is_open or nearest_possible[i] < found[-1].closest:
             share = closest_share(surface, a.p, b.p, centre)
             nearest = surface.distance(surface.between(a.p, b.p, share), centre)
             share, nearest = min((share, nearest), (0.0, r[i]), (1.0, r[i + 1]), key=lambda one: one[1])

@@ -68,7 +68,8 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     style = files("mirror.view").joinpath("report.css").read_text()
     page = (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        '<meta name="viewport" content="width=device-width,initial-scale=1"><meta name="color-scheme" content="light dark">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        '<meta name="color-scheme" content="light dark">'
         f"<style>{style}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
     )
     write_bytes(out, page.encode())
@@ -186,7 +187,8 @@ def _ledger(passes: Sequence[dict[str, Any]]) -> Iterable[str]:
         f"<tr><td>{escape(one['scene_id'])}</td><td>{escape(one['drive_id'])}</td><td>{_utc(one['entry_ns'])}</td>"
         f"<td>{escape(one['rule'])}</td><td class=n>{one['measured']:.3g}</td><td class=n>{one['threshold']:g}</td>"
         f"<td class=n>{one['duration_s']:.1f} s</td><td class=n>{one['path_m']:.1f} m</td>"
-        f"<td class=n>{100 * one['overlap']:.1f} %</td><td>{escape(one['entry_kind'])} → {escape(one['exit_kind'])}</td></tr>"
+        f"<td class=n>{100 * one['overlap']:.1f} %</td>"
+        f"<td>{escape(one['entry_kind'])} → {escape(one['exit_kind'])}</td></tr>"
         for one in refused[:_REFUSED_ROWS]
     ]
     yield f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'

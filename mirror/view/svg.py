@@ -50,23 +50,27 @@ class Line:
 
 
 def scene_map(title: str, radius_m: float, lines: Sequence[Line]) -> str:
-    """A scene's circle with its traversals, north up; a dot marks each entry, an arrow head each exit."""
+    """A scene's circle with its traversals, north up; a dot marks each entry, an arrow head each exit.
+
+    Later lines are thinner, so that those which share a lane stay visible below each other.
+    """
     reach = radius_m * 1.12
     parts = [f'<circle cx="0" cy="0" r="{radius_m:.1f}" class="roi"/>']
-    for line in lines:
+    for number, line in enumerate(lines):
         if len(line.x_m) < 2:
             continue
+        width = radius_m * (0.012 + 0.02 * (1.0 - (number + 1) / len(lines)))
         points = " ".join(f"{x:.1f},{-y:.1f}" for x, y in zip(line.x_m, line.y_m))
         tip = _arrow(line, radius_m * 0.05)
         parts.append(
-            f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title><polyline points="{points}"/>'
+            f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title><polyline points="{points}" style="stroke-width:{width:.2f}px"/>'
             f'<circle cx="{line.x_m[0]:.1f}" cy="{-line.y_m[0]:.1f}" r="{radius_m * 0.02:.1f}" class="entry"/>{tip}</g>'
         )
     bar = _scale_bar(radius_m)
     parts.append(
         f'<path d="M {-reach * 0.95:.1f} {reach * 0.95:.1f} h {bar}" class="scale"/>'
-        f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" font-size="{radius_m * 0.075:.1f}">{bar} m</text>'
-        f'<text x="{reach * 0.9:.1f}" y="{-reach * 0.86:.1f}" font-size="{radius_m * 0.09:.1f}">N ↑</text>'
+        f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" style="font-size:{radius_m * 0.075:.1f}px">{bar} m</text>'
+        f'<text x="{reach * 0.8:.1f}" y="{-reach * 0.86:.1f}" style="font-size:{radius_m * 0.09:.1f}px">N ↑</text>'
     )
     box = f"{-reach:.1f} {-reach:.1f} {2 * reach:.1f} {2 * reach:.1f}"
     drawing = (

@@ -101,7 +101,7 @@ def _pictures(dataset: Dataset, traversals: Sequence[dict[str, Any]]) -> Iterabl
             shown.setdefault((one["light"], one["weather"]), one)
     if not shown:
         yield '<p class="dim">No traversal has pictures.</p>'
-    order = sorted(shown, key=lambda key: (_LIGHTS.index(key[0]) if key[0] in _LIGHTS else 9, key[1]))
+    order = sorted(shown, key=lambda key: (_light_order(key[0]), key[1]))
     for light, weather in order:
         one = shown[light, weather]
         frames = dataset.where(traversal=one["traversal_id"]).frames()
@@ -109,6 +109,10 @@ def _pictures(dataset: Dataset, traversals: Sequence[dict[str, Any]]) -> Iterabl
         yield f"<h3>{escape(light)}, {escape(weather)}</h3>"
         yield f'<p class="dim">{escape(one["traversal_id"])}, frame {frame.frame_index}, {_utc(frame.timestamp_ns)}</p>'
         yield f'<div class="rig">{"".join(_picture(frame, camera) for camera in _ordered(frame.images))}</div>'
+
+
+def _light_order(light: str) -> int:
+    return _LIGHTS.index(light) if light in _LIGHTS else len(_LIGHTS)
 
 
 def _cameras(frame: Frame) -> int:
@@ -142,7 +146,7 @@ def _key() -> str:
 def _map(dataset: Dataset, scene: dict[str, Any], traversals: Sequence[dict[str, Any]]) -> str:
     centre = (scene["x_m"], scene["y_m"]) if scene["frame"] is not None else (0.0, 0.0)
     lines = []
-    for one in traversals:
+    for one in sorted(traversals, key=lambda one: _light_order(one["light"])):
         if one["scene_id"] != scene["scene_id"]:
             continue
         poses = dataset.where(traversal=one["traversal_id"]).table("ego_poses", ["timestamp_ns", "tx_m", "ty_m"])

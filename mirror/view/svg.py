@@ -62,14 +62,16 @@ def scene_map(title: str, radius_m: float, lines: Sequence[Line]) -> str:
         width = radius_m * (0.012 + 0.02 * (1.0 - (number + 1) / len(lines)))
         points = " ".join(f"{x:.1f},{-y:.1f}" for x, y in zip(line.x_m, line.y_m))
         tip = _arrow(line, radius_m * 0.05)
+        drawn = f'<polyline points="{points}" style="stroke-width:{width:.2f}px"/>'
         parts.append(
-            f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title><polyline points="{points}" style="stroke-width:{width:.2f}px"/>'
+            f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title>{drawn}'
             f'<circle cx="{line.x_m[0]:.1f}" cy="{-line.y_m[0]:.1f}" r="{radius_m * 0.02:.1f}" class="entry"/>{tip}</g>'
         )
     bar = _scale_bar(radius_m)
     parts.append(
         f'<path d="M {-reach * 0.95:.1f} {reach * 0.95:.1f} h {bar}" class="scale"/>'
-        f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" style="font-size:{radius_m * 0.075:.1f}px">{bar} m</text>'
+        f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" style="font-size:{radius_m * 0.075:.1f}px">'
+        f"{bar} m</text>"
         f'<text x="{reach * 0.8:.1f}" y="{-reach * 0.86:.1f}" style="font-size:{radius_m * 0.09:.1f}px">N ↑</text>'
     )
     box = f"{-reach:.1f} {-reach:.1f} {2 * reach:.1f} {2 * reach:.1f}"

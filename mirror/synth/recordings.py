@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,6 +15,7 @@ import pyarrow as pa
 from mirror.arrays import AnyArray, Float64, Int64
 from mirror.errors import UsageError
 from mirror.geometry import Poses, heading_deg, matrix_from_quaternion, quaternion_from_matrix
+from mirror.ingest.request import Progress, Silent
 from mirror.recordings.time import GPS_EPOCH_NS
 from mirror.schema.documents import CANONICAL_CAMERAS, Roi
 from mirror.schema.files import write_bytes, write_json, write_table
@@ -34,7 +35,6 @@ _LEAP_SECONDS: Final = 18
 _JPEG_QUALITY: Final = 90
 _BOX_SHARE: Final = 8e-5
 _SETTLED_S: Final = 0.3
-Progress = Callable[[int, int], None]
 
 
 def write_recordings(
@@ -58,7 +58,7 @@ def write_recordings(
         scenes: how many scenes; default: all that the preset has.
         traversals: how many drives with pictures through each; default: the preset's.
         workers: threads; default: as many as there are processors.
-        progress: called with the number of pictures done and the number of all.
+        progress: is told of every picture; None: nobody is.
 
     Returns:
         The recordings' folders.
@@ -71,7 +71,8 @@ def write_recordings(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError("not an empty folder", file=out, remedy="name another folder, or remove this one")
     total = sum(len(_instants(drive, settings)) * len(CANONICAL_CAMERAS) for drive in drives if drive.recipe.pictures)
-    done = 0
+    progress = Silent() if progress is None else progress
+    progress.start("pictures", total)
     write_json(out / "rois.geojson", _geojson([drive.world.roi for drive in drives]))
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         for drive in drives:
@@ -79,9 +80,7 @@ def write_recordings(
             _write_poses(folder, drive, settings)
             if drive.recipe.pictures:
                 for count in _write_pictures(folder, drive, settings, pool):
-                    done += count
-                    if progress is not None:
-                        progress(done, total)
+                    progress.advance(count)
             write_json(folder / "recording.json", _document(drive))
             # Each drive's shadow map is large, and no longer needed.
             drive.__dict__.pop("stage", None)

@@ -111,5 +111,5 @@ def _print(report: CheckReport, arguments: Arguments) -> None:
     for error in report.unread:
         console.print(f"[red]could not read[/red] {escape(str(error))}")
     counts = report.counts()
-    parts = [f"{counts[name]} {name}{'s' * (counts[name] != 1)}" for name in ("error", "warning")]
-    console.print(f"{len(report.rules)} rules: {', '.join(parts)}, {counts['info']} infos: {arguments.dataset}")
+    parts = [f"{counts[name]} {name}{'s' * (counts[name] != 1)}" for name in ("error", "warning", "info")]
+    console.print(escape(f"{len(report.rules)} rules: {', '.join(parts)}: {arguments.dataset}"))

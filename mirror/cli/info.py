@@ -1,0 +1,136 @@
+"""``mirror info DATASET|RECORDING``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from mirror.cli.ingest import reader_options
+from mirror.errors import DatasetError, ExitCode
+
+if TYPE_CHECKING:
+    from mirror.dataset.summary import DatasetSummary
+    from mirror.recordings.summary import RecordingSummary
+
+_LISTED = 12
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Say what a path is: a dataset, or a recording that one of the readers recognises. No picture is opened."""
+
+    path: tyro.conf.Positional[Path]
+    """A dataset's folder, or a recording."""
+    reader: str | None = None
+    """Name of the reader; default: recognised from the files."""
+    tz: str | None = None
+    """Time zone of stamps that name none, e.g. Africa/Casablanca (csv reader)."""
+    columns: str | None = None
+    """Names of columns, e.g. time=Date+Time,lon=LON,lat=LAT (csv reader)."""
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Any other option of the reader as key=value; may be repeated."""
+    json: bool = False
+    """Print it as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror info")
+    if not arguments.path.exists():
+        raise DatasetError("there is nothing at this path", file=arguments.path, expected="a dataset or a recording")
+    if (arguments.path / "dataset.json").is_file():
+        from mirror.dataset.summary import summarise as summarise_dataset
+
+        dataset = summarise_dataset(arguments.path)
+        plain, lines = dataset.to_dict(), _dataset_lines(dataset)
+        kind = "dataset"
+    else:
+        from mirror.recordings.registry import open_recording
+        from mirror.recordings.summary import summarise as summarise_recording
+
+        options = reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns)
+        recording = summarise_recording(open_recording(arguments.path, arguments.reader, options))
+        plain, lines = recording.to_dict(), _recording_lines(recording)
+        kind = "recording"
+    if arguments.json:
+        print(json.dumps({"path": str(arguments.path), "kind": kind, **plain}))
+        return ExitCode.DONE
+    width = max(len(name) for name, _ in lines)
+    print(f"{arguments.path} is a {kind}")
+    for name, text in lines:
+        print(f"  {name:<{width}}  {text}")
+    return ExitCode.DONE
+
+
+def _dataset_lines(found: DatasetSummary) -> list[tuple[str, str]]:
+    trigger = found.document.trigger
+    lines = [
+        ("schema", found.document.schema_version),
+        ("licence", found.document.licence or "not stated"),
+        (
+            "trigger",
+            f"{trigger.min_duration_s:g} s and {trigger.min_path_m:g} m at least, over {trigger.min_overlap:.0%} inside",
+        ),
+        ("scenes (traversals)", _numbered(found.scenes)),
+        ("drives", str(found.drives)),
+        ("vehicles (drives)", _numbered(found.vehicles)),
+        ("vehicle types (drives)", _numbered(found.vehicle_types)),
+        *((f"rig {name}", ", ".join(cameras)) for name, cameras in found.rigs.items()),
+        ("passes", _counts(found.passes)),
+        ("traversals", str(found.traversals)),
+        ("pictures", f"{found.pictures:,} ({found.picture_bytes / 1e6:,.1f} MB)"),
+        ("time", _span(found.first_ns, found.last_ns)),
+        ("layers (traversals)", _numbered(found.layers)),
+        *((f"split {name}", _counts(roles)) for name, roles in found.splits.items()),
+        ("index", found.index if found.index == "current" else f"{found.index}: run `mirror index`"),
+    ]
+    if found.problems:
+        lines.append(("unreadable", f"{len(found.problems)} files: run `mirror check`; the first: {found.problems[0]}"))
+    return lines
+
+
+def _recording_lines(found: RecordingSummary) -> list[tuple[str, str]]:
+    info = found.info
+    lines = [
+        ("drive", info.drive_id + (" (a clip)" if info.is_clip else "")),
+        ("vehicle", f"{info.vehicle_id} ({info.vehicle_type})"),
+        ("frame", "WGS 84" if info.frame is None else f"local: {info.frame}"),
+        ("body", info.body_frame),
+        ("time base", info.time_base),
+        ("stated", ", ".join(f"{k}: {getattr(info, k) or '--'}" for k in ("city", "light", "weather", "licence"))),
+        ("files", f"{found.files:,} ({found.bytes / 1e6:,.1f} MB)"),
+        ("poses", f"{found.poses:,} ({found.usable:,} usable), with {', '.join(found.has) or 'positions only'}"),
+        ("time", _span(found.first_ns, found.last_ns)),
+        *((name, f"{low:.6f} to {high:.6f}") for name, (low, high) in found.extent.items()),
+        ("rig", f"{found.rig_id}, reference {found.reference_camera}" if found.rig_id else "none: poses only"),
+    ]
+    for name, camera in found.cameras.items():
+        rate = f" at {camera.rate_hz:.1f} Hz" if camera.rate_hz else ""
+        stages = _counts(camera.calibrations)
+        lines.append((f"camera {name}", f"{camera.images:,} {camera.codec}{rate}; calibrations: {stages}"))
+    lines.append(("boxes", f"{found.boxes:,}" if found.boxes else "none"))
+    return lines
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    listed = [f"{name} {count}" for name, count in list(counts.items())[:_LISTED]]
+    more = f" and {len(counts) - _LISTED} more" if len(counts) > _LISTED else ""
+    return ", ".join(listed) + more if counts else "none"
+
+
+def _numbered(counts: Mapping[str, int]) -> str:
+    return f"{len(counts)}: {_counts(counts)}" if counts else "none"
+
+
+def _span(first_ns: int | None, last_ns: int | None) -> str:
+    if first_ns is None or last_ns is None:
+        return "--"
+    from datetime import UTC, datetime
+
+    first, last = (datetime.fromtimestamp(stamp / 1e9, UTC) for stamp in (first_ns, last_ns))
+    return f"{first:%Y-%m-%d %H:%M:%S} to {last:%Y-%m-%d %H:%M:%S} UTC ({(last_ns - first_ns) * 1e-9:,.1f} s)"

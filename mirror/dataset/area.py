@@ -1,0 +1,56 @@
+"""The ground that scenes cover."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.dataset.splits.leaks import overlapping_scenes
+from mirror.dataset.splits.units import components, joined
+from mirror.geometry.geodesy import geodesic_circle
+from mirror.schema.documents import Roi
+
+_VERTICES: Final = 720
+# A polygon of that many corners on a circle has less area; its corners stand so much farther out that it has the same.
+_OUTWARD: Final = math.sqrt((2 * math.pi / _VERTICES) / math.sin(2 * math.pi / _VERTICES))
+
+
+def covered_area_m2(scenes: Sequence[Roi]) -> float:
+    """Area of the union of circles on the ellipsoid, or in the planes of local metric frames.
+
+    A circle that meets no other is ``pi r^2``: curvature takes 2e-9 of it away at 1 km, 8e-7 at 20 km. Circles that
+    overlap are joined as polygons of 720 corners in an equal-area projection (PROJ's ``laea``).
+
+    Args:
+        scenes: regions of interest with different ids.
+    """
+    by_id = {roi.scene_id: roi for roi in scenes}
+    pairs = [(one.scene_id, other.scene_id) for one, other, _ in overlapping_scenes(scenes)]
+    total = 0.0
+    for members in components(joined(by_id, pairs)).values():
+        own = [by_id[name] for name in members]
+        total += math.pi * own[0].radius_m ** 2 if len(own) == 1 else _union_m2(own)
+    return total
+
+
+def _union_m2(scenes: Sequence[Roi]) -> float:
+    from shapely import Polygon, union_all
+
+    return float(union_all([Polygon(_ring(roi, scenes[0])) for roi in scenes]).area)
+
+
+def _ring(roi: Roi, origin: Roi) -> Float64:
+    """A circle's corners (720, 2) in metres, in the plane of the local frame or equal-area round an origin."""
+    radius = roi.radius_m * _OUTWARD
+    if roi.longitude_deg is None or roi.latitude_deg is None:
+        angle = np.linspace(0.0, 2 * math.pi, _VERTICES, endpoint=False)
+        return np.column_stack([(roi.x_m or 0.0) + radius * np.cos(angle), (roi.y_m or 0.0) + radius * np.sin(angle)])
+    import pyproj
+
+    ring = geodesic_circle(roi.longitude_deg, roi.latitude_deg, radius, _VERTICES)[:-1]
+    plane = pyproj.Proj(proj="laea", lon_0=origin.longitude_deg, lat_0=origin.latitude_deg, datum="WGS84")
+    return np.column_stack(plane(ring[:, 0], ring[:, 1]))

@@ -1,0 +1,314 @@
+"""What a dataset amounts to: the row of the paper's dataset table, and distributions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mirror.arrays import Float64, Int64
+from mirror.dataset.area import covered_area_m2
+from mirror.dataset.dataset import Dataset
+from mirror.schema.documents import DriveDocument, Roi
+
+_LIGHT: Final = ("day", "dusk", "night", "unknown")
+_WEATHER: Final = ("clear", "clouds", "rain", "snow", "fog", "unknown")
+_ROI_COLUMNS: Final = tuple(Roi.model_fields)
+_SPAN_S: Final = 0.5
+_STANDING_MPS: Final = 0.5
+_EDGES_MPS: Final = tuple(float(edge) for edge in range(0, 42, 2))
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """The paper's dataset table (its table 1), for one dataset.
+
+    Attributes:
+        multi_traversal: whether a scene has more than one traversal.
+        area_km2: ground within the circles of the scenes, overlaps counted once.
+        scenes: scenes with at least one traversal.
+        area_per_scene_km2: area_km2 / scenes.
+        cities: names, sorted; a scene whose ROI names none counts as where its drives were recorded, if they say.
+        hours: sum of the traversals' durations.
+        cameras: the most cameras that a traversal has.
+        light: what there is of day, dusk, night, unknown.
+        weather: what there is of clear, clouds, rain, snow, fog, unknown.
+    """
+
+    multi_traversal: bool
+    area_km2: float
+    scenes: int
+    area_per_scene_km2: float
+    cities: tuple[str, ...]
+    hours: float
+    cameras: int
+    light: tuple[str, ...]
+    weather: tuple[str, ...]
+
+    @property
+    def conditions(self) -> str:
+        """The table's column "Light": ``Day/Night/Rain``."""
+        adverse = [name for name in self.weather if name in ("rain", "snow", "fog")]
+        return "/".join(name.capitalize() for name in (*(n for n in self.light if n != "unknown"), *adverse)) or "--"
+
+
+@dataclass(frozen=True)
+class SceneRow:
+    """One scene.
+
+    Attributes:
+        scene_id: the scene.
+        city: its city, if known.
+        scene_type: urban, highway, rural or campus, if known.
+        traversals: accepted passes.
+        drives: drives among them.
+        hours: of the traversals.
+        images: pictures.
+        light: traversals by light.
+    """
+
+    scene_id: str
+    city: str | None
+    scene_type: str | None
+    traversals: int
+    drives: int
+    hours: float
+    images: int
+    light: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Traversals of one light and weather."""
+
+    light: str
+    weather: str
+    traversals: int
+    hours: float
+
+
+@dataclass(frozen=True)
+class Speed:
+    """How fast was driven, weighted by time: horizontal speed over half seconds.
+
+    Attributes:
+        edges_mps: (B + 1,) of the bins; what is faster counts in the last.
+        hours: (B,) in each bin.
+        mean_mps: over the time.
+        quantiles_mps: the speeds below which 5, 25, 50, 75 and 95 % of the time were driven, by percent.
+        standing: share of the time below 0.5 m/s.
+    """
+
+    edges_mps: tuple[float, ...]
+    hours: tuple[float, ...]
+    mean_mps: float
+    quantiles_mps: Mapping[int, float]
+    standing: float
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a dataset, or a view of one, amounts to.
+
+    Attributes:
+        row: the paper's dataset table.
+        scenes: by scene, those without a traversal included.
+        conditions: by light and weather.
+        speed: None if there is no traversal.
+        vehicle_types: traversals by vehicle type.
+        vehicles: number of vehicles.
+        drives: drives with a traversal.
+        traversals: accepted passes.
+        refused: refused passes by rule.
+        camera_hours: hours times cameras, over the traversals.
+        frames: instants of a rig.
+        images: pictures.
+        image_bytes: their size.
+    """
+
+    row: TableRow
+    scenes: Sequence[SceneRow]
+    conditions: Sequence[Condition]
+    speed: Speed | None
+    vehicle_types: Mapping[str, int]
+    vehicles: int
+    drives: int
+    traversals: int
+    refused: Mapping[str, int]
+    camera_hours: float
+    frames: int
+    images: int
+    image_bytes: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, for ``--json``."""
+        return asdict(self)
+
+
+def statistics(dataset: Dataset) -> Statistics:
+    """Statistics of a dataset, or of a view of one.
+
+    Args:
+        dataset: what to look at; tables of pictures and poses are read a scene at a time.
+    """
+    traversals = dataset.table(
+        "traversals",
+        ["scene_id", "traversal_id", "drive_id", "vehicle_id", "vehicle_type", "entry_ns", "exit_ns", "duration_s",
+         "light", "weather", "cameras", "images"],
+    ).to_pylist()  # fmt: skip
+    own: dict[str, list[dict[str, Any]]] = {scene_id: [] for scene_id in dataset.scenes()}
+    for item in traversals:
+        own[item["scene_id"]].append(item)
+    rois = {row["scene_id"]: _roi(row) for row in dataset.table("scenes", _ROI_COLUMNS).to_pylist()}
+    scenes = [_scene(roi, own[scene_id]) for scene_id, roi in rois.items()]
+    refused = dataset.table("passes", ["rule"]).column("rule").drop_null()
+    return Statistics(
+        row=_row(dataset, rois, own, traversals),
+        scenes=scenes,
+        conditions=_conditions(traversals),
+        speed=_speed(dataset, own),
+        vehicle_types=_counted(item["vehicle_type"] for item in traversals),
+        vehicles=len({item["vehicle_id"] for item in traversals}),
+        drives=len({item["drive_id"] for item in traversals}),
+        traversals=len(traversals),
+        refused=_counted(refused.to_pylist()),
+        camera_hours=sum(item["duration_s"] * len(item["cameras"]) for item in traversals) / 3600,
+        frames=dataset.count("frames"),
+        images=dataset.count("images"),
+        image_bytes=sum(_bytes(dataset.where(scene=scene_id)) for scene_id, items in own.items() if items),
+    )
+
+
+def _roi(row: Mapping[str, Any]) -> Roi:
+    return Roi.model_validate({name: row[name] for name in _ROI_COLUMNS})
+
+
+def _scene(roi: Roi, traversals: Sequence[Mapping[str, Any]]) -> SceneRow:
+    return SceneRow(
+        scene_id=roi.scene_id,
+        city=roi.city,
+        scene_type=roi.scene_type,
+        traversals=len(traversals),
+        drives=len({item["drive_id"] for item in traversals}),
+        hours=_hours(traversals),
+        images=sum(item["images"] for item in traversals),
+        light=_counted((item["light"] for item in traversals), _LIGHT),
+    )
+
+
+def _row(
+    dataset: Dataset,
+    rois: Mapping[str, Roi],
+    own: Mapping[str, Sequence[Mapping[str, Any]]],
+    traversals: Sequence[Mapping[str, Any]],
+) -> TableRow:
+    visited = [roi for scene_id, roi in rois.items() if own[scene_id]]
+    area_km2 = covered_area_m2(visited) * 1e-6
+    silent = {item["drive_id"] for roi in visited if roi.city is None for item in own[roi.scene_id]}
+    cities = {roi.city for roi in visited} | {_drive_city(dataset, drive_id) for drive_id in sorted(silent)}
+    return TableRow(
+        multi_traversal=any(len(items) > 1 for items in own.values()),
+        area_km2=area_km2,
+        scenes=len(visited),
+        area_per_scene_km2=area_km2 / len(visited) if visited else 0.0,
+        cities=tuple(sorted(city for city in cities if city is not None)),
+        hours=_hours(traversals),
+        cameras=max((len(item["cameras"]) for item in traversals), default=0),
+        light=tuple(_counted((item["light"] for item in traversals), _LIGHT)),
+        weather=tuple(_counted((item["weather"] for item in traversals), _WEATHER)),
+    )
+
+
+def _drive_city(dataset: Dataset, drive_id: str) -> str | None:
+    return dataset.store.json(f"drives/{drive_id}/drive.json", DriveDocument).city
+
+
+def _conditions(traversals: Sequence[Mapping[str, Any]]) -> list[Condition]:
+    found = []
+    for light in _LIGHT:
+        for weather in _WEATHER:
+            own = [item for item in traversals if (item["light"], item["weather"]) == (light, weather)]
+            if own:
+                found.append(Condition(light, weather, len(own), _hours(own)))
+    return found
+
+
+def _hours(traversals: Sequence[Mapping[str, Any]]) -> float:
+    return float(sum(item["duration_s"] for item in traversals)) / 3600
+
+
+def _counted(values: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]:
+    """How often each value occurs: those of an order first, then the most frequent."""
+    counts = Counter(values)
+    known = [value for value in order if value in counts]
+    return {value: counts[value] for value in (*known, *(v for v, _ in counts.most_common() if v not in known))}
+
+
+def _bytes(scene: Dataset) -> int:
+    images = scene.table("images", ["codec", "byte_length", "uri"])
+    still = pc.not_equal(images.column("codec").cast(pa.string()), "video")
+    videos = images.filter(pc.invert(still)).group_by("uri").aggregate([("byte_length", "max")])
+    parts = (images.filter(still).column("byte_length"), videos.column("byte_length_max"))
+    return sum(pc.sum(part).as_py() or 0 for part in parts)
+
+
+def _speed(dataset: Dataset, own: Mapping[str, Sequence[Mapping[str, Any]]]) -> Speed | None:
+    speeds, seconds = [np.empty(0)], [np.empty(0)]
+    for scene_id, items in own.items():
+        poses = dataset.where(scene=scene_id).table("ego_poses", ["traversal_id", "timestamp_ns", "tx_m", "ty_m"])
+        ids = poses.column("traversal_id").combine_chunks().dictionary_encode()
+        stamps, x, y = (poses.column(name).to_numpy() for name in ("timestamp_ns", "tx_m", "ty_m"))
+        codes, names = ids.indices.to_numpy(), ids.dictionary.to_pylist()
+        # A traversal is one row group: its poses lie together.
+        bounds = np.flatnonzero(np.diff(codes, prepend=-1, append=-1))
+        rows = {names[codes[start]]: slice(start, stop) for start, stop in pairwise(bounds.tolist())}
+        for item in items:
+            if item["traversal_id"] in rows:
+                track = rows[item["traversal_id"]]
+                speed, time = _driven(stamps[track], x[track], y[track], item["entry_ns"], item["exit_ns"])
+                speeds.append(speed)
+                seconds.append(time)
+    speed, time = np.concatenate(speeds), np.concatenate(seconds)
+    if not time.sum() > 0:
+        return None
+    return _distribution(speed, time)
+
+
+def _driven(stamps: Int64, x: Float64, y: Float64, entry_ns: int, exit_ns: int) -> tuple[Float64, Float64]:
+    """Speeds over half seconds from entry to exit, and how long each lasted.
+
+    Over shorter times the noise of fixes at 100 Hz and more would count as speed.
+    """
+    end = (min(exit_ns, int(stamps[-1])) - entry_ns) * 1e-9
+    start = max((int(stamps[0]) - entry_ns) * 1e-9, 0.0)
+    if end <= start:
+        return np.empty(0), np.empty(0)
+    at = np.append(np.arange(start, end, _SPAN_S), end)
+    seconds = (stamps - entry_ns) * 1e-9
+    time = np.diff(at)
+    way = np.hypot(np.diff(np.interp(at, seconds, x)), np.diff(np.interp(at, seconds, y)))
+    some = time > 1e-9
+    return way[some] / time[some], time[some]
+
+
+def _distribution(speed: Float64, time: Float64) -> Speed:
+    order = np.argsort(speed)
+    passed = np.cumsum(time[order]) / time.sum()
+    quantiles = {
+        percent: float(speed[order[min(int(np.searchsorted(passed, percent / 100)), len(speed) - 1)]])
+        for percent in (5, 25, 50, 75, 95)
+    }
+    hours, _ = np.histogram(np.minimum(speed, _EDGES_MPS[-1]), _EDGES_MPS, weights=time / 3600)
+    return Speed(
+        edges_mps=_EDGES_MPS,
+        hours=tuple(hours.tolist()),
+        mean_mps=float((speed * time).sum() / time.sum()),
+        quantiles_mps=quantiles,
+        standing=float(time[speed < _STANDING_MPS].sum() / time.sum()),
+    )

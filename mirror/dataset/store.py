@@ -86,14 +86,23 @@ class Store:
 
     def folders(self, path: str) -> list[str]:
         """Names of the folders in a folder, sorted; empty if it does not exist."""
+        return self._names(path, folders=True)
+
+    def files(self, path: str) -> list[str]:
+        """Names of the files in a folder, sorted; empty if it does not exist."""
+        return self._names(path, folders=False)
+
+    def _names(self, path: str, *, folders: bool) -> list[str]:
         try:
             if self.folder is not None:
                 with os.scandir(self.folder / path) as entries:
-                    return sorted(entry.name for entry in entries if entry.is_dir())
+                    return sorted(entry.name for entry in entries if entry.is_dir() == folders)
             listed = self._remote[0].ls(self._remote_path(path), detail=True)
         except (FileNotFoundError, NotADirectoryError):
             return []
-        return sorted(PurePosixPath(item["name"].rstrip("/")).name for item in listed if item["type"] == "directory")
+        return sorted(
+            PurePosixPath(item["name"].rstrip("/")).name for item in listed if (item["type"] == "directory") == folders
+        )
 
     def folders_of(self, paths: Sequence[str]) -> dict[str, list[str]]:
         """As `folders` for several; a remote store is asked in parallel."""

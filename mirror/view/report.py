@@ -1,35 +1,45 @@
-"""A dataset on one page: pictures of every camera, maps, charts, and the ledger of refused passes.
+"""A dataset on one page: pictures of every camera, maps, charts, splits, and the ledger of refused passes.
 
 One HTML file with everything in it: no script, no network; readable on a phone and in dark mode.
 """
 
 from __future__ import annotations
 
-import base64
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-import cv2
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Frame
+from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
-from mirror.view.svg import Line, bars, scene_map
+from mirror.view.pictures import (
+    busiest_frame,
+    condition_order,
+    legend,
+    middle_frame,
+    place_pictures,
+    rig_pictures,
+    same_place,
+    utc,
+)
+from mirror.view.svg import Line, bars, scene_map, stacked_bars
+from mirror.view.tables import ledger, split_table, traversal_table
 
-_PICTURE_WIDTH_PX = 400
-_JPEG_QUALITY = 80
-_MAP_POINTS = 400
-_REFUSED_ROWS = 200
-_LIGHTS = ("day", "dusk", "night")
-_RIG_ORDER = ("front_left", "front_wide", "front_right", "rear_left", "front_narrow", "rear_right", "rear")
+_LARGE_PX: Final = 640
+_SMALL_PX: Final = 360
+_MAP_POINTS: Final = 400
+_LOOKED_THROUGH: Final = 3
+_LIGHTS: Final = ("day", "dusk", "night")
+_WEATHER: Final = ("clear", "clouds", "rain", "snow", "fog")
 
 
 def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> None:
@@ -47,23 +57,21 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     traversals = dataset.table("traversals").to_pylist()
     passes = dataset.passes().to_pylist()
     parts = [
-        f"<h1>{escape(title)}</h1>",
-        f'<p class="dim">{escape(dataset.root)}</p>',
-        _tiles(scenes, traversals, passes),
-        "<h2>What the cameras see</h2>",
-        *_pictures(dataset, traversals),
-        "<h2>Where was driven</h2>",
-        _key(),
-        '<div class="grid">',
-        *(_map(dataset, scene, traversals) for scene in scenes),
-        "</div>",
+        f"<header><h1>{escape(title)}</h1>{_tiles(scenes, traversals, passes, dataset.count('boxes'))}</header>",
+        *_instant(dataset, traversals),
+        *_places(dataset, scenes, traversals),
+        "<h2>Where it was driven</h2>",
+        _map_key(),
+        f'<div class="grid two">{"".join(_map(dataset, scene, traversals) for scene in scenes)}</div>',
         "<h2>Conditions and contents</h2>",
-        '<div class="grid">',
-        *_charts(dataset, traversals),
-        "</div>",
-        "<h2>The ledger</h2>",
-        *_ledger(passes),
-        f"<footer>Made by mirror {__version__} from the dataset alone.</footer>",
+        f'<div class="grid">{"".join(_charts(dataset, traversals))}</div>',
+        *_splits(dataset, traversals),
+        "<h2>Traversals</h2>",
+        traversal_table(traversals),
+        "<h2>The ledger of refused passes</h2>",
+        *ledger(passes),
+        *_rigs(dataset, traversals),
+        f"<footer>Made by mirror {__version__} from the dataset {escape(dataset.root)} alone.</footer>",
     ]
     style = files("mirror.view").joinpath("report.css").read_text()
     page = (
@@ -75,78 +83,92 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     write_bytes(out, page.encode())
 
 
-def _tiles(scenes: Sequence[dict[str, Any]], traversals: Sequence[dict[str, Any]], passes: Sequence[Any]) -> str:
+def _tiles(
+    scenes: Sequence[Mapping[str, Any]],
+    traversals: Sequence[Mapping[str, Any]],
+    passes: Sequence[Mapping[str, Any]],
+    boxes: int,
+) -> str:
     area_km2 = sum(math.pi * scene["radius_m"] ** 2 for scene in scenes) / 1e6
     cameras = {camera for one in traversals for camera in one["cameras"]}
+    cities = {scene["city"] for scene in scenes if scene["city"]}
     tiles = {
         "scenes": f"{len(scenes)}",
+        "cities": f"{len(cities)}",
         "km² of scenes": f"{area_km2:.3f}",
         "traversals": f"{len(traversals)}",
-        "drives": f"{len({one['drive_id'] for one in traversals})}",
+        "passes refused": f"{sum(one['decision'] == 'refused' for one in passes)}",
         "minutes": f"{sum(one['duration_s'] for one in traversals) / 60:.1f}",
         "km driven": f"{sum(one['path_m'] for one in traversals) / 1000:.2f}",
         "cameras": f"{len(cameras)}",
         "pictures": f"{sum(one['images'] for one in traversals):,}",
-        "passes refused": f"{sum(one['decision'] == 'refused' for one in passes)}",
+        "boxes": f"{boxes:,}",
     }
     cells = "".join(f'<div class="tile"><b>{value}</b><span>{name}</span></div>' for name, value in tiles.items())
     return f'<div class="tiles">{cells}</div>'
 
 
-def _pictures(dataset: Dataset, traversals: Sequence[dict[str, Any]]) -> Iterable[str]:
-    """All cameras of one frame for every condition that there is, from the middle of a traversal."""
-    shown: dict[tuple[str, str], dict[str, Any]] = {}
-    for one in traversals:
-        if one["frames"]:
-            shown.setdefault((one["light"], one["weather"]), one)
-    if not shown:
+def _box_layers(traversal: Mapping[str, Any]) -> int:
+    return sum(layer.startswith("boxes/") for layer in traversal["layers"])
+
+
+def _instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """The best instant, large, with its boxes."""
+    pictured = [one for one in traversals if one["frames"]]
+    if not pictured:
         yield '<p class="dim">No traversal has pictures.</p>'
-    order = sorted(shown, key=lambda key: (_light_order(key[0]), key[1]))
-    for light, weather in order:
-        one = shown[light, weather]
-        frames = dataset.where(traversal=one["traversal_id"]).frames()
-        frame = max((frames[len(frames) // 2 + step] for step in (0, -1) if len(frames) > 1 or step == 0), key=_cameras)
-        yield f"<h3>{escape(light)}, {escape(weather)}</h3>"
-        yield f'<p class="dim">{escape(one["traversal_id"])}, frame {frame.frame_index}, {_utc(frame.timestamp_ns)}</p>'
-        yield f'<div class="rig">{"".join(_picture(frame, camera) for camera in _ordered(frame.images))}</div>'
+        return
+    clear = [one for one in pictured if (one["light"], one["weather"]) == ("day", "clear")] or pictured
+    frame = busiest_frame(dataset, [one["traversal_id"] for one in clear[:_LOOKED_THROUGH]])
+    one = next(one for one in clear if one["traversal_id"] == frame.traversal_id)
+    # With several layers of boxes there is no saying which to draw.
+    boxes = _box_layers(one) == 1
+    cameras = "One camera" if len(frame.images) == 1 else f"{len(frame.images)} cameras"
+    yield f"<h2>One instant, {cameras.lower()}</h2>"
+    yield (
+        f'<p class="dim">{escape(one["scene_id"])}, {utc(frame.timestamp_ns)} UTC, {escape(one["light"])}, '
+        f"{escape(one['weather'])}, {escape(one['vehicle_type'])}; "
+        f"frame {frame.frame_index} of {escape(one['traversal_id'])}</p>"
+    )
+    if boxes:
+        yield '<input type="checkbox" id="boxes" checked><label for="boxes">3D boxes</label>'
+        yield legend(sorted(set(frame.boxes().category)))
+    yield rig_pictures(frame, boxes=boxes, width_px=_LARGE_PX)
 
 
-def _light_order(light: str) -> int:
-    return _LIGHTS.index(light) if light in _LIGHTS else len(_LIGHTS)
+def _places(
+    dataset: Dataset, scenes: Sequence[Mapping[str, Any]], traversals: Sequence[Mapping[str, Any]]
+) -> Iterable[str]:
+    """One place of each scene in every traversal that passes it."""
+    shown = []
+    for scene in scenes:
+        own = [one for one in traversals if one["scene_id"] == scene["scene_id"]]
+        passages = same_place(dataset, own)
+        if len(passages) > 1:
+            shown.append(
+                f"<h3>{escape(_scene_name(scene))}</h3>{place_pictures(dataset, passages, width_px=_SMALL_PX)}"
+            )
+    if shown:
+        yield "<h2>One place, every traversal</h2>"
+        yield from shown
 
 
-def _cameras(frame: Frame) -> int:
-    return len(frame.images)
+def _scene_name(scene: Mapping[str, Any]) -> str:
+    where = ", ".join(str(scene[name]) for name in ("city", "scene_type") if scene[name])
+    return f"{scene['scene_id']}{f' ({where})' if where else ''}"
 
 
-def _ordered(cameras: Iterable[str]) -> list[str]:
-    known = {camera: number for number, camera in enumerate(_RIG_ORDER)}
-    return sorted(cameras, key=lambda camera: (known.get(camera, len(known)), camera))
-
-
-def _picture(frame: Frame, camera: str) -> str:
-    picture = frame.images[camera].decode()
-    height, width = picture.shape[:2]
-    if width > _PICTURE_WIDTH_PX:
-        size = (_PICTURE_WIDTH_PX, round(height * _PICTURE_WIDTH_PX / width))
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-    encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-    data = base64.b64encode(encoded.tobytes()).decode()
+def _map_key() -> str:
+    entries = [f'<span><i class="swatch {light}"></i>{light}</span>' for light in _LIGHTS]
     return (
-        f'<figure><img alt="{escape(camera)}" src="data:image/jpeg;base64,{data}">'
-        f"<figcaption>{escape(camera)}</figcaption></figure>"
+        f'<p class="key">{"".join(entries)}<span>● entry</span><span>▶ exit</span><span>┄ region of interest</span></p>'
     )
 
 
-def _key() -> str:
-    entries = [f'<span><i style="background:var(--{light})"></i>{light}</span>' for light in _LIGHTS]
-    return f'<p class="key">{"".join(entries)}<span>● entry</span><span>▶ exit</span></p>'
-
-
-def _map(dataset: Dataset, scene: dict[str, Any], traversals: Sequence[dict[str, Any]]) -> str:
+def _map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> str:
     centre = (scene["x_m"], scene["y_m"]) if scene["frame"] is not None else (0.0, 0.0)
     lines = []
-    for one in sorted(traversals, key=lambda one: _light_order(one["light"])):
+    for one in traversals:
         if one["scene_id"] != scene["scene_id"]:
             continue
         poses = dataset.where(traversal=one["traversal_id"]).table("ego_poses", ["timestamp_ns", "tx_m", "ty_m"])
@@ -155,50 +177,56 @@ def _map(dataset: Dataset, scene: dict[str, Any], traversals: Sequence[dict[str,
         inside = inside[:: max(1, len(inside) // _MAP_POINTS)]
         about = f"{one['traversal_id']}: {one['light']}, {one['weather']}, {one['duration_s']:.0f} s"
         lines.append(Line(x[inside] - centre[0], y[inside] - centre[1], one["light"], about))
-    where = ", ".join(str(scene[name]) for name in ("city", "scene_type") if scene[name])
-    title = f"{scene['scene_id']}{f' ({where})' if where else ''}: {len(lines)} traversals"
-    return scene_map(title, scene["radius_m"], lines)
+    return scene_map(f"{_scene_name(scene)}: {len(lines)} traversals", scene["radius_m"], lines)
 
 
-def _charts(dataset: Dataset, traversals: Sequence[dict[str, Any]]) -> Iterable[str]:
-    light = Counter(one["light"] for one in traversals)
-    yield bars("Traversals by light", {key: light[key] for key in [*_LIGHTS, *sorted(set(light) - set(_LIGHTS))]})
-    yield bars("Traversals by weather", dict(sorted(Counter(one["weather"] for one in traversals).items())))
-    yield bars("Traversals by vehicle type", dict(sorted(Counter(one["vehicle_type"] for one in traversals).items())))
-    speeds = Counter(int(one["mean_speed_mps"] // 2) * 2 for one in traversals)
-    if speeds:
-        steps = range(0, max(speeds) + 2, 2)
-        yield bars("Traversals by mean speed", {f"{step} to {step + 2} m/s": speeds[step] for step in steps})
-    categories = Counter(dataset.table("boxes", ["category"]).column("category").to_pylist())
+def _charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    by_condition: dict[str, dict[str, float]] = {light: {} for light in _LIGHTS}
+    for one in traversals:
+        row = by_condition.setdefault(one["light"], {})
+        row[one["weather"]] = row.get(one["weather"], 0) + 1
+    weather = [name for name in (*_WEATHER, "unknown") if any(name in row for row in by_condition.values())]
+    yield stacked_bars("Traversals by light and weather", by_condition, weather)
+    categories = _counted(dataset, "boxes", "category")
     if categories:
         yield bars("Boxes by category", dict(categories.most_common(12)))
-    cameras = Counter(camera for one in traversals for camera in one["cameras"])
-    if cameras:
-        yield bars("Traversals by camera", {camera: cameras[camera] for camera in _ordered(cameras)})
+    speeds = Counter(int(one["mean_speed_mps"] // 2) * 2 for one in traversals)
+    if speeds:
+        steps = range(min(speeds), max(speeds) + 2, 2)
+        yield bars("Traversals by mean speed", {f"{step} to {step + 2} m/s": speeds[step] for step in steps})
+    yield bars("Traversals by vehicle type", dict(sorted(Counter(one["vehicle_type"] for one in traversals).items())))
+    pictures = _counted(dataset, "images", "camera")
+    if pictures:
+        yield bars("Pictures by camera", {camera: pictures[camera] for camera in dataset.cameras()})
 
 
-def _ledger(passes: Sequence[dict[str, Any]]) -> Iterable[str]:
-    accepted = sum(one["decision"] == "accepted" for one in passes)
-    refused = [one for one in passes if one["decision"] == "refused"]
-    yield f"<p>{len(passes)} passes: {accepted} accepted, {len(refused)} refused.</p>"
-    if not refused:
+def _counted(dataset: Dataset, table: str, column: str) -> Counter[str]:
+    counts = pc.value_counts(dataset.table(table, [column]).column(column).cast(pa.string())).to_pylist()
+    return Counter({entry["values"]: entry["counts"] for entry in counts})
+
+
+def _splits(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    names = [name for name in dataset.store.files("splits") if name.endswith(".json")]
+    if names:
+        yield "<h2>Splits</h2>"
+    for name in names:
+        yield split_table(dataset.store.json(f"splits/{name}", SplitDocument), traversals)
+
+
+def _rigs(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """All cameras of one frame for every condition that there is, folded away."""
+    shown: dict[tuple[str, str], Mapping[str, Any]] = {}
+    for one in traversals:
+        if one["frames"]:
+            shown.setdefault((one["light"], one["weather"]), one)
+    if not shown:
         return
-    head = (
-        "<tr><th>scene</th><th>drive</th><th>entry</th><th>rule</th><th class=n>measured</th><th class=n>asked for</th>"
-        "<th class=n>duration</th><th class=n>path</th><th class=n>overlap</th><th>ends</th></tr>"
-    )
-    rows = [
-        f"<tr><td>{escape(one['scene_id'])}</td><td>{escape(one['drive_id'])}</td><td>{_utc(one['entry_ns'])}</td>"
-        f"<td>{escape(one['rule'])}</td><td class=n>{one['measured']:.3g}</td><td class=n>{one['threshold']:g}</td>"
-        f"<td class=n>{one['duration_s']:.1f} s</td><td class=n>{one['path_m']:.1f} m</td>"
-        f"<td class=n>{100 * one['overlap']:.1f} %</td>"
-        f"<td>{escape(one['entry_kind'])} → {escape(one['exit_kind'])}</td></tr>"
-        for one in refused[:_REFUSED_ROWS]
-    ]
-    yield f'<div class="scroll"><table>{head}{"".join(rows)}</table></div>'
-    if len(refused) > _REFUSED_ROWS:
-        yield f'<p class="dim">The first {_REFUSED_ROWS} of {len(refused)}; all are in index/passes.parquet.</p>'
-
-
-def _utc(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    yield "<h2>All cameras in every condition</h2>"
+    for light, weather in sorted(shown, key=lambda key: condition_order(*key)):
+        one = shown[light, weather]
+        frame = middle_frame(dataset, one["traversal_id"])
+        yield (
+            f'<details><summary><i class="dot {escape(light)}"></i>{escape(light)}, {escape(weather)} '
+            f'<span class="dim">{escape(one["scene_id"])}, {utc(frame.timestamp_ns)} UTC</span></summary>'
+            f"{rig_pictures(frame, boxes=False, width_px=_SMALL_PX)}</details>"
+        )

@@ -9,7 +9,7 @@ from html import escape
 
 from mirror.arrays import Float64
 
-_BAR_HEIGHT, _BAR_GAP, _LABEL_WIDTH, _BAR_WIDTH, _VALUE_WIDTH = 22, 8, 120, 260, 80
+_BAR_HEIGHT, _BAR_GAP, _LABEL_WIDTH, _BAR_WIDTH, _VALUE_WIDTH = 20, 7, 104, 190, 56
 
 
 def bars(title: str, values: Mapping[str, float], *, unit: str = "", digits: int = 0) -> str:
@@ -29,6 +29,40 @@ def bars(title: str, values: Mapping[str, float], *, unit: str = "", digits: int
             f"{value:,.{digits}f}{escape(unit)}</text>"
         )
     drawing = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">{"".join(rows)}</svg>'
+    return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
+
+
+def stacked_bars(title: str, rows: Mapping[str, Mapping[str, float]], parts: Sequence[str]) -> str:
+    """A horizontal bar chart whose bars are divided, with a legend of the parts.
+
+    Args:
+        title: of the chart.
+        rows: label of each bar -> value of each part.
+        parts: the parts, in order.
+    """
+    top = max((sum(row.values()) for row in rows.values()), default=0.0) or 1.0
+    step, drawn = _BAR_HEIGHT + _BAR_GAP, []
+    for number, (label, row) in enumerate(rows.items()):
+        y, x = number * step, float(_LABEL_WIDTH)
+        middle = y + _BAR_HEIGHT * 0.7
+        drawn.append(f'<text x="{_LABEL_WIDTH - 8}" y="{middle:.1f}" class="end">{escape(label)}</text>')
+        for part in parts:
+            width = _BAR_WIDTH * row.get(part, 0.0) / top
+            if width > 0.0:
+                drawn.append(
+                    f'<rect x="{x:.1f}" y="{y}" width="{max(width - 1.5, 0.5):.1f}" height="{_BAR_HEIGHT}" rx="3"'
+                    f' class="part {_css(part)}"><title>{escape(part)}: {row[part]:g}</title></rect>'
+                )
+            x += width
+        drawn.append(f'<text x="{x + 6:.1f}" y="{middle:.1f}">{sum(row.values()):g}</text>')
+    x = float(_LABEL_WIDTH)
+    for part in parts:
+        y = len(rows) * step + 6
+        drawn.append(f'<rect x="{x:.1f}" y="{y}" width="12" height="12" rx="3" class="part {_css(part)}"/>')
+        drawn.append(f'<text x="{x + 17:.1f}" y="{y + 10.5}">{escape(part)}</text>')
+        x += 38 + 7.5 * len(part)
+    width, height = _LABEL_WIDTH + _BAR_WIDTH + _VALUE_WIDTH, len(rows) * step + 24
+    drawing = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">{"".join(drawn)}</svg>'
     return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
 
 
@@ -61,7 +95,7 @@ def scene_map(title: str, radius_m: float, lines: Sequence[Line]) -> str:
             continue
         width = radius_m * (0.012 + 0.02 * (1.0 - (number + 1) / len(lines)))
         points = " ".join(f"{x:.1f},{-y:.1f}" for x, y in zip(line.x_m, line.y_m))
-        tip = _arrow(line, radius_m * 0.05)
+        tip = _arrow(line, radius_m * 0.04)
         drawn = f'<polyline points="{points}" style="stroke-width:{width:.2f}px"/>'
         parts.append(
             f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title>{drawn}'
@@ -70,16 +104,22 @@ def scene_map(title: str, radius_m: float, lines: Sequence[Line]) -> str:
     bar = _scale_bar(radius_m)
     parts.append(
         f'<path d="M {-reach * 0.95:.1f} {reach * 0.95:.1f} h {bar}" class="scale"/>'
-        f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" style="font-size:{radius_m * 0.075:.1f}px">'
+        f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" style="font-size:{radius_m * 0.06:.1f}px">'
         f"{bar} m</text>"
-        f'<text x="{reach * 0.8:.1f}" y="{-reach * 0.86:.1f}" style="font-size:{radius_m * 0.09:.1f}px">N ↑</text>'
+        f'<text x="{reach * 0.8:.1f}" y="{-reach * 0.86:.1f}" style="font-size:{radius_m * 0.07:.1f}px">N ↑</text>'
     )
     box = f"{-reach:.1f} {-reach:.1f} {2 * reach:.1f} {2 * reach:.1f}"
+    parts.insert(1, _cross(radius_m * 0.03))
     drawing = (
         f'<svg viewBox="{box}" class="map" style="--line:{radius_m * 0.012:.2f}px" role="img"'
         f' aria-label="{escape(title)}">{"".join(parts)}</svg>'
     )
     return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
+
+
+def _cross(size: float) -> str:
+    """The centre of the scene."""
+    return f'<path class="centre" d="M {-size:.1f} 0 H {size:.1f} M 0 {-size:.1f} V {size:.1f}"/>'
 
 
 def _arrow(line: Line, size: float) -> str:

@@ -382,7 +382,7 @@ def sky(look: Records, dx: float, dy: float, dz: float, seed: int) -> tuple[floa
     if facing > 0.0:
         low = 1.0 - min(abs(look.sun_2) * 2.0, 1.0)
         glow = facing**6 * 0.25 * low * (look.horizon_0 + look.horizon_1)
-        disc = (facing**900) * 6.0 if look.sunlight_0 > 0.0 else 0.0
+        disc = (facing**900) * 6.0 * (1.0 - look.cloud) if look.sunlight_0 > 0.0 else 0.0
         r += glow + disc * look.sunlight_0
         g += 0.75 * glow + disc * look.sunlight_1
         b += 0.45 * glow + disc * look.sunlight_2

@@ -1,72 +1,171 @@
-from __future__ import annotations
+"""The report of a small synthetic dataset: whole, self-contained, and showing what the tables say."""
 
 import base64
 import re
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
 from pathlib import Path
-from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import pytest
 
 import mirror
-from mirror.errors import DatasetError
+import mirror.synth
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.splits import make_split
+from mirror.geometry.box_projection import project_boxes
+from mirror.ingest.request import IngestOptions
+from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest
+from mirror.schema.documents import CANONICAL_CAMERAS, NovelTraversal
+from mirror.view.pictures import busiest_frame, rig_pictures, same_place
 from mirror.view.report import write_report
-from mirror.view.svg import Line, bars, scene_map
-from tests.ingest.recordings import SCENE, START_NS, write_recording
+
+VOID = {"meta", "img", "input", "br"}
+
+
+class Page(HTMLParser):
+    """Counts tags, refuses crossed ones, gathers attributes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def count(self, tag: str) -> int:
+        return sum(name == tag for name, _ in self.tags)
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> mirror.Dataset:
-    root = tmp_path_factory.mktemp("report")
-    drives = [
-        write_recording(root, "there"),
-        write_recording(root, "edge", start_ns=START_NS + 10**13, from_m=-120, to_m=-50, seed=2),
-    ]
-    ingest(drives, [SCENE], root / "d")
-    return mirror.open(root / "d")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return mirror.synth.write_recordings(tmp_path_factory.mktemp("view") / "tiny")
 
 
-def test_report_is_one_page_with_every_camera_and_every_refused_pass(dataset: mirror.Dataset, tmp_path: Path) -> None:
-    write_report(dataset, tmp_path / "r.html", "A <title> & more")
-    page = (tmp_path / "r.html").read_text()
-    assert "A &lt;title&gt; &amp; more" in page
-    assert not re.findall(r"(?:src|href)=\"(?!data:)", page), "nothing is loaded from elsewhere"
-    pictures = re.findall(r'alt="(\w+)" src="data:image/jpeg;base64,([^"]+)"', page)
-    assert [camera for camera, _ in pictures] == ["front_wide", "rear"]
-    frame = dataset.frames()[len(dataset.frames()) // 2]
-    for camera, data in pictures:
-        shown = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR_RGB)
-        assert np.abs(shown.astype(int) - frame.images[camera].decode()).mean() < 6
-    assert page.count("<td>min_duration</td>") == 1
-    assert "2 passes: 1 accepted, 1 refused" in page
+@pytest.fixture(scope="module")
+def dataset(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    out = tmp_path_factory.mktemp("view") / "dataset"
+    report = ingest(recordings, read_rois(recordings[0].parent / "rois.geojson"), out, IngestOptions())
+    assert not report.failures
+    make_split(out, "novel", NovelTraversal(train=1, held_out=1))
+    return mirror.open(out)
 
 
-def test_report_that_cannot_be_written_leaves_the_old_one(dataset: mirror.Dataset, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("old")
-    with pytest.raises(DatasetError, match="cannot be written"):
-        write_report(dataset, tmp_path / "file" / "r.html")
-    assert (tmp_path / "file").read_text() == "old"
+@pytest.fixture(scope="module")
+def page(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Page:
+    out = tmp_path_factory.mktemp("view") / "report.html"
+    write_report(dataset, out, "A <title> & more")
+    return Page(out.read_text())
 
 
-def test_map_has_north_up_and_true_scale() -> None:
-    line = Line(np.array([0.0, 0.0]), np.array([0.0, 50.0]), "day", "north & <b>")
-    drawing = re.search(r"<svg.*</svg>", scene_map("a < b", 100.0, [line]))
-    assert drawing is not None
-    root = ElementTree.fromstring(drawing.group())
-    group = root.find("g")
-    assert group is not None
-    assert group.find("polyline").get("points") == "0.0,-0.0 0.0,-50.0"
-    assert group.find("path").get("transform") == "translate(0.0 -50.0) rotate(-90.0)"
-    assert root.find("circle").get("r") == "100.0"
-    assert "50 m" in "".join(root.itertext())
+def test_the_page_is_well_formed_and_needs_nothing_else(page: Page) -> None:
+    assert page.open == []
+    assert page.count("script") == page.count("link") == page.count("iframe") == 0
+    assert "A <title> & more" in page.text
+    for _, attributes in page.tags:
+        for name in ("src", "href", "action", "data"):
+            value = attributes.get(name)
+            assert value is None or value.startswith("data:image/jpeg;base64,")
+    style = page.text[page.text.index(":root") :]
+    assert "url(" not in style and "@import" not in style
 
 
-def test_bars_are_proportional_and_zero_is_nothing() -> None:
-    drawing = re.search(r"<svg.*</svg>", bars("t", {"a": 4.0, "b": 1.0, "c": 0.0}))
-    assert drawing is not None
-    widths = [float(rect.get("width")) for rect in ElementTree.fromstring(drawing.group()).iter("rect")]
-    assert widths == [260.0, 65.0, 0.0]
-    assert "nan" not in bars("t", {"a": 0.0})
-    assert "<svg" in bars("t", {})
+def test_every_inlined_picture_decodes(page: Page) -> None:
+    sources = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
+    # One instant, one place of two traversals, and two conditions with seven cameras each.
+    assert len(sources) == 7 + 2 + 2 * 7
+    for source in sources:
+        data = np.frombuffer(base64.b64decode(source.split(",")[1]), np.uint8)
+        assert cv2.imdecode(data, cv2.IMREAD_COLOR).shape == (90, 160, 3)
+
+
+def test_what_the_tables_say_is_on_the_page(page: Page, dataset: Dataset) -> None:
+    for camera in CANONICAL_CAMERAS:
+        assert camera in page.text
+    for row in dataset.table("traversals").to_pylist():
+        assert f"{row['duration_s']:.1f} s" in page.text
+        assert row["vehicle_id"] in page.text
+    refused = [row for row in dataset.passes().to_pylist() if row["decision"] == "refused"]
+    assert len(refused) == 1
+    assert refused[0]["rule"] == "min_duration"
+    assert "inside too briefly" in page.text
+    assert f"{refused[0]['measured']:.3g} s" in page.text
+    assert "held out" in page.text and "train" in page.text
+    for (category,) in {(row["category"],) for row in dataset.table("boxes", ["category"]).to_pylist()}:
+        assert category in page.text
+
+
+def test_charts_draw_the_counts(page: Page, dataset: Dataset) -> None:
+    labels = {attributes.get("aria-label") for tag, attributes in page.tags if tag == "svg"}
+    assert {"Traversals by light and weather", "Boxes by category", "Pictures by camera"} <= labels
+    assert f"{dataset.count('images')}" in page.text.replace(",", "")
+    assert f"{dataset.count('boxes')}" in page.text.replace(",", "")
+
+
+def test_boxes_on_a_picture_are_where_the_lens_puts_them(dataset: Dataset) -> None:
+    frame = busiest_frame(dataset, dataset.traversals())
+    assert set(frame.images) == set(CANONICAL_CAMERAS)
+    html = rig_pictures(frame, boxes=True, width_px=640)
+    shown = 0
+    for figure in re.findall(r"<figure.*?</figure>", html):
+        camera = re.search(r'alt="(\w+)"', figure).group(1)
+        drawing = ElementTree.fromstring(re.search(r"<svg.*</svg>", figure).group(0))
+        lens = frame.images[camera].camera_model
+        assert drawing.get("viewBox") == f"0 0 {lens.width_px} {lens.height_px}"
+        boxes = frame.boxes(f"camera:{camera}")
+        projected = project_boxes(lens, boxes.pose, boxes.size_m)
+        paths = drawing.findall("path")
+        assert len(paths) == projected.visible.sum()
+        for path, row in zip(paths, [r for r in far_first(boxes) if projected.visible[r]]):
+            points = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path.get("d")), float)
+            low, high = points.min(axis=0), points.max(axis=0)
+            u0, v0, u1, v1 = projected.bounds_px[row]
+            # The bounds are cut at the raster; what is drawn may go on.
+            size = np.array([lens.width_px, lens.height_px])
+            assert np.abs(np.clip(low, 0, size) - (u0, v0)).max() < 0.8
+            assert np.abs(np.clip(high, 0, size) - (u1, v1)).max() < 0.8
+            shown += 1
+    assert shown > 10
+
+
+def far_first(boxes) -> np.ndarray:
+    return np.argsort(-np.linalg.norm(boxes.pose.translation, axis=1))
+
+
+def test_one_place_is_the_same_place(dataset: Dataset) -> None:
+    passages = same_place(dataset, dataset.table("traversals").to_pylist())
+    assert len(passages) == 2
+    assert sorted(one.onward for one in passages) == [False, True]
+    places = []
+    for one in passages:
+        frames = dataset.where(traversal=one.traversal["traversal_id"]).table("frames").to_pylist()
+        row = next(row for row in frames if row["frame_index"] == one.frame_index)
+        places.append((row["x_m"], row["y_m"]))
+    assert np.hypot(*np.subtract(*places)) < 12.0
+
+
+def test_a_dataset_without_pictures_or_traversals_has_a_report_too(recordings: list[Path], tmp_path: Path) -> None:
+    ingest(recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions())
+    write_report(mirror.open(tmp_path / "bare"), tmp_path / "bare.html")
+    page = Page((tmp_path / "bare.html").read_text())
+    assert page.open == []
+    assert page.count("img") == 0
+    assert "No traversal has pictures" in page.text
+    assert "inside too briefly" in page.text

@@ -137,11 +137,11 @@ def test_boxes_on_a_picture_are_where_the_lens_puts_them(dataset: Dataset) -> No
             points = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path.get("d")), float)
             low, high = points.min(axis=0), points.max(axis=0)
             u0, v0, u1, v1 = projected.bounds_px[row]
-            # The bounds are cut at the raster; what is drawn may go on.
-            size = np.array([lens.width_px, lens.height_px])
-            assert np.abs(np.clip(low, 0, size) - (u0, v0)).max() < 0.8
-            assert np.abs(np.clip(high, 0, size) - (u1, v1)).max() < 0.8
-            shown += 1
+            # Bounds are of the part within the raster: only of a box that is whole are they those of its edges.
+            if min(u0, v0) > 0.5 and u1 < lens.width_px - 0.5 and v1 < lens.height_px - 0.5:
+                assert np.abs(low - (u0, v0)).max() < 0.3
+                assert np.abs(high - (u1, v1)).max() < 0.3
+                shown += 1
     assert shown > 10
 
 

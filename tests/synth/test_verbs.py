@@ -1,0 +1,63 @@
+"""``mirror synth`` and ``mirror demo`` as they are typed."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import mirror.cli.main
+from mirror.cli.demo import main as demo
+from mirror.cli.main import main
+
+
+def test_synth_writes_recordings_that_ingest_can_judge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "fleet"
+    assert main(["synth", "--out", str(out), "--preset", "tiny", "--traversals", "1", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert [Path(path).parent for path in said["recordings"]] == [out, out]
+    words = ["ingest", *said["recordings"], "--rois", said["rois"], "--dry-run", "--json"]
+    assert main(words) == 0
+    drives = json.loads(capsys.readouterr().out)["drives"]
+    assert sorted(drive["accepted"] for drive in drives.values()) == [0, 1]
+    assert main(["synth", "--out", str(out), "--preset", "tiny"]) == 2
+    assert "not an empty folder" in capsys.readouterr().err
+
+
+def test_demo_runs_the_verbs_in_order_and_stops_at_the_first_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran: list[list[str]] = []
+
+    def run(words: list[str]) -> int:
+        ran.append(words)
+        if words[0] == "synth":
+            for name in ("town-02", "town-01"):
+                (tmp_path / "demo" / "recordings" / name).mkdir(parents=True)
+        return 1 if words[0] == "check" else 0
+
+    monkeypatch.setattr(mirror.cli.main, "main", run)
+    assert demo(["--out", str(tmp_path / "demo"), "--quick"]) == 1
+    assert [words[0] for words in ran] == ["synth", "ingest", "split", "stats", "check"]
+    recordings = tmp_path / "demo" / "recordings"
+    assert ran[1][1:3] == [str(recordings / "town-01"), str(recordings / "town-02")]
+    typed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("$ ")]
+    assert len(typed) == len(ran)
+    assert f"$ mirror ingest {recordings}/*-*" in typed[1]
+
+
+def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(mirror.cli.main, "main", lambda words: 0)
+    own = tmp_path / "own"
+    assert demo(["--out", str(own)]) == 0
+    (own / "old.txt").write_text("from the last demo")
+    assert demo(["--out", str(own)]) == 0
+    assert not (own / "old.txt").exists()
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "letter.txt").write_text("mine")
+    monkeypatch.undo()
+    assert main(["demo", "--out", str(other)]) == 2
+    assert "no demo made it" in capsys.readouterr().err
+    assert (other / "letter.txt").read_text() == "mine"

@@ -74,7 +74,7 @@ def _dataset_lines(found: DatasetSummary) -> list[tuple[str, str]]:
         ("licence", found.document.licence or "not stated"),
         (
             "trigger",
-            f"{trigger.min_duration_s:g} s and {trigger.min_path_m:g} m at least, over {trigger.min_overlap:.0%} inside",
+            f"{trigger.min_duration_s:g} s and {trigger.min_path_m:g} m at least, {trigger.min_overlap:.0%} inside",
         ),
         ("scenes (traversals)", _numbered(found.scenes)),
         ("drives", str(found.drives)),

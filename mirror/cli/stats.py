@@ -15,6 +15,8 @@ from mirror.errors import ExitCode
 if TYPE_CHECKING:
     from mirror.dataset.statistics import Statistics
 
+_UNBOUNDED = 160
+
 
 @dataclass(frozen=True)
 class Arguments:
@@ -54,11 +56,14 @@ def _print(found: Statistics) -> None:
     from rich.console import Console
 
     console = Console(highlight=False)
+    if not console.is_terminal:
+        # A file or a pipe has no edge to wrap at.
+        console.width = _UNBOUNDED
     row = found.row
     _table(
         console,
         None,
-        ("multi-traversal", "area km2", "scenes", "area/scene 1e-3 km2", "cities", "hours", "cameras", "light"),
+        ("multi-trav.", "km2", "scenes", "1e-3 km2/scene", "cities", "hours", "cameras", "light"),
         [
             (
                 "yes" if row.multi_traversal else "no",
@@ -123,7 +128,7 @@ def _table(console: object, title: str | None, header: Sequence[str], rows: Sequ
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for column, name in enumerate(header):
         numeric = bool(rows) and all(str(row[column])[:1].isdigit() for row in rows)
-        table.add_column(name, justify="right" if numeric else "left")
+        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
     for row in rows:
         table.add_row(*(str(cell) for cell in row))
     if title is not None:

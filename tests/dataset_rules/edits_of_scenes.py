@@ -119,7 +119,7 @@ def _time() -> Iterator[Edit]:
     late = {name: plus(name, 0.55 * FRAME_NS) for name in ("timestamp_ns", "exposure_start_ns", "exposure_end_ns")}
     whole = {name: (lambda row, change=change: int(change(row))) for name, change in late.items()}
     yield of("TIM003", cell(A0, "images", 3, **whole), file, "TIM005")
-    yield of("TIM004", cell(A0, "images", 2 * FRAMES + 3, frame_index=None), file, "TIM006")
+    yield of("TIM004", cell(A0, "images", 2 * FRAMES + 3, frame_index=None), file)
     yield of("TIM004", cell(A0, "images", WIDE, frame_index=plus("frame_index", 1)), file, "TIM003")
     yield of("TIM005", _lost_frame, file)
     yield of("TIM006", cell(A0, "images", 3, frame_index=None), file)

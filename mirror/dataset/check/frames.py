@@ -43,7 +43,8 @@ def frames_of(images: Rows, reference_cameras: Sequence[str | None]) -> Frames:
     is_reference = (codes == np.array(reference, np.int64)[images.traversal]) & (codes >= 0)
     known, index, stamps = images.known("frame_index"), images.integers("frame_index"), images.integers("timestamp_ns")
 
-    key = images.traversal * (index.max(initial=0) + 1) + index
+    lowest = index.min(initial=0)
+    key = images.traversal * (index.max(initial=0) - lowest + 1) + index - lowest
     rows = np.flatnonzero(is_reference & known)
     order = rows[np.argsort(key[rows], kind="stable")]
     place = np.searchsorted(key[order], key)

@@ -49,8 +49,7 @@ class Motion:
     @cached_property
     def step_m(self) -> Float64:
         """(N, 3) way since the pose above."""
-        with np.errstate(invalid="ignore"):
-            way = np.diff(self.position, axis=0, prepend=self.position[:1])
+        way = np.diff(self.position, axis=0, prepend=self.position[:1])
         return np.where(self.poses.same_file[:, None], way, np.nan)
 
     @cached_property

@@ -88,9 +88,16 @@ class PictureReader:
             np.array([size for size, _ in found], np.int64), np.array([ended for _, ended in found], np.bool_)
         )
 
-    def contents(self) -> PictureContents:
-        """Hashes, sizes and spread of the pictures."""
-        found = np.array(self._each(self._content), np.int64).reshape(-1, 5)
+    def contents(self, files: PictureFiles) -> PictureContents:
+        """Hashes, sizes and spread of the pictures.
+
+        Args:
+            files: what `files` answered: a file that is too short is not read.
+        """
+        size = files.size.tolist()
+        read = [self._whole(row, size[row]) for row in range(len(size))]
+        rows = self._each(lambda row: self._content(row) if read[row] else _AS_IT_SHOULD_BE)
+        found = np.array(rows, np.int64).reshape(-1, 5)
         return PictureContents(found[:, 0] > 0, found[:, 1] > 0, found[:, 2], found[:, 3], found[:, 4])
 
     def _each(self, read: Callable[[int], Answer]) -> list[Answer]:
@@ -107,7 +114,7 @@ class PictureReader:
             place = self._store.resolve(uri)
             size = place.stat().st_size if isinstance(place, Path) else int(place[0].info(place[1])["size"])
             end = _ENDS.get(self._codec[row])
-            if end is None or size < end_of_bytes:
+            if end is None or not self._whole(row, size):
                 return size, True
             tail = min(int(self._length[row]), _TAIL_BYTES)
             return size, end in self._store.read_range(uri, end_of_bytes - tail, tail)
@@ -116,8 +123,6 @@ class PictureReader:
 
     def _content(self, row: int) -> tuple[bool, bool, int, int, int]:
         uri, length = self._uri[row], int(self._length[row])
-        if leads_out(uri):
-            return _AS_IT_SHOULD_BE
         try:
             if self._codec[row] == "video":
                 same = self._same_video(uri, self._sha256[row])
@@ -125,8 +130,6 @@ class PictureReader:
                 pixels = None if pts is None else self._videos.decode(uri, pts)
             else:
                 data = self._store.read_range(uri, int(self._offset[row]), length)
-                if len(data) < length:
-                    return _AS_IT_SHOULD_BE
                 expected = self._sha256[row]
                 same = expected is None or hashlib.sha256(data).digest() == expected
                 pixels = decode_rgb(data, self._codec[row])
@@ -135,6 +138,11 @@ class PictureReader:
         if pixels is None:
             return same, False, 0, 0, _RANGE
         return same, True, pixels.shape[1], pixels.shape[0], _spread(pixels)
+
+    def _whole(self, row: int, size: int) -> bool:
+        """Whether a file of that size has all of a picture's bytes."""
+        offset, length = int(self._offset[row]), int(self._length[row])
+        return offset >= 0 and length > 0 and size >= offset + length
 
     def _same_video(self, uri: str, expected: bytes | None) -> bool:
         if expected is None:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from mirror.dataset.check.dataset_view import DatasetView
 from mirror.dataset.check.registry import selected
 from mirror.dataset.check.rule import Cost, Finding, Findings, Rule, Severity
@@ -81,7 +83,9 @@ def check(
     findings: list[tuple[Rule, Finding]] = []
 
     def collect(rule: Rule, found: Findings) -> None:
-        findings.extend((rule, finding) for finding in found)
+        # A number that is broken makes others NaN, which no comparison finds; rules of their own look for it.
+        with np.errstate(all="ignore"):
+            findings.extend((rule, finding) for finding in found)
 
     for rule in rules:
         if rule.of_dataset is not None:

@@ -128,7 +128,7 @@ class SceneView:
     @cached_property
     def picture_contents(self) -> PictureContents:
         """What is in the files of `all_images`."""
-        return PictureReader(self.all_images, self.dataset.store).contents()
+        return PictureReader(self.all_images, self.dataset.store).contents(self.picture_files)
 
     def calibrated_pictures(self) -> Iterator[tuple[int, slice, Bool]]:
         """Each row of `calibrations`, the rows of `images` of its traversal, and which of these are its camera's."""

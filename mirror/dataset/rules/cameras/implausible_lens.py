@@ -22,10 +22,9 @@ def implausible_lens(view: SceneView) -> Iterator[Finding]:
     fx, fy, cx, cy = (rows.floats(name) for name in ("fx_px", "fy_px", "cx_px", "cy_px"))
     codes, words = rows.words("model")
     f_theta = np.isin(codes, [code for code, word in enumerate(words) if word == "f_theta"])
-    with np.errstate(all="ignore"):
-        share, aspect = fx / width, fy / fx
-        off = np.maximum(np.abs(cx / width - 0.5), np.abs(cy / height - 0.5))
-        lens = ~f_theta & ((share < _FOCAL[0]) | (share > _FOCAL[1]) | (np.abs(aspect - 1.0) > _ASPECT))
+    share, aspect = fx / width, fy / fx
+    off = np.maximum(np.abs(cx / width - 0.5), np.abs(cy / height - 0.5))
+    lens = ~f_theta & ((share < _FOCAL[0]) | (share > _FOCAL[1]) | (np.abs(aspect - 1.0) > _ASPECT))
     sane = np.ones(len(rows), np.bool_)
     sane[list(view.camera_errors)] = False
     yield from rows.findings(

@@ -19,7 +19,6 @@ def stages(view: SceneView) -> Iterator[Finding]:
     """Calibration stages disagree about a camera's direction by more than 0.3 degrees, the paper's bound."""
     rows = view.calibrations
     mounted = Motion(rows)
-    names = rows.words("camera")[1]
     differ = np.zeros(len(rows), np.bool_)
     angle = np.zeros(len(rows))
     compared = rows.same_group("camera") & mounted.unit
@@ -31,9 +30,6 @@ def stages(view: SceneView) -> Iterator[Finding]:
         differ = angle > _LIMIT_DEG
     yield from rows.findings(
         differ,
-        lambda row: (
-            f"{rows.word('stage', row)} is {angle[row]:.3f} degrees from {rows.word('stage', row - 1)},"
-            f" camera {names[rows.words('camera')[0][row]]}"
-        ),
+        lambda row: f"{angle[row]:.3f} degrees from stage {rows.word('stage', row - 1)}",
         worst=angle,
     )

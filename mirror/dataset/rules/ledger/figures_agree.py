@@ -20,16 +20,15 @@ def figures_agree(view: DatasetView) -> Iterator[Finding]:
     found = figures(passes)
     span_s = (passes.integers("exit_ns") - passes.integers("entry_ns")) * 1e-9
     path, inside, overlap = found["path_m"], found["inside_path_m"], found["overlap"]
-    with np.errstate(all="ignore"):
-        wrong = {
-            "a figure is not finite or negative": ~np.all([value >= 0 for value in found.values()], axis=0)
-            | ~np.all([np.isfinite(value) for value in found.values()], axis=0),
-            "duration_s is not exit_ns - entry_ns": np.abs(found["duration_s"] - span_s) > _TOLERANCE,
-            "overlap is not from 0 to 1": ~((overlap >= 0) & (overlap <= 1)),
-            "inside_path_m is more than path_m": inside > path * (1 + _TOLERANCE) + _TOLERANCE,
-            "overlap is not inside_path_m / path_m": (path > 0) & (np.abs(overlap - inside / path) > _TOLERANCE),
-            "mean_speed_mps is not path_m / duration_s": (span_s > 0)
-            & (np.abs(found["mean_speed_mps"] - path / span_s) > _TOLERANCE * (1 + path / span_s)),
-        }
+    wrong = {
+        "a figure is not finite or negative": ~np.all([value >= 0 for value in found.values()], axis=0)
+        | ~np.all([np.isfinite(value) for value in found.values()], axis=0),
+        "duration_s is not exit_ns - entry_ns": np.abs(found["duration_s"] - span_s) > _TOLERANCE,
+        "overlap is not from 0 to 1": ~((overlap >= 0) & (overlap <= 1)),
+        "inside_path_m is more than path_m": inside > path * (1 + _TOLERANCE) + _TOLERANCE,
+        "overlap is not inside_path_m / path_m": (path > 0) & (np.abs(overlap - inside / path) > _TOLERANCE),
+        "mean_speed_mps is not path_m / duration_s": (span_s > 0)
+        & (np.abs(found["mean_speed_mps"] - path / span_s) > _TOLERANCE * (1 + path / span_s)),
+    }
     bad = np.any(list(wrong.values()), axis=0)
     yield from passes.findings(bad, lambda row: "; ".join(text for text, where in wrong.items() if where[row]))

@@ -20,16 +20,14 @@ def missing_camera(view: SceneView) -> Iterator[Finding]:
     cameras, names = images.words("camera")
     index = images.integers("frame_index")
     for file, _, rows in images.slices():
-        own = np.flatnonzero(frames.framed[rows]) + rows.start
-        count = int(index[own].max()) + 1 if len(own) else 0
-        for camera in np.unique(cameras[own]).tolist() if count > 2 else ():
-            present = np.zeros(count, np.bool_)
-            present[index[own[cameras[own] == camera]]] = True
-            missing = np.flatnonzero(~present[1:-1]) + 1
+        framed = np.flatnonzero(frames.framed[rows]) + rows.start
+        inner = np.unique(index[framed])[1:-1]
+        for camera in np.unique(cameras[framed]).tolist():
+            missing = np.setdiff1d(inner, index[framed[cameras[framed] == camera]])
             if len(missing):
                 yield Finding(
                     file,
                     f"camera {names[camera]}, frame {missing[0]}",
-                    f"no picture in {len(missing)} of {count} frames",
+                    f"no picture in {len(missing)} of {len(inner) + 2} frames",
                     len(missing),
                 )

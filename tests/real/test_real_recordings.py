@@ -162,7 +162,7 @@ def test_dgp_boxes_project_onto_the_cars(dgp: mirror.Dataset, real_data: Path) -
             projected = project_boxes(image.camera_model, boxes.pose, boxes.size_m)
             for row, track in enumerate(boxes.track_id):
                 box = drawn.get(track)
-                if box is None or box["w"] * box["h"] < 1500:
+                if box is None:
                     continue
                 assert projected.visible[row]
                 left, top, right, bottom = projected.bounds_px[row]
@@ -170,9 +170,9 @@ def test_dgp_boxes_project_onto_the_cars(dgp: mirror.Dataset, real_data: Path) -
                 high = min(bottom, box["y"] + box["h"]) - max(top, box["y"])
                 shared = max(wide, 0.0) * max(high, 0.0)
                 overlaps.append(shared / ((right - left) * (bottom - top) + box["w"] * box["h"] - shared))
-    assert len(overlaps) > 15
-    assert np.median(overlaps) > 0.7
-    assert min(overlaps) > 0.3
+    assert len(overlaps) == 39
+    assert np.median(overlaps) > 0.9
+    assert min(overlaps) > 0.65
 
 
 def test_comma2k19_segment_from_ecef(real_data: Path, tmp_path: Path) -> None:

@@ -273,7 +273,7 @@ class Dataset:
             data = self.store.read(path)
         except FileNotFoundError as error:
             raise DatasetError(
-                "no such split", file=self.store.where(path), remedy=f"make it: mirror split {self.root} --name {name}"
+                "no such split", file=self.store.where(path), remedy=f"make it: mirror split {self.root} {name}"
             ) from error
         assignments = parse_json(data, SplitDocument, self.store.where(path)).assignments
         known = [value for value in get_args(Role) if value != "unused"]

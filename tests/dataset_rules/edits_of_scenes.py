@@ -54,6 +54,7 @@ def _poses() -> Iterator[Edit]:
     yield of("POS007", cell(B2, "ego_poses", range(60, 500), tx_m=plus("tx_m", 4.0)), None, "LED005")
     yield of("POS008", cell(B2, "ego_poses", range(60, 62), qw=np.sqrt(0.5), qz=np.sqrt(0.5)), None)
     yield of("POS009", _freeze, None, "POS006", "POS007")
+    yield of("POS009", _turn_on_the_spot, None, "LED005", "BOX005")
     yield of("POS010", rows(B2, "ego_poses", lambda rows: rows[:11] + rows[12:100]), None, "POS011", "IDX002")
     yield of("POS011", rows(B2, "ego_poses", lambda rows: rows[12:]), None, "POS010", "BOX007", "IDX002")
     yield of("POS012", _late_start, None)
@@ -67,6 +68,18 @@ def _freeze(broken: Broken) -> None:
     def change(rows: Rows) -> Rows:
         for row in rows[60:75]:
             row |= {name: rows[60][name] for name in ("tx_m", "ty_m")}
+        return rows
+
+    broken.rows(B2, "ego_poses", change)
+
+
+def _turn_on_the_spot(broken: Broken) -> None:
+    """The vehicle never leaves its place, which a parked one may, but it turns by 20 degrees."""
+
+    def change(rows: Rows) -> Rows:
+        for number, row in enumerate(rows):
+            half = np.radians(60.0 + 20.0 * number / len(rows)) / 2
+            row |= {"tx_m": 0.0, "ty_m": 0.0, "qw": np.cos(half), "qx": 0.0, "qy": 0.0, "qz": np.sin(half)}
         return rows
 
     broken.rows(B2, "ego_poses", change)

@@ -11,7 +11,7 @@ from numba import njit
 from mirror.arrays import Float64, Int32, Int64, Records
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
-from mirror.synth.render.primitives import meet
+from mirror.synth.render.primitives import meet, radius_m
 
 TILE_PX: Final = 16
 SKY: Final = -1
@@ -60,59 +60,63 @@ def make_lens(camera: Camera) -> Lens:
     return Lens(rays.direction, cones, float(np.arccos(middle[0] @ middle[1])))
 
 
+class Sight(NamedTuple):
+    """How N solids lie round a place.
+
+    Attributes:
+        away: (N, 3) unit directions of their centres.
+        spread: (N, 2) cosine and sine of the half angles of cones that hold them; cosine -1 where that is every way.
+        near: (N,) distances of the boxes round them.
+        order: (N,) by those distances.
+    """
+
+    away: Float64
+    spread: Float64
+    near: Float64
+    order: Int64
+
+
+def sight(solids: Records, origin: Float64) -> Sight:
+    """How solids (N,) SOLID lie round a place (3,)."""
+    offset = solids["centre"] - origin
+    far = np.linalg.norm(offset, axis=1)
+    along = np.abs(np.einsum("nij,nj->ni", solids["axes"], offset))
+    near = np.linalg.norm(np.maximum(along - solids["half"], 0.0), axis=1)
+    radius = radius_m(solids)
+    outside = far > radius
+    sine = np.divide(radius, far, out=np.zeros(len(far)), where=outside)
+    spread = np.stack([np.where(outside, np.sqrt(1.0 - sine * sine), -1.0), sine], axis=1)
+    return Sight(offset / np.maximum(far, 1e-9)[:, None], spread, near, np.argsort(near, kind="stable"))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def choose(
-    cones: Float64, rotation: Float64, origin: Float64, solids: Records, radii: Float64
-) -> tuple[Int64, Int32, Float64]:
+def choose(cones: Float64, rotation: Float64, away: Float64, spread: Float64, order: Int64) -> tuple[Int64, Int32]:
     """Solids that each tile may see, nearest first.
 
     A tile is a cone of directions and a solid is in a sphere: no solid that a tile sees is left out, whatever the lens.
 
     Returns:
-        (tiles + 1,) where each tile's list starts; the lists; (N,) distances of the boxes round the solids.
+        (tiles + 1,) where each tile's list starts; the lists.
     """
-    count = len(solids)
-    away = np.empty((count, 3))
-    near = np.empty(count)
-    spread = np.empty((count, 2))
-    for index in range(count):
-        one = solids[index]
-        x, y, z = one.centre_0 - origin[0], one.centre_1 - origin[1], one.centre_2 - origin[2]
-        far = math.sqrt(x * x + y * y + z * z)
-        over_x = max(abs(one.axes_00 * x + one.axes_01 * y + one.axes_02 * z) - one.half_0, 0.0)
-        over_y = max(abs(one.axes_10 * x + one.axes_11 * y + one.axes_12 * z) - one.half_1, 0.0)
-        over_z = max(abs(one.axes_20 * x + one.axes_21 * y + one.axes_22 * z) - one.half_2, 0.0)
-        near[index] = math.sqrt(over_x * over_x + over_y * over_y + over_z * over_z)
-        away[index, 0], away[index, 1], away[index, 2] = x, y, z
-        # A camera within the sphere may see the solid anywhere: the cone is all directions.
-        spread[index, 0], spread[index, 1] = -1.0, 0.0
-        if far > radii[index]:
-            sine = radii[index] / far
-            spread[index, 0], spread[index, 1] = math.sqrt(1.0 - sine * sine), sine
-            for axis in range(3):
-                away[index, axis] /= far
-    order = np.argsort(near)
     down, across = cones.shape[:2]
     starts = np.zeros(down * across + 1, np.int64)
-    lists = np.empty(32 * count + down * across, np.int32)
+    lists = np.empty(down * across * len(order), np.int32)
     used = 0
     for tile in range(down * across):
-        cone = cones[tile // across, tile % across]
-        x = rotation[0, 0] * cone[0] + rotation[0, 1] * cone[1] + rotation[0, 2] * cone[2]
-        y = rotation[1, 0] * cone[0] + rotation[1, 1] * cone[1] + rotation[1, 2] * cone[2]
-        z = rotation[2, 0] * cone[0] + rotation[2, 1] * cone[1] + rotation[2, 2] * cone[2]
-        if used + count > len(lists):
-            longer = np.empty(2 * len(lists) + count, np.int32)
-            longer[:used] = lists[:used]
-            lists = longer
-        for index in order:
+        i, j = tile // across, tile % across
+        x, y, z = turn(rotation, cones[i, j, 0], cones[i, j, 1], cones[i, j, 2])
+        for place in range(len(order)):
+            index = order[place]
             cosine = away[index, 0] * x + away[index, 1] * y + away[index, 2] * z
             # cos(a + b) of the cone's and the sphere's half angles; both are below 90 degrees.
-            if spread[index, 0] < 0.0 or cosine >= cone[3] * spread[index, 0] - cone[4] * spread[index, 1]:
+            if (
+                spread[index, 0] < 0.0
+                or cosine >= cones[i, j, 3] * spread[index, 0] - cones[i, j, 4] * spread[index, 1]
+            ):
                 lists[used] = index
                 used += 1
         starts[tile + 1] = used
-    return starts, lists[:used], near
+    return starts, lists
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from mirror.arrays import Float32, Float64, Records
+from mirror.arrays import Float32, Records
 from mirror.synth.lighting import LIGHTING
 from mirror.synth.render.casting import GROUND, SKY
 from mirror.synth.render.materials import ground, sky, surface
@@ -41,7 +41,6 @@ class Surroundings(NamedTuple):
     Attributes:
         streets: (S,) STREET.
         solids: (N,) SOLID.
-        radii: (N,) of the spheres that hold them.
         still: (rows, columns) over the plane across the sun's direction: how far towards the sun the last solid that
             stands still reaches.
         moving: the same of all that moves.
@@ -52,7 +51,6 @@ class Surroundings(NamedTuple):
 
     streets: Records
     solids: Records
-    radii: Float64
     still: Float32
     moving: Float32
     lamps: Float32

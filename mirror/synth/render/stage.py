@@ -117,7 +117,6 @@ class Stage:
         surroundings = Surroundings(
             self.world.streets.view(flat(STREET)),
             solids.view(flat(SOLID)),
-            radius_m(solids),
             still,
             shadows,
             lamps,
@@ -137,11 +136,12 @@ class Stage:
         """
         scene = instant.surroundings
         rotation, origin = matrix_from_quaternion(world_SE3_camera.rotation)[0], world_SE3_camera.translation[0]
-        radiance, distance, seen = trace(*scene, *lens, rotation, origin, True, True)
+        radiance, distance, seen = trace(scene, lens, rotation, origin, with_ground=True, smooth=True)
         mirrored = np.zeros((0, 0, 4), np.float32)
         if self.look["wet"] > 0.0:
             flip = np.array([1.0, 1.0, -1.0])
-            mirrored, _, _ = trace(*scene, *lens, flip[:, None] * rotation, flip * origin, False, False)
+            turned = flip[:, None] * rotation
+            mirrored, _, _ = trace(scene, lens, turned, flip * origin, with_ground=False, smooth=False)
         numbers = np.concatenate([scene.solids["object"], [NO_OBJECT, NO_OBJECT]]).astype(np.int32)
         return Picture(develop(radiance, mirrored, scene.setting, seed), distance, numbers[seen])
 
@@ -158,7 +158,6 @@ def own_mask(camera: Camera, ego_SE3_camera: Poses, own: Records) -> UInt8:
     surroundings = Surroundings(
         np.zeros(0, flat(STREET)),
         own.view(flat(SOLID)),
-        radius_m(own),
         nothing,
         nothing,
         nothing,
@@ -166,7 +165,8 @@ def own_mask(camera: Camera, ego_SE3_camera: Poses, own: Records) -> UInt8:
         np.zeros(1, flat(SETTING))[0],
     )
     rotation = matrix_from_quaternion(ego_SE3_camera.rotation)[0]
-    _, _, seen = trace(*surroundings, *make_lens(camera), rotation, ego_SE3_camera.translation[0], False, False)
+    origin = ego_SE3_camera.translation[0]
+    _, _, seen = trace(surroundings, make_lens(camera), rotation, origin, with_ground=False, smooth=False)
     return np.where(seen >= 0, 255, 0).astype(np.uint8)
 
 

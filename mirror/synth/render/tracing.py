@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 from numba import njit
 
-from mirror.arrays import Float32, Float64, Int32, Records, UInt8
-from mirror.synth.render.casting import TILE_PX, between, cast, choose, turn
-from mirror.synth.render.shading import shade
+from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
+from mirror.synth.render.casting import TILE_PX, Lens, between, cast, choose, sight, turn
+from mirror.synth.render.primitives import SOLID
+from mirror.synth.render.shading import Surroundings, shade
 from mirror.synth.render.texture import chance
 
 _CURVE: Final = 4096
@@ -18,38 +19,14 @@ _WHITE: Final = 5.0
 _OFFSETS: Final = ((0.0, 0.0), (0.34, 0.22), (-0.34, -0.22))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def trace(
-    streets: Records,
-    solids: Records,
-    radii: Float64,
-    still: Float32,
-    moving: Float32,
-    lamps: Float32,
-    below: Float32,
-    setting: Records,
-    rays: Float64,
-    cones: Float64,
-    pixel_rad: float,
-    rotation: Float64,
-    origin: Float64,
-    with_ground: bool,
-    smooth: bool,
+    scene: Surroundings, lens: Lens, rotation: Float64, origin: Float64, *, with_ground: bool, smooth: bool
 ) -> tuple[Float32, Float32, Int32]:
     """Trace one picture.
 
     Args:
-        streets: this to ``setting``: the fields of `mirror.synth.render.shading.Surroundings`.
-        solids: of it.
-        radii: of it.
-        still: of it.
-        moving: of it.
-        lamps: of it.
-        below: of it.
-        setting: of it.
-        rays: this to ``pixel_rad``: the fields of `mirror.synth.render.casting.Lens`.
-        cones: of it.
-        pixel_rad: of it.
+        scene: what there is to see.
+        lens: the camera.
         rotation: (3, 3) world_R_camera; for a picture mirrored in the ground, with its last row negated.
         origin: (3,) the camera's place.
         with_ground: whether rays end on the ground.
@@ -58,8 +35,38 @@ def trace(
     Returns:
         (H, W, 4) radiance and mirror share; (H, W) distances along the rays; (H, W) solids, SKY or GROUND.
     """
+    seen = sight(scene.solids.view(SOLID), origin)
+    # Taken apart: the compiler's cache cannot read back functions of tuples whose class has changed since.
+    return _trace(
+        scene.streets, scene.solids, scene.still, scene.moving, scene.lamps, scene.below, scene.setting,
+        lens.rays, lens.cones, lens.pixel_rad, seen.away, seen.spread, seen.near, seen.order,
+        np.ascontiguousarray(rotation), origin, with_ground, smooth,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _trace(
+    streets: Records,
+    solids: Records,
+    still: Float32,
+    moving: Float32,
+    lamps: Float32,
+    below: Float32,
+    setting: Records,
+    rays: Float64,
+    cones: Float64,
+    pixel_rad: float,
+    away: Float64,
+    spread: Float64,
+    near: Float64,
+    order: Int64,
+    rotation: Float64,
+    origin: Float64,
+    with_ground: bool,
+    smooth: bool,
+) -> tuple[Float32, Float32, Int32]:
     height, width = rays.shape[:2]
-    starts, lists, near = choose(cones, rotation, origin, solids, radii)
+    starts, lists = choose(cones, rotation, away, spread, order)
     picture = np.empty((height, width, 4), np.float32)
     distance = np.empty((height, width), np.float32)
     seen = np.empty((height, width), np.int32)

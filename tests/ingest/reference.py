@@ -33,7 +33,7 @@ class Plane:
         return math.hypot(p[0] - q[0], p[1] - q[1])
 
     def distances(self, p: Float64, q: Float64) -> Float64:
-        return np.hypot(*(p - q).T)
+        return np.asarray(np.hypot(*(p - q).T))
 
     def between(self, p: Point, q: Point, share: float) -> Point:
         return p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1])
@@ -49,7 +49,8 @@ class Globe:
         return abs(p[0]) <= 180.0 and abs(p[1]) <= 90.0
 
     def distance(self, p: Point, q: Point) -> float:
-        return float(GEOD.inv(p[0], p[1], q[0], q[1])[2])
+        metres: float = GEOD.inv(p[0], p[1], q[0], q[1])[2]
+        return metres
 
     def distances(self, p: Float64, q: Float64) -> Float64:
         p, q = np.broadcast_arrays(p, q)
@@ -62,7 +63,8 @@ class Globe:
     def course(self, p: Point, q: Point) -> float:
         there, back, _ = GEOD.inv(p[0], p[1], q[0], q[1])
         bend = (back + 180.0 - there + 180.0) % 360.0 - 180.0
-        return (there + 0.5 * bend) % 360.0
+        middle: float = (there + 0.5 * bend) % 360.0
+        return middle
 
 
 Surface = Plane | Globe
@@ -237,7 +239,9 @@ def closest_share(surface: Surface, p: Point, q: Point, centre: Point) -> float:
     return 0.5 * (low + high)
 
 
-def crossing_share(surface: Surface, p: Point, q: Point, centre: Point, radius: float, s_in: float, s_out: float):
+def crossing_share(
+    surface: Surface, p: Point, q: Point, centre: Point, radius: float, s_in: float, s_out: float
+) -> float:
     for _ in range(60):
         middle = 0.5 * (s_in + s_out)
         if surface.distance(surface.between(p, q, middle), centre) <= radius:
@@ -247,14 +251,22 @@ def crossing_share(surface: Surface, p: Point, q: Point, centre: Point, radius: 
     return 0.5 * (s_in + s_out)
 
 
-def find_visits(surface: Surface, fixes: list[Fix], centre: Point, radius: float, max_gap_ns: float) -> list[Visit]:
+def find_visits(
+    surface: Surface,
+    fixes: list[Fix],
+    centre: Point,
+    radius: float,
+    max_gap_ns: float,
+    steps: Float64 | None = None,
+) -> list[Visit]:
     """Maximal intervals with r <= R on the linear motion between fixes."""
     found: list[Visit] = []
     is_open = False
     places = np.array([fix.p for fix in fixes])
     r = surface.distances(places, np.array([centre]))
+    steps = surface.distances(places[:-1], places[1:]) if steps is None else steps
     # By the triangle inequality no step comes nearer than this; 0.1 m for the bend of linear motion on the globe.
-    nearest_possible = 0.5 * (r[:-1] + r[1:] - surface.distances(places[:-1], places[1:])) - 0.1
+    nearest_possible = 0.5 * (r[:-1] + r[1:] - steps) - 0.1
 
     def point(i: int, share: float) -> tuple[int, Point]:
         a, b = fixes[i], fixes[i + 1]
@@ -309,11 +321,13 @@ def counted_points(
     points = [Counted(*start, 0.0)]
     for fix in fixes:
         last = points[-1]
+        if not last.t < fix.t <= end[0]:
+            continue
         step = surface.distance(last.p, fix.p)
         least = options.min_step_m
         if fix.sigma is not None and math.isfinite(fix.sigma):
             least = max(least, options.step_sigmas * fix.sigma)
-        if last.t < fix.t <= end[0] and step >= least:
+        if step >= least:
             points.append(Counted(fix.t, fix.p, last.path + step))
     last = points[-1]
     if end[0] > last.t:
@@ -329,6 +343,8 @@ def without_standstills(surface: Surface, fixes: list[Fix], visit: Visit, option
     points = counted_points(surface, fixes, (visit.t0, visit.p0), (visit.t1, visit.p1), options)
     stands = []
     for here, following in itertools.pairwise(points):
+        if following.t - here.t <= limit:
+            continue
         until = following.t
         if not following.rest or visit.kind1 == "crossing":
             until = max([here.t] + [fix.t for fix in fixes if here.t < fix.t < following.t])
@@ -437,10 +453,12 @@ def passes(
     options, cleaning = options or TriggerOptions(), cleaning or CleaningOptions()
     surface, _ = surface_of(track)
     fixes = cleaned(track, cleaning, options.min_step_m)
+    places = np.array([fix.p for fix in fixes])
+    steps = surface.distances(places[:-1], places[1:])
     found: list[RefPass] = []
     for roi in rois:
-        centre = (roi.longitude_deg, roi.latitude_deg) if isinstance(surface, Globe) else (roi.x_m, roi.y_m)
-        visits = find_visits(surface, fixes, centre, roi.radius_m, math.inf if clip else round(options.max_gap_s * 1e9))
+        max_gap_ns = math.inf if clip else round(options.max_gap_s * 1e9)
+        visits = find_visits(surface, fixes, centre_of(roi), roi.radius_m, max_gap_ns, steps)
         if not clip:
             visits = [part for one in visits for part in without_standstills(surface, fixes, one, options)]
         joined: list[list[Visit]] = []
@@ -459,6 +477,14 @@ def passes(
         for parts in joined:
             found += judge(surface, fixes, roi.scene_id, parts, options, clip=clip)
     return found
+
+
+def centre_of(roi: Roi) -> Point:
+    """The centre in the coordinates of its frame."""
+    centre = (roi.longitude_deg, roi.latitude_deg) if roi.frame is None else (roi.x_m, roi.y_m)
+    assert centre[0] is not None
+    assert centre[1] is not None
+    return centre[0], centre[1]
 
 
 def radial_speed(surface: Surface, fixes: list[Fix], t: int, centre: Point) -> float:

@@ -64,7 +64,7 @@ def require_equal(case: Case, options: TriggerOptions, *, clip: bool = False) ->
     by_id = {roi.scene_id: roi for roi in case.rois}
     for one, ref in zip(ours, theirs):
         roi = by_id[one.scene_id]
-        centre = (roi.longitude_deg, roi.latitude_deg) if case.place.frame is None else (roi.x_m, roi.y_m)
+        centre = reference.centre_of(roi)
         assert (one.entry_kind, one.exit_kind) == (ref.entry_kind, ref.exit_kind)
         for t, t_ref, kind, p in (
             (one.entry_ns, ref.entry_ns, one.entry_kind, one.entry),

@@ -79,8 +79,33 @@ def place_pictures(
     indices: Sequence[int] = selected.tolist()
     try:
         folder.mkdir(parents=True)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError as error:
         raise unwritable(folder, error) from error
+    try:
+        return _place(stream, indices, names, _Target(folder, descriptor), codec, transfer, hashing, advance)
+    finally:
+        os.close(descriptor)
+
+
+@dataclass(frozen=True)
+class _Target:
+    """A folder that is written to, with its descriptor: names in it are looked up from there."""
+
+    path: Path
+    descriptor: int
+
+
+def _place(
+    stream: ImageStream,
+    indices: Sequence[int],
+    names: list[str],
+    target: _Target,
+    codec: str,
+    transfer: Transfer,
+    hashing: bool,
+    advance: Callable[[int], None],
+) -> Placed:
     sizes: list[int] = []
     digests: list[bytes | None] = []
     linked, width, height = 0, 0, 0
@@ -91,7 +116,7 @@ def place_pictures(
             source = stream.path(index)
             if source is None:
                 raise RecordingError("the picture has no file, though others of its camera do", place=f"image {index}")
-            size, digest, was_linked = _transfer(source, f"{folder}/{name}", transfer, hashing)
+            size, digest, was_linked = _transfer(source, target, name, transfer, hashing)
             sizes.append(size)
             digests.append(digest)
             linked += was_linked
@@ -101,7 +126,7 @@ def place_pictures(
         for (_, data), name in zip(stream.read(indices), names):
             if not sizes:
                 width, height = raster_size(data, f"{stream.camera} at {name}")
-            _write(f"{folder}/{name}", data)
+            _write(target, name, data)
             sizes.append(len(data))
             digests.append(hashlib.sha256(data).digest() if hashing else None)
             if len(sizes) % _TOLD_EVERY == 0:
@@ -118,26 +143,29 @@ def _first_size(source: Path | None) -> tuple[int, int]:
     return raster_size(_read(source), source)
 
 
-def _transfer(source: Path, target: str, transfer: Transfer, hashing: bool) -> tuple[int, bytes | None, bool]:
+def _transfer(
+    source: Path, target: _Target, name: str, transfer: Transfer, hashing: bool
+) -> tuple[int, bytes | None, bool]:
     """Link or copy one picture; its size, its digest if asked for, and whether it is a link."""
     if transfer == "link":
         try:
-            os.link(source, target)
+            # With a descriptor, the file that a symbolic link stands for is linked, and not the symbolic link.
+            os.link(source, name, dst_dir_fd=target.descriptor)
         except FileNotFoundError as error:
             raise _unreadable(source, error) from error
         except OSError as error:
             if error.errno not in _NOT_LINKABLE:
-                raise unwritable(Path(target), error) from error
+                raise unwritable(target.path / name, error) from error
         else:
             if not hashing:
-                return os.stat(target).st_size, None, True  # noqa: PTH116
+                return os.stat(name, dir_fd=target.descriptor).st_size, None, True
             data = _read(source)
             require_whole(data, source)
             return len(data), hashlib.sha256(data).digest(), True
     data = _read(source)
     require_whole(data, source)
     digest = hashlib.sha256(data).digest() if hashing else None
-    _write(target, data)
+    _write(target, name, data)
     return len(data), digest, False
 
 
@@ -158,9 +186,9 @@ def _read(source: Path) -> bytes:
         os.close(descriptor)
 
 
-def _write(target: str, data: bytes) -> None:
+def _write(target: _Target, name: str, data: bytes) -> None:
     try:
-        descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644, dir_fd=target.descriptor)
         try:
             view = memoryview(data)
             while view:
@@ -168,7 +196,7 @@ def _write(target: str, data: bytes) -> None:
         finally:
             os.close(descriptor)
     except OSError as error:
-        raise unwritable(Path(target), error) from error
+        raise unwritable(target.path / name, error) from error
 
 
 def _unreadable(source: Path, error: OSError) -> RecordingError:

@@ -10,6 +10,7 @@ import numpy as np
 from mirror.schema.documents import CANONICAL_CAMERAS, Roi
 
 _START_NS = 1_700_000_000_000_000_000
+_TYPICAL_BYTES = 225_000
 _SPEED_MPS = 8.0
 _PERIOD_NS = 100_000_000
 _CENTRE = (8.4037, 49.0069)
@@ -24,15 +25,15 @@ def raw_recording(folder: Path, megabytes: int, seed: int = 0) -> Roi:
 
     Args:
         folder: made here.
-        megabytes: of all pictures.
+        megabytes: of all pictures; 150 to 300 kB each, less where they would be too few for a pass.
         seed: of sizes and bytes.
 
     Returns:
         The ROI that it passes.
     """
     rng = np.random.default_rng(seed)
-    mean = 225_000
-    frames = max(110, round(megabytes * 1e6 / mean / len(CANONICAL_CAMERAS)))
+    frames = max(110, round(megabytes * 1e6 / _TYPICAL_BYTES / len(CANONICAL_CAMERAS)))
+    mean = megabytes * 1e6 / frames / len(CANONICAL_CAMERAS)
     half_m = 0.5 * frames * _PERIOD_NS * 1e-9 * _SPEED_MPS + 20.0
     folder.mkdir(parents=True)
     document = {
@@ -58,7 +59,7 @@ def raw_recording(folder: Path, megabytes: int, seed: int = 0) -> Roi:
         images = folder / "images" / camera
         images.mkdir(parents=True)
         for stamp in stamps[20 : 20 + frames].tolist():
-            size = int(rng.integers(150_000, 300_000))
+            size = int(rng.uniform(2 / 3, 4 / 3) * mean)
             start = int(rng.integers(0, len(noise) - size))
             (images / f"{stamp}.jpg").write_bytes(_HEADER + noise[start : start + size] + _END)
     return Roi(

@@ -11,7 +11,7 @@ from mirror.recordings.protocol import Track
 from mirror.schema.documents import Roi
 
 BLOCK_M = 250.0
-BLOCKS = 80
+BLOCKS = 80  # a side, for ten million poses; fewer poses drive in a smaller city
 CENTRE = (8.4037, 49.0069)
 METRES_A_DEGREE = (73_100.0, 111_200.0)
 PERIOD_S = 0.1
@@ -41,13 +41,14 @@ def traffic(poses: int, rois: int, seed: int = 0) -> Traffic:
         seed: of the generator.
     """
     rng = np.random.default_rng(seed)
-    t, xy = _route(rng, poses * PERIOD_S)
+    blocks = max(4, round(BLOCKS * (poses / 1e7) ** 0.5))
+    t, xy = _route(rng, blocks, poses * PERIOD_S)
     now = np.arange(poses) * PERIOD_S
     x, y = (np.interp(now, t, axis) + rng.normal(0.0, 0.01, poses) for axis in xy.T)
     stamps = START_NS + np.rint(now * 1e9).astype(np.int64)
     lon, lat = CENTRE[0] + x / METRES_A_DEGREE[0], CENTRE[1] + y / METRES_A_DEGREE[1]
     stamps, lon, lat = _soiled(rng, stamps, lon, lat)
-    centres = (rng.integers(0, BLOCKS + 1, (rois, 2)) - BLOCKS / 2) * BLOCK_M + rng.uniform(-60.0, 60.0, (rois, 2))
+    centres = (rng.integers(0, blocks + 1, (rois, 2)) - blocks / 2) * BLOCK_M + rng.uniform(-60.0, 60.0, (rois, 2))
     circles = [
         Roi(
             scene_id=f"roi_{number:03d}",
@@ -60,17 +61,17 @@ def traffic(poses: int, rois: int, seed: int = 0) -> Traffic:
     return Traffic(Track(timestamp_ns=stamps, longitude_deg=lon, latitude_deg=lat), circles)
 
 
-def _route(rng: np.random.Generator, seconds: float) -> tuple[Float64, Float64]:
+def _route(rng: np.random.Generator, blocks: int, seconds: float) -> tuple[Float64, Float64]:
     """Times and places at every crossroads, arrival and departure."""
-    place = np.array([BLOCKS // 2, BLOCKS // 2])
-    times, places = [0.0], [(place - BLOCKS / 2) * BLOCK_M]
+    place = np.array([blocks // 2, blocks // 2])
+    times, places = [0.0], [(place - blocks / 2) * BLOCK_M]
     while times[-1] < seconds:
-        target = rng.integers(0, BLOCKS + 1, 2)
+        target = rng.integers(0, blocks + 1, 2)
         for axis in rng.permutation(2):
             while place[axis] != target[axis]:
                 place[axis] += np.sign(target[axis] - place[axis])
                 times.append(times[-1] + BLOCK_M / rng.uniform(6.0, 15.0))
-                places.append((place - BLOCKS / 2) * BLOCK_M)
+                places.append((place - blocks / 2) * BLOCK_M)
                 if rng.random() < 1 / 3:
                     times.append(times[-1] + rng.uniform(2.0, 45.0))
                     places.append(places[-1])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mirror.arrays import Int64
+from mirror.arrays import Int64, UInt8
 from mirror.geometry import Poses
 from mirror.geometry.geodesy import TangentFrame
 from mirror.synth.driving import Drive
@@ -71,6 +71,17 @@ class SynthDrive:
         from mirror.synth.render.casting import make_lens
 
         return {name: make_lens(camera) for name, camera in self.vehicle.cameras.items()}
+
+    @cached_property
+    def own_masks(self) -> dict[str, UInt8]:
+        """Masks (H, W) of the vehicle itself, 255 where it is seen, of the cameras that see it."""
+        from mirror.synth.render.stage import own_mask
+
+        masks = {
+            name: own_mask(lens, self.vehicle.ego_SE3_camera[name], self.vehicle.kind.bonnet)
+            for name, lens in self.lenses.items()
+        }
+        return {name: mask for name, mask in masks.items() if mask.any()}
 
     def world_SE3_ego(self, timestamp_ns: Int64) -> Poses:  # noqa: N802
         """True poses at Unix times (N,), in the scene's frame."""

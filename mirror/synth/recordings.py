@@ -83,7 +83,7 @@ def write_recordings(
                     progress.advance(count)
             write_json(folder / "recording.json", _document(drive))
             # Each drive's shadow map is large, and no longer needed.
-            drive.__dict__.pop("stage", None)
+            vars(drive).pop("stage", None)
     return [out / drive.drive_id for drive in drives]
 
 
@@ -116,10 +116,10 @@ def _document(drive: SynthDrive) -> dict[str, object]:
         "licence": LICENCE,
     }
     if pictures:
-        masked = _own_masks(drive)
         document["reference_camera"] = CANONICAL_CAMERAS[0]
         document["cameras"] = {
-            name: {"static_mask": f"masks/{name}.png" if name in masked else None} for name in CANONICAL_CAMERAS
+            name: {"static_mask": f"masks/{name}.png" if name in drive.own_masks else None}
+            for name in CANONICAL_CAMERAS
         }
     return document
 
@@ -188,7 +188,7 @@ def _write_pictures(folder: Path, drive: SynthDrive, settings: Preset, pool: Thr
         write_bytes(
             folder / "calibrations" / f"{stage}.json", json.dumps(vehicle.calibration(stage), indent=1).encode()
         )
-    for name, mask in _own_masks(drive).items():
+    for name, mask in drive.own_masks.items():
         write_bytes(folder / "masks" / f"{name}.png", _encoded(".png", mask))
     instants = _instants(drive, settings)
     rows: list[dict[str, Any]] = []
@@ -266,18 +266,6 @@ def _boxes(
         }
         for row, user in enumerate(users)
     ]
-
-
-def _own_masks(drive: SynthDrive) -> dict[str, AnyArray]:
-    """Masks (H, W) of the vehicle itself, 255 where it is seen, of the cameras that see it."""
-    from mirror.synth.render.stage import own_mask
-
-    vehicle = drive.vehicle
-    masks = {
-        name: own_mask(vehicle.cameras[name], vehicle.ego_SE3_camera[name], vehicle.kind.bonnet)
-        for name in CANONICAL_CAMERAS
-    }
-    return {name: mask for name, mask in masks.items() if mask.any()}
 
 
 def _encoded(suffix: str, picture: AnyArray) -> bytes:

@@ -45,17 +45,16 @@ def make_lens(camera: Camera) -> Lens:
         raise UsageError(f"no ray at pixel ({column}, {row})", expected="a lens that fills its raster")
     height, width = rays.direction.shape[:2]
     down, across = -(-height // TILE_PX), -(-width // TILE_PX)
-    cones = np.empty((down, across, 5))
-    for i in range(down):
-        for j in range(across):
-            # One pixel more on every side: the rays between pixel centres are in the cone too.
-            rows = slice(max(i * TILE_PX - 1, 0), (i + 1) * TILE_PX + 1)
-            columns = slice(max(j * TILE_PX - 1, 0), (j + 1) * TILE_PX + 1)
-            inside = rays.direction[rows, columns].reshape(-1, 3)
-            axis = inside.mean(axis=0)
-            axis /= np.linalg.norm(axis)
-            half = np.arccos(min(float((inside @ axis).min()), 1.0)) + _EDGE_PX / camera.fx_px
-            cones[i, j] = *axis, np.cos(half), np.sin(half)
+    # One pixel more on every side: the rays between pixel centres are in the cone too.
+    edge = ((1, down * TILE_PX - height + 1), (1, across * TILE_PX - width + 1), (0, 0))
+    around = np.pad(rays.direction, edge, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(around, (TILE_PX + 2, TILE_PX + 2), axis=(0, 1))
+    tiles = windows[::TILE_PX, ::TILE_PX].reshape(down, across, 3, -1)
+    axis = tiles.mean(axis=3)
+    axis /= np.linalg.norm(axis, axis=2, keepdims=True)
+    cosine = np.einsum("ijk,ijkn->ijn", axis, tiles).min(axis=2)
+    half = np.arccos(np.minimum(cosine, 1.0)) + _EDGE_PX / camera.fx_px
+    cones = np.concatenate([axis, np.cos(half)[..., None], np.sin(half)[..., None]], axis=2)
     middle = rays.direction[height // 2, width // 2 - 1 : width // 2 + 1]
     return Lens(rays.direction, cones, float(np.arccos(middle[0] @ middle[1])))
 

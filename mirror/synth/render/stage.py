@@ -13,9 +13,8 @@ from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Records, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
-from mirror.geometry.cameras import Camera
 from mirror.synth.lighting import Condition, lighting
-from mirror.synth.render.casting import Lens, make_lens
+from mirror.synth.render.casting import Lens
 from mirror.synth.render.primitives import NO_OBJECT, SOLID, flat, meet, placed, radius_m
 from mirror.synth.render.shading import BELOW_CELL_M, LAMP_CELL_M, SETTING, SHADOW_CELL_M, Surroundings
 from mirror.synth.render.tracing import develop, trace
@@ -146,11 +145,11 @@ class Stage:
         return Picture(develop(radiance, mirrored, scene.setting, seed), distance, numbers[seen])
 
 
-def own_mask(camera: Camera, ego_SE3_camera: Poses, own: Records) -> UInt8:
+def own_mask(lens: Lens, ego_SE3_camera: Poses, own: Records) -> UInt8:
     """Where a camera sees its own vehicle: (H, W), 255 there and 0 elsewhere.
 
     Args:
-        camera: the lens.
+        lens: of the camera.
         ego_SE3_camera: its mounting.
         own: solids of the vehicle in its ego frame.
     """
@@ -166,7 +165,7 @@ def own_mask(camera: Camera, ego_SE3_camera: Poses, own: Records) -> UInt8:
     )
     rotation = matrix_from_quaternion(ego_SE3_camera.rotation)[0]
     origin = ego_SE3_camera.translation[0]
-    _, _, seen = trace(surroundings, make_lens(camera), rotation, origin, with_ground=False, smooth=False)
+    _, _, seen = trace(surroundings, lens, rotation, origin, with_ground=False, smooth=False)
     return np.where(seen >= 0, 255, 0).astype(np.uint8)
 
 

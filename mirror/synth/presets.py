@@ -131,7 +131,7 @@ PRESETS: Final = {
             traversals=5,
             width_px=400,
             height_px=225,
-            picture_hz=1.0,
+            picture_hz=0.8,
         ),
         Preset(
             "quick",

@@ -58,25 +58,24 @@ def ground(
         far: footprint along it.
     """
     rough = 1.0 + 0.10 * grain(x, y, 0.09, far, seed) + 0.10 * grain(x, y, 0.7, far, seed + 1)
-    patch = 0.14 * grain(x, y, 9.0, far, seed + 2)
-    gap = 1e9
+    gap, own = 1e9, 0
     for index in range(len(streets)):
         street = streets[index]
-        side = street.direction_0 * (y - street.origin_1) - street.direction_1 * (x - street.origin_0)
-        gap = min(gap, abs(side) - street.half_road)
-    if gap > streets[0].pavement:
+        side = abs(street.direction_0 * (y - street.origin_1) - street.direction_1 * (x - street.origin_0))
+        if side - street.half_road < gap:
+            gap, own = side - street.half_road, index
+    if gap > streets[own].pavement:
         if green:
             blade = 0.22 * grain(x, y, 0.25, far, seed + 3) + 0.25 * grain(x, y, 3.0, far, seed + 4)
             return 0.11 * (1.0 + blade), 0.19 * (1.0 + blade), 0.05 * (1.0 + blade), 0.0, 0.0, 0.0, 0.0
-        slab = 0.30 * rough + 0.25 * patch * 0.3
+        slab = 0.30 * rough
         return slab, 0.97 * slab, 0.92 * slab, 0.0, 0.0, 0.0, 0.1 * wet
     if gap > 0.0:
         return _pavement(streets, seed, wet, x, y, dx, dy, near, far, gap, rough)
-    tone = 0.098 * rough * (1.0 + patch)
-    crack = grain(x, y, 2.7, far, seed + 5) - 0.35
-    if abs(crack) < 0.018 and far < 0.3:
+    tone = 0.098 * rough * (1.0 + 0.14 * grain(x, y, 9.0, far, seed + 2))
+    if far < 0.3 and abs(grain(x, y, 2.7, far, seed + 5) - 0.35) < 0.018:
         tone *= 0.80
-    white = _markings(streets, x, y, dx, dy, near, far)
+    white = _markings(streets, own, x, y, dx, dy, near, far)
     if white > 0.0:
         white *= 0.86 + 0.16 * grain(x, y, 0.5, far, seed + 6)
     tone = tone * (1.0 - 0.42 * wet) * (1.0 - white) + 0.66 * white * (1.0 - 0.2 * wet)
@@ -117,53 +116,41 @@ def _pavement(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _markings(streets: Records, x: float, y: float, dx: float, dy: float, near: float, far: float) -> float:
-    """Share of white paint: lane lines, stop lines and zebra crossings; none within a crossing."""
-    white = 0.0
-    for index in range(len(streets)):
-        street = streets[index]
-        ux, uy = street.direction_0, street.direction_1
-        rx, ry = x - street.origin_0, y - street.origin_1
-        along, side = ux * rx + uy * ry, ux * ry - uy * rx
-        if abs(side) > street.half_road:
-            continue
-        gap = 1e9
-        for other in range(len(streets)):
-            crossing = streets[other]
-            if abs(crossing.direction_0 * ux + crossing.direction_1 * uy) < 0.5:
-                qx, qy = x - crossing.origin_0, y - crossing.origin_1
-                gap = min(gap, abs(crossing.direction_0 * qy - crossing.direction_1 * qx) - crossing.half_road)
-        if gap < 0.0:
-            return 0.0
-        c, s = abs(ux * dx + uy * dy), abs(ux * dy - uy * dx)
-        fine, long = near * c + far * s, near * s + far * c
-        zebra = band(gap, 0.9, 3.9, long) * stripes(side + 50.0, 1.0, 0.5, fine)
-        # Traffic keeps right: it stops where the crossing lies ahead.
-        lane_side = 1.0 if side * _towards(streets, index, x, y) < 0.0 else 0.0
-        stop = lane_side * band(gap, 4.7, 5.1, long) * band(abs(side), 0.25, street.lane_line, fine)
-        lines = band(gap, 5.1, 1e9, long)
-        middle = band(abs(side), 0.0, 0.07, fine) * stripes(along, 7.0, 0.45, long)
-        lane = band(abs(side), street.lane_line - 0.06, street.lane_line + 0.06, fine) * stripes(along, 3.15, 0.6, long)
-        white = max(white, max(zebra, stop), lines * max(middle, lane))
-    return white
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _towards(streets: Records, index: int, x: float, y: float) -> float:
-    """+1 where the nearest crossing lies ahead along a street's direction, -1 where behind."""
-    street = streets[index]
-    nearest, sign = 1e9, 1.0
+def _markings(streets: Records, own: int, x: float, y: float, dx: float, dy: float, near: float, far: float) -> float:
+    """Share of white paint on a street: lane lines, stop lines and zebra crossings; none within a crossing."""
+    street = streets[own]
+    ux, uy = street.direction_0, street.direction_1
+    along = ux * (x - street.origin_0) + uy * (y - street.origin_1)
+    side = ux * (y - street.origin_1) - uy * (x - street.origin_0)
+    gap, ahead = 1e9, True
     for other in range(len(streets)):
         crossing = streets[other]
-        if abs(crossing.direction_0 * street.direction_0 + crossing.direction_1 * street.direction_1) < 0.5:
-            qx, qy = x - crossing.origin_0, y - crossing.origin_1
-            side = crossing.direction_0 * qy - crossing.direction_1 * qx
-            if abs(side) < nearest:
-                nearest = abs(side)
-                # Moving along the street changes the side by this much a metre.
-                rate = crossing.direction_0 * street.direction_1 - crossing.direction_1 * street.direction_0
-                sign = -1.0 if side * rate > 0.0 else 1.0
-    return sign
+        turn = crossing.direction_0 * uy - crossing.direction_1 * ux
+        if abs(turn) > 0.5:
+            off = crossing.direction_0 * (y - crossing.origin_1) - crossing.direction_1 * (x - crossing.origin_0)
+            if abs(off) - crossing.half_road < gap:
+                # Moving along the street changes ``off`` by ``turn`` a metre.
+                gap, ahead = abs(off) - crossing.half_road, off * turn < 0.0
+    if gap < 0.0:
+        return 0.0
+    c, s = abs(ux * dx + uy * dy), abs(ux * dy - uy * dx)
+    fine, long = near * c + far * s, near * s + far * c
+    aside = abs(side)
+    if gap < 5.1 + long:
+        zebra = band(gap, 0.9, 3.9, long) * stripes(side + 50.0, 1.0, 0.5, fine)
+        # Traffic keeps right: it stops where the crossing lies ahead.
+        if (side < 0.0) == ahead:
+            zebra = max(zebra, band(gap, 4.7, 5.1, long) * band(aside, 0.25, street.lane_line, fine))
+        if gap < 5.1 - long:
+            return zebra
+    else:
+        zebra = 0.0
+    if aside < 0.07 + fine:
+        return max(zebra, band(aside, 0.0, 0.07, fine) * stripes(along, 7.0, 0.45, long))
+    if abs(aside - street.lane_line) < 0.06 + fine:
+        line = band(aside, street.lane_line - 0.06, street.lane_line + 0.06, fine)
+        return max(zebra, line * stripes(along, 3.15, 0.6, long))
+    return zebra
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -17,7 +17,7 @@ from mirror.synth.lighting import Condition, lighting
 from mirror.synth.render.casting import Lens
 from mirror.synth.render.primitives import NO_OBJECT, SOLID, flat, meet, placed, radius_m
 from mirror.synth.render.shading import BELOW_CELL_M, LAMP_CELL_M, SETTING, SHADOW_CELL_M, Surroundings
-from mirror.synth.render.tracing import develop, trace
+from mirror.synth.render.tracing import develop, seen_by, trace, trace_mirrored
 from mirror.synth.road_users import Body, Placement, RoadUser
 from mirror.synth.world import STREET, World
 
@@ -135,12 +135,10 @@ class Stage:
         """
         scene = instant.surroundings
         rotation, origin = matrix_from_quaternion(world_SE3_camera.rotation)[0], world_SE3_camera.translation[0]
-        radiance, distance, seen = trace(scene, lens, rotation, origin, with_ground=True, smooth=True)
+        radiance, distance, seen = trace(scene, lens, rotation, origin)
         mirrored = np.zeros((0, 0, 4), np.float32)
         if self.look["wet"] > 0.0:
-            flip = np.array([1.0, 1.0, -1.0])
-            turned = flip[:, None] * rotation
-            mirrored, _, _ = trace(scene, lens, turned, flip * origin, with_ground=False, smooth=False)
+            mirrored = trace_mirrored(scene, lens, rotation, origin, radiance[..., 3])
         numbers = np.concatenate([scene.solids["object"], [NO_OBJECT, NO_OBJECT]]).astype(np.int32)
         return Picture(develop(radiance, mirrored, scene.setting, seed), distance, numbers[seen])
 
@@ -164,8 +162,7 @@ def own_mask(lens: Lens, ego_SE3_camera: Poses, own: Records) -> UInt8:
         np.zeros(1, flat(SETTING))[0],
     )
     rotation = matrix_from_quaternion(ego_SE3_camera.rotation)[0]
-    origin = ego_SE3_camera.translation[0]
-    _, _, seen = trace(surroundings, lens, rotation, origin, with_ground=False, smooth=False)
+    seen = seen_by(surroundings, lens, rotation, ego_SE3_camera.translation[0])
     return np.where(seen >= 0, 255, 0).astype(np.uint8)
 
 

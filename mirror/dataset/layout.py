@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import FileEntry, Manifest, Pictures
 from mirror.schema.files import read_json, write_json
 
@@ -133,6 +133,26 @@ def read_manifest(folder: Path) -> Manifest | None:
     """
     path = folder / MANIFEST
     return read_json(path, Manifest) if path.is_file() else None
+
+
+def complete_manifest(folder: Path) -> Manifest | None:
+    """As `read_manifest`, for a writer that can make the folder anew: a broken manifest completes nothing either."""
+    try:
+        return read_manifest(folder)
+    except SchemaError:
+        return None
+
+
+def is_intact(folder: Path) -> bool:
+    """Whether a folder is complete and its files, pictures aside, have the bytes that its manifest names."""
+    manifest = complete_manifest(folder)
+    if manifest is None:
+        return False
+    for name, entry in manifest.files.items():
+        path = folder / name
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != entry.sha256:
+            return False
+    return True
 
 
 def manifest_sha256(folder: Path) -> str:

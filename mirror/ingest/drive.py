@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from mirror.dataset.layout import MANIFEST, Layout, manifest_sha256, seal
-from mirror.errors import DatasetError, RecordingError
+from mirror.dataset.layout import Layout, complete_manifest, is_intact, manifest_sha256, seal
+from mirror.errors import RecordingError
 from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.replace import publish, sealing_folder
 from mirror.ingest.tables import pass_table
 from mirror.ingest.traversal import traversal_id
 from mirror.ingest.weather import weather_from_traversals
@@ -88,8 +89,6 @@ def seal_drive(
     """Write the drive's document and ledger, then its manifest: from here on the drive and its traversals exist."""
     info = drive.info
     names = [traversal_id(info.drive_id, one) if one.accepted else None for one in drive.passes]
-    folder = layout.drive(info.drive_id)
-    (folder / MANIFEST).unlink(missing_ok=True)
     _write_rig(layout, drive)
     rig = drive.recording.rig
     document = DriveDocument(
@@ -111,6 +110,7 @@ def seal_drive(
     )
     weather = weather_from_traversals(layout, drive, names, weather_plugin) if weather_plugin else {}
     ledger = encode_table(pass_table(drive, names, weather, weather_plugin), PASSES)
+    folder = sealing_folder(layout, info.drive_id)
     write_json(folder / "drive.json", document)
     write_bytes(folder / "passes.parquet", ledger)
     derived_from = {f"traversal:{name}": manifest_sha256(layout.recorded(name)) for name in names if name is not None}
@@ -121,14 +121,29 @@ def seal_drive(
         {"drive.json": (folder / "drive.json").read_bytes(), "passes.parquet": ledger},
         derived_from=derived_from,
     )
+    publish(layout, info.drive_id)
+
+
+def traversals_intact(layout: Layout, drive_id: str) -> bool:
+    """Whether every traversal of a complete drive is as it was sealed, pictures aside."""
+    manifest = complete_manifest(layout.drive(drive_id))
+    if manifest is None:
+        return False
+    prefix = "traversal:"
+    return all(
+        is_intact(folder) and manifest_sha256(folder) == sha256
+        for key, sha256 in manifest.derived_from.items()
+        if key.startswith(prefix)
+        for folder in [layout.recorded(key.removeprefix(prefix))]
+    )
 
 
 def verify_source(layout: Layout, recording: Recording, drive_id: str) -> None:
     """Hash the pictures of a drive's traversals again, at their source.
 
     Raises:
-        RecordingError: a picture's bytes differ from those ingested though its size and time do not.
-        DatasetError: a picture of the dataset has no counterpart in the recording.
+        RecordingError: a picture's bytes differ from those ingested though its size and time do not, or the recording
+            has it no more.
     """
     sources = {
         (camera, int(stream.exposure_start_ns[index])): stream.path(index)
@@ -147,7 +162,7 @@ def verify_source(layout: Layout, recording: Recording, drive_id: str) -> None:
             try:
                 data = source.read_bytes()
             except OSError as error:
-                raise DatasetError(
+                raise RecordingError(
                     "the picture has no counterpart in the recording any more",
                     file=layout.root / row["uri"],
                     remedy="restore the recording, or ingest it anew with --replace",

@@ -16,9 +16,10 @@ import pyarrow as pa
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
-from mirror.ingest.clean import CleanTrack, clean
+from mirror.ingest.clean import RESTART, CleanTrack, clean
 from mirror.ingest.rois import refuse_swapped
 from mirror.ingest.trigger import Pass, Trigger
+from mirror.recordings.boundary import reader_errors
 from mirror.recordings.protocol import DriveInfo, ImageStream, Recording, Track
 from mirror.schema.documents import CleaningOptions, CleaningReport, Roi, Source
 
@@ -49,8 +50,9 @@ class PoseSlice:
 class DriveContent:
     """What a drive has besides its poses, read once, when the first traversal asks for it, by whichever thread."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, path: Path) -> None:
         self._recording = recording
+        self._path = path
         self._lock = Lock()
         self._read: dict[str, Any] = {}
 
@@ -70,7 +72,8 @@ class DriveContent:
     def _once(self, name: str, read: Any) -> Any:
         with self._lock:
             if name not in self._read:
-                self._read[name] = read()
+                with reader_errors(self._path):
+                    self._read[name] = read()
             return self._read[name]
 
 
@@ -103,7 +106,7 @@ class JudgedDrive:
     @cached_property
     def content(self) -> DriveContent:
         """Pictures, calibrations and boxes, lazily."""
-        return DriveContent(self.recording)
+        return DriveContent(self.recording, self.path)
 
 
 def fingerprint(recording: Recording, reader: str, name: str) -> Source:
@@ -149,15 +152,16 @@ def judge_drive(
         RecordingError: the track is empty, unusable or runs backward where that is refused.
         UsageError: a ROI's longitude and latitude look exchanged.
     """
-    info = recording.info
-    track = recording.track()
+    with reader_errors(path):
+        info = recording.info
+        track = recording.track()
     cleaned, report = clean(track, cleaning, min_step_m=trigger.options.min_step_m)
     kept = cleaned.kept()
     if cleaned.geodetic:
         middle = kept[len(kept) // 2]
         refuse_swapped(rois, float(cleaned.first[middle]), float(cleaned.second[middle]))
     passes = trigger.passes(cleaned, frame=info.frame, is_clip=info.is_clip)
-    max_gap_ns = round(trigger.options.max_gap_s * 1e9)
+    max_gap_ns = np.iinfo(np.int64).max if info.is_clip else round(trigger.options.max_gap_s * 1e9)
     slices = {
         number: _slice(track, cleaned, kept, one.entry_ns, one.exit_ns, max_gap_ns)
         for number, one in enumerate(passes)
@@ -181,12 +185,17 @@ def _slice(track: Track, cleaned: CleanTrack, kept: Int64, entry_ns: int, exit_n
     stamps = cleaned.timestamp_ns[kept]
     low = int(np.searchsorted(stamps, entry_ns - POSE_MARGIN_NS, side="left"))
     high = int(np.searchsorted(stamps, exit_ns + POSE_MARGIN_NS, side="right"))
-    before = int(np.searchsorted(stamps, entry_ns, side="right")) - 1
-    after = int(np.searchsorted(stamps, exit_ns, side="left"))
-    if 0 <= before < low and stamps[before + 1] - stamps[before] <= max_gap_ns:
-        low = before
-    if high <= after < len(stamps) and stamps[after] - stamps[after - 1] <= max_gap_ns:
-        high = after + 1
+    before = max(int(np.searchsorted(stamps, entry_ns, side="right")) - 1, 0)
+    after = min(int(np.searchsorted(stamps, exit_ns, side="left")), len(stamps) - 1)
+    low, high = min(low, before), max(high, after + 1)
+    # A margin never reaches across a gap or a restart: what was driven there is not known.
+    broken = np.diff(stamps[low:high]) > max_gap_ns
+    broken |= cleaned.fate[kept[low + 1 : high]] == RESTART
+    cuts = low + 1 + np.flatnonzero(broken)
+    inside_low = int(np.searchsorted(stamps, entry_ns, side="left"))
+    inside_high = int(np.searchsorted(stamps, exit_ns, side="right"))
+    low = max([low, *cuts[cuts <= inside_low].tolist()])
+    high = min([high, *cuts[cuts >= max(inside_high, low + 1)].tolist()])
     positions = kept[low:high]
     rows = cleaned.recorded(positions)
     return PoseSlice(

@@ -123,14 +123,22 @@ def _place(
             if len(sizes) % _TOLD_EVERY == 0:
                 advance(_TOLD_EVERY)
     else:
-        for (_, data), name in zip(stream.read(indices), names):
-            if not sizes:
-                width, height = raster_size(data, f"{stream.camera} at {name}")
-            _write(target, name, data)
-            sizes.append(len(data))
-            digests.append(hashlib.sha256(data).digest() if hashing else None)
-            if len(sizes) % _TOLD_EVERY == 0:
+        given: dict[int, tuple[int, bytes | None]] = {}
+        name_of = dict(zip(indices, names))
+        for index, data in stream.read(indices):
+            if index not in name_of or index in given:
+                raise RecordingError(f"gave picture {index} unasked or twice", place=f"camera {stream.camera}")
+            if not given:
+                width, height = raster_size(data, f"{stream.camera} at {name_of[index]}")
+            _write(target, name_of[index], data)
+            given[index] = len(data), hashlib.sha256(data).digest() if hashing else None
+            if len(given) % _TOLD_EVERY == 0:
                 advance(_TOLD_EVERY)
+        for index in indices:
+            if index in given:
+                size, digest = given[index]
+                sizes.append(size)
+                digests.append(digest)
     advance(len(sizes) % _TOLD_EVERY)
     if len(sizes) != len(indices):
         raise RecordingError(f"gave {len(sizes)} of {len(indices)} pictures", place=f"camera {stream.camera}")

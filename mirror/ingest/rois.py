@@ -47,6 +47,10 @@ def read_rois(path: Path) -> list[Roi]:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise UsageError("missing", file=path, expected="a GeoJSON or CSV file of ROIs") from error
+    except OSError as error:
+        raise UsageError(
+            f"cannot be read: {error.strerror}", file=path, expected="a GeoJSON or CSV file of ROIs"
+        ) from error
     except UnicodeDecodeError as error:
         raise SchemaError("not text", file=path, expected="a GeoJSON or CSV file of ROIs") from error
     if text.lstrip().startswith("{"):
@@ -161,7 +165,7 @@ def _from_geojson(text: str, path: Path) -> list[Roi]:
     rois = []
     for number, feature in enumerate(features):
         place = f"feature {number}"
-        if not isinstance(feature, dict):
+        if not isinstance(feature, dict) or not isinstance(feature.get("properties") or {}, dict):
             raise SchemaError("not a GeoJSON feature", file=path, place=place)
         values = dict(feature.get("properties") or {})
         geometry = feature.get("geometry")

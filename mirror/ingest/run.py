@@ -20,18 +20,20 @@ from pathlib import Path
 from typing import TypeVar
 
 from mirror.dataset.index import build_index
-from mirror.dataset.layout import Layout, read_manifest
+from mirror.dataset.layout import Layout, complete_manifest, is_intact
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
-from mirror.ingest.drive import refuse_other_rig, seal_drive, verify_source
+from mirror.ingest.drive import refuse_other_rig, seal_drive, traversals_intact, verify_source
 from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
 from mirror.ingest.replace import set_aside, settle
 from mirror.ingest.request import IngestOptions, IngestReport, Progress, Silent
 from mirror.ingest.rois import merge_rois, read_rois, write_rois
 from mirror.ingest.traversal import Written, selected_pictures, traversal_id, write_traversal
 from mirror.ingest.trigger import Trigger
+from mirror.recordings.boundary import reader_errors
 from mirror.recordings.protocol import Recording
 from mirror.recordings.registry import open_recording
+from mirror.recordings.weather import weather_plugins
 from mirror.schema.documents import (
     CleaningOptions,
     DatasetDocument,
@@ -42,7 +44,7 @@ from mirror.schema.documents import (
     TriggerOptions,
     is_identifier,
 )
-from mirror.schema.files import read_json, write_json
+from mirror.schema.files import read_json, unwritable, write_json
 from mirror.schema.version import SCHEMA_VERSION
 
 Result = TypeVar("Result")
@@ -96,18 +98,35 @@ def ingest(
         MirrorError: with ``fail_fast``, whatever the first bad recording has.
     """
     run = _Run(Layout(out), options or IngestOptions(), progress or Silent())
+    if run.options.workers < 1:
+        raise UsageError(f"{run.options.workers} workers", expected="at least one")
+    if run.options.weather_plugin is not None and run.options.weather_plugin not in weather_plugins():
+        raise UsageError(
+            f"no weather plug-in is named {run.options.weather_plugin!r}",
+            expected=f"one of {', '.join(weather_plugins()) or '(none is installed)'}",
+            remedy="install the package that declares it",
+        )
     if run.options.dry_run:
         _judge_all(run, recordings, *_settings(run, rois))
         return run.report
+    if not rois and not run.layout.document.exists():
+        raise _no_roi()
     with writer_lock(run.layout, wait=run.options.wait):
         settle(run.layout)
         try:
             _ingest(run, recordings, rois)
+        except OSError as error:
+            # Files are written through functions that say so themselves; what is left are folders.
+            raise unwritable(Path(error.filename or out), error) from error
         finally:
             settle(run.layout)
         if run.layout.document.exists():
             build_index(run.layout.root)
     return run.report
+
+
+def _no_roi() -> UsageError:
+    return UsageError("no ROI given", expected="--rois FILE or --roi lon,lat", remedy="see `mirror rois propose`")
 
 
 def _ingest(run: _Run, recordings: Sequence[Path], rois: Sequence[Roi]) -> None:
@@ -119,7 +138,11 @@ def _ingest(run: _Run, recordings: Sequence[Path], rois: Sequence[Roi]) -> None:
         write_json(run.layout.document, document)
         write_rois(run.layout.rois, all_rois)
     for drive in written:
-        seal_drive(run.layout, drive, [roi.scene_id for roi in all_rois], configuration, run.options.weather_plugin)
+        try:
+            seal_drive(run.layout, drive, [roi.scene_id for roi in all_rois], configuration, run.options.weather_plugin)
+        except MirrorError as error:
+            del run.report.drives[drive.info.drive_id]
+            run.fail(drive.path, error)
 
 
 def _settings(run: _Run, rois: Sequence[Roi]) -> tuple[DatasetDocument, list[Roi]]:
@@ -146,7 +169,7 @@ def _settings(run: _Run, rois: Sequence[Roi]) -> tuple[DatasetDocument, list[Roi
         present = read_rois(run.layout.rois) if run.layout.rois.exists() else []
     merged = merge_rois(present, rois, run.layout.rois)
     if not merged:
-        raise UsageError("no ROI given", expected="--rois FILE or --roi lon,lat", remedy="see `mirror rois propose`")
+        raise _no_roi()
     return document, merged
 
 
@@ -173,13 +196,15 @@ def _judge_all(
     run.progress.start("reading poses", len(recordings))
 
     def open_one(path: Path) -> _Opened:
-        recording = open_recording(path, reader=run.options.reader, options=run.options.reader_options)
-        drive_id = recording.info.drive_id
+        with reader_errors(path):
+            recording = open_recording(path, reader=run.options.reader, options=run.options.reader_options)
+            drive_id = recording.info.drive_id
         for name, value in (("drive_id", drive_id), ("vehicle_id", recording.info.vehicle_id)):
             if not is_identifier(value):
                 raise RecordingError(f"{name} {value!r} is not an id", file=path, expected="letters, digits, _ and -")
         reader = run.options.reader or type(recording).__module__.rpartition(".")[2]
-        return _Opened(path, recording, fingerprint(recording, reader, path.resolve().name))
+        with reader_errors(path):
+            return _Opened(path, recording, fingerprint(recording, reader, path.resolve().name))
 
     def judge_one(opened: _Opened) -> JudgedDrive:
         judged = judge_drive(opened.path, opened.recording, opened.source, trigger, rois, document.cleaning)
@@ -226,11 +251,11 @@ def _is_unchanged(run: _Run, opened: _Opened, configuration: str, scenes: set[st
         RecordingError: the id belongs to another recording, or to this one before it changed.
     """
     folder = run.layout.drive(opened.recording.info.drive_id)
-    if read_manifest(folder) is None:
+    if run.options.replace or not is_intact(folder):
         return False
     document = read_json(folder / "drive.json", DriveDocument)
     if not _same_source(run, document.drive_id, opened.source, configuration):
-        if run.options.replace or run.options.dry_run:
+        if run.options.dry_run:
             return False
         changed = "its files have changed" if document.source.name == opened.source.name else "another recording has it"
         if document.source.fingerprint == opened.source.fingerprint:
@@ -243,12 +268,12 @@ def _is_unchanged(run: _Run, opened: _Opened, configuration: str, scenes: set[st
         )
     if run.options.verify:
         verify_source(run.layout, opened.recording, document.drive_id)
-    return set(document.scenes) >= scenes
+    return set(document.scenes) >= scenes and traversals_intact(run.layout, document.drive_id)
 
 
 def _same_source(run: _Run, drive_id: str, source: Source, configuration: str) -> bool:
     """Whether a complete drive of the dataset was made of just this, with just these options; True if there is none."""
-    manifest = read_manifest(run.layout.drive(drive_id))
+    manifest = complete_manifest(run.layout.drive(drive_id))
     if manifest is None:
         return True
     made_from = {"source": source.fingerprint, "configuration": configuration}
@@ -265,7 +290,8 @@ def _write_all(
     total = 0
     for drive in judged:
         try:
-            refuse_other_rig(run.layout, drive, rigs)
+            with reader_errors(drive.path):
+                refuse_other_rig(run.layout, drive, rigs)
             for number in drive.slices:
                 pictures = selected_pictures(drive, drive.passes[number]).values()
                 total += sum(len(indices) for _, indices, _ in pictures)
@@ -273,7 +299,7 @@ def _write_all(
             run.fail(drive.path, error)
             del run.report.drives[drive.info.drive_id]
             continue
-        if not _same_source(run, drive.info.drive_id, drive.source, configuration):
+        if run.options.replace or not _same_source(run, drive.info.drive_id, drive.source, configuration):
             set_aside(run.layout, drive.info.drive_id)
         complete.append(drive)
         jobs += [(drive, number) for number in drive.slices]
@@ -297,11 +323,11 @@ def _write_all(
                 threads,
                 run.progress.advance,
             )
-        except RecordingError:
+        except MirrorError as error:
             with lock:
                 first = drive.info.drive_id not in failed
                 failed.add(drive.info.drive_id)
-            if first:
+            if first or isinstance(error, _FATAL):
                 raise
             return None
 
@@ -309,7 +335,7 @@ def _write_all(
     for drive in [drive for drive in complete if drive.info.drive_id in failed]:
         for number in drive.slices:
             name = traversal_id(drive.info.drive_id, drive.passes[number])
-            if read_manifest(run.layout.drive(drive.info.drive_id)) is None:
+            if complete_manifest(run.layout.drive(drive.info.drive_id)) is None:
                 shutil.rmtree(run.layout.traversal(name), ignore_errors=True)
         complete.remove(drive)
         del run.report.drives[drive.info.drive_id]

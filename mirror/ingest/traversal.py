@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.arrays import Int64
-from mirror.dataset.layout import Layout, read_manifest, seal
+from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError
 from mirror.ingest.judge import JudgedDrive
 from mirror.ingest.pictures import Placed, Transfer, place_pictures
@@ -97,8 +97,8 @@ def write_traversal(
         "configuration": configuration,
         "scene": hashlib.sha256(roi.model_dump_json().encode()).hexdigest(),
     }
-    manifest = read_manifest(folder)
-    if manifest is not None and manifest.derived_from == derived_from:
+    manifest = complete_manifest(folder)
+    if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
         pictures = manifest.pictures or Pictures(count=0, bytes=0)
         advance(pictures.count)
         return Written(name, pictures.count, pictures.bytes, 0, reused=True)

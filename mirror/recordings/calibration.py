@@ -20,6 +20,8 @@ from mirror.schema.tables import CALIBRATIONS
 Stage = Literal["factory", "online", "refined"]
 STAGES: tuple[Stage, ...] = ("factory", "online", "refined")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Pixels = Annotated[int, Field(gt=0, lt=2**31)]
+Nanoseconds = Annotated[int, Field(gt=-(2**63), lt=2**63)]
 SE3 = Annotated[tuple[Finite, ...], Field(min_length=7, max_length=7)]
 
 
@@ -48,19 +50,19 @@ class Calibration(Document):
 
     camera: str
     model: str
-    width_px: int
-    height_px: int
+    width_px: Pixels
+    height_px: Pixels
     fx_px: float
     fy_px: float
     cx_px: float
     cy_px: float
     distortion: tuple[float, ...] = ()
     ego_SE3_camera: SE3
-    valid_from_ns: int | None = None
-    valid_to_ns: int | None = None
-    time_offset_ns: int = 0
+    valid_from_ns: Nanoseconds | None = None
+    valid_to_ns: Nanoseconds | None = None
+    time_offset_ns: Nanoseconds = 0
     shutter_direction: Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"] = "global"
-    readout_ns: Annotated[int, Field(ge=0)] = 0
+    readout_ns: Annotated[Nanoseconds, Field(ge=0)] = 0
     covariance: Annotated[tuple[Finite, ...], Field(min_length=36, max_length=36)] | None = None
     method: str | None = None
 

@@ -82,6 +82,8 @@ def _files(root: Path, camera: str, folder: Path) -> FileStream:
 def _stamps_of_names(folder: Path, names: list[str]) -> Int64:
     stems = [name.rpartition(".")[0] for name in names]
     try:
+        if not all(map(str.isdecimal, stems)):
+            raise ValueError
         return np.array([int(stem) for stem in stems], np.int64)
     except (ValueError, OverflowError) as error:
         odd = next(name for name, stem in zip(names, stems) if not (stem.isdecimal() and len(stem) <= 19))

@@ -25,6 +25,9 @@ from mirror.schema.version import SCHEMA_VERSION, require_readable
 
 Model = TypeVar("Model", bound=BaseModel)
 
+TEMPORARY = ".tmp"
+"""How the names of files end that are not finished."""
+
 _VERSION_KEY = b"mirror_schema_version"
 _TABLE_KEY = b"mirror_table"
 
@@ -35,7 +38,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         DatasetError: the folder is not writable or the disk is full; what was there is untouched.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

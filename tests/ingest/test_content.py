@@ -100,7 +100,7 @@ def test_weather_plugin_sees_pictures_of_drives_that_do_not_state_it(
     seen = []
 
     class Entry:
-        value = "somewhere:rainy"
+        name, value = "rainy", "somewhere:rainy"
 
         @staticmethod
         def load() -> object:
@@ -112,5 +112,6 @@ def test_weather_plugin_sees_pictures_of_drives_that_do_not_state_it(
     assert (row["weather"], row["weather_source"]) == ("rain", "rainy")
     assert seen == [(48, 64, 3)] * 3
     monkeypatch.undo()
-    with pytest.raises(UsageError, match="weather plug-ins are named"):
+    with pytest.raises(UsageError, match="no weather plug-in is named"):
         ingest([drive], [SCENE], tmp_path / "e", IngestOptions(weather_plugin="no_such"))
+    assert not (tmp_path / "e").exists()

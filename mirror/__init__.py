@@ -19,6 +19,11 @@ __all__ = ["Dataset", "MirrorError", "__version__", "open"]
 _LAZY = {"Dataset": "mirror.dataset", "open": "mirror.dataset"}
 
 
+def __dir__() -> list[str]:
+    """What there is, imported yet or not."""
+    return sorted(__all__)
+
+
 def __getattr__(name: str) -> Any:
     """Import ``mirror.open`` and ``mirror.Dataset`` when they are first asked for."""
     if name in _LAZY:

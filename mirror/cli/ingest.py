@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from mirror.errors import ExitCode, UsageError
+from mirror.errors import ExitCode, MirrorError, UsageError
 
 if TYPE_CHECKING:
     from mirror.ingest.request import IngestReport
@@ -191,11 +192,17 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
     }
 
 
+def _told(path: Path, error: MirrorError) -> str:
+    """The error with its recording, if it does not name it already."""
+    return str(error) if error.file is not None and error.file.startswith(str(path)) else f"{path}: {error}"
+
+
 def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    # Piped, a line is a line: nothing is folded or cut for want of a screen.
+    console = Console() if sys.stdout.isatty() else Console(width=10_000)
     table = Table(box=None, pad_edge=False)
     for name in ("drive", "poses", "cleaned away", "passes", "accepted", "refused because"):
         table.add_column(name, justify="right" if name in ("poses", "cleaned away", "passes", "accepted") else "left")
@@ -214,10 +221,19 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
     if report.unchanged:
         console.print(f"{len(report.unchanged)} drives unchanged, nothing to do for them")
     for path, error in report.failures:
-        console.print(f"[red]failed[/red] {path}: {error}", highlight=False)
+        console.print(f"[red]failed[/red] {_told(path, error)}", highlight=False)
     if dry_run:
         console.print("dry run: nothing was written")
         return
+    if not report.drives and not report.unchanged:
+        console.print("nothing was ingested")
+        return
+    if report.drives and not any(drive.passes for drive in report.drives.values()):
+        frames = sorted({drive.info.frame or "WGS 84" for drive in report.drives.values()})
+        console.print(
+            f"no drive comes by any ROI: are they where was driven, in the drives' frame ({', '.join(frames)}),"
+            " longitude before latitude? `mirror rois propose` finds places that are driven"
+        )
     done = len(report.traversals)
     console.print(
         f"{done} traversals, {report.images:,} pictures ({report.bytes / 1e6:,.1f} MB, {report.linked:,} as hard links)"

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from mirror.arrays import Float64, Int64
-from mirror.errors import MirrorError, RecordingError
+from mirror.errors import MirrorError, RecordingError, UsageError
 from mirror.ingest.clean import CleanTrack, clean
 from mirror.ingest.metric import scales
-from mirror.ingest.request import IngestOptions, Progress, Silent
+from mirror.ingest.request import IngestOptions, Progress, Silent, thresholds
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
@@ -90,8 +90,10 @@ def propose_rois(
         ROIs whose circles do not overlap, by accepted passes, then drives, then driven length.
     """
     options, progress = options or IngestOptions(), progress or Silent()
-    trigger_options = TriggerOptions.model_validate(dict(options.trigger))
-    cleaning = CleaningOptions.model_validate(dict(options.cleaning))
+    trigger_options = thresholds(TriggerOptions, options.trigger)
+    cleaning = thresholds(CleaningOptions, options.cleaning)
+    if not 0.0 < radius_m <= 20_000.0:
+        raise UsageError(f"a radius of {radius_m:g} m", place="--radius-m", expected="more than 0, at most 20,000 m")
     driven: list[_Driven] = []
     failures: list[tuple[Path, MirrorError]] = []
     progress.start("reading poses", len(recordings))

@@ -6,11 +6,34 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-from mirror.errors import MirrorError
+from pydantic import ValidationError
+
+from mirror.errors import MirrorError, UsageError
 from mirror.ingest.judge import JudgedDrive
 from mirror.ingest.traversal import WriteOptions, Written
+from mirror.schema.documents import CleaningOptions, TriggerOptions
+
+Thresholds = TypeVar("Thresholds", TriggerOptions, CleaningOptions)
+
+
+def thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> Thresholds:
+    """Defaults, with those thresholds that were given.
+
+    Raises:
+        UsageError: one is out of its range; it is named.
+    """
+    try:
+        return kind.model_validate(dict(given))
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = str(first["loc"][0]) if first["loc"] else "threshold"
+        raise UsageError(
+            f"{name} cannot be {first.get('input')!r}: {first['msg'].lower()}",
+            place=f"--{name.replace('_', '-')}",
+            remedy="see `mirror ingest --help`",
+        ) from error
 
 
 class Progress(Protocol):

@@ -26,7 +26,7 @@ from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
 from mirror.ingest.drive import refuse_other_rig, seal_drive, traversals_intact, verify_source
 from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
 from mirror.ingest.replace import set_aside, settle
-from mirror.ingest.request import IngestOptions, IngestReport, Progress, Silent
+from mirror.ingest.request import IngestOptions, IngestReport, Progress, Silent, thresholds
 from mirror.ingest.rois import merge_rois, read_rois, write_rois
 from mirror.ingest.traversal import Written, selected_pictures, traversal_id, write_traversal
 from mirror.ingest.trigger import Trigger
@@ -111,6 +111,7 @@ def ingest(
         return run.report
     if not rois and not run.layout.document.exists():
         raise _no_roi()
+    _refuse_recording_as_dataset(recordings, out)
     with writer_lock(run.layout, wait=run.options.wait):
         settle(run.layout)
         try:
@@ -123,6 +124,17 @@ def ingest(
         if run.layout.document.exists():
             build_index(run.layout.root)
     return run.report
+
+
+def _refuse_recording_as_dataset(recordings: Sequence[Path], out: Path) -> None:
+    for path in recordings:
+        if out.resolve().is_relative_to(path.resolve()):
+            raise UsageError(
+                "the dataset would lie inside a recording",
+                file=out,
+                expected="a folder outside of every recording: recordings are never changed",
+                remedy="give another --out",
+            )
 
 
 def _no_roi() -> UsageError:
@@ -151,8 +163,8 @@ def _settings(run: _Run, rois: Sequence[Roi]) -> tuple[DatasetDocument, list[Roi
     if not run.layout.document.exists():
         document = DatasetDocument(
             licence=run.options.licence,
-            trigger=TriggerOptions.model_validate(given_trigger),
-            cleaning=CleaningOptions.model_validate(given_cleaning),
+            trigger=thresholds(TriggerOptions, given_trigger),
+            cleaning=thresholds(CleaningOptions, given_cleaning),
         )
         present: list[Roi] = []
     else:
@@ -166,6 +178,12 @@ def _settings(run: _Run, rois: Sequence[Roi]) -> tuple[DatasetDocument, list[Roi
                         expected="one set of thresholds for all passes of a dataset",
                         remedy=f"leave {name} away, or ingest everything into a new folder",
                     )
+        if run.options.licence not in (None, document.licence):
+            raise DatasetError(
+                f"licence {run.options.licence!r} differs from the dataset's {document.licence!r}",
+                file=run.layout.document,
+                remedy="leave --licence away, or ingest into a new folder",
+            )
         present = read_rois(run.layout.rois) if run.layout.rois.exists() else []
     merged = merge_rois(present, rois, run.layout.rois)
     if not merged:

@@ -67,7 +67,7 @@ def read_inputs(store: Store) -> Inputs:
         SchemaError: a file is broken, or of another schema version.
     """
     scenes = read_rois(store)
-    manifests = _manifests(store, [f"drives/{name}" for name in store.folders("drives")])
+    manifests = _manifests(store, [f"drives/{name}" for name in store.folders("drives") if not name.startswith(".")])
     drives: dict[str, frozenset[str]] = {}
     traversals: dict[str, TraversalInput] = {}
     documents = store.read_many([f"{folder}/drive.json" for folder in manifests])

@@ -1,0 +1,150 @@
+"""Damaged datasets are mended by the command that made them; what was sealed is never lost."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import mirror
+from mirror.cli.main import main
+from mirror.dataset.layout import Layout
+from mirror.errors import MirrorError, UsageError
+from mirror.ingest import drive as drive_module
+from mirror.ingest.request import IngestOptions
+from mirror.ingest.run import ingest
+from mirror.recordings.folder import FolderRecording
+from mirror.schema.files import unwritable
+from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
+
+WEST = SCENE.model_copy(update={"scene_id": "west", "longitude_deg": SCENE.longitude_deg - 0.0008})
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> list[Path]:
+    later = START_NS + 3_600_000_000_000
+    return [write_recording(tmp_path / "fleet", "a"), write_recording(tmp_path / "fleet", "b", start_ns=later, seed=1)]
+
+
+def traversal(out: Path, drive: str) -> Path:
+    return next((out / "traversals").glob(f"street.{drive}.*"))
+
+
+DAMAGE = {
+    "traversal lost": lambda out: shutil.rmtree(traversal(out, "a")),
+    "traversal without manifest": lambda out: (traversal(out, "a") / "recorded/manifest.json").unlink(),
+    "traversal with an empty manifest": lambda out: (traversal(out, "a") / "recorded/manifest.json").write_text(""),
+    "truncated table": lambda out: (traversal(out, "a") / "recorded/ego_poses.parquet").write_bytes(b"PAR1"),
+    "drive with an empty manifest": lambda out: (out / "drives/a/manifest.json").write_text(""),
+    "truncated ledger": lambda out: (out / "drives/a/passes.parquet").write_bytes(b"PAR1"),
+    "drive document lost": lambda out: (out / "drives/a/drive.json").unlink(),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("replace", [False, True])
+def test_the_same_command_mends_it(damage: str, replace: bool, drives: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "d"
+    ingest(drives, [SCENE], out)
+    before = tree(out)
+    DAMAGE[damage](out)
+    report = ingest(drives, [SCENE], out, IngestOptions(replace=replace))
+    assert not report.failures
+    assert tree(out) == before
+
+
+def test_a_lost_picture_comes_back_with_replace(drives: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "d"
+    ingest(drives, [SCENE], out)
+    before = tree(out)
+    next(traversal(out, "a").rglob("*.jpg")).unlink()
+    ingest(drives[:1], [SCENE], out, IngestOptions(replace=True))
+    assert tree(out) == before
+
+
+def test_a_full_disk_while_sealing_anew_loses_no_drive(
+    drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "d"
+    ingest(drives, [SCENE], out)
+
+    def full(path: Path, data: bytes) -> None:
+        raise unwritable(path, OSError(28, "No space left on device"))
+
+    monkeypatch.setattr(drive_module, "write_bytes", full)
+    with pytest.raises(MirrorError, match="No space left"):
+        ingest(drives, [SCENE, WEST], out)
+    monkeypatch.undo()
+    assert Layout(out).drive_ids() == ["a", "b"]
+    assert main(["index", str(out)]) == 0
+    assert mirror.open(out).drives() == ["a", "b"]
+    ingest(drives, [SCENE, WEST], out)
+    ingest(drives, [SCENE, WEST], tmp_path / "e")
+    assert tree(out) == tree(tmp_path / "e")
+
+
+def test_a_replacement_that_was_killed_is_settled_by_the_index(drives: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "d"
+    ingest(drives, [SCENE], out)
+    before = tree(out)
+    (out / "drives/a").rename(out / "drives/.replaced.a")
+    one = traversal(out, "a")
+    one.rename(one.with_name(f".replaced.{one.name}"))
+    (out / "drives/.sealing.b").mkdir()
+    (out / ".rois.geojson.77.tmp").write_text("half")
+    assert main(["index", str(out)]) == 0
+    assert tree(out) == before
+
+
+def test_a_reader_that_fails_stops_only_its_recording(
+    drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = FolderRecording.track
+
+    def broken(self: FolderRecording) -> object:
+        if self.document.drive_id == "a":
+            raise KeyError("speed")
+        return original(self)
+
+    monkeypatch.setattr(FolderRecording, "track", broken)
+    report = ingest(drives, [SCENE], tmp_path / "d")
+    assert sorted(report.drives) == ["b"]
+    assert "its reader failed (KeyError: 'speed')" in str(report.failures[0][1])
+
+
+def test_margins_do_not_reach_across_a_jump(tmp_path: Path) -> None:
+    """The receiver jumps 3 km at the end of the pass; the margin of poses must not follow it."""
+    drive = write_recording(tmp_path / "fleet", "a", to_m=58.0)
+    rows = (drive / "poses.csv").read_text().splitlines()
+    last = rows[-1].split(",")
+    for step in range(1, 40):
+        stamp = int(last[0]) + step * 100_000_000
+        rows.append(f"{stamp},{float(last[1]) + 0.04:.9f},{float(last[2]) + step * 1e-5:.9f},{last[3]},{last[4]}")
+    (drive / "poses.csv").write_text("\n".join(rows) + "\n")
+    report = ingest([drive], [SCENE], tmp_path / "d")
+    assert report.drives["a"].cleaning.restarts == 1
+    poses = mirror.open(tmp_path / "d").table("ego_poses", ["tx_m"]).column("tx_m").to_numpy()
+    assert abs(poses).max() < 80.0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        IngestOptions(trigger={"min_overlap": 90.0}),
+        IngestOptions(trigger={"max_gap_s": float("nan")}),
+        IngestOptions(cleaning={"max_speed_mps": 0.0}),
+        IngestOptions(workers=0),
+    ],
+)
+def test_thresholds_out_of_range_are_named(options: IngestOptions, drives: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"min_overlap|max_gap_s|max_speed_mps|workers"):
+        ingest(drives, [SCENE], tmp_path / "d", options)
+    assert tree(tmp_path / "d") == {}
+
+
+def test_a_dataset_is_not_written_into_a_recording(drives: list[Path]) -> None:
+    before = tree(drives[0])
+    with pytest.raises(UsageError, match="inside a recording"):
+        ingest(drives, [SCENE], drives[0] / "dataset")
+    assert tree(drives[0]) == before

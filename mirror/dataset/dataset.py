@@ -39,7 +39,8 @@ _WEATHER = ("clear", "clouds", "rain", "snow", "fog", "unknown")
 class Dataset:
     """A dataset, or a part of it: an immutable view that reads nothing until it is asked.
 
-    Made by `open`. It can be pickled: another process opens the same index and no other.
+    Made by `open`. It can be pickled: another process opens the same index and no other. Where the index was made
+    anew since, reading raises a DatasetError: rows of two indexes are never mixed.
 
     Attributes:
         document: ``dataset.json``.
@@ -308,7 +309,7 @@ def _open(store: Store, filters: Filters, layers: LayerChoice, *, check_stale: b
                 expected="an index derived from what is there",
                 remedy=f"run `mirror index {store.root}`",
             )
-    return Dataset(document, filters, layers, Catalog(store), digest)
+    return Dataset(document, filters, layers, Catalog(store, manifest.files), digest)
 
 
 def _reopen(root: str, index_sha256: str, filters: Filters, layers: LayerChoice) -> Dataset:

@@ -11,11 +11,9 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.files import Model, parse_json
-from mirror.schema.version import require_readable
 
 _REMOTE_REQUESTS: Final = 16
 _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
@@ -124,27 +122,15 @@ class Store:
             raise DatasetError("missing", file=self.where(path), expected=f"a {model.__name__} document") from error
         return parse_json(data, model, self.where(path))
 
-    def parquet(self, path: str) -> pq.ParquetFile:
-        """An open Parquet file.
+    def open(self, path: str) -> pa.NativeFile:
+        """An open file; a local one stays what it is when another is renamed to its name.
 
         Raises:
-            DatasetError: the file is missing.
-            SchemaError: it is not a complete Parquet file, or of another schema version.
+            FileNotFoundError: there is none.
         """
-        name = self.where(path)
-        try:
-            if self.folder is not None:
-                file = pq.ParquetFile(name, memory_map=False)
-            else:
-                file = pq.ParquetFile(self._remote[0].open(self._remote_path(path), "rb"))
-        except FileNotFoundError as error:
-            raise DatasetError("missing", file=name, expected="a table of the dataset", remedy=_REMEDY) from error
-        except (pa.ArrowInvalid, OSError) as error:
-            raise unreadable(name, error) from error
-        version = (file.schema_arrow.metadata or {}).get(b"mirror_schema_version")
-        if version is not None:
-            require_readable(version.decode(), name)
-        return file
+        if self.folder is not None:
+            return pa.OSFile(self.where(path))
+        return pa.PythonFile(self._remote[0].open(self._remote_path(path), "rb"), mode="r")
 
     def read_range(self, uri: str, offset: int, length: int) -> bytes:
         """Some bytes of a picture's uri; fewer if the file ends before.

@@ -16,7 +16,8 @@ from mirror.dataset.frames import FrameSequence
 from mirror.dataset.index import build_index
 from mirror.dataset.pictures.still import run_all
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.files import read_table, write_table
+from mirror.schema.documents import FileEntry, Manifest
+from mirror.schema.files import read_json, read_table, sha256_bytes, write_json, write_table
 from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, INDEX_IMAGES, MASKS
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, calibration, mask_row
 
@@ -319,6 +320,11 @@ def test_a_uri_that_leads_out_is_refused(tmp_path: Path) -> None:
     table = read_table(path, INDEX_IMAGES)
     outside = ["traversals/../../secret"] * table.num_rows
     write_table(path, table.set_column(table.column_names.index("uri"), "uri", [outside]), INDEX_IMAGES)
+    manifest = read_json(builder.root / "index" / "manifest.json", Manifest)
+    data = path.read_bytes()
+    entry = FileEntry(bytes=len(data), sha256=sha256_bytes(data))
+    tampered = manifest.model_copy(update={"files": {**manifest.files, "images/a.parquet": entry}})
+    write_json(builder.root / "index" / "manifest.json", tampered)
     with pytest.raises(DatasetError, match="leads out of the dataset"):
         mirror.open(builder.root).frames()[0].decode()
 

@@ -336,6 +336,61 @@ def test_a_pickled_view_refuses_another_index(tmp_path: Path) -> None:
         pickle.loads(pickled)
 
 
+def _two_drives(root: Path) -> Builder:
+    builder = Builder(root)
+    builder.scene("a")
+    for number in (1, 2):
+        builder.drive(f"d{number}", [Pass("a", EPOCH + number * 50 * SECOND)])
+    build_index(root)
+    return builder
+
+
+@pytest.mark.parametrize("seen", ["nothing", "row groups", "a table"])
+def test_an_open_dataset_never_mixes_two_indexes(tmp_path: Path, seen: str) -> None:
+    builder = _two_drives(tmp_path)
+    dataset = mirror.open(tmp_path)
+    before = mirror.open(tmp_path).where(drive="d2").table("images").to_pylist()
+    if seen != "nothing":
+        view = dataset.where(drive="d2")
+        assert view.count("images") == len(before)
+        # A file that is open stays the one that it was.
+        if seen == "a table":
+            assert view.table("images").to_pylist() == before
+    builder.drive("d0", [Pass("a", EPOCH, frames=3)])
+    build_index(tmp_path)
+    if seen == "a table":
+        assert view.table("images").to_pylist() == before
+    with pytest.raises(DatasetError, match=r"has changed since this dataset was opened.*mirror\.open\("):
+        dataset.where(drive="d2").table("ego_poses")
+    again = mirror.open(tmp_path)
+    assert again.traversals()[0].startswith("a.d0.") and len(again.traversals()) == 3
+    assert again.where(drive="d2").table("images").to_pylist() == before
+
+
+def test_a_file_of_equal_size_with_other_bytes_is_refused(tmp_path: Path) -> None:
+    _two_drives(tmp_path)
+    path = tmp_path / "index" / "images" / "a.parquet"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(DatasetError, match="has changed"):
+        mirror.open(tmp_path).table("images")
+
+
+def test_files_that_were_closed_are_held_against_the_manifest_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mirror.dataset.query.files._OPEN_FILES", 1)
+    builder = _two_drives(tmp_path)
+    dataset = mirror.open(tmp_path)
+    for name in ("images", "ego_poses", "images", "frames"):
+        assert dataset.table(name).num_rows == dataset.count(name) > 0
+    builder.drive("d0", [Pass("a", EPOCH, frames=3)])
+    build_index(tmp_path)
+    with pytest.raises(DatasetError, match="has changed"):
+        dataset.catalog.columns._decode("index/images/a.parquet", 0, ["uri"])
+
+
 @pytest.mark.parametrize("kind", ["memory", "zip", "file"])
 def test_any_file_system_gives_the_same(builder: Builder, dataset: Dataset, tmp_path: Path, kind: str) -> None:
     files = [path for path in builder.root.rglob("*") if path.is_file()]
@@ -454,7 +509,7 @@ class TestOpening:
         build_index(tmp_path)
         path = tmp_path / "index" / "images" / "a.parquet"
         path.write_bytes(path.read_bytes()[:keep])
-        with pytest.raises(SchemaError, match=r"images/a\.parquet.*mirror index"):
+        with pytest.raises(DatasetError, match=r"images/a\.parquet.*mirror index"):
             mirror.open(tmp_path).table("images")
         path.unlink()
         with pytest.raises(DatasetError, match=r"images/a\.parquet"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -13,7 +13,9 @@ import pyarrow.compute as pc
 from mirror.arrays import Float64, Int32, Int64
 from mirror.dataset.query.arrow import degrees, mask, member, numbers, stamps
 from mirror.dataset.query.columns import ColumnCache
+from mirror.dataset.query.files import TableFiles
 from mirror.dataset.store import Store
+from mirror.schema.documents import FileEntry
 from mirror.schema.tables import INDEX_BY_SCENE, INDEX_GLOBAL
 
 TABLES: Final = {table.name: table for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE)}
@@ -54,11 +56,12 @@ class Catalog:
 
     Args:
         store: the dataset's files.
+        files: what the index's manifest says of its files, by name.
     """
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, files: Mapping[str, FileEntry]) -> None:
         self.store = store
-        self.columns = ColumnCache(store)
+        self.columns = ColumnCache(TableFiles(store, files))
         self._groups: dict[str, RowGroups] = {}
         self._by_traversal: dict[str, dict[int, int]] = {}
 

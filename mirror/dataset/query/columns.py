@@ -8,28 +8,26 @@ from collections.abc import Sequence
 from typing import Final
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from mirror.dataset.store import Store, unreadable
+from mirror.dataset.query.files import TableFiles
+from mirror.dataset.store import unreadable
 
 CACHE_BYTES: Final = 48 * 1024 * 1024
-_OPEN_FILES: Final = 64
 
 
 class ColumnCache:
     """Columns of Parquet files by row group.
 
     Args:
-        store: where the files are.
+        files: the files.
         limit_bytes: bytes of decoded columns to keep.
     """
 
-    def __init__(self, store: Store, limit_bytes: int = CACHE_BYTES) -> None:
-        self._store = store
+    def __init__(self, files: TableFiles, limit_bytes: int = CACHE_BYTES) -> None:
+        self._files = files
         self._limit = limit_bytes
         self._held = 0
         self._columns: OrderedDict[tuple[str, int, str], pa.Array] = OrderedDict()
-        self._files: OrderedDict[str, pq.ParquetFile] = OrderedDict()
         # Arrow's reader is not made for several threads at once.
         self._lock = threading.Lock()
 
@@ -42,7 +40,7 @@ class ColumnCache:
         """Columns of one row group, each one contiguous array.
 
         Raises:
-            DatasetError: the file is missing.
+            DatasetError: the file is missing, or not the one that the index's manifest names.
             SchemaError: the file is broken.
         """
         with self._lock:
@@ -65,22 +63,13 @@ class ColumnCache:
             return found
 
     def _decode(self, path: str, row_group: int, names: Sequence[str]) -> dict[str, pa.Array]:
-        file = self._file(path)
+        file = self._files.parquet(path)
         try:
             table = file.read_row_group(row_group, columns=list(names), use_threads=False)
             columns = [table.column(name) for name in names]
         except (pa.ArrowInvalid, OSError, KeyError) as error:
-            raise unreadable(self._store.where(path), error) from error
+            raise unreadable(self._files.store.where(path), error) from error
         return {
             name: column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
             for name, column in zip(names, columns)
         }
-
-    def _file(self, path: str) -> pq.ParquetFile:
-        if path not in self._files:
-            self._files[path] = self._store.parquet(path)
-            if len(self._files) > _OPEN_FILES:
-                _, oldest = self._files.popitem(last=False)
-                oldest.close()
-        self._files.move_to_end(path)
-        return self._files[path]

@@ -150,6 +150,7 @@ def _places(
             )
     if shown:
         yield "<h2>One place, every traversal</h2>"
+        yield '<p class="dim">The same view in every traversal that passes a place; times are UTC.</p>'
         yield from shown
 
 

@@ -80,6 +80,22 @@ def test_what_nobody_reports_is_unread(broken: Broken) -> None:
     assert check(broken.root, only=["SPL001", "SPL003"]).exit_code() == 1
 
 
+@pytest.mark.parametrize("table", ["images", "ego_poses", "calibrations"])
+def test_a_table_cut_short_is_found_and_the_rest_is_checked(table: str, broken: Broken) -> None:
+    file = broken.layout.recorded(A0) / f"{table}.parquet"
+    data = file.read_bytes()[:100]
+    file.unlink()
+    file.write_bytes(data)
+    split = broken.layout.split("s").read_text().replace(A0, "gone")
+    broken.layout.split("s").unlink()
+    broken.layout.split("s").write_text(split)
+    report = check(broken.root)
+    found = {(rule.rule_id, finding.file) for rule, finding in report.findings}
+    name = f"traversals/{A0}/recorded/{table}.parquet"
+    assert {("FIL002", name), ("TAB001", name), ("SPL002", "splits/s.json")} <= found
+    assert (report.exit_code(), report.unread) == (1, [])
+
+
 def test_no_dataset(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no dataset here"):
         check(tmp_path)

@@ -200,7 +200,7 @@ class DatasetView:
             for key, item in self.traversals.items()
             if item.passed is not None
         }
-        return Candidates(self.layout, self.scenes, found)
+        return Candidates(self.layout, self.scenes, found, self.table)
 
     @cached_property
     def ties(self) -> Sequence[Tie]:
@@ -245,10 +245,10 @@ class DatasetView:
         read = zip(paths, folders, tables)
         return [(self.name(path), number, data) for path, (number, _), data in read if data is not None]
 
-    def table(self, path: Path, table: Table) -> pa.Table | None:
-        """A table, or None: the file is missing, or it is broken, which is kept as a problem."""
+    def table(self, path: Path, table: Table, columns: Sequence[str] | None = None) -> pa.Table | None:
+        """A table, or columns of it; None: the file is missing, or it is broken, which is kept as a problem."""
         try:
-            return read_table(path, table)
+            return read_table(path, table, columns)
         except SchemaError as error:
             self.problems[self.name(path)] = error
         except DatasetError:

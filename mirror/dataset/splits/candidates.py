@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +17,7 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.store import Store
 from mirror.schema.documents import Roi
 from mirror.schema.files import read_table
-from mirror.schema.tables import IMAGES
+from mirror.schema.tables import IMAGES, Table
 
 SHA256_BYTES = 32
 
@@ -50,16 +51,26 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Candidates:
-    """All traversals of a dataset by id, in order, and its scenes."""
+    """All traversals of a dataset, and its scenes.
+
+    Attributes:
+        layout: the dataset.
+        scenes: its regions of interest by id.
+        traversals: by id, in order.
+        read: reads some columns of a table, or gives None where that cannot be done.
+    """
 
     layout: Layout
     scenes: Mapping[str, Roi]
     traversals: Mapping[str, Candidate]
+    read: Callable[[Path, Table, Sequence[str]], pa.Table | None] = read_table
 
     @cached_property
     def picture_hashes(self) -> Mapping[str, UInt8]:
         """SHA-256 of each picture as recorded, (N, 32) by traversal; unhashed pictures are left out."""
-        return {key: _hashes(self.layout, key) for key in self.traversals}
+        files = {key: self.layout.recorded(key) / f"{IMAGES.name}.parquet" for key in self.traversals}
+        tables = {key: self.read(file, IMAGES, ["sha256"]) for key, file in files.items()}
+        return {key: hash_bytes(data.column(0)) for key, data in tables.items() if data is not None}
 
 
 def read_candidates(layout: Layout) -> Candidates:
@@ -86,11 +97,6 @@ def read_candidates(layout: Layout) -> Candidates:
         for key, item in inputs.traversals.items()
     }
     return Candidates(layout, inputs.scenes, traversals)
-
-
-def _hashes(layout: Layout, traversal_id: str) -> UInt8:
-    column = read_table(layout.recorded(traversal_id) / "images.parquet", IMAGES, ["sha256"]).column(0)
-    return hash_bytes(column)
 
 
 def hash_bytes(column: pa.ChunkedArray) -> UInt8:

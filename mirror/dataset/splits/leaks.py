@@ -144,8 +144,8 @@ def _same_time(traversals: Sequence[Candidate]) -> Iterator[Tie]:
 
 
 def _same_bytes(candidates: Candidates) -> Iterator[Tie]:
-    names = list(candidates.traversals)
-    parts = [candidates.picture_hashes[name] for name in names]
+    names = list(candidates.picture_hashes)
+    parts = list(candidates.picture_hashes.values())
     hashes = np.concatenate([*parts, np.empty((0, SHA256_BYTES), np.uint8)])
     owner = np.repeat(np.arange(len(names)), [len(part) for part in parts])
     shared: dict[tuple[int, ...], list[bytes]] = defaultdict(list)

@@ -46,13 +46,14 @@ class Dataset:
         document: ``dataset.json``.
         filters: what the view is restricted to.
         layers: which poses, calibrations and boxes it reads.
+        index_sha256: hash of the index's manifest: equal for equal datasets.
     """
 
     document: DatasetDocument
     filters: Filters
     layers: LayerChoice
+    index_sha256: str
     _catalog: Catalog
-    _index_sha256: str
 
     @property
     def root(self) -> str:
@@ -84,7 +85,7 @@ class Dataset:
         return f"Dataset({self.root!r}: {self.count('traversals')} traversals, {self.count('images')} images)"
 
     def __reduce__(self) -> tuple[Callable[..., Dataset], tuple[object, ...]]:
-        return (_reopen, (self.root, self._index_sha256, self.filters, self.layers))
+        return (_reopen, (self.root, self.index_sha256, self.filters, self.layers))
 
     def scenes(self) -> list[str]:
         """Ids of the scenes in the view, in order."""
@@ -309,12 +310,12 @@ def _open(store: Store, filters: Filters, layers: LayerChoice, *, check_stale: b
                 expected="an index derived from what is there",
                 remedy=f"run `mirror index {store.root}`",
             )
-    return Dataset(document, filters, layers, Catalog(store, manifest.files), digest)
+    return Dataset(document, filters, layers, digest, Catalog(store, manifest.files))
 
 
 def _reopen(root: str, index_sha256: str, filters: Filters, layers: LayerChoice) -> Dataset:
     dataset = _open(Store(root), filters, layers, check_stale=False)
-    if dataset._index_sha256 != index_sha256:
+    if dataset.index_sha256 != index_sha256:
         raise DatasetError(
             "the index is another than when this view was made",
             file=dataset.store.where("index"),

@@ -7,7 +7,7 @@ to a worker; it opens the dataset itself. Worker processes are to be started wit
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -21,6 +21,11 @@ from mirror.dataset.query.arrow import numbers
 from mirror.errors import UsageError
 
 Sample = dict[str, Any]
+
+_MAKE_AGAIN: Final = {
+    "index": "restore the dataset as it was, or begin a new epoch with set_epoch",
+    "filters": "make the view with the same where(...), or begin a new epoch with set_epoch",
+}
 
 
 class FrameDataset(TorchDataset[Sample]):
@@ -141,7 +146,7 @@ class IterableFrames(IterableDataset[Sample]):
             collated = default_collate([self._samples[int(index)] for index in own[start : start + self._batch_size]])
             yield {**collated, "epoch": self._epoch, "step": step}
 
-    def state_dict(self, batch: Mapping[str, Any] | None = None) -> dict[str, int]:
+    def state_dict(self, batch: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """What to load to go on behind a batch.
 
         Args:
@@ -154,23 +159,26 @@ class IterableFrames(IterableDataset[Sample]):
             "step": step,
             "batch_size": self._batch_size,
             "world_size": self._world_size,
-            "frames": len(self._samples),
+            "shuffle": self._shuffle,
+            "index": self._samples.dataset.index_sha256,
+            "filters": self._samples.dataset.filters.to_dict(),
         }
 
-    def load_state_dict(self, state: Mapping[str, int]) -> None:
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a state.
 
         Raises:
-            UsageError: it is of another seed, batch size, number of ranks or number of frames: the order differs.
+            UsageError: it is of another seed, batch size, number of ranks, index or view: the order differs.
         """
         ours = self.state_dict()
-        for name in ("seed", "batch_size", "world_size", "frames"):
-            if state[name] != ours[name]:
+        for name in ("seed", "batch_size", "world_size", "shuffle", "index", "filters"):
+            theirs = state.get(name)
+            if theirs != ours[name]:
                 raise UsageError(
-                    f"the state has {name} {state[name]}, this dataset {ours[name]}",
+                    f"the state has {name} {theirs!s:.200}, this dataset {ours[name]!s:.200}",
                     place=f"state_dict[{name!r}]",
                     expected="the state of a dataset made in the same way",
-                    remedy=f"make the dataset with {name}={state[name]}",
+                    remedy=_MAKE_AGAIN.get(name, f"make the dataset with {name}={theirs}"),
                 )
         self._epoch = state["epoch"]
         self._step = state["step"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from pathlib import Path
 
@@ -94,9 +95,35 @@ def test_resuming_goes_on_exactly_where_it_stopped(dataset: Dataset) -> None:
     third = list(second)
     assert keys(third) != keys(whole) and sorted(keys(third)) == sorted(keys(whole))
     assert second.state_dict(third[-1]) == {**state, "epoch": 1, "step": 7}
-    for changed in ({"seed": 1}, {"batch_size": 5}, {"world_size": 2}, {"frames": 3}):
+    for changed in ({"seed": 1}, {"batch_size": 5}, {"world_size": 2}, {"shuffle": False}):
         with pytest.raises(UsageError, match=rf"the state has {next(iter(changed))}"):
             second.load_state_dict({**state, **changed})
+
+
+def test_a_state_of_another_view_or_index_is_refused(tmp_path: Path) -> None:
+    builder = Builder(tmp_path)
+    builder.scene("a")
+    for number in range(2):
+        builder.drive(f"d{number}", [Pass("a", EPOCH + number * 60 * SECOND, frames=9, pictures=PICTURES)])
+    build_index(tmp_path)
+    dataset = mirror.open(tmp_path)
+    # As many frames, but others.
+    one, two = (IterableFrames(dataset.where(drive=drive), 4) for drive in ("d0", "d1"))
+    state = json.loads(json.dumps(one.state_dict()))
+    with pytest.raises(UsageError, match=r"state has filters .*d0.*d1.*where\(\.\.\.\)"):
+        two.load_state_dict(state)
+    circled = dataset.where(within=(-79.4, 43.6, 500.0), time=(0, 2**62), drive=["d1", "d0"])
+    both = IterableFrames(circled, 4).state_dict()
+    IterableFrames(circled, 4).load_state_dict(json.loads(json.dumps(both)))
+    with pytest.raises(UsageError, match="state has filters"):
+        IterableFrames(dataset, 4).load_state_dict(both)
+    builder.drive("d2", [Pass("a", EPOCH + 200 * SECOND, frames=9, pictures=PICTURES)])
+    build_index(tmp_path)
+    grown = IterableFrames(mirror.open(tmp_path).where(drive="d0"), 4)
+    with pytest.raises(UsageError, match="state has index"):
+        grown.load_state_dict(state)
+    with pytest.raises(UsageError, match="state has seed None"):
+        grown.load_state_dict({"epoch": 0, "step": 1})
 
 
 @pytest.mark.parametrize("drop_last", [False, True])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -172,6 +172,17 @@ class Filters:
         elif other.time is not None:
             changes["time"] = other.time
         return replace(self, **changes)  # type: ignore[arg-type]
+
+    def to_dict(self) -> dict[str, object]:
+        """The restrictions as JSON values, sets sorted; what does not restrict is left out."""
+        plain: dict[str, object] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, frozenset):
+                plain[field.name] = sorted(value)
+            elif value:
+                plain[field.name] = [asdict(one) for one in value] if field.name == "within" else list(value)
+        return plain
 
 
 def _check_radius(radius_m: float) -> None:

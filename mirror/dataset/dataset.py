@@ -20,7 +20,7 @@ from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.dataset.query.select import count, query
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.documents import CANONICAL_CAMERAS, DatasetDocument, Manifest, Role, SplitDocument
+from mirror.schema.documents import CANONICAL_CAMERAS, DatasetDocument, Manifest, Role, SplitDocument, is_identifier
 from mirror.schema.files import parse_json, sha256_bytes
 
 if TYPE_CHECKING:
@@ -270,6 +270,10 @@ class Dataset:
         )
 
     def _in_split(self, name: str, role: Choice) -> frozenset[str]:
+        if not is_identifier(name):
+            raise UsageError(
+                f"{name!r} cannot be the name of a split", place="split", expected="letters, digits, _ and -"
+            )
         path = f"splits/{name}.json"
         try:
             data = self.store.read(path)

@@ -234,6 +234,9 @@ def test_columns_come_in_the_asked_order(dataset: Dataset) -> None:
         ({"within": (25.0, 65.0)}, "radius_m"),
         ({"within": (0.0, 0.0, 1.0, "map")}, "unknown frame 'map'"),
         ({"role": "train"}, "role without split"),
+        ({"split": "../dataset"}, "cannot be the name of a split; expected letters, digits, _ and -"),
+        ({"split": "a/b"}, "cannot be the name of a split"),
+        ({"split": ""}, "cannot be the name of a split"),
     ],
 )
 def test_unknown_values_are_refused_with_what_is_known(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -160,7 +161,7 @@ def verify_source(layout: Layout, recording: Recording, drive_id: str) -> None:
             if source is None or row["sha256"] is None:
                 continue
             try:
-                data = source.read_bytes()
+                data = Path(source).read_bytes()
             except OSError as error:
                 raise RecordingError(
                     "the picture has no counterpart in the recording any more",

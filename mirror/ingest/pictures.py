@@ -145,14 +145,14 @@ def _place(
     return Placed(names, sizes, digests, codec, width, height, linked)
 
 
-def _first_size(source: Path | None) -> tuple[int, int]:
+def _first_size(source: str | Path | None) -> tuple[int, int]:
     if source is None:
         raise RecordingError("the picture has no file")
     return raster_size(_read(source), source)
 
 
 def _transfer(
-    source: Path, target: _Target, name: str, transfer: Transfer, hashing: bool
+    source: str | Path, target: _Target, name: str, transfer: Transfer, hashing: bool
 ) -> tuple[int, bytes | None, bool]:
     """Link or copy one picture; its size, its digest if asked for, and whether it is a link."""
     if transfer == "link":
@@ -177,7 +177,7 @@ def _transfer(
     return len(data), digest, False
 
 
-def _read(source: Path) -> bytes:
+def _read(source: str | Path) -> bytes:
     try:
         descriptor = os.open(source, os.O_RDONLY)
     except OSError as error:
@@ -207,7 +207,7 @@ def _write(target: _Target, name: str, data: bytes) -> None:
         raise unwritable(target.path / name, error) from error
 
 
-def _unreadable(source: Path, error: OSError) -> RecordingError:
+def _unreadable(source: str | Path, error: OSError) -> RecordingError:
     return RecordingError(
         f"cannot be read: {error.strerror}",
         file=source,

@@ -11,7 +11,7 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.folder_document import FolderCamera
-from mirror.recordings.paths import list_folder
+from mirror.recordings.paths import list_folder, list_names
 from mirror.recordings.protocol import FileStream, ImageStream
 from mirror.recordings.tabular import Rows, read_rows
 from mirror.recordings.video import VideoStream, stamps_ns, video_stamps
@@ -48,16 +48,16 @@ def picture_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
 
 
 def _files(root: Path, camera: str, folder: Path) -> FileStream:
-    pictures = list_folder(root, folder)
+    pictures = list_names(root, folder)
     if not pictures:
         raise RecordingError(f"camera {camera} has no pictures", file=folder, expected="<timestamp_ns>.jpg or .png")
     table = root / "images" / f"{camera}.csv"
     if table.is_file():
-        start, end, paths = _listed(table, pictures)
+        start, end, names = _listed(table, set(pictures))
     else:
-        paths = list(pictures.values())
-        start = end = _stamps_of_names(folder, list(pictures))
-    suffixes = {path.suffix.lower() for path in paths}
+        names = pictures
+        start = end = _stamps_of_names(folder, names)
+    suffixes = {f".{name.rpartition('.')[2].lower()}" for name in names}
     codecs = {_CODECS.get(suffix) for suffix in suffixes}
     codec = codecs.pop()
     if codecs or codec is None:
@@ -65,18 +65,19 @@ def _files(root: Path, camera: str, folder: Path) -> FileStream:
             f"pictures of kinds {', '.join(sorted(suffixes))}", file=folder, expected="JPEG or PNG, one kind a camera"
         )
     order = np.argsort(start + end, kind="stable")
-    ordered = tuple(paths[index] for index in order)
+    ordered = [names[index] for index in order.tolist()]
     middle = (start + end)[order]
     repeated = np.flatnonzero(middle[1:] == middle[:-1])
     if len(repeated):
         first = int(repeated[0])
         raise RecordingError(
-            f"{ordered[first].name} and {ordered[first + 1].name} have the same time",
+            f"{ordered[first]} and {ordered[first + 1]} have the same time",
             file=folder,
             expected="one picture a camera and instant",
             remedy="remove one of the two",
         )
-    return FileStream(camera, codec, start[order], end[order], ordered)
+    # Texts, not Path objects: a camera has a hundred thousand of them.
+    return FileStream(camera, codec, start[order], end[order], tuple(f"{folder}/{name}" for name in ordered))
 
 
 def _stamps_of_names(folder: Path, names: list[str]) -> Int64:
@@ -95,7 +96,7 @@ def _stamps_of_names(folder: Path, names: list[str]) -> Int64:
         ) from error
 
 
-def _listed(table: Path, pictures: dict[str, Path]) -> tuple[Int64, Int64, list[Path]]:
+def _listed(table: Path, pictures: set[str]) -> tuple[Int64, Int64, list[str]]:
     rows = read_rows([table], types=dict.fromkeys(("file", *_EXPOSURES), pa.string()), columns=("file", *_EXPOSURES))
     names = rows.column("file").to_pylist()
     unknown = np.array([name not in pictures for name in names])
@@ -106,7 +107,7 @@ def _listed(table: Path, pictures: dict[str, Path]) -> tuple[Int64, Int64, list[
         expected="a bare file name in that folder",
         remedy="remove the row, or put the picture there",
     )
-    unlisted = sorted(set(pictures) - set(names))
+    unlisted = sorted(pictures - set(names))
     if unlisted:
         raise RecordingError(
             f"{len(unlisted)} pictures of images/{table.stem} are not listed, such as {unlisted[0]}",
@@ -115,7 +116,7 @@ def _listed(table: Path, pictures: dict[str, Path]) -> tuple[Int64, Int64, list[
             remedy="add the rows, or remove the pictures",
         )
     start, end = _exposures(rows)
-    return start, end, [pictures[name] for name in names]
+    return start, end, names
 
 
 def _exposures(rows: Rows) -> tuple[Int64, Int64]:

@@ -45,7 +45,12 @@ def _outside(name: str, file: Path, place: str) -> RecordingError:
 
 
 def list_folder(root: Path, folder: Path) -> dict[str, Path]:
-    """The plain files of one folder by name, hidden ones left out; links are followed only inside the recording.
+    """The plain files of one folder by name; see `list_names`."""
+    return {name: folder / name for name in list_names(root, folder)}
+
+
+def list_names(root: Path, folder: Path) -> list[str]:
+    """Names of the plain files of one folder, hidden ones left out; links are followed only inside the recording.
 
     Args:
         root: the recording's folder.
@@ -56,15 +61,16 @@ def list_folder(root: Path, folder: Path) -> dict[str, Path]:
     """
     if folder != root:
         inside(root, folder.relative_to(root).as_posix(), file=folder, place="folder")
-    found = {}
+    found = []
     with os.scandir(folder) as entries:
         for entry in entries:
-            if entry.name.startswith(".") or not entry.is_file():
+            name = entry.name
+            if name.startswith(".") or not entry.is_file():
                 continue
-            path = folder / entry.name
             if entry.is_symlink():
+                path = folder / name
                 inside(root, path.relative_to(root).as_posix(), file=path, place="link")
-            found[entry.name] = path
+            found.append(name)
     return found
 
 

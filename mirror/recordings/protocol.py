@@ -133,7 +133,7 @@ class ImageStream(Protocol):
         """(N,) end of the exposure of the last row, Unix time."""
         ...
 
-    def path(self, index: int) -> Path | None:
+    def path(self, index: int) -> str | Path | None:
         """The file that holds exactly this picture's encoded bytes, to be linked or copied; None: use `read`."""
         ...
 
@@ -150,7 +150,7 @@ class FileStream:
     codec: str
     exposure_start_ns: Int64
     exposure_end_ns: Int64
-    paths: tuple[Path, ...] = field(repr=False)
+    paths: tuple[str | Path, ...] = field(repr=False)
 
     def __post_init__(self) -> None:
         if not len(self.paths) == len(self.exposure_start_ns) == len(self.exposure_end_ns):
@@ -159,14 +159,14 @@ class FileStream:
                 place=f"camera {self.camera}",
             )
 
-    def path(self, index: int) -> Path:
+    def path(self, index: int) -> str | Path:
         """The picture's file."""
         return self.paths[index]
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield each file's bytes."""
         for index in indices:
-            yield index, self.paths[index].read_bytes()
+            yield index, Path(self.paths[index]).read_bytes()
 
 
 @runtime_checkable

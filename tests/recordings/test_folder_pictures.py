@@ -30,7 +30,7 @@ def test_names_are_mid_exposures_in_time_order(tmp_path: Path) -> None:
     stream = stream_of(path)
     assert stream.codec == "png"
     assert stream.exposure_start_ns.tolist() == stream.exposure_end_ns.tolist() == [20, 999, 1000]
-    assert stream.path(1) == path / "images" / "front_wide" / "999.png"
+    assert Path(stream.path(1)) == path / "images" / "front_wide" / "999.png"
     assert dict(stream.read([0, 2]))[2] == (path / "images" / "front_wide" / "1000.png").read_bytes()
 
 
@@ -41,7 +41,7 @@ def test_a_table_gives_the_exposures(tmp_path: Path) -> None:
     stream = stream_of(path)
     assert stream.exposure_start_ns.tolist() == [5, START_NS]
     assert stream.exposure_end_ns.tolist() == [7, START_NS + 9]
-    assert stream.path(0) == path / "images" / "front_wide" / "a.jpg"
+    assert Path(stream.path(0)) == path / "images" / "front_wide" / "a.jpg"
 
 
 @pytest.mark.parametrize(

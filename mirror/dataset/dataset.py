@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
@@ -356,10 +357,18 @@ def _index_manifest(store: Store) -> tuple[Manifest, str]:
 def _interval(time: tuple[int, int] | None) -> tuple[int, int] | None:
     if time is None:
         return None
-    start, end = time
-    if int(start) != start or int(end) != end or start >= end:
-        raise UsageError(f"{time!r}", place="time", expected="(start_ns, end_ns), whole numbers, start before end")
+    try:
+        start, end = time
+    except (TypeError, ValueError) as error:
+        raise _no_interval(time) from error
+    # The remainder of NaN and of infinity is NaN.
+    if not all(isinstance(bound, Real) and bound % 1 == 0 for bound in (start, end)) or start >= end:
+        raise _no_interval(time)
     return int(start), int(end)
+
+
+def _no_interval(time: object) -> UsageError:
+    return UsageError(f"{time!r}", place="time", expected="(start_ns, end_ns), whole numbers, start before end")
 
 
 def _check(what: str, value: str, known: Iterable[str]) -> None:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import struct
 from pathlib import PurePath
+from typing import Final
 
 from mirror.errors import RecordingError
 
-_JPEG_START = b"\xff\xd8"
-_JPEG_END = b"\xff\xd9"
-_PNG_START = b"\x89PNG\r\n\x1a\n"
-_PNG_END = b"IEND\xaeB`\x82"
-_TAIL = 1024
-_NO_SIZE = {0xC4, 0xC8, 0xCC}
+TAIL_BYTES: Final = 4096
+"""How far from the end of a picture's bytes its end marker may be: cameras pad behind it."""
+
+_STARTS: Final = {"jpeg": b"\xff\xd8", "png": b"\x89PNG\r\n\x1a\n"}
+_ENDS: Final = {"jpeg": b"\xff\xd9", "png": b"IEND\xaeB`\x82"}
+_NO_SIZE: Final = {0xC4, 0xC8, 0xCC}
 
 
 def raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
@@ -21,10 +22,10 @@ def raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
     Raises:
         RecordingError: neither, or cut off before its size.
     """
-    if data.startswith(_PNG_START) and len(data) >= 24:
+    if data.startswith(_STARTS["png"]) and len(data) >= 24:
         width, height = struct.unpack(">II", data[16:24])
         return int(width), int(height)
-    if data.startswith(_JPEG_START):
+    if data.startswith(_STARTS["jpeg"]):
         position = 2
         while position + 9 <= len(data):
             if data[position] != 0xFF:
@@ -45,19 +46,28 @@ def raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
     )
 
 
+def has_end(data: bytes, codec: str) -> bool:
+    """Whether a picture's bytes, or the last `TAIL_BYTES` of them, have its end marker; True for other codecs.
+
+    Args:
+        data: the encoded bytes.
+        codec: ``jpeg`` or ``png``; another has no such marker.
+    """
+    end = _ENDS.get(codec)
+    return end is None or data.rfind(end, max(0, len(data) - TAIL_BYTES)) >= 0
+
+
 def require_whole(data: bytes, file: str | PurePath) -> None:
     """Refuse a picture that is empty, of another kind, or lacks its end marker: a truncated copy.
 
     Raises:
         RecordingError: naming the file.
     """
-    jpeg = data.startswith(_JPEG_START) and data.rfind(_JPEG_END, max(0, len(data) - _TAIL)) >= 0
-    png = data.startswith(_PNG_START) and data.rfind(_PNG_END, max(0, len(data) - _TAIL)) >= 0
-    if jpeg or png:
+    codec = next((codec for codec, start in _STARTS.items() if data.startswith(start)), None)
+    if codec is not None and has_end(data, codec):
         return
-    known = data.startswith((_JPEG_START, _PNG_START))
     raise RecordingError(
-        f"truncated: {len(data)} bytes and no end marker" if known else "neither a JPEG nor a PNG",
+        f"truncated: {len(data)} bytes and no end marker" if codec is not None else "neither a JPEG nor a PNG",
         file=file,
         expected="a whole JPEG or PNG",
         remedy="restore the file, or take it out of the recording",

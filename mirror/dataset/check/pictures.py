@@ -17,14 +17,13 @@ from mirror.dataset.check.rows import Rows
 from mirror.dataset.pictures.still import decode_rgb, usable_cores
 from mirror.dataset.pictures.video import VideoDecoders
 from mirror.dataset.store import Store
+from mirror.recordings.raster import TAIL_BYTES, has_end
 
 MISSING: Final = -1
 LEADS_OUT: Final = -2
-_TAIL_BYTES = 4096
 _CHUNK = 256
 _RANGE = 255
 _AS_IT_SHOULD_BE = (True, True, 0, 0, _RANGE)
-_ENDS = {"jpeg": b"\xff\xd9", "png": b"IEND\xaeB`\x82"}
 Answer = TypeVar("Answer")
 
 
@@ -113,11 +112,10 @@ class PictureReader:
         try:
             place = self._store.resolve(uri)
             size = place.stat().st_size if isinstance(place, Path) else int(place[0].info(place[1])["size"])
-            end = _ENDS.get(self._codec[row])
-            if end is None or not self._whole(row, size):
+            if self._codec[row] == "video" or not self._whole(row, size):
                 return size, True
-            tail = min(int(self._length[row]), _TAIL_BYTES)
-            return size, end in self._store.read_range(uri, end_of_bytes - tail, tail)
+            tail = min(int(self._length[row]), TAIL_BYTES)
+            return size, has_end(self._store.read_range(uri, end_of_bytes - tail, tail), self._codec[row])
         except OSError:
             return MISSING, True
 

@@ -12,15 +12,12 @@ import cv2
 import numpy as np
 
 from mirror.arrays import UInt8
-
-# Where in the file the end-of-image marker may be: cameras pad behind it.
-_TAIL_BYTES = 4096
-_JPEG_END = b"\xff\xd9"
+from mirror.recordings.raster import has_end
 
 
 def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
     """Pixels (H, W, 3) of a JPEG or PNG as stored, whatever its EXIF orientation says; None: broken or cut short."""
-    if not data or (codec == "jpeg" and _JPEG_END not in data[-_TAIL_BYTES:]):
+    if not data or not has_end(data, codec):
         return None
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

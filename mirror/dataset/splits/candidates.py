@@ -36,6 +36,7 @@ class Candidate:
         light: light at the entry.
         weather: weather at the entry.
         manifest: SHA-256 of the recorded manifest.
+        has_pictures: False for one of a poses-only drive.
     """
 
     traversal_id: str
@@ -47,6 +48,7 @@ class Candidate:
     light: str
     weather: str
     manifest: str
+    has_pictures: bool = True
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ def read_candidates(layout: Layout) -> Candidates:
             light=ledger[key]["light"],
             weather=ledger[key]["weather"],
             manifest=item.hashes["recorded"],
+            has_pictures=item.drive.rig_id is not None,
         )
         for key, item in inputs.traversals.items()
     }

@@ -37,7 +37,11 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: Nov
     unit_of = joined((item.traversal_id for item in traversals), (tie.members for tie in ties))
     order = {unit: rank(seed, unit) for unit in unit_of.values()}
     scenes: dict[str, _Passes] = defaultdict(lambda: defaultdict(list))
+    pictured = {item.scene_id for item in traversals if item.has_pictures}
     for item in sorted(traversals, key=lambda item: (item.scene_id, item.traversal_id)):
+        # Nothing can be trained or scored on poses alone; a dataset that has nothing else is divided all the same.
+        if item.scene_id in pictured and not item.has_pictures:
+            continue
         scenes[item.scene_id][unit_of[item.traversal_id]].append(item.traversal_id)
     wanted = parameters.train + parameters.held_out
     left_out = {

@@ -171,7 +171,7 @@ class Image:
             file=self._loader.store.where(self.uri),
             place=self._place,
             expected=expected,
-            remedy="restore the file from the recording, or ingest the drive again",
+            remedy="restore the file, or `mirror ingest RECORDING... --replace` from the recording",
         )
 
 

@@ -162,5 +162,5 @@ class Loader:
             file=self.store.where(uri),
             place=place,
             expected=expected or "a readable file",
-            remedy="restore the file from the recording, or ingest the drive again",
+            remedy="restore the file, or `mirror ingest RECORDING... --replace` from the recording",
         )

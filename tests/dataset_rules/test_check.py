@@ -33,6 +33,16 @@ def test_every_rule_says_what_it_is() -> None:
         assert module.rpartition(".")[2] == (rule.of_dataset or rule.of_scene).__name__, rule.rule_id  # type: ignore[union-attr]
 
 
+def test_remedies_name_the_command_that_mends() -> None:
+    """A plain ingest writes lost and damaged tables again; what it takes for whole, only --replace writes anew."""
+    for name in ("DS004", "DS005", "DS006", "DS007", "FIL001", "FIL002", "FIL003", "TAB001", "TAB002"):
+        assert "run the same `mirror ingest` again" in rules()[name].remedy
+        assert "--replace" not in rules()[name].remedy
+    for name in ("IMG001", "IMG002", "IMG004", "CAM002", "POS001"):
+        assert "`mirror ingest RECORDING... --replace`" in rules()[name].remedy
+    assert not [name for name, rule in rules().items() if "the drive again" in rule.remedy]
+
+
 def test_an_id_is_given_once() -> None:
     with pytest.raises(ValueError, match="two rules have the id POS001"):
 

@@ -13,7 +13,9 @@ _MIN, _MAX = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 
 
 @scene_rule(
-    "CAM001", Severity.ERROR, remedy="give the recording a calibration of that camera for that time, ingest again"
+    "CAM001",
+    Severity.ERROR,
+    remedy="give the recording a calibration of that camera for that time, `mirror ingest RECORDING... --replace`",
 )
 def calibrated(view: SceneView) -> Iterator[Finding]:
     """No calibration of a camera, of any stage, is valid when one of its pictures was taken."""

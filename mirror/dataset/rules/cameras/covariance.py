@@ -12,7 +12,11 @@ from mirror.dataset.check.scene_view import SceneView
 _TOLERANCE = 1e-9
 
 
-@scene_rule("CAM007", Severity.ERROR, remedy="correct the calibration in the recording, and ingest the drive again")
+@scene_rule(
+    "CAM007",
+    Severity.ERROR,
+    remedy="correct the calibration in the recording, and `mirror ingest RECORDING... --replace`",
+)
 def covariance(view: SceneView) -> Iterator[Finding]:
     """A mounting's covariance is not a 6x6 matrix that is symmetric and has no negative eigenvalue."""
     rows = view.all_calibrations

@@ -11,7 +11,11 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("CAM006", Severity.ERROR, remedy="correct the calibration in the recording, and ingest the drive again")
+@scene_rule(
+    "CAM006",
+    Severity.ERROR,
+    remedy="correct the calibration in the recording, and `mirror ingest RECORDING... --replace`",
+)
 def mounting(view: SceneView) -> Iterator[Finding]:
     """A camera's mounting is no pose: a number is not finite, or the quaternion is not of unit length."""
     mounted = Motion(view.all_calibrations)

@@ -11,7 +11,11 @@ from mirror.dataset.check.scene_view import SceneView
 from mirror.geometry.cameras import COEFFICIENTS
 
 
-@scene_rule("CAM003", Severity.ERROR, remedy="correct the calibration in the recording, and ingest the drive again")
+@scene_rule(
+    "CAM003",
+    Severity.ERROR,
+    remedy="correct the calibration in the recording, and `mirror ingest RECORDING... --replace`",
+)
 def no_camera(view: SceneView) -> Iterator[Finding]:
     """Intrinsics that make no camera: a focal length that is not positive, or a wrong number of coefficients."""
     calibrations = view.all_calibrations

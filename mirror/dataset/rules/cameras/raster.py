@@ -10,7 +10,11 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("CAM002", Severity.ERROR, remedy="scale the calibration to the stored raster, and ingest the drive again")
+@scene_rule(
+    "CAM002",
+    Severity.ERROR,
+    remedy="scale the calibration to the stored raster, and `mirror ingest RECORDING... --replace`",
+)
 def raster(view: SceneView) -> Iterator[Finding]:
     """A picture is of another size than its camera is calibrated for."""
     images, calibrations = view.images, view.calibrations

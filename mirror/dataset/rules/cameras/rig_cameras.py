@@ -10,7 +10,11 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("CAM011", Severity.ERROR, remedy="add the camera to the rig in the recording, and ingest the drive again")
+@scene_rule(
+    "CAM011",
+    Severity.ERROR,
+    remedy="add the camera to the rig in the recording, and `mirror ingest RECORDING... --replace`",
+)
 def rig_cameras(view: SceneView) -> Iterator[Finding]:
     """Pictures are of a camera that the rig of their drive does not have."""
     images = view.images

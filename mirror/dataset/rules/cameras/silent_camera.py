@@ -11,7 +11,9 @@ from mirror.dataset.check.scene_view import SceneView
 
 
 @scene_rule(
-    "CAM012", Severity.WARNING, remedy="look for the camera's pictures in the recording, and ingest the drive again"
+    "CAM012",
+    Severity.WARNING,
+    remedy="look for the camera's pictures in the recording, and `mirror ingest RECORDING... --replace`",
 )
 def silent_camera(view: SceneView) -> Iterator[Finding]:
     """A camera of the rig has no picture in a traversal that has pictures of others."""

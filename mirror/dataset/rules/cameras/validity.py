@@ -12,7 +12,11 @@ from mirror.dataset.check.scene_view import SceneView
 _MIN, _MAX = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 
 
-@scene_rule("CAM008", Severity.ERROR, remedy="correct the intervals in the recording, and ingest the drive again")
+@scene_rule(
+    "CAM008",
+    Severity.ERROR,
+    remedy="correct the intervals in the recording, and `mirror ingest RECORDING... --replace`",
+)
 def validity(view: SceneView) -> Iterator[Finding]:
     """Two calibrations of one camera and stage are valid at once, or one ends before it begins."""
     rows = view.all_calibrations

@@ -9,7 +9,7 @@ from mirror.dataset.check.problems import unread
 from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
-@dataset_rule("DS004", Severity.ERROR, remedy="ingest the drive again")
+@dataset_rule("DS004", Severity.ERROR, remedy="run the same `mirror ingest` again")
 def drive_document(view: DatasetView) -> Iterator[Finding]:
     """A drive.json is missing or broken, or in the folder of another drive."""
     for name, document in view.drives.items():

@@ -9,7 +9,7 @@ from mirror.dataset.check.problems import unread
 from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
-@dataset_rule("DS005", Severity.ERROR, remedy="ingest the drive again, or write the layer again")
+@dataset_rule("DS005", Severity.ERROR, remedy="run the same `mirror ingest` again, or write the layer again")
 def manifest(view: DatasetView) -> Iterator[Finding]:
     """A manifest.json is broken."""
     _ = view.folder_manifests

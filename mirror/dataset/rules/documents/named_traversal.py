@@ -9,7 +9,7 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 from mirror.dataset.layout import MANIFEST, manifest_sha256
 
 
-@dataset_rule("DS007", Severity.ERROR, remedy="ingest the drive again")
+@dataset_rule("DS007", Severity.ERROR, remedy="run the same `mirror ingest` again")
 def named_traversal(view: DatasetView) -> Iterator[Finding]:
     """A drive names a traversal that is missing, or that is not the one it was written with."""
     for traversal_id, (drive, expected) in view.named.items():

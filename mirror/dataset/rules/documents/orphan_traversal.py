@@ -8,7 +8,7 @@ from mirror.dataset.check.dataset_view import DatasetView
 from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
-@dataset_rule("DS008", Severity.WARNING, remedy="ingest its drive again, or remove the folder")
+@dataset_rule("DS008", Severity.WARNING, remedy="run the same `mirror ingest` again, or remove the folder")
 def orphan_traversal(view: DatasetView) -> Iterator[Finding]:
     """A traversal is complete, but no drive names it, so that readers pass it over."""
     for traversal_id in view.recorded_manifests:

@@ -10,7 +10,9 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
 @dataset_rule(
-    "DS011", Severity.WARNING, remedy="give the vehicles different ids, or correct the type, and ingest again"
+    "DS011",
+    Severity.WARNING,
+    remedy="give the vehicles different ids, or correct the type, and `mirror ingest RECORDING... --replace`",
 )
 def vehicle(view: DatasetView) -> Iterator[Finding]:
     """One vehicle has several vehicle types."""

@@ -9,7 +9,12 @@ from mirror.dataset.check.rule import Cost, Finding, Severity, dataset_rule
 from mirror.schema.files import sha256_bytes
 
 
-@dataset_rule("FIL003", Severity.ERROR, cost=Cost.PICTURES, remedy="ingest the drive again; for index/: `mirror index`")
+@dataset_rule(
+    "FIL003",
+    Severity.ERROR,
+    cost=Cost.PICTURES,
+    remedy="run the same `mirror ingest` again; for index/: `mirror index`",
+)
 def file_hash(view: DatasetView) -> Iterator[Finding]:
     """A file of the right size has other bytes than its manifest says."""
     for path, entry in view.listed_files():

@@ -8,7 +8,9 @@ from mirror.dataset.check.dataset_view import DatasetView
 from mirror.dataset.check.rule import Cost, Finding, Severity, dataset_rule
 
 
-@dataset_rule("FIL001", Severity.ERROR, cost=Cost.FILES, remedy="ingest the drive again; for index/: `mirror index`")
+@dataset_rule(
+    "FIL001", Severity.ERROR, cost=Cost.FILES, remedy="run the same `mirror ingest` again; for index/: `mirror index`"
+)
 def missing_file(view: DatasetView) -> Iterator[Finding]:
     """A file that a manifest lists is missing."""
     for path, _ in view.listed_files():

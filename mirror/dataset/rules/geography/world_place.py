@@ -13,7 +13,7 @@ from mirror.geometry.geodesy import TangentFrame
 _TOLERANCE_M = 0.01
 
 
-@scene_rule("GEO001", Severity.ERROR, remedy="ingest the drive again: both columns come from one fix")
+@scene_rule("GEO001", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`: both columns come from one fix")
 def world_place(view: SceneView) -> Iterator[Finding]:
     """A recorded pose's place in the world is not the one of its longitude and latitude."""
     scene, poses = view.scene, view.poses

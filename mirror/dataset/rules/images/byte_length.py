@@ -15,7 +15,10 @@ from mirror.dataset.check.scene_view import SceneView
 
 
 @scene_rule(
-    "IMG002", Severity.ERROR, cost=Cost.FILES, remedy="restore the file from the recording, or ingest the drive again"
+    "IMG002",
+    Severity.ERROR,
+    cost=Cost.FILES,
+    remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
 def byte_length(view: SceneView) -> Iterator[Finding]:
     """A picture's file is shorter than its bytes, or, where it holds nothing else, longer."""

@@ -10,7 +10,10 @@ from mirror.dataset.check.scene_view import SceneView
 
 
 @scene_rule(
-    "IMG001", Severity.ERROR, cost=Cost.FILES, remedy="restore the file from the recording, or ingest the drive again"
+    "IMG001",
+    Severity.ERROR,
+    cost=Cost.FILES,
+    remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
 def missing(view: SceneView) -> Iterator[Finding]:
     """A picture's file is missing."""

@@ -12,7 +12,7 @@ from mirror.dataset.check.scene_view import SceneView
     "IMG004",
     Severity.ERROR,
     cost=Cost.PICTURES,
-    remedy="restore the file from the recording, or ingest the drive again",
+    remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
 def picture_hash(view: SceneView) -> Iterator[Finding]:
     """A picture's bytes are not those that were recorded: another SHA-256."""

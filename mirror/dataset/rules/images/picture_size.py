@@ -9,7 +9,10 @@ from mirror.dataset.check.scene_view import SceneView
 
 
 @scene_rule(
-    "IMG006", Severity.ERROR, cost=Cost.PICTURES, remedy="ingest the drive again: the table states another size"
+    "IMG006",
+    Severity.ERROR,
+    cost=Cost.PICTURES,
+    remedy="`mirror ingest RECORDING... --replace`: the table states another size",
 )
 def picture_size(view: SceneView) -> Iterator[Finding]:
     """A decoded picture has another width or height than its row says."""

@@ -8,7 +8,7 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("IMG011", Severity.ERROR, remedy="ingest the drive again")
+@scene_rule("IMG011", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`")
 def picture_total(view: SceneView) -> Iterator[Finding]:
     """A traversal's manifest states another number or size of pictures than its images table."""
     length = view.images.integers("byte_length")

@@ -10,7 +10,7 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("IMG012", Severity.ERROR, remedy="ingest the drive again")
+@scene_rule("IMG012", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`")
 def video_stamp(view: SceneView) -> Iterator[Finding]:
     """A picture in a video has no `video_pts`, or one that lies in a file of its own has one."""
     images = view.all_images

@@ -9,7 +9,11 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 from mirror.dataset.rules.ledger.thresholds import accepted, thresholds
 
 
-@dataset_rule("LED001", Severity.ERROR, remedy="ingest the drive again: its ledger was written with other thresholds")
+@dataset_rule(
+    "LED001",
+    Severity.ERROR,
+    remedy="`mirror ingest RECORDING... --replace`: its ledger was written with other thresholds",
+)
 def accepted_too_early(view: DatasetView) -> Iterator[Finding]:
     """An accepted pass does not fulfil the trigger's thresholds in dataset.json."""
     if view.document is None:

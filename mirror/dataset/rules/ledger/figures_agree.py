@@ -13,7 +13,7 @@ from mirror.dataset.rules.ledger.thresholds import figures
 _TOLERANCE = 1e-6
 
 
-@dataset_rule("LED003", Severity.ERROR, remedy="ingest the drive again")
+@dataset_rule("LED003", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`")
 def figures_agree(view: DatasetView) -> Iterator[Finding]:
     """A pass's figures contradict each other: its duration, path, overlap, or speed."""
     passes = view.passes

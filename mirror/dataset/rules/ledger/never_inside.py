@@ -12,7 +12,11 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 _ON_THE_CIRCLE_M = 1e-3
 
 
-@dataset_rule("LED004", Severity.ERROR, remedy="ingest the drive again, or restore the scene's circle in rois.geojson")
+@dataset_rule(
+    "LED004",
+    Severity.ERROR,
+    remedy="`mirror ingest RECORDING... --replace`, or restore the scene's circle in rois.geojson",
+)
 def never_inside(view: DatasetView) -> Iterator[Finding]:
     """A pass never comes within its scene's radius."""
     passes = view.passes

@@ -10,7 +10,7 @@ from mirror.dataset.check.dataset_view import DatasetView
 from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
-@dataset_rule("LED007", Severity.ERROR, remedy="ingest the drive again")
+@dataset_rule("LED007", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`")
 def overlapping_passes(view: DatasetView) -> Iterator[Finding]:
     """Two passes of one drive through one scene overlap in time."""
     passes = view.passes

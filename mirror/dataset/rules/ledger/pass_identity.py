@@ -11,7 +11,7 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 from mirror.dataset.rules.ledger.thresholds import accepted
 
 
-@dataset_rule("LED006", Severity.ERROR, remedy="ingest the drive again")
+@dataset_rule("LED006", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`")
 def pass_identity(view: DatasetView) -> Iterator[Finding]:
     """A pass is of another drive, or its traversal's id is not `scene.drive.entry_ms`, or a refused one has an id."""
     passes = view.passes

@@ -15,7 +15,9 @@ _LEAST_M = 0.1
 
 
 @scene_rule(
-    "LED005", Severity.WARNING, remedy="ingest the drive again; a drive in clips may count its path beyond the circle"
+    "LED005",
+    Severity.WARNING,
+    remedy="`mirror ingest RECORDING... --replace`; a drive in clips may count its path beyond the circle",
 )
 def path_again(view: SceneView) -> Iterator[Finding]:
     """The ledger's path is not the length of the recorded poses from entry to exit, by more than 1 %."""

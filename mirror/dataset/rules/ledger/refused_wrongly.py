@@ -11,7 +11,11 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 from mirror.dataset.rules.ledger.thresholds import accepted, thresholds
 
 
-@dataset_rule("LED002", Severity.ERROR, remedy="ingest the drive again: its ledger was written with other thresholds")
+@dataset_rule(
+    "LED002",
+    Severity.ERROR,
+    remedy="`mirror ingest RECORDING... --replace`: its ledger was written with other thresholds",
+)
 def refused_wrongly(view: DatasetView) -> Iterator[Finding]:
     """A refused pass names another rule, figure or threshold than the first of the trigger's that it fails."""
     if view.document is None:

@@ -8,7 +8,7 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("POS011", Severity.ERROR, remedy="ingest the drive again")
+@scene_rule("POS011", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`")
 def cover_pass(view: SceneView) -> Iterator[Finding]:
     """Poses do not reach from the entry to the exit of their pass."""
     first, last = view.pose_span()

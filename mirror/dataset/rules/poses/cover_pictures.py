@@ -11,7 +11,9 @@ from mirror.dataset.check.scene_view import SceneView
 
 
 @scene_rule(
-    "POS010", Severity.ERROR, remedy="ingest the drive again: a picture without a pose does not belong to a pass"
+    "POS010",
+    Severity.ERROR,
+    remedy="`mirror ingest RECORDING... --replace`: a picture without a pose does not belong to a pass",
 )
 def cover_pictures(view: SceneView) -> Iterator[Finding]:
     """A picture lies before the first or behind the last pose of its traversal."""

@@ -12,7 +12,7 @@ from mirror.dataset.check.scene_view import SceneView
 _MARGIN_NS = 1_000_000_000
 
 
-@scene_rule("POS012", Severity.WARNING, remedy="ingest the drive again")
+@scene_rule("POS012", Severity.WARNING, remedy="`mirror ingest RECORDING... --replace`")
 def margin(view: SceneView) -> Iterator[Finding]:
     """Poses end less than a second beyond an end of the pass, though the drive goes on there."""
     first, last = view.pose_span()

@@ -16,7 +16,9 @@ _LIMITS = {"longitude_deg": 180.0, "latitude_deg": 90.0}
 
 
 @scene_rule(
-    "POS002", Severity.ERROR, remedy="find out why the source has no such number there, and ingest the drive again"
+    "POS002",
+    Severity.ERROR,
+    remedy="find out why the source has no such number there, and `mirror ingest RECORDING... --replace`",
 )
 def not_finite(view: SceneView) -> Iterator[Finding]:
     """A number of a pose is NaN or infinite, or its longitude or latitude is off the globe."""

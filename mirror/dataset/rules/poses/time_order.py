@@ -10,7 +10,11 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("POS001", Severity.ERROR, remedy="ingest the drive again, or write the pose layer again, sorted by time")
+@scene_rule(
+    "POS001",
+    Severity.ERROR,
+    remedy="`mirror ingest RECORDING... --replace`, or write the pose layer again, sorted by time",
+)
 def time_order(view: SceneView) -> Iterator[Finding]:
     """A pose is not later than the one before it."""
     poses = view.all_poses

@@ -9,7 +9,9 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
 @dataset_rule(
-    "SPL002", Severity.ERROR, remedy="make the split anew: `mirror split --replace`, or ingest the drive again"
+    "SPL002",
+    Severity.ERROR,
+    remedy="make the split anew: `mirror split --replace`, or run the same `mirror ingest` again",
 )
 def split_traversals(view: DatasetView) -> Iterator[Finding]:
     """A split assigns a traversal that the dataset does not have."""

@@ -9,7 +9,7 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("TAB001", Severity.ERROR, remedy="ingest the drive again, or write the layer again")
+@scene_rule("TAB001", Severity.ERROR, remedy="run the same `mirror ingest` again, or write the layer again")
 def unreadable_table(view: SceneView) -> Iterator[Finding]:
     """A traversal's table cannot be read: cut short, of another schema version, a wrong column, or a null."""
     view.tables()

@@ -10,7 +10,9 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("TIM002", Severity.ERROR, remedy="correct the stamps in the recording, and ingest the drive again")
+@scene_rule(
+    "TIM002", Severity.ERROR, remedy="correct the stamps in the recording, and `mirror ingest RECORDING... --replace`"
+)
 def camera_clock(view: SceneView) -> Iterator[Finding]:
     """A camera's exposures do not follow each other: one starts or ends before the one of an earlier picture."""
     images = view.images

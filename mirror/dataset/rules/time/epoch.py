@@ -13,7 +13,11 @@ YEAR_2000_NS = 946_684_800_000_000_000
 YEAR_2100_NS = 4_102_444_800_000_000_000
 
 
-@scene_rule("TIM007", Severity.ERROR, remedy="state the source's time base to the reader, and ingest the drive again")
+@scene_rule(
+    "TIM007",
+    Severity.ERROR,
+    remedy="state the source's time base to the reader, and `mirror ingest RECORDING... --replace`",
+)
 def epoch(view: SceneView) -> Iterator[Finding]:
     """A stamp is not of the years 2000 to 2099: another time base, or a clock that was never set."""
     for rows in (view.all_poses, view.all_images, view.boxes, view.masks):

@@ -8,7 +8,9 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("TIM001", Severity.ERROR, remedy="correct the stamps in the recording, and ingest the drive again")
+@scene_rule(
+    "TIM001", Severity.ERROR, remedy="correct the stamps in the recording, and `mirror ingest RECORDING... --replace`"
+)
 def exposure(view: SceneView) -> Iterator[Finding]:
     """A picture's stamp is not within its exposure, or the exposure ends before it starts."""
     images = view.all_images

@@ -10,7 +10,9 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("TIM004", Severity.ERROR, remedy="ingest the drive again: its frames were put together wrongly")
+@scene_rule(
+    "TIM004", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`: its frames were put together wrongly"
+)
 def frame_numbers(view: SceneView) -> Iterator[Finding]:
     """Frames do not count from 0 along the reference camera, or one has two pictures of a camera, or none of it."""
     images = view.images

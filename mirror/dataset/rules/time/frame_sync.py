@@ -10,7 +10,9 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("TIM003", Severity.ERROR, remedy="ingest the drive again: its frames were put together wrongly")
+@scene_rule(
+    "TIM003", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`: its frames were put together wrongly"
+)
 def frame_sync(view: SceneView) -> Iterator[Finding]:
     """A picture is more than half a period away from the reference exposure of its frame."""
     images = view.images

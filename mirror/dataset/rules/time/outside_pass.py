@@ -10,7 +10,7 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("TIM009", Severity.ERROR, remedy="ingest the drive again")
+@scene_rule("TIM009", Severity.ERROR, remedy="`mirror ingest RECORDING... --replace`")
 def outside_pass(view: SceneView) -> Iterator[Finding]:
     """A picture was taken before the entry or after the exit of its pass."""
     images = view.images

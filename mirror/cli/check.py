@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -25,7 +24,7 @@ class Arguments:
     Exit codes: 0 no errors, 1 errors (with --strict warnings too), 2 could not run.
     """
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[str]
     """The dataset's folder."""
     rule: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Run only this rule (POS003) or group (POS), whatever it reads; may be repeated."""
@@ -47,13 +46,14 @@ def main(argv: Sequence[str]) -> int:
     if arguments.quick and arguments.full:
         raise UsageError("--quick and --full at once", expected="one of them, or neither")
 
+    from mirror.cli.folder import local_folder
     from mirror.cli.progress import progress_bar
     from mirror.dataset.check import Cost, check
 
     cost = Cost.TABLES if arguments.quick else Cost.PICTURES if arguments.full else Cost.FILES
     with progress_bar(quiet=arguments.json) as bar:
         report = check(
-            arguments.dataset,
+            local_folder(arguments.dataset),
             only=arguments.rule,
             skip=arguments.skip,
             cost=cost,
@@ -69,7 +69,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _plain(report: CheckReport, arguments: Arguments) -> dict[str, object]:
     return {
-        "dataset": str(arguments.dataset),
+        "dataset": arguments.dataset,
         "rules": [rule.rule_id for rule in report.rules],
         "counts": report.counts(),
         "findings": [
@@ -112,4 +112,6 @@ def _print(report: CheckReport, arguments: Arguments) -> None:
         console.print(f"[red]could not read[/red] {escape(str(error))}")
     counts = report.counts()
     parts = [f"{counts[name]} {name}{'s' * (counts[name] != 1)}" for name in ("error", "warning", "info")]
-    console.print(escape(f"{len(report.rules)} rules: {', '.join(parts)}: {arguments.dataset}"))
+    console.print(
+        escape(f"{len(report.rules)} rule{'s' * (len(report.rules) != 1)}: {', '.join(parts)}: {arguments.dataset}")
+    )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import tyro
 
+from mirror.cli.folder import local_folder
 from mirror.errors import ExitCode
 
 
@@ -16,7 +16,7 @@ from mirror.errors import ExitCode
 class Arguments:
     """Derive the index tables anew from drives, traversals and layers: the same bytes whatever the order of ingest."""
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[str]
     """The dataset's folder."""
     force: bool = False
     """Write every scene, also those that are up to date."""
@@ -35,11 +35,12 @@ def main(argv: Sequence[str]) -> int:
     from mirror.dataset.lock import writer_lock
     from mirror.ingest.replace import settle
 
-    layout = Layout(arguments.dataset)
+    folder = local_folder(arguments.dataset)
+    layout = Layout(folder)
     require_dataset(layout)
     with writer_lock(layout, wait=arguments.wait):
         settle(layout)
-        report = build_index(arguments.dataset, force=arguments.force)
+        report = build_index(folder, force=arguments.force)
     if arguments.json:
         print(json.dumps(asdict(report)))
         return ExitCode.DONE

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from mirror.cli.folder import local_folder
 from mirror.cli.ingest import reader_options
 from mirror.errors import DatasetError, ExitCode
 
@@ -24,7 +24,7 @@ _LISTED = 12
 class Arguments:
     """Say what a path is: a dataset, or a recording that one of the readers recognises. No picture is opened."""
 
-    path: tyro.conf.Positional[Path]
+    path: tyro.conf.Positional[str]
     """A dataset's folder, or a recording."""
     reader: str | None = None
     """Name of the reader; default: recognised from the files."""
@@ -41,12 +41,13 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = tyro.cli(Arguments, args=list(argv), prog="mirror info")
-    if not arguments.path.exists():
-        raise DatasetError("there is nothing at this path", file=arguments.path, expected="a dataset or a recording")
-    if (arguments.path / "dataset.json").is_file():
+    path = local_folder(arguments.path)
+    if not path.exists():
+        raise DatasetError("there is nothing at this path", file=path, expected="a dataset or a recording")
+    if (path / "dataset.json").is_file():
         from mirror.dataset.summary import summarise as summarise_dataset
 
-        dataset = summarise_dataset(arguments.path)
+        dataset = summarise_dataset(path)
         plain, lines = dataset.to_dict(), _dataset_lines(dataset)
         kind = "dataset"
     else:
@@ -54,11 +55,11 @@ def main(argv: Sequence[str]) -> int:
         from mirror.recordings.summary import summarise as summarise_recording
 
         options = reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns)
-        recording = summarise_recording(open_recording(arguments.path, arguments.reader, options))
+        recording = summarise_recording(open_recording(path, arguments.reader, options))
         plain, lines = recording.to_dict(), _recording_lines(recording)
         kind = "recording"
     if arguments.json:
-        print(json.dumps({"path": str(arguments.path), "kind": kind, **plain}))
+        print(json.dumps({"path": arguments.path, "kind": kind, **plain}))
         return ExitCode.DONE
     width = max(len(name) for name, _ in lines)
     print(f"{arguments.path} is a {kind}")

@@ -16,8 +16,8 @@ from mirror.errors import ExitCode
 class Arguments:
     """Write one HTML page on a dataset: pictures of every camera, maps, charts, the ledger of refused passes."""
 
-    dataset: tyro.conf.Positional[Path]
-    """The dataset's folder."""
+    dataset: tyro.conf.Positional[str]
+    """The dataset's folder or URL."""
     out: Path = Path("report.html")
     """The page."""
     title: str = "MIRROR dataset"

@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 
 import pyarrow as pa
 
-from mirror.errors import DatasetError, SchemaError
+from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.files import Model, parse_json
 
 _REMOTE_REQUESTS: Final = 16
@@ -46,7 +46,16 @@ class Store:
         # `zip::file.zip` names no path within: fsspec wants `zip://::file.zip`.
         head, chained, tail = self.root.partition("::")
         url = f"{head}://::{tail}" if chained and "://" not in head else self.root
-        filesystem, base = fsspec.core.url_to_fs(url)
+        try:
+            filesystem, base = fsspec.core.url_to_fs(url)
+        except (ImportError, ValueError) as error:
+            # fsspec names the missing package, or the protocol that it does not know.
+            raise UsageError(
+                f"this URL cannot be opened: {error}",
+                file=self.root,
+                expected="a folder, or a URL that fsspec reads with the packages installed here",
+                remedy="pip install the package that reads it (s3fs for s3://, gcsfs for gs://), or correct the URL",
+            ) from error
         return filesystem, base.rstrip("/")
 
     def _remote_path(self, path: str) -> str:

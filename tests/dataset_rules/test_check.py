@@ -155,3 +155,18 @@ def test_wrong_use_of_the_verb(clean: Path, words: list[str], capsys: pytest.Cap
 def test_the_verb_without_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(tmp_path / "none")]) == 2
     assert "no dataset here" in capsys.readouterr().err
+
+
+def test_a_heading_from_the_course_is_not_held_against_the_course(broken: Broken) -> None:
+    turned = {"qw": 0.0, "qx": 0.0, "qy": 0.0, "qz": 1.0}
+    broken.set(A0, "ego_poses", range(1000), **turned)
+    broken.seal()
+    assert [rule.rule_id for rule, _ in check(broken.root, only=["GEO003"]).findings] == ["GEO003"]
+    broken.set(A0, "ego_poses", range(1000), orientation="course")
+    broken.seal()
+    assert check(broken.root, only=["GEO003"]).findings == []
+
+
+def test_one_rule_is_one_rule(clean: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(clean), "--rule", "GEO003"]) == 0
+    assert "1 rule: 0 errors" in capsys.readouterr().out

@@ -21,7 +21,10 @@ def heading(view: SceneView) -> Iterator[Finding]:
     along = (forward * motion.step_m[:, :2]).sum(axis=1)
     across = forward[:, 0] * motion.step_m[:, 1] - forward[:, 1] * motion.step_m[:, 0]
     angle = np.degrees(np.arctan2(across, along))
-    moving = (motion.speed_mps > _MOVING_MPS) & np.isfinite(angle)
+    # A heading that was taken from the course says nothing about the source's.
+    codes, words = poses.words("orientation")
+    recorded = codes != (words.index("course") if "course" in words else len(words))
+    moving = recorded & (motion.speed_mps > _MOVING_MPS) & np.isfinite(angle)
     way = np.where(moving, motion.distance_m, 0.0)
     wrong = np.where(moving & (np.abs(angle) > _LIMIT_DEG), motion.distance_m, 0.0)
     total = np.bincount(poses.owner, way, minlength=len(poses.files))

@@ -157,15 +157,7 @@ def statistics(dataset: Dataset) -> Statistics:
     Args:
         dataset: what to look at; tables of pictures and poses are read a scene at a time.
     """
-    traversals = dataset.table(
-        "traversals",
-        ["scene_id", "traversal_id", "drive_id", "vehicle_id", "vehicle_type", "entry_ns", "exit_ns", "duration_s",
-         "light", "weather", "cameras", "images"],
-    ).to_pylist()  # fmt: skip
-    own: dict[str, list[dict[str, Any]]] = {scene_id: [] for scene_id in dataset.scenes()}
-    for item in traversals:
-        own[item["scene_id"]].append(item)
-    rois = {row["scene_id"]: _roi(row) for row in dataset.table("scenes", _ROI_COLUMNS).to_pylist()}
+    rois, own, traversals = _contents(dataset)
     scenes = [_scene(roi, own[scene_id]) for scene_id, roi in rois.items()]
     refused = dataset.table("passes", ["rule"]).column("rule").drop_null()
     return Statistics(
@@ -183,6 +175,27 @@ def statistics(dataset: Dataset) -> Statistics:
         images=dataset.count("images"),
         image_bytes=sum(_bytes(dataset.where(scene=scene_id)) for scene_id, items in own.items() if items),
     )
+
+
+def table_row(dataset: Dataset) -> TableRow:
+    """The paper's dataset table, for a dataset or a view of one; no picture or pose is looked at."""
+    return _row(dataset, *_contents(dataset))
+
+
+def _contents(
+    dataset: Dataset,
+) -> tuple[dict[str, Roi], dict[str, list[dict[str, Any]]], list[dict[str, Any]]]:
+    """Scenes by id, their traversals, and all traversals."""
+    traversals = dataset.table(
+        "traversals",
+        ["scene_id", "traversal_id", "drive_id", "vehicle_id", "vehicle_type", "entry_ns", "exit_ns", "duration_s",
+         "light", "weather", "cameras", "images"],
+    ).to_pylist()  # fmt: skip
+    own: dict[str, list[dict[str, Any]]] = {scene_id: [] for scene_id in dataset.scenes()}
+    for item in traversals:
+        own[item["scene_id"]].append(item)
+    rois = {row["scene_id"]: _roi(row) for row in dataset.table("scenes", _ROI_COLUMNS).to_pylist()}
+    return rois, own, traversals
 
 
 def _roi(row: Mapping[str, Any]) -> Roi:

@@ -22,6 +22,7 @@ from mirror.schema.documents import CANONICAL_CAMERAS
 CATEGORY_HUES: Final = ("car", "truck", "bus", "van", "pedestrian", "cyclist", "motorcycle", "bicycle")
 _JPEG_QUALITY: Final = 80
 _EDGE_POINTS: Final = 6
+_GOLDEN_DEG: Final = 137.5
 _SAME_PLACE_M: Final = 12.0
 _LIGHTS: Final = ("day", "dusk", "night")
 
@@ -146,9 +147,15 @@ def utc(stamp_ns: int) -> str:
     return datetime.fromtimestamp(stamp_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
-def category_class(category: str) -> str:
-    """The CSS class that colours a category."""
-    return f"c{CATEGORY_HUES.index(category)}" if category in CATEGORY_HUES else "cx"
+def category_colours(categories: Iterable[str]) -> dict[str, str]:
+    """The attributes that colour each category of a frame, the same in its legend and its pictures.
+
+    Words that are not MIRROR's get hues of their own, a golden angle apart.
+    """
+    named = sorted(set(categories))
+    foreign = [name for name in named if name not in CATEGORY_HUES]
+    hues = {name: f'cx" style="--hue:{_GOLDEN_DEG * place % 360:.0f}' for place, name in enumerate(foreign)}
+    return {name: hues.get(name) or f"c{CATEGORY_HUES.index(name)}" for name in named}
 
 
 def _heading(x: Float64, y: Float64, at: int) -> Float64:
@@ -180,6 +187,7 @@ def _overlay(frame: Frame, camera: str) -> str:
     boxes = frame.boxes(f"camera:{camera}")
     projected = project_boxes(lens, boxes.pose, boxes.size_m)
     share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
+    colours = category_colours(frame.boxes().category)
     paths = []
     # Far ones first, so that near ones are drawn over them.
     for row in np.argsort(-np.linalg.norm(boxes.pose.translation, axis=1)):
@@ -190,7 +198,7 @@ def _overlay(frame: Frame, camera: str) -> str:
         points = lens.project(ends[:, None, 0] * (1 - share) + ends[:, None, 1] * share)
         path = "".join(_polyline(line) for line in points.uv_px)
         category = boxes.category[row]
-        paths.append(f'<path class="{category_class(category)}" d="{path}"><title>{escape(category)}</title></path>')
+        paths.append(f'<path class="{colours[category]}" d="{path}"><title>{escape(category)}</title></path>')
     return f'<svg class="boxes" viewBox="0 0 {lens.width_px} {lens.height_px}">{"".join(paths)}</svg>'
 
 
@@ -201,5 +209,6 @@ def _polyline(points: Float64) -> str:
 
 def legend(categories: Iterable[str]) -> str:
     """Which colour is which category."""
-    entries = [f'<span><i class="swatch {category_class(name)}"></i>{escape(name)}</span>' for name in categories]
+    colours = category_colours(categories)
+    entries = [f'<span><i class="swatch {colour}"></i>{escape(name)}</span>' for name, colour in colours.items()]
     return f'<p class="key">{"".join(entries)}</p>'

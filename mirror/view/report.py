@@ -5,7 +5,6 @@ One HTML file with everything in it: no script, no network; readable on a phone 
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -18,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.statistics import TableRow, table_row
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
@@ -56,12 +56,13 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     scenes = dataset.table("scenes").to_pylist()
     traversals = dataset.table("traversals").to_pylist()
     passes = dataset.passes().to_pylist()
+    tiles = _tiles(table_row(dataset), traversals, passes, dataset.count("boxes"))
     parts = [
-        f"<header><h1>{escape(title)}</h1>{_tiles(scenes, traversals, passes, dataset.count('boxes'))}</header>",
+        f"<header><h1>{escape(title)}</h1>{tiles}</header>",
         *_instant(dataset, traversals),
         *_places(dataset, scenes, traversals),
         "<h2>Where it was driven</h2>",
-        _map_key(),
+        _map_key({one["light"] for one in traversals}),
         f'<div class="grid two">{"".join(_map(dataset, scene, traversals) for scene in scenes)}</div>',
         "<h2>Conditions and contents</h2>",
         f'<div class="grid">{"".join(_charts(dataset, traversals))}</div>',
@@ -84,18 +85,16 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
 
 
 def _tiles(
-    scenes: Sequence[Mapping[str, Any]],
+    row: TableRow,
     traversals: Sequence[Mapping[str, Any]],
     passes: Sequence[Mapping[str, Any]],
     boxes: int,
 ) -> str:
-    area_km2 = sum(math.pi * scene["radius_m"] ** 2 for scene in scenes) / 1e6
     cameras = {camera for one in traversals for camera in one["cameras"]}
-    cities = {scene["city"] for scene in scenes if scene["city"]}
     tiles = {
-        "scenes": f"{len(scenes)}",
-        "cities": f"{len(cities)}",
-        "km² of scenes": f"{area_km2:.3f}",
+        "scenes": f"{row.scenes}",
+        "cities": f"{len(row.cities)}",
+        "km² of scenes": f"{row.area_km2:.3f}",
         "traversals": f"{len(traversals)}",
         "passes refused": f"{sum(one['decision'] == 'refused' for one in passes)}",
         "minutes": f"{sum(one['duration_s'] for one in traversals) / 60:.1f}",
@@ -159,8 +158,10 @@ def _scene_name(scene: Mapping[str, Any]) -> str:
     return f"{scene['scene_id']}{f' ({where})' if where else ''}"
 
 
-def _map_key() -> str:
-    entries = [f'<span><i class="swatch {light}"></i>{light}</span>' for light in _LIGHTS]
+def _map_key(lights: Iterable[str]) -> str:
+    known = [light for light in _LIGHTS if light in lights]
+    named = [*known, *sorted(set(lights) - set(known))]
+    entries = [f'<span><i class="swatch {escape(light)}"></i>{escape(light)}</span>' for light in named]
     return (
         f'<p class="key">{"".join(entries)}<span>● entry</span><span>▶ exit</span><span>┄ region of interest</span></p>'
     )
@@ -178,7 +179,9 @@ def _map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mappin
         inside = inside[:: max(1, len(inside) // _MAP_POINTS)]
         about = f"{one['traversal_id']}: {one['light']}, {one['weather']}, {one['duration_s']:.0f} s"
         lines.append(Line(x[inside] - centre[0], y[inside] - centre[1], one["light"], about))
-    return scene_map(f"{_scene_name(scene)}: {len(lines)} traversals", scene["radius_m"], lines)
+    return scene_map(
+        f"{_scene_name(scene)}: {len(lines)} traversals", scene["radius_m"], lines, north=scene["frame"] is None
+    )
 
 
 def _charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:

@@ -83,8 +83,10 @@ class Line:
     title: str
 
 
-def scene_map(title: str, radius_m: float, lines: Sequence[Line]) -> str:
-    """A scene's circle with its traversals, north up; a dot marks each entry, an arrow head each exit.
+def scene_map(title: str, radius_m: float, lines: Sequence[Line], *, north: bool) -> str:
+    """A scene's circle with its traversals, y up; a dot marks each entry, an arrow head each exit.
+
+    Up is ``north`` unless the scene's frame is local.
 
     Later lines are thinner, so that those which share a lane stay visible below each other.
     """
@@ -106,8 +108,11 @@ def scene_map(title: str, radius_m: float, lines: Sequence[Line]) -> str:
         f'<path d="M {-reach * 0.95:.1f} {reach * 0.95:.1f} h {bar}" class="scale"/>'
         f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" style="font-size:{radius_m * 0.06:.1f}px">'
         f"{bar} m</text>"
-        f'<text x="{reach * 0.8:.1f}" y="{-reach * 0.86:.1f}" style="font-size:{radius_m * 0.07:.1f}px">N ↑</text>'
     )
+    if north:
+        parts.append(
+            f'<text x="{reach * 0.8:.1f}" y="{-reach * 0.86:.1f}" style="font-size:{radius_m * 0.07:.1f}px">N ↑</text>'
+        )
     box = f"{-reach:.1f} {-reach:.1f} {2 * reach:.1f} {2 * reach:.1f}"
     parts.insert(1, _cross(radius_m * 0.03))
     drawing = (

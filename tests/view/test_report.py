@@ -2,6 +2,7 @@
 
 import base64
 import re
+import shutil
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,13 +15,16 @@ import mirror
 import mirror.synth
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.splits import make_split
+from mirror.dataset.statistics import statistics
+from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest
 from mirror.schema.documents import CANONICAL_CAMERAS, NovelTraversal
-from mirror.view.pictures import busiest_frame, rig_pictures, same_place
-from mirror.view.report import write_report
+from mirror.view.pictures import busiest_frame, category_colours, legend, rig_pictures, same_place
+from mirror.view.report import _map_key, write_report
+from mirror.view.svg import Line, scene_map
 
 VOID = {"meta", "img", "input", "br"}
 
@@ -169,3 +173,40 @@ def test_a_dataset_without_pictures_or_traversals_has_a_report_too(recordings: l
     assert page.count("img") == 0
     assert "No traversal has pictures" in page.text
     assert "inside too briefly" in page.text
+
+
+def test_tiles_say_what_stats_says(dataset: Dataset, recordings: list[Path], tmp_path: Path) -> None:
+    ingest(recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions())
+    for one in (dataset, mirror.open(tmp_path / "bare")):
+        write_report(one, tmp_path / "page.html")
+        html = (tmp_path / "page.html").read_text()
+        tiles = {name: value for value, name in re.findall(r'class="tile"><b>(.*?)</b><span>(.*?)</span>', html)}
+        row = statistics(one).row
+        assert (tiles["scenes"], tiles["cities"]) == (str(row.scenes), str(len(row.cities)))
+        assert tiles["km² of scenes"] == f"{row.area_km2:.3f}"
+
+
+def test_only_maps_of_the_globe_point_north() -> None:
+    line = Line(np.array([0.0, 9.0]), np.array([0.0, 9.0]), "unknown", "one")
+    assert "N ↑" in scene_map("a", 100.0, [line], north=True)
+    assert "N ↑" not in scene_map("a", 100.0, [line], north=False)
+
+
+def test_unknown_light_has_a_legend_entry() -> None:
+    assert _map_key({"unknown", "day"}).count('class="swatch') == 2
+    assert '<i class="swatch unknown"></i>unknown' in _map_key({"unknown", "day"})
+
+
+def test_categories_of_other_words_have_colours_of_their_own() -> None:
+    colours = category_colours(["car", "Car", "Truck", "Pedestrian"])
+    assert len(set(colours.values())) == 4
+    for colour in colours.values():
+        assert f'class="swatch {colour}"' in legend(["car", "Car", "Truck", "Pedestrian"])
+
+
+def test_a_truncated_picture_is_an_error(dataset: Dataset, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(dataset.root, tmp_path / "copy"))
+    for file in root.glob("traversals/*/recorded/**/*.jpg"):
+        file.write_bytes(file.read_bytes()[:400])
+    with pytest.raises(DatasetError):
+        write_report(mirror.open(root), tmp_path / "page.html")

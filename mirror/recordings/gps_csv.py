@@ -23,7 +23,7 @@ from mirror.recordings.calibration import calibration_table
 from mirror.recordings.paths import identifier, list_folder, natural_key
 from mirror.recordings.protocol import DriveInfo, ImageStream, Track
 from mirror.recordings.registry import refuse_options
-from mirror.recordings.stamps import parse_stamps
+from mirror.recordings.stamps import has_offset, parse_stamps, require_zone
 from mirror.recordings.tabular import Rows, header, read_rows
 from mirror.recordings.time import TIME_BASES
 from mirror.recordings.weather import weather_label
@@ -138,12 +138,16 @@ class CsvRecording:
         rows.refuse(empty, shown, "missing", expected="a stamp in every row", remedy="remove the row")
         numeric = np.asarray(pc.match_substring_regex(text, r"^\s*[+-]?[0-9]+(\.[0-9]*)?\s*$"))
         if len(names) == 1 and numeric[0]:
+            if "tz" in self.options:
+                require_zone(self.options["tz"])
             base = self._time_base(names[0], text)
             stamps, words = rows.stamps(names[0], base), TIME_BASES[base].words
         else:
             tz = self.options.get("tz")
             stamps = parse_stamps(rows, shown, text, tz=tz, date_format=self.options.get("date_format"))
-            words = f"date and time, local in {tz}" if tz else "date and time with UTC offset"
+            stated = has_offset(text)
+            local = "date and time," if not stated.any() else "date and time with UTC offset, or else"
+            words = "date and time with UTC offset" if stated.all() else f"{local} local in {tz}"
         self._require_sequence(stamps)
         return stamps, words
 

@@ -113,6 +113,8 @@ def _order(
 
 
 def _to_utc(rows: Rows, column: str, text: pa.ChunkedArray, local_ns: Int64, zone: pa.Array, tz: str | None) -> Int64:
+    if tz is not None:
+        require_zone(tz)
     stated = np.asarray(pc.greater(pc.utf8_length(zone), 0))
     out = local_ns - _offset_ns(zone) if stated.any() else local_ns
     naive = ~stated
@@ -128,15 +130,10 @@ def _to_utc(rows: Rows, column: str, text: pa.ChunkedArray, local_ns: Int64, zon
             remedy="give the zone the clock was set to, e.g. --tz Europe/Berlin, or --tz UTC",
         )
     times = pa.array(local_ns[naive], pa.timestamp("ns"))
-    try:
-        early, late = (
-            np.asarray(pc.assume_timezone(times, tz, ambiguous=which, nonexistent=which).cast(pa.int64()))
-            for which in ("earliest", "latest")
-        )
-    except pa.ArrowInvalid as error:
-        raise RecordingError(
-            f"unknown time zone {tz!r}", place="option tz", expected="an IANA name such as Europe/Berlin or UTC"
-        ) from error
+    early, late = (
+        np.asarray(pc.assume_timezone(times, tz, ambiguous=which, nonexistent=which).cast(pa.int64()))
+        for which in ("earliest", "latest")
+    )
     double: Bool = np.zeros(len(out), np.bool_)
     double[naive] = early != late
     rows.refuse(
@@ -148,6 +145,25 @@ def _to_utc(rows: Rows, column: str, text: pa.ChunkedArray, local_ns: Int64, zon
     )
     out[naive] = early
     return out
+
+
+def has_offset(text: pa.ChunkedArray) -> Bool:
+    """Which (N,) dates and times state their own zone."""
+    return np.asarray(pc.match_substring_regex(pc.utf8_trim_whitespace(text), r"(Z|UTC|:[0-9]{2}.*[+-][0-9:]+)$"))
+
+
+def require_zone(tz: str) -> None:
+    """Refuse a time zone that nobody knows.
+
+    Raises:
+        RecordingError: it is no IANA name.
+    """
+    try:
+        pc.assume_timezone(pa.array([0], pa.timestamp("ns")), tz)
+    except pa.ArrowInvalid as error:
+        raise RecordingError(
+            f"unknown time zone {tz!r}", place="option tz", expected="an IANA name such as Europe/Berlin or UTC"
+        ) from error
 
 
 def _offset_ns(zone: pa.Array) -> Int64:

@@ -196,3 +196,13 @@ def test_no_tables(tmp_path: Path) -> None:
     assert not CsvReader().recognises(tmp_path)
     with pytest.raises(RecordingError, match="no tables"):
         CsvReader().open(tmp_path, {})
+
+
+@pytest.mark.parametrize("stamp", ["2021-08-05 17:34:4", "2021-08-05T17:34:4"])
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
+def test_the_time_base_says_which_zone_counted(stamp: str, zone: str, tmp_path: Path) -> None:
+    rows = [f"{stamp}{second}{zone},{7 + second * 1e-4},33.0" for second in range(5)]
+    file = write(tmp_path / "one.csv", "time,lon,lat\n" + "\n".join(rows) + "\n")
+    expected = "date and time with UTC offset" if zone else "date and time, local in Europe/Berlin"
+    assert open_recording(file, options={"tz": "Europe/Berlin"}).info.time_base == expected
+    assert "unknown time zone 'Mars/X'" in refusal(file, {"tz": "Mars/X"}).problem

@@ -85,7 +85,7 @@ def _dataset_lines(found: DatasetSummary) -> list[tuple[str, str]]:
         ("passes", _counts(found.passes)),
         ("traversals", str(found.traversals)),
         ("pictures", f"{found.pictures:,} ({found.picture_bytes / 1e6:,.1f} MB)"),
-        ("time", _span(found.first_ns, found.last_ns)),
+        ("time", _dates(found.first_ns, found.last_ns, found.hours)),
         ("layers (traversals)", _numbered(found.layers)),
         *((f"split {name}", _counts(roles)) for name, roles in found.splits.items()),
         ("index", found.index if found.index == "current" else f"{found.index}: run `mirror index`"),
@@ -126,6 +126,15 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 def _numbered(counts: Mapping[str, int]) -> str:
     return f"{len(counts)}: {_counts(counts)}" if counts else "none"
+
+
+def _dates(first_ns: int | None, last_ns: int | None, hours: float) -> str:
+    if first_ns is None or last_ns is None:
+        return "--"
+    from datetime import UTC, datetime
+
+    first, last = (datetime.fromtimestamp(stamp / 1e9, UTC) for stamp in (first_ns, last_ns))
+    return f"{first:%Y-%m-%d} to {last:%Y-%m-%d}, {hours:.2f} hours of traversals"
 
 
 def _span(first_ns: int | None, last_ns: int | None) -> str:

@@ -30,6 +30,7 @@ class DatasetSummary:
         picture_bytes: their size.
         first_ns: the earliest entry; None: no traversal.
         last_ns: the latest exit.
+        hours: sum of the traversals' durations.
         passes: passes by decision: ``accepted``, or the rule that refused them.
         layers: traversals by layer, ``kind/source@version``.
         splits: traversals by role, by split.
@@ -48,6 +49,7 @@ class DatasetSummary:
     picture_bytes: int
     first_ns: int | None
     last_ns: int | None
+    hours: float
     passes: Mapping[str, int]
     layers: Mapping[str, int]
     splits: Mapping[str, Mapping[str, int]]
@@ -93,6 +95,7 @@ def summarise(root: str | Path) -> DatasetSummary:
         picture_bytes=sum(item.bytes for item in pictures if item is not None),
         first_ns=min((int(str(row["entry_ns"])) for row in passed), default=None),
         last_ns=max((int(str(row["exit_ns"])) for row in passed), default=None),
+        hours=sum(int(str(row["exit_ns"])) - int(str(row["entry_ns"])) for row in passed) / 3.6e12,
         passes=dict(Counter(rules)),
         layers=dict(sorted(Counter(f"{k}/{s}@{v}" for item in traversals for k, s, v in item.layers).items())),
         splits={name: dict(Counter(split.assignments.values())) for name, split in view.splits.items()},

@@ -41,6 +41,7 @@ def test_a_dataset_in_brief(builder: Builder) -> None:
     assert found.layers == {"boxes/petr@1": 1}
     assert sorted(found.splits["s"].items()) == [("held_out", 1), ("train", 1)]
     assert (found.first_ns, found.last_ns) == (EPOCH, EPOCH + 100 * SECOND + 3 * SECOND // 10)
+    assert found.hours == pytest.approx(2 * 0.3 / 3600)
     assert found.problems == ()
 
 
@@ -70,6 +71,7 @@ def test_the_verb_on_a_dataset(builder: Builder, capsys: pytest.CaptureFixture[s
     out = capsys.readouterr().out
     assert "is a dataset" in out
     assert "missing: run `mirror index`" in out
+    assert "2023-11-14 to 2023-11-14, 0.00 hours of traversals" in out
     assert main(["info", str(builder.root), "--json"]) == 0
     plain = json.loads(capsys.readouterr().out)
     assert (plain["kind"], plain["traversals"], plain["document"]["trigger"]["min_path_m"]) == ("dataset", 2, 20.0)

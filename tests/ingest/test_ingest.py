@@ -368,3 +368,42 @@ def test_swapped_roi_is_recognised(drives: list[Path], tmp_path: Path) -> None:
 def test_no_roi_is_an_error(drives: list[Path], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no ROI"):
         ingest(drives, [], tmp_path / "d")
+
+
+def test_a_date_that_is_none_and_a_truncated_video_leave_the_dataset_as_it_was(
+    copied: list[Path], real_data: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "d"
+    ingest(copied[1:2], [SCENE], out)
+    before = tree(out)
+    table = tmp_path / "drive.csv"
+    table.write_text(f"Date,Time,LAT,LON\n05/31/2021,10:00:00,{LAT},{LON}\n90/02/2032,10:00:01,{LAT},{LON}\n")
+    report = ingest([table], [SCENE], out, IngestOptions(reader_options={"tz": "UTC"}))
+    said = str(report.failures[0][1])
+    assert "90/02/2032" in said
+    assert str(table) in said
+    assert "line 3" in said
+    assert tree(out) == before
+
+    shutil.rmtree(copied[0] / "images/rear")
+    (copied[0] / "videos").mkdir()
+    whole = (real_data / "video" / "highway_h264_960x540.mp4").read_bytes()
+    (copied[0] / "videos/rear.mp4").write_bytes(whole[: len(whole) // 2])
+    (copied[0] / "videos/rear.csv").write_text(
+        "pts,exposure_start_ns,exposure_end_ns\n"
+        + "".join(f"{512 * k},{START_NS + k * 140_000_000},{START_NS + k * 140_000_000}\n" for k in range(220))
+    )
+    report = ingest(copied[:1], [SCENE], out)
+    assert "rear.mp4" in str(report.failures[0][1])
+    assert tree(out) == before
+
+
+def test_a_dataset_of_another_schema_version_is_refused_and_untouched(copied: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "d"
+    ingest(copied[:1], [SCENE], out)
+    document = json.loads((out / "dataset.json").read_text())
+    (out / "dataset.json").write_text(json.dumps({**document, "schema_version": "2.0.0"}))
+    before = tree(out)
+    with pytest.raises(MirrorError, match=r"2\.0\.0 is newer.*pip install --upgrade"):
+        ingest(copied, [SCENE], out)
+    assert tree(out) == before

@@ -44,7 +44,7 @@ from tests.ingest import reference
 SECTIONS = ("trigger", "copy", "startup")
 SUBSET = 200_000
 BLOCK = 16_384
-PAIRS = 7
+PAIRS = 5
 UTM_ZONE = 32
 
 
@@ -231,7 +231,9 @@ def copy_rows(megabytes: int, folder: Path | None) -> Iterator[Row]:
             wrong[name] = differing()
             shutil.rmtree(out)
         for name, (write, share) in ways.items():
-            pairs = np.array([pair_ms(cp, copied, partial(ours, write), out, bool(turn % 2)) for turn in range(PAIRS)])
+            turns = range(PAIRS + 1)
+            # The first pair meets memory that no file was in before, which flatters whoever goes first.
+            pairs = np.array([pair_ms(cp, copied, partial(ours, write), out, bool(turn % 2)) for turn in turns])[1:]
             theirs, mine = np.median(pairs, axis=0)
             # Judged by the ratio of each pair, whose two runs meet the same disk: the bar is put where that puts it.
             ratio = float(np.median(pairs[:, 1] / pairs[:, 0]))
@@ -291,7 +293,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("sections", nargs="*", choices=[[], *SECTIONS], help="default: all")
     parser.add_argument("--poses", type=int, default=10_000_000)
     parser.add_argument("--rois", type=int, default=100)
-    parser.add_argument("--megabytes", type=int, default=1000, help="of generated pictures")
+    parser.add_argument("--megabytes", type=int, default=1500, help="of generated pictures")
     parser.add_argument("--folder", type=Path, help="where the recording is generated; default: the temporary folder")
     options = parser.parse_args(argv)
     groups = {

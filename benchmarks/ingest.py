@@ -40,6 +40,8 @@ from mirror.ingest.trigger import Pass, Trigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest import reference
+from tests.ingest.reference_cleaning import Fix
+from tests.ingest.surfaces import Globe, centre_of
 
 SECTIONS = ("trigger", "copy", "startup")
 SUBSET = 200_000
@@ -126,29 +128,29 @@ def brute_force_off_mm(made: Traffic, inside: Bool) -> float:
     off = []
     for roi, mask in zip(made.rois, inside):
         first = np.flatnonzero(mask[1:] & ~mask[:-1]) + 1
-        centre = np.array([reference.centre_of(roi)])
+        centre = np.array([centre_of(roi)])
         if len(first):
             places = np.column_stack([lon[first], lat[first]])
-            off.append(np.abs(reference.Globe().distances(places, centre) - roi.radius_m))
+            off.append(np.abs(Globe().distances(places, centre) - roi.radius_m))
     return float(np.median(np.concatenate(off))) * 1e3
 
 
 def crossing_errors(track: CleanTrack, passes: Iterable[Pass], rois: Iterable[Roi]) -> tuple[float, float]:
     """Largest distance of entries and exits from their circles, in mm, and largest error of their times, in ms."""
-    globe, kept = reference.Globe(), track.kept()
+    globe, kept = Globe(), track.kept()
     stamps = track.timestamp_ns[kept]
     by_id = {roi.scene_id: roi for roi in rois}
     off_m, late_ns = 0.0, 0.0
     for one in passes:
         roi = by_id[one.scene_id]
-        centre = reference.centre_of(roi)
+        centre = centre_of(roi)
         for t, place, kind in ((one.entry_ns, one.entry, one.entry_kind), (one.exit_ns, one.exit, one.exit_kind)):
             if kind != "crossing":
                 continue
             off_m = max(off_m, abs(globe.distance(place, centre) - roi.radius_m))
             after = int(np.clip(np.searchsorted(stamps, t), 1, len(stamps) - 1))
             a, b = (
-                reference.Fix(int(stamps[i]), (float(track.first[kept[i]]), float(track.second[kept[i]])), None, False)
+                Fix(int(stamps[i]), (float(track.first[kept[i]]), float(track.second[kept[i]])), None, False)
                 for i in (after - 1, after)
             )
             if reference.radial_speed(globe, [a, b], t, centre) < 1.0:
@@ -175,7 +177,7 @@ def conversion_rows(poses: int) -> Iterator[Row]:
     ecef = geodetic_to_ecef(lon, lat, height)
     easting, northing = geodetic_to_utm(lon, lat, UTM_ZONE, True)
     back = utm_to_geodetic(easting[few], northing[few], UTM_ZONE, True)
-    globe = reference.Globe()
+    globe = Globe()
 
     def off_mm(found: Iterable[Float64]) -> float:
         places = [np.column_stack(list(axes)) for axes in (found, (lon[few], lat[few]))]

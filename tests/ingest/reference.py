@@ -1,7 +1,7 @@
-"""The cleaning and the ROI trigger once more, plainly: float64, exact geodesics, every pose against every ROI.
+"""The ROI trigger once more, plainly: float64, exact geodesics, every pose against every ROI.
 
-Written from the rules, not from the kernels: distances are Karney's, crossings are found by bisection, the closest
-approach by golden section, joined stretches are split by recursion. Slow, and meant to be read.
+Written from the rules, not from the kernels: crossings are found by bisection, the closest approach by golden section,
+joined stretches are split by recursion. Slow, and meant to be read.
 """
 
 from __future__ import annotations
@@ -9,76 +9,16 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
-from pyproj import Geod
 
 from mirror.arrays import Float64
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
+from tests.ingest.reference_cleaning import Fix, cleaned
+from tests.ingest.surfaces import Point, Surface, centre_of, surface_of
 
-Point = tuple[float, float]
-GEOD = Geod(ellps="WGS84")
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-
-
-class Plane:
-    """A local metric frame."""
-
-    def usable(self, p: Point) -> bool:
-        return abs(p[0]) < 1e9 and abs(p[1]) < 1e9
-
-    def distance(self, p: Point, q: Point) -> float:
-        return math.hypot(p[0] - q[0], p[1] - q[1])
-
-    def distances(self, p: Float64, q: Float64) -> Float64:
-        return np.asarray(np.hypot(*(p - q).T))
-
-    def between(self, p: Point, q: Point, share: float) -> Point:
-        return p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1])
-
-    def course(self, p: Point, q: Point) -> float:
-        return math.degrees(math.atan2(q[0] - p[0], q[1] - p[1])) % 360.0
-
-
-class Globe:
-    """The ellipsoid; motion is linear in longitude and latitude, the short way round."""
-
-    def usable(self, p: Point) -> bool:
-        return abs(p[0]) <= 180.0 and abs(p[1]) <= 90.0
-
-    def distance(self, p: Point, q: Point) -> float:
-        metres: float = GEOD.inv(p[0], p[1], q[0], q[1])[2]
-        return metres
-
-    def distances(self, p: Float64, q: Float64) -> Float64:
-        p, q = np.broadcast_arrays(p, q)
-        return np.asarray(GEOD.inv(p[:, 0], p[:, 1], q[:, 0], q[:, 1])[2])
-
-    def between(self, p: Point, q: Point, share: float) -> Point:
-        turn = (q[0] - p[0] + 540.0) % 360.0 - 180.0
-        return p[0] + share * turn, p[1] + share * (q[1] - p[1])
-
-    def course(self, p: Point, q: Point) -> float:
-        there, back, _ = GEOD.inv(p[0], p[1], q[0], q[1])
-        bend = (back + 180.0 - there + 180.0) % 360.0 - 180.0
-        middle: float = (there + 0.5 * bend) % 360.0
-        return middle
-
-
-Surface = Plane | Globe
-Fate = Literal["kept", "restart", "invalid", "duplicate_time", "repeated", "outlier"]
-
-
-@dataclass
-class Fix:
-    """A cleaned fix; ``unknown`` if the motion from the one before is not known."""
-
-    t: int
-    p: Point
-    sigma: float | None
-    unknown: bool
 
 
 @dataclass
@@ -115,115 +55,6 @@ class RefPass:
     headings: tuple[float, float] | None
     rule: str | None
     parts: list[Visit] = field(default_factory=list)
-
-
-def surface_of(track: Track) -> tuple[Surface, list[Point]]:
-    if track.longitude_deg is not None:
-        assert track.latitude_deg is not None
-        return Globe(), list(zip(track.longitude_deg.tolist(), track.latitude_deg.tolist()))
-    assert track.x_m is not None
-    assert track.y_m is not None
-    return Plane(), list(zip(track.x_m.tolist(), track.y_m.tolist()))
-
-
-def fates(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> tuple[list[Fate], list[int]]:
-    """The fate of every fix in time order, and the recorded row of each."""
-    surface, recorded = surface_of(track)
-    order = sorted(range(len(track)), key=lambda row: int(track.timestamp_ns[row]))
-    stamps = [int(track.timestamp_ns[row]) for row in order]
-    points = [recorded[row] for row in order]
-    fate: list[Fate] = ["invalid"] * len(order)
-
-    def seconds(i: int, j: int) -> float:
-        return (stamps[j] - stamps[i]) / 1e9
-
-    def reachable(i: int, j: int) -> bool:
-        reach = options.max_speed_mps * seconds(i, j) + options.noise_m
-        return surface.distance(points[i], points[j]) <= reach
-
-    def stood_until(i: int, j: int) -> bool:
-        reach = min_step_m + 0.5 * options.max_acceleration_mps2 * seconds(i, j) ** 2
-        return surface.distance(points[i], points[j]) <= reach
-
-    def off_the_line(i: int, j: int) -> bool:
-        following = (
-            k
-            for k in range(j + 1, len(order))
-            if stamps[k] > stamps[j] and surface.usable(points[k]) and points[k] != points[j]
-        )
-        k = next(following, None)
-        if k is None or not reachable(i, k):
-            return False
-        t1, t2 = seconds(i, j), seconds(j, k)
-        on_the_line = surface.between(points[i], points[k], t1 / (t1 + t2))
-        allowed = 0.5 * options.max_acceleration_mps2 * t1 * t2 + options.noise_m
-        return surface.distance(on_the_line, points[j]) > allowed
-
-    track_rows: list[int] = []  # kept fixes since the last break
-    run: list[int] = []  # repetitions of the last kept fix
-    rejected: list[int] = []  # failed the speed test in a row, and agree with each other
-    row = 0
-    while row < len(order):
-        if not surface.usable(points[row]):
-            fate[row] = "invalid"
-        elif not track_rows:
-            fate[row] = "kept"
-            track_rows = [row]
-        elif stamps[row] == stamps[run[-1] if run else track_rows[-1]]:
-            fate[row] = "duplicate_time"
-        elif points[row] == points[track_rows[-1]]:
-            fate[row] = "repeated"
-            run.append(row)
-            rejected = []
-        else:
-            before = track_rows[-1]
-            stood = bool(run) and stood_until(run[-1], row)
-            if stood:
-                before = run[-1]
-            if reachable(before, row):
-                rejected = []
-                if off_the_line(before, row):
-                    fate[row] = "outlier"
-                else:
-                    for one in [*run, row] if stood else [row]:
-                        fate[one] = "kept"
-                        track_rows.append(one)
-                    run = []
-            else:
-                fate[row] = "outlier"
-                if rejected and not reachable(rejected[-1], row):
-                    rejected = []
-                rejected.append(row)
-                moves = sum(points[a] != points[b] for a, b in itertools.pairwise(rejected))
-                if moves == 2:
-                    for one in run:
-                        fate[one] = "kept"
-                        track_rows.append(one)
-                    if len(track_rows) < 3:
-                        for dropped in track_rows:
-                            fate[dropped] = "outlier"
-                    row = rejected[0]
-                    fate[row] = "restart"
-                    track_rows, run, rejected = [row], [], []
-        row += 1
-    for one in run:
-        fate[one] = "kept"
-    return fate, order
-
-
-def cleaned(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> list[Fix]:
-    _, recorded = surface_of(track)
-    fate, order = fates(track, options, min_step_m)
-    return [
-        Fix(
-            int(track.timestamp_ns[row]),
-            recorded[row],
-            None if track.sigma_m is None else float(track.sigma_m[row]),
-            one == "restart",
-        )
-        for one, row in zip(fate, order)
-        if one in ("kept", "restart")
-    ]
 
 
 def closest_share(surface: Surface, p: Point, q: Point, centre: Point) -> float:
@@ -477,14 +308,6 @@ def passes(
         for parts in joined:
             found += judge(surface, fixes, roi.scene_id, parts, options, clip=clip)
     return found
-
-
-def centre_of(roi: Roi) -> Point:
-    """The centre in the coordinates of its frame."""
-    centre = (roi.longitude_deg, roi.latitude_deg) if roi.frame is None else (roi.x_m, roi.y_m)
-    assert centre[0] is not None
-    assert centre[1] is not None
-    return centre[0], centre[1]
 
 
 def radial_speed(surface: Surface, fixes: list[Fix], t: int, centre: Point) -> float:

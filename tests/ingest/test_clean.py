@@ -15,7 +15,7 @@ from mirror.errors import RecordingError
 from mirror.ingest.clean import CleanTrack, clean
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, CleaningReport
-from tests.ingest import reference
+from tests.ingest import reference_cleaning
 from tests.ingest.drives import ANTIMERIDIAN, CITY, PLANE, T0_NS, Driver
 
 FATES = ("kept", "restart", "invalid", "duplicate_time", "repeated", "outlier")
@@ -246,7 +246,7 @@ def test_the_dirty_drives_of_rsk(real_data: Path) -> None:
         assert report.invalid == np.count_nonzero(np.abs(track.longitude_deg) > 180.0)
         assert report.kept + report.invalid + report.duplicate_time + report.repeated + report.outliers == report.poses
         assert np.all(np.abs(kept.first[kept.kept()]) <= 180.0)
-        expected, _ = reference.fates(track, CleaningOptions())
+        expected, _ = reference_cleaning.fates(track, CleaningOptions())
         assert [FATES[fate] for fate in kept.fate] == expected
     assert (total["poses"], total["kept"], total["repeated"]) == (12_589, 1_459, 11_127)
     assert (total["invalid"], total["outliers"], total["restarts"]) == (3, 0, 0)

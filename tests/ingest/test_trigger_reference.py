@@ -16,6 +16,8 @@ from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest import reference
 from tests.ingest.drives import PLACES, Driver, Place
+from tests.ingest.reference_cleaning import cleaned, fates
+from tests.ingest.surfaces import centre_of, surface_of
 
 _FATES = ("kept", "restart", "invalid", "duplicate_time", "repeated", "outlier")
 
@@ -59,12 +61,12 @@ def both(case: Case, options: TriggerOptions, clip: bool) -> tuple[list[Pass], l
 def require_equal(case: Case, options: TriggerOptions, *, clip: bool = False) -> None:
     ours, theirs = both(case, options, clip)
     assert [one.scene_id for one in ours] == [one.scene_id for one in theirs]
-    surface, _ = reference.surface_of(case.track)
-    fixes = reference.cleaned(case.track, CleaningOptions(), options.min_step_m)
+    surface, _ = surface_of(case.track)
+    fixes = cleaned(case.track, CleaningOptions(), options.min_step_m)
     by_id = {roi.scene_id: roi for roi in case.rois}
     for one, ref in zip(ours, theirs):
         roi = by_id[one.scene_id]
-        centre = reference.centre_of(roi)
+        centre = centre_of(roi)
         assert (one.entry_kind, one.exit_kind) == (ref.entry_kind, ref.exit_kind)
         for t, t_ref, kind, p in (
             (one.entry_ns, ref.entry_ns, one.entry_kind, one.entry),
@@ -124,7 +126,7 @@ def test_clips(case: Case) -> None:
 @given(case=cases(list(PLACES)))
 def test_fates(case: Case) -> None:
     options = CleaningOptions()
-    expected, order = reference.fates(case.track, options)
+    expected, order = fates(case.track, options)
     track, report = clean(case.track, options)
     assert [_FATES[fate] for fate in track.fate] == expected
     assert track.recorded(np.arange(len(order))).tolist() == order

@@ -1,0 +1,37 @@
+"""What the trigger's tests share: a drive straight through, cleaned and judged in one call."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mirror.ingest.clean import clean
+from mirror.ingest.trigger import Pass, Trigger
+from mirror.recordings.protocol import Track
+from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
+from tests.ingest.drives import T0_NS, Place
+
+
+def run(
+    track: Track,
+    rois: Roi | list[Roi],
+    *,
+    clip: bool = False,
+    cleaning: CleaningOptions | None = None,
+    **options: object,
+) -> list[Pass]:
+    cleaning, chosen = cleaning or CleaningOptions(), TriggerOptions(**options)
+    listed = rois if isinstance(rois, list) else [rois]
+    cleaned, _ = clean(track, cleaning, min_step_m=chosen.min_step_m)
+    return Trigger(listed, chosen, cleaning).passes(cleaned, frame=listed[0].frame if listed else None, is_clip=clip)
+
+
+def straight(
+    place: Place, speed: float, half_m: float, *, hz: float = 10.0, y_m: float = 0.0, phase: float = 0.0
+) -> Track:
+    """East along y from x = -half to half; at x = 0 the time is half / speed."""
+    t = np.arange(0.0, 2.0 * half_m / speed + 1e-9, 1.0 / hz) + phase
+    return place.track(t, np.column_stack([t * speed - half_m, np.full(len(t), y_m)]))
+
+
+def seconds(one: Pass) -> tuple[float, float]:
+    return (one.entry_ns - T0_NS) * 1e-9, (one.exit_ns - T0_NS) * 1e-9

@@ -1,0 +1,1 @@
+"""The static street of a scene: its roads, ground, houses, plants and furniture."""

@@ -1,0 +1,110 @@
+"""All pictures and grains with their levels of detail, in flat arrays that compiled kernels read."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from mirror.arrays import Float32, Float64, Int64, UInt8
+from mirror.synth.textures.catalogue import PERIOD_M, Grain
+from mirror.synth.textures.grains import draw_grain
+from mirror.synth.textures.pictures import draw_pictures
+from mirror.synth.textures.sampling import GRAIN_SIZE
+
+_LEVELS: Final = GRAIN_SIZE.bit_length()
+_LEAST_CONTRAST: Final = 0.002
+"""Levels that differ less than this from 1, root mean square, are taken as 1."""
+_LOCK: Final = threading.Lock()
+_BUILT: Final[list[Atlas]] = []
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """Pictures and grains.
+
+    Attributes:
+        grains: (G, T) every grain's levels, the finest first, each row by row; rows go along v.
+        grain_index: (G, 2) texels a metre, and the first level that is 1 everywhere.
+        images: (N, 3) texels, the square root of linear reflectance times 255; row 0 is at the top.
+        image_index: (P, 3 + L) width, height and number of levels, then the first texel of each level.
+    """
+
+    grains: Float32
+    grain_index: Float64
+    images: UInt8
+    image_index: Int64
+
+
+def atlas() -> Atlas:
+    """The atlas: the same for every caller, drawn at the first call."""
+    with _LOCK:
+        if not _BUILT:
+            _BUILT.append(_built())
+        return _BUILT[0]
+
+
+def _built() -> Atlas:
+    grains, index = _grains()
+    images, image_index = _images(draw_pictures())
+    return Atlas(grains, index, images, image_index)
+
+
+def _grains() -> tuple[Float32, Float64]:
+    rows, index = [], []
+    for grain in Grain:
+        level = draw_grain(grain, GRAIN_SIZE)
+        chain, flat = [level], 0
+        while len(level) > 1:
+            level = 0.25 * (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2])
+            chain.append(level)
+        while flat < len(chain) and np.std(chain[flat]) > _LEAST_CONTRAST:
+            flat += 1
+        rows.append(np.concatenate([one.ravel() for one in chain]))
+        index.append((GRAIN_SIZE / PERIOD_M[grain], flat))
+    return np.stack(rows).astype(np.float32), np.array(index, np.float64)
+
+
+def _images(pictures: list[UInt8]) -> tuple[UInt8, Int64]:
+    index = np.zeros((len(pictures), 3 + _LEVELS), np.int64)
+    first = 0
+    for number, picture in enumerate(pictures):
+        high, wide, _ = picture.shape
+        levels = min(high, wide).bit_length()
+        index[number, :3] = wide, high, levels
+        for level in range(levels):
+            index[number, 3 + level] = first
+            first += (high >> level) * (wide >> level)
+    texels = np.empty((first, 3), np.uint8)
+    for number, picture in enumerate(pictures):
+        _fill(texels, index[number], picture)
+    return texels, index
+
+
+@njit(cache=True, nogil=True)
+def _fill(texels: UInt8, index: Int64, picture: UInt8) -> None:
+    """Writes a picture and its halvings, averaged in linear light."""
+    high, wide, _ = picture.shape
+    light = np.empty((high, wide, 3), np.float32)
+    for i in range(high):
+        for j in range(wide):
+            for channel in range(3):
+                value = picture[i, j, channel]
+                texels[index[3] + i * wide + j, channel] = value
+                light[i, j, channel] = np.float32(value) * np.float32(value)
+    for level in range(1, index[2]):
+        high, wide = high // 2, wide // 2
+        for i in range(high):
+            for j in range(wide):
+                for channel in range(3):
+                    mean = np.float32(0.25) * (
+                        light[2 * i, 2 * j, channel]
+                        + light[2 * i + 1, 2 * j, channel]
+                        + light[2 * i, 2 * j + 1, channel]
+                        + light[2 * i + 1, 2 * j + 1, channel]
+                    )
+                    light[i, j, channel] = mean
+                    texels[index[3 + level] + i * wide + j, channel] = np.uint8(np.sqrt(mean) + np.float32(0.5))

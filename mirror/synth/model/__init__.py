@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
+from mirror.synth.model.pieces import Finish, Pieces
 from mirror.synth.model.shapes import block, ellipsoid, extrusion, polygon, polygons, prism, tube, wheel
-from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, merged
+from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, flat, merged
 
 __all__ = [
     "FACE",
     "NO_IMAGE",
     "NO_OBJECT",
     "ROUND",
+    "Finish",
     "Label",
     "Material",
     "Model",
+    "Pieces",
     "Side",
     "block",
     "ellipsoid",
     "extrusion",
+    "flat",
     "merged",
     "polygon",
     "polygons",

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from mirror.arrays import Float64
+from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
@@ -94,8 +94,8 @@ def polygon(
 def polygons(
     corners: Float64,
     colours: npt.ArrayLike,
-    material: Material,
-    label: Label,
+    material: Material | Int64,
+    label: Label | Int64,
     *,
     texture: Float64 | None = None,
     layouts: npt.ArrayLike = 0,
@@ -107,8 +107,8 @@ def polygons(
     Args:
         corners: (F, N, 3) metres, each counter-clockwise seen from outside.
         colours: (F, 3) or (3,).
-        material: of all.
-        label: of all.
+        material: of all, or (F,).
+        label: of all, or (F,).
         texture: (F, N, 2) u and v at the corners, affine over each; default: u along the first edge, 0 in the middle.
         layouts: (F,) or one.
         seeds: (F,) or one.

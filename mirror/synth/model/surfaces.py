@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final
+from functools import lru_cache
+from typing import Any, Final
 
 import numpy as np
 
@@ -75,6 +76,21 @@ ROUND: Final = np.dtype(
 )
 """An ellipsoid. ``axes`` are its own directions as rows, in the frame that it stands in; ``half`` its half axes. An
 ``image`` covers the half towards its own +x, as seen from there: left of the picture is +y."""
+
+
+@lru_cache
+def flat(kind: np.dtype[np.void]) -> np.dtype[np.void]:
+    """The same memory with a field for every number: ``axes`` becomes ``axes_00`` to ``axes_22``.
+
+    Compiled kernels read such fields at once; an array within a record costs them two counts of references.
+    """
+    names: list[tuple[str, np.dtype[Any]]] = []
+    for name in kind.names or ():
+        field = kind[name]
+        for index in np.ndindex(field.shape):
+            digits = "".join(map(str, index))
+            names.append((f"{name}_{digits}" if digits else name, field.base))
+    return np.dtype(names)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,164 @@
+"""Polygons of many kinds, gathered one by one and made a model all at once: a hundred times faster than one by one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Float64
+from mirror.synth.model.labels import Label
+from mirror.synth.model.materials import Material
+from mirror.synth.model.shapes import polygons
+from mirror.synth.model.surfaces import FACE, NO_IMAGE, Model, merged
+
+Place = Sequence[float] | Float64
+Way = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
+Corners = Sequence[Place] | Float64
+
+_WAYS: Final[dict[Way, tuple[int, int, int, int]]] = {
+    "-x": (3, 0, 4, 7),
+    "+x": (1, 2, 6, 5),
+    "-y": (0, 1, 5, 4),
+    "+y": (2, 3, 7, 6),
+    "-z": (3, 2, 1, 0),
+    "+z": (4, 5, 6, 7),
+}
+
+
+class Finish(NamedTuple):
+    """What a piece is made of.
+
+    Attributes:
+        colour: linear reflectance of red, green and blue.
+        material: of the surface.
+        label: its semantic class.
+        seed: tells its texture from its neighbours'.
+        layout: row of markings or of windows.
+        image: picture of the catalogue.
+        images: as many from there on take turns from traversal to traversal.
+        two_sided: seen from behind as well.
+    """
+
+    colour: Place
+    material: Material
+    label: Label
+    seed: int = 0
+    layout: int = 0
+    image: int = NO_IMAGE
+    images: int = 1
+    two_sided: bool = False
+
+
+class Pieces:
+    """Gathers polygons; :meth:`model` makes them one model, in the order in which they came.
+
+    u runs along a polygon's first edge and is 0 in the middle, v is 90 degrees counter-clockwise from it.
+    """
+
+    def __init__(self) -> None:
+        self._corners: dict[int, list[Corners]] = {}
+        self._finishes: dict[int, list[Finish]] = {}
+        self._numbers: dict[int, list[int]] = {}
+        self._models: list[Model] = []
+        self._count = 0
+
+    def face(self, corners: Corners, finish: Finish) -> int:
+        """A planar convex polygon (N, 3), counter-clockwise seen from outside; its number is returned."""
+        count = len(corners)
+        self._corners.setdefault(count, []).append(corners)
+        self._finishes.setdefault(count, []).append(finish)
+        self._numbers.setdefault(count, []).append(self._count)
+        self._count += 1
+        return self._count - 1
+
+    def wall(
+        self, left: tuple[float, float], right: tuple[float, float], low_m: float, high_m: float, finish: Finish
+    ) -> int:
+        """An upright rectangle between two places (x, y), left and right as seen from outside."""
+        return self.face(
+            ((*left, low_m), (*right, low_m), (*right, high_m), (*left, high_m)),
+            finish,
+        )
+
+    def level(self, low: tuple[float, float], high: tuple[float, float], z_m: float, finish: Finish) -> int:
+        """A level rectangle that is seen from above."""
+        (a, b), (c, d) = low, high
+        return self.face(((a, b, z_m), (c, b, z_m), (c, d, z_m), (a, d, z_m)), finish)
+
+    def block(self, low: Place, high: Place, finish: Finish, without: Iterable[Way] = ("-z",)) -> None:
+        """A box along the axes, between two corners, without some of its sides."""
+        (a, b, c), (d, e, f) = low, high
+        corners = ((a, b, c), (d, b, c), (d, e, c), (a, e, c), (a, b, f), (d, b, f), (d, e, f), (a, e, f))
+        left_out = set(without)
+        for way, order in _WAYS.items():
+            if way not in left_out:
+                self.face([corners[k] for k in order], finish)
+
+    def prism(
+        self, outline: npt.ArrayLike, low_m: float, high_m: float, finish: Finish, *, top: Finish | None = None
+    ) -> None:
+        """A convex outline (N, 2), counter-clockwise, pulled up; its top may have another finish."""
+        points = [(float(x), float(y)) for x, y in np.asarray(outline)]
+        for left, right in zip(points, points[1:] + points[:1]):
+            self.wall(left, right, low_m, high_m, finish)
+        self.face([(x, y, high_m) for x, y in points], finish if top is None else top)
+
+    def tube(
+        self,
+        start: Place,
+        end: Place,
+        radius_m: float,
+        finish: Finish,
+        *,
+        end_radius_m: float | None = None,
+        corners: int = 6,
+        cap: bool = False,
+    ) -> None:
+        """A straight tube; u goes round, v along; ``cap`` closes its end."""
+        first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
+        along = (last - first) / np.linalg.norm(last - first)
+        across = np.cross(along, (1.0, 0.0, 0.0) if abs(along[0]) < 0.7 else (0.0, 1.0, 0.0))
+        across /= np.linalg.norm(across)
+        angle = 2.0 * math.pi * (np.arange(corners) + 0.5) / corners
+        ring = np.outer(np.cos(angle), across) + np.outer(np.sin(angle), np.cross(along, across))
+        low, high = first + radius_m * ring, last + (radius_m if end_radius_m is None else end_radius_m) * ring
+        for i in range(corners):
+            j = (i + 1) % corners
+            self.face(np.array([low[i], low[j], high[j], high[i]]), finish)
+        if cap:
+            self.face(high, finish)
+
+    def add(self, model: Model) -> None:
+        """A model that stands beside the polygons; its surfaces come after all of them."""
+        self._models.append(model)
+
+    def model(self) -> Model:
+        """All of it.
+
+        Raises:
+            UsageError: one of the polygons has no area.
+        """
+        parts = []
+        for count, corners in self._corners.items():
+            finishes = self._finishes[count]
+            part = polygons(
+                np.array(corners, np.float64),
+                np.array([one.colour for one in finishes], np.float64),
+                np.array([one.material for one in finishes]),
+                np.array([one.label for one in finishes]),
+                layouts=[one.layout for one in finishes],
+                seeds=[one.seed for one in finishes],
+            )
+            part.faces["image"] = [one.image for one in finishes]
+            part.faces["images"] = [one.images for one in finishes]
+            part.faces["two_sided"] = [one.two_sided for one in finishes]
+            parts.append(part)
+        gathered = merged(parts)
+        faces = np.zeros(self._count, FACE)
+        if parts:
+            faces[np.concatenate(list(self._numbers.values()))] = gathered.faces
+        return merged([Model(faces, gathered.corners, gathered.rounds), *self._models])

@@ -1,0 +1,151 @@
+"""The year of plants: leaves come out, turn and fall, each in its own time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Bool, Float64, Int64, Records
+from mirror.errors import UsageError
+from mirror.synth.model import Material, Model
+
+Colour = tuple[float, float, float]
+
+
+class Species(IntEnum):
+    """What a leaf belongs to: in the high bits of its seed. Seeds below 2**24 stay green all year."""
+
+    EVERGREEN = 0
+    LIME = 1
+    PLANE = 2
+    BIRCH = 3
+    POPLAR = 4
+    CHERRY = 5
+    OAK = 6
+    SHRUB = 7
+    CROP = 8
+    REED = 9
+
+
+@dataclass(frozen=True)
+class Year:
+    """When the leaves of a species come and go, in parts of a year from 1 January in the north.
+
+    Attributes:
+        out: when the first comes out.
+        out_span: until when the last has, after the first.
+        fresh: colour of a young leaf, as a factor of its colour in summer.
+        fresh_span: how long it is young.
+        turn: when the first turns.
+        turn_span: until when the last has, after the first.
+        turned: factors of the colours that leaves turn to.
+        linger: how long a turned leaf stays.
+    """
+
+    out: float
+    out_span: float
+    fresh: Colour
+    fresh_span: float
+    turn: float
+    turn_span: float
+    turned: tuple[Colour, Colour]
+    linger: float
+
+
+_FRESH: Final = (1.5, 1.3, 0.9)
+_YEARS: Final[dict[Species, Year]] = {
+    Species.LIME: Year(0.27, 0.06, _FRESH, 0.12, 0.73, 0.09, ((4.2, 2.1, 0.9), (3.2, 1.9, 0.9)), 0.05),
+    Species.PLANE: Year(0.29, 0.06, _FRESH, 0.12, 0.75, 0.10, ((3.2, 1.5, 0.8), (3.4, 1.1, 0.7)), 0.06),
+    Species.BIRCH: Year(0.26, 0.05, _FRESH, 0.12, 0.72, 0.08, ((4.6, 2.5, 0.8), (4.2, 2.3, 0.8)), 0.05),
+    Species.POPLAR: Year(0.27, 0.05, _FRESH, 0.12, 0.73, 0.08, ((4.0, 2.3, 0.8), (3.4, 2.2, 0.9)), 0.05),
+    Species.CHERRY: Year(0.26, 0.03, (10.0, 4.4, 18.0), 0.07, 0.71, 0.08, ((4.6, 0.9, 0.8), (4.4, 0.5, 0.7)), 0.05),
+    Species.OAK: Year(0.31, 0.05, _FRESH, 0.12, 0.78, 0.09, ((2.9, 1.2, 0.8), (2.4, 1.0, 0.9)), 0.08),
+    Species.SHRUB: Year(0.24, 0.07, _FRESH, 0.12, 0.77, 0.10, ((2.8, 1.6, 0.9), (2.0, 1.4, 0.9)), 0.06),
+    Species.CROP: Year(0.22, 0.10, _FRESH, 0.10, 0.50, 0.04, ((4.4, 2.0, 1.8), (3.9, 1.9, 1.7)), 0.10),
+}
+"""Evergreens and reeds have none: they stay."""
+_MOST_GONE: Final = 0.035
+"""Share of the leaves that are missing on any one visit, others on each."""
+_THIN: Final = 0.3
+"""With less than this share of its leaves a crown has no dark inside."""
+
+
+def leaf_seeds(rng: np.random.Generator, species: Species, number: int) -> Int64:
+    """Seeds (number,) of the leaves of one plant."""
+    return (int(species) << 24) + rng.integers(1 << 24, size=number)
+
+
+def foliage(model: Model, season: float, visit: int) -> Model:
+    """A model as its leaves are at a time of the year.
+
+    Args:
+        model: of anything; its LEAVES change, all else stays.
+        season: part of the year in [0, 1), 0 the 1st of January in the north and the 1st of July in the south.
+        visit: each has a few leaves less, others than the next.
+
+    Raises:
+        UsageError: the season is not in [0, 1).
+    """
+    if not 0.0 <= season < 1.0:
+        raise UsageError(f"season {season}", expected="a part of the year in [0, 1)")
+    faces, rounds = model.faces.copy(), model.rounds.copy()
+    shown = np.ones(len(faces), np.bool_)
+    leaves = np.flatnonzero(faces["material"] == Material.LEAVES)
+    shown[leaves] = _dressed(faces, leaves, season) & (_draw(faces["seed"][leaves], 2 + visit) >= _MOST_GONE)
+    stays = np.ones(len(rounds), np.bool_)
+    inner = np.flatnonzero(rounds["material"] == Material.LEAVES)
+    _dressed(rounds, inner, season)
+    share = crown_share(rounds["seed"][inner], season)
+    rounds["half"][inner] *= (0.4 + 0.6 * share)[:, None]
+    stays[inner] = share >= _THIN
+    return _without(model, faces, shown, rounds[stays])
+
+
+def crown_share(seeds: Int64, season: float) -> Float64:
+    """Share (N,) of the leaves of the plants that the seeds belong to, expected at a season."""
+    share = np.ones(len(seeds))
+    for species, year in _YEARS.items():
+        out = np.clip((season - year.out) / year.out_span, 0.0, 1.0)
+        gone = np.clip((season - year.turn - year.linger) / year.turn_span, 0.0, 1.0)
+        share[seeds >> 24 == species] = out - gone
+    return share
+
+
+def _dressed(pieces: Records, leaves: Int64, season: float) -> Bool:
+    """Colour the leaves for the season; which of them are there."""
+    seeds = pieces["seed"][leaves]
+    there = np.ones(len(leaves), np.bool_)
+    when, which = _draw(seeds, 0), _draw(seeds, 1)
+    for species, year in _YEARS.items():
+        mine = np.flatnonzero(seeds >> 24 == species)
+        if not len(mine):
+            continue
+        out, turn = year.out + year.out_span * when[mine], year.turn + year.turn_span * which[mine]
+        there[mine] = (season >= out) & (season < turn + year.linger)
+        young = np.clip(1.0 - (season - out) / year.fresh_span, 0.0, 1.0)[:, None]
+        old = np.clip((season - turn) / (0.5 * year.linger) + 0.5, 0.0, 1.0)[:, None]
+        kind = np.where((when[mine] < 0.5)[:, None], *(np.array(factor) for factor in year.turned))
+        change = 1.0 + young * (np.array(year.fresh) - 1.0) + old * (kind - 1.0)
+        pieces["colour"][leaves[mine]] = np.minimum(pieces["colour"][leaves[mine]] * change, 0.85)
+    return there
+
+
+def _draw(seeds: Int64, turn: int) -> Float64:
+    """Numbers (N,) in [0, 1) that depend on the seeds and the turn alone (a xor-shift multiply hash)."""
+    shift = np.uint64(turn * 0xC2B2AE3D27D4EB4F & 0xFFFFFFFFFFFFFFFF)
+    mixed = seeds.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + shift
+    mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(32))) * np.uint64(0x94D049BB133111EB)
+    return (mixed >> np.uint64(40)).astype(np.float64) / (1 << 24)
+
+
+def _without(model: Model, faces: Records, shown: Bool, rounds: Records) -> Model:
+    """Only the faces that are shown, with their corners alone."""
+    kept = faces[shown]
+    index = np.repeat(kept["first"] - np.cumsum(kept["count"]) + kept["count"], kept["count"])
+    corners = model.corners[index + np.arange(len(index))]
+    kept["first"] = np.cumsum(kept["count"]) - kept["count"]
+    return Model(kept, corners, rounds)

@@ -1,0 +1,353 @@
+"""Trees, bushes, hedges, crops and reeds in full leaf: how they stand at a time of the year is ``foliage``'s."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Float64, Int64
+from mirror.errors import UsageError
+from mirror.synth.model import Label, Material, Model, block, ellipsoid, merged, polygons
+from mirror.synth.street.foliage import Species, leaf_seeds
+
+Kind = Literal["lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", "cherry", "oak"]
+
+TREES: Final[tuple[Kind, ...]] = ("lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", "cherry", "oak")
+STREET_TREES: Final[tuple[Kind, ...]] = ("lime", "plane", "birch", "cherry")
+"""That stand along streets; on roads through fields and woods it is more the others."""
+PASSING_M: Final = 4.5
+"""Nothing hangs lower over a carriageway."""
+_ROOT_M: Final = 0.5
+"""Trunks go this far into the ground, which may slope."""
+
+
+@dataclass(frozen=True)
+class _Habit:
+    """How a kind of tree grows.
+
+    Attributes:
+        species: of its leaves.
+        height_m: least and greatest.
+        spread: diameter of the crown, as a share of the height.
+        crown_m: where the crown begins.
+        lobes: how many round parts the crown has.
+        lobe: their radius, as a share of the crown's there; 1 puts them round the trunk, one above the other.
+        shape: the crown's radius at its foot, middle and top, as shares of its greatest.
+        leaves: how many polygons; each stands for a spray of leaves.
+        leaf_m: half length of one.
+        narrow: half width of one, as a share.
+        hang: how far they hang down instead of lying any way.
+        leaf: colour.
+        bark: colour.
+        trunk: radius, as a share of the height.
+    """
+
+    species: Species
+    height_m: tuple[float, float]
+    spread: float
+    crown_m: float
+    lobes: int
+    lobe: float
+    shape: tuple[float, float, float]
+    leaves: int
+    leaf_m: float
+    narrow: float
+    hang: float
+    leaf: tuple[float, float, float]
+    bark: tuple[float, float, float]
+    trunk: float
+
+
+_BROWN: Final = (0.11, 0.085, 0.06)
+_HABITS: Final[dict[Kind, _Habit]] = {
+    "lime": _Habit(
+        Species.LIME, (8.5, 12.5), 0.60, 2.7, 8, 0.60, (0.75, 1.0, 0.45), 215, 0.46, 0.75, 0.3,
+        (0.060, 0.115, 0.028), _BROWN, 0.016,
+    ),
+    "plane": _Habit(
+        Species.PLANE, (9.5, 14.0), 0.72, 3.0, 9, 0.52, (0.70, 1.0, 0.60), 225, 0.52, 0.80, 0.2,
+        (0.075, 0.130, 0.034), (0.34, 0.31, 0.24), 0.019,
+    ),
+    "birch": _Habit(
+        Species.BIRCH, (8.0, 12.0), 0.42, 2.5, 8, 0.62, (0.85, 1.0, 0.30), 210, 0.36, 0.55, 0.8,
+        (0.080, 0.140, 0.036), (0.58, 0.57, 0.53), 0.011,
+    ),
+    "poplar": _Habit(
+        Species.POPLAR, (11.0, 16.0), 0.19, 1.6, 7, 0.85, (0.75, 1.0, 0.35), 200, 0.42, 0.60, -0.4,
+        (0.060, 0.115, 0.034), (0.16, 0.145, 0.115), 0.013,
+    ),
+    "cypress": _Habit(
+        Species.EVERGREEN, (5.5, 10.0), 0.17, 0.5, 6, 1.0, (0.80, 1.0, 0.25), 150, 0.38, 0.50, -0.8,
+        (0.028, 0.055, 0.024), _BROWN, 0.012,
+    ),
+    "spruce": _Habit(
+        Species.EVERGREEN, (7.0, 14.0), 0.42, 0.7, 8, 1.0, (1.0, 0.62, 0.12), 220, 0.56, 0.42, 0.9,
+        (0.026, 0.052, 0.028), (0.10, 0.07, 0.05), 0.014,
+    ),
+    "pine": _Habit(
+        Species.EVERGREEN, (9.0, 14.0), 0.42, 5.0, 7, 0.55, (0.70, 1.0, 0.70), 170, 0.40, 0.70, -0.3,
+        (0.036, 0.066, 0.032), (0.24, 0.13, 0.07), 0.014,
+    ),
+    "cherry": _Habit(
+        Species.CHERRY, (4.2, 6.0), 0.80, 2.3, 6, 0.58, (0.75, 1.0, 0.65), 150, 0.32, 0.70, 0.2,
+        (0.062, 0.112, 0.030), (0.12, 0.07, 0.05), 0.018,
+    ),
+    "oak": _Habit(
+        Species.OAK, (8.0, 12.0), 0.98, 2.3, 9, 0.48, (0.80, 1.0, 0.60), 230, 0.58, 0.80, 0.0,
+        (0.055, 0.100, 0.026), (0.12, 0.10, 0.075), 0.024,
+    ),
+}  # fmt: skip
+
+
+def tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf) -> Model:
+    """A tree in full leaf, its trunk's foot at the origin.
+
+    Args:
+        rng: decides its size and growth.
+        kind: of tree.
+        road_m: how far the carriageway is from its trunk; beyond it nothing hangs lower than PASSING_M.
+
+    Raises:
+        UsageError: no such kind.
+    """
+    if kind not in _HABITS:
+        raise UsageError(f"a tree of kind {kind!r}", expected=f"one of {', '.join(TREES)}")
+    habit = _HABITS[kind]
+    height = rng.uniform(*habit.height_m)
+    centres, halves = _lobes(rng, habit, height, road_m)
+    wood = _wood(rng, habit, height, centres, halves)
+    leaf = np.array(habit.leaf) * rng.uniform(0.85, 1.15) * rng.uniform(0.92, 1.08, 3)
+    seeds = leaf_seeds(rng, habit.species, habit.leaves + len(centres))
+    crown = _leaves(rng, centres, halves, habit.leaves, habit.leaf_m, habit.narrow, habit.hang, leaf, seeds, road_m)
+    return merged([wood, crown, *_insides(centres, halves, leaf, seeds[habit.leaves :])])
+
+
+def bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
+    """A bush of about 1 to 2 m, its middle at the origin."""
+    size = rng.uniform(0.5, 1.0)
+    spots = rng.normal(0.0, 0.35 * size, (3, 2))
+    halves = size * rng.uniform([0.7, 0.7, 0.75], [1.0, 1.0, 1.05], (3, 3))
+    centres = np.c_[spots, 0.75 * halves[:, 2]]
+    species = Species.EVERGREEN if evergreen else Species.SHRUB
+    leaf = np.array((0.04, 0.08, 0.03) if evergreen else (0.07, 0.12, 0.03)) * rng.uniform(0.8, 1.2)
+    seeds = leaf_seeds(rng, species, 63)
+    crown = _leaves(rng, centres, halves, 60, 0.17, 0.7, 0.0, leaf, seeds)
+    return merged([crown, *_insides(centres, halves, leaf, seeds[60:])])
+
+
+def hedge(
+    rng: np.random.Generator,
+    length_m: float,
+    height_m: float = 1.3,
+    width_m: float = 0.7,
+    *,
+    evergreen: bool = True,
+) -> Model:
+    """A clipped hedge along x, its middle at the origin; it goes 0.4 m into the ground."""
+    species = Species.EVERGREEN if evergreen else Species.SHRUB
+    leaf = np.array((0.035, 0.072, 0.028) if evergreen else (0.065, 0.115, 0.03)) * rng.uniform(0.85, 1.2)
+    number = max(12, round(9.0 * length_m * (height_m + 0.5 * width_m)))
+    seeds = leaf_seeds(rng, species, number + 1)
+    inside = block(
+        (0.0, 0.0, 0.5 * (height_m - 0.47)), (length_m - 0.1, width_m - 0.14, height_m + 0.33), 0.6 * leaf,
+        Material.LEAVES, Label.VEGETATION, seed=int(seeds[number]),
+    )  # fmt: skip
+    extent = np.array([0.5 * length_m, 0.5 * width_m, height_m])
+    areas = np.array([extent[1] * extent[2], extent[0] * extent[2], 2 * extent[0] * extent[1]])
+    axis = rng.choice(3, number, p=areas / areas.sum())
+    sign = np.where((axis == 2) | (rng.random(number) < 0.5), 1.0, -1.0)
+    places = rng.uniform([-1.0, -1.0, 0.05], [1.0, 1.0, 1.0], (number, 3)) * (extent - 0.08)
+    outward = np.zeros((number, 3))
+    outward[np.arange(number), axis] = sign
+    places[np.arange(number), axis] = sign * (extent[axis] - rng.uniform(0.03, 0.09, number))
+    corners = _sprays(rng, places, outward, np.full(number, 0.17), 0.75, 0.0, 0.35)
+    corners = np.clip(corners, [-0.5 * length_m, -0.5 * width_m, 0.0], extent)
+    return merged([inside, _painted(rng, corners, leaf * _depth(places[:, 2], height_m), seeds)])
+
+
+def crops(rng: np.random.Generator, length_m: float) -> Model:
+    """A row of corn along x, its middle at the origin."""
+    number = max(2, round(3.0 * length_m))
+    seeds = leaf_seeds(rng, Species.CROP, number)
+    height = rng.uniform(0.7, 1.0)
+    return _blades(rng, length_m, 0.12, number, (0.7 * height, height), 0.22, (0.085, 0.15, 0.035), seeds)
+
+
+def reeds(rng: np.random.Generator, length_m: float, width_m: float = 0.8) -> Model:
+    """Reeds or tall grass along x, their middle at the origin."""
+    number = max(3, round(8.0 * length_m * width_m))
+    seeds = leaf_seeds(rng, Species.REED, number)
+    return _blades(rng, length_m, width_m, number, (0.5, 1.3), 0.10, (0.15, 0.16, 0.06), seeds)
+
+
+def _blades(
+    rng: np.random.Generator,
+    length_m: float,
+    width_m: float,
+    number: int,
+    height_m: tuple[float, float],
+    half_m: float,
+    colour: tuple[float, float, float],
+    seeds: Int64,
+) -> Model:
+    """Upright tufts, wider at the top."""
+    foot = np.c_[rng.uniform(-0.5, 0.5, (number, 2)) * (length_m, width_m), np.full(number, -0.1)]
+    turn = rng.uniform(0.0, math.pi, number)
+    aside = np.c_[np.cos(turn), np.sin(turn), np.zeros(number)] * half_m
+    top = foot + np.c_[rng.normal(0.0, 0.08, (number, 2)), 0.1 + rng.uniform(*height_m, number)]
+    drop = np.c_[np.zeros((number, 2)), rng.uniform(0.1, 0.3, number)]
+    corners = np.stack([foot - 0.4 * aside, foot + 0.4 * aside, top + aside - drop, top, top - aside - drop], axis=1)
+    return _painted(rng, corners, np.tile(colour, (number, 1)), seeds)
+
+
+def _lobes(rng: np.random.Generator, habit: _Habit, height: float, road_m: float) -> tuple[Float64, Float64]:
+    """Centres and half axes (L, 3) of the round parts of a crown."""
+    number = habit.lobes
+    low, high = min(habit.crown_m * rng.uniform(0.95, 1.1), 0.6 * height), height
+    radius = 0.5 * habit.spread * height
+    share = (np.arange(number) + 0.5) / number
+    wide = radius * np.interp(share, [0.0, 0.45, 1.0], habit.shape)
+    step = (high - low) / number
+    across = habit.lobe * wide * rng.uniform(0.9, 1.1, number)
+    tall = np.minimum(np.maximum(0.85 * across, 0.8 * step), 0.5 * (high - low))
+    if habit.lobe == 1.0:
+        tall = np.full(number, 0.9 * step)
+    off = np.maximum(wide - across, 0.0) * rng.uniform(0.8, 1.1, number)
+    turn = 2.39996 * np.arange(number) + rng.uniform(0.0, 2.0 * math.pi) + rng.uniform(-0.4, 0.4, number)
+    up = np.clip(low + share * (high - low), low + tall, high - tall)
+    over = off + across > road_m
+    up = np.where(over, np.maximum(up, PASSING_M + tall), up)
+    return np.c_[off * np.cos(turn), off * np.sin(turn), up], np.c_[across, across, tall]
+
+
+def _leaves(
+    rng: np.random.Generator,
+    centres: Float64,
+    halves: Float64,
+    number: int,
+    size_m: float,
+    narrow: float,
+    hang: float,
+    colour: Float64,
+    seeds: Int64,
+    road_m: float = math.inf,
+) -> Model:
+    """Sprays of leaves on the outside of the lobes, none low over the carriageway nor in the ground."""
+    tries = 4 * number
+    area = halves[:, 0] * (halves[:, 0] + 2.0 * halves[:, 2])
+    lobe = rng.choice(len(centres), tries, p=area / area.sum())
+    ray = rng.normal(size=(tries, 3))
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    places = centres[lobe] + ray * halves[lobe] * rng.uniform(0.7, 1.05, tries)[:, None]
+    inside = (((places[:, None] - centres) / halves) ** 2).sum(axis=2)
+    outer = (inside > 0.45).all(axis=1) & (places[:, 2] > 0.05)
+    places, lobe, ray = places[outer][:number], lobe[outer][:number], ray[outer][:number]
+    outward = ray / halves[lobe]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    sizes = size_m * rng.uniform(0.7, 1.25, len(places))
+    corners = _sprays(rng, places, outward, sizes, narrow, hang, 0.45)
+    reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1)
+    clear = (corners[..., 2].min(axis=1) > 0.0) & ((reach < road_m) | (corners[..., 2].min(axis=1) >= PASSING_M))
+    bright = _depth(places[:, 2], float(centres[:, 2].max() + halves[:, 2].max()))
+    return _painted(rng, corners[clear], (colour * bright)[clear], seeds[: len(places)][clear])
+
+
+def _depth(up_m: Float64, top_m: float) -> Float64:
+    """How bright (N, 1) leaves are by their height: lower ones stand in the others' shade."""
+    return (0.72 + 0.36 * np.clip(up_m / top_m, 0.0, 1.0))[:, None]
+
+
+def _sprays(
+    rng: np.random.Generator,
+    places: Float64,
+    outward: Float64,
+    sizes: Float64,
+    narrow: float,
+    hang: float,
+    jitter: float,
+) -> Float64:
+    """Irregular convex five-cornered polygons (N, 5, 3) about places, roughly facing outwards."""
+    number = len(places)
+    normal = outward + rng.normal(0.0, jitter, (number, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    wish = (1.0 - abs(hang)) * rng.normal(size=(number, 3)) - [0.0, 0.0, 2.0 * hang]
+    along = wish - np.einsum("ni,ni->n", wish, normal)[:, None] * normal
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    aside = np.cross(normal, along)
+    # On an ellipse, with gaps below half a turn, so that they are convex whatever the draw.
+    angle = 2.0 * math.pi / 5.0 * (np.arange(5) + rng.uniform(-0.32, 0.32, (number, 5)))
+    x, y = sizes[:, None] * np.cos(angle), narrow * sizes[:, None] * np.sin(angle)
+    return places[:, None] + x[..., None] * along[:, None] + y[..., None] * aside[:, None]
+
+
+def _painted(rng: np.random.Generator, corners: Float64, colours: Float64, seeds: Int64) -> Model:
+    number = len(corners)
+    shades = colours * rng.uniform(0.78, 1.22, (number, 1)) * rng.uniform(0.93, 1.07, (number, 3))
+    return polygons(
+        corners, shades, Material.LEAVES, Label.VEGETATION, seeds=seeds[:number], two_sided=True
+    )  # fmt: skip
+
+
+def _insides(centres: Float64, halves: Float64, colour: Float64, seeds: Int64) -> list[Model]:
+    """The dark inside of each lobe, so that a crown in leaf is not seen through everywhere."""
+    return [
+        ellipsoid(centre, 1.3 * half, 0.4 * colour, Material.LEAVES, Label.VEGETATION, seed=int(seed))
+        for centre, half, seed in zip(centres, halves, seeds)
+    ]
+
+
+def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float64, halves: Float64) -> Model:
+    """Trunk, a limb to each lobe, twigs about its middle."""
+    thick = habit.trunk * height
+    fork = min(habit.crown_m + 0.5, 0.5 * height)
+    lean = rng.normal(0.0, 0.012 * height, 2)
+    knee, tip = np.array([*(0.5 * lean), fork]), np.array([*lean, float(centres[:, 2].max())])
+    trunk = _tubes(
+        np.array([[0.0, 0.0, -_ROOT_M], knee]), np.array([knee, tip]), np.array([1.15, 0.8]) * thick,
+        np.array([0.8, 0.12]) * thick, habit.bark, 6,
+    )  # fmt: skip
+    share = rng.uniform(0.15, 0.6, len(centres))
+    rise = np.minimum(fork + share * (tip[2] - fork), np.maximum(centres[:, 2] - 0.5 * halves[:, 2], fork - 0.6))
+    starts = np.c_[np.outer(rise / tip[2], lean), rise]
+    away = np.hypot(*(centres - starts)[:, :2].T) > 0.15
+    limbs = _tubes(
+        starts[away], centres[away], np.full(away.sum(), 0.38 * thick), np.full(away.sum(), 0.08 * thick), habit.bark, 3
+    )
+    return merged([trunk, limbs, _twigs(rng, habit.bark, centres, halves, starts)])
+
+
+def _twigs(
+    rng: np.random.Generator, bark: tuple[float, float, float], centres: Float64, halves: Float64, starts: Float64
+) -> Model:
+    """Thin triangles from the limbs to the outside of the lobes: what is left to see in winter."""
+    number = 5 * len(centres)
+    lobe = np.repeat(np.arange(len(centres)), 5)
+    ray = rng.normal(size=(number, 3))
+    ray[:, 2] = np.abs(ray[:, 2])
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    ends = centres[lobe] + 0.9 * ray * halves[lobe]
+    roots = centres[lobe] + rng.uniform(0.0, 0.6, (number, 1)) * (starts - centres)[lobe]
+    across = np.cross(ends - roots, rng.normal(size=(number, 3)))
+    across *= 0.03 / np.linalg.norm(across, axis=1, keepdims=True)
+    corners = np.stack([roots - across, roots + across, ends], axis=1)
+    return polygons(corners, 0.8 * np.array(bark), Material.BARK, Label.VEGETATION, two_sided=True)
+
+
+def _tubes(
+    starts: Float64, ends: Float64, radii: Float64, end_radii: Float64, colour: npt.ArrayLike, corners: int
+) -> Model:
+    """Many tapered tubes at once."""
+    along = ends - starts
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(along, np.where(np.abs(along[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    aside = np.cross(along, across)
+    angle = 2.0 * math.pi * (np.arange(corners + 1) + 0.5) / corners
+    ring = np.cos(angle)[None, :, None] * across[:, None] + np.sin(angle)[None, :, None] * aside[:, None]
+    low, high = starts[:, None] + radii[:, None, None] * ring, ends[:, None] + end_radii[:, None, None] * ring
+    quads = np.stack([low[:, :-1], low[:, 1:], high[:, 1:], high[:, :-1]], axis=2).reshape(-1, 4, 3)
+    return polygons(quads, colour, Material.BARK, Label.VEGETATION)

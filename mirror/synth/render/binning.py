@@ -1,0 +1,294 @@
+"""Which surfaces each tile of a view may see, nearest first; nothing that a view cannot see is looked at twice."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from mirror.arrays import Float32, Float64, Int32, Int64, Records
+from mirror.synth.render.lens import FANOUT, LEVELS
+
+_STACK: Final = 4 * LEVELS * FANOUT * FANOUT
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spheres_of(faces: Records, corners: Float64, rounds: Records) -> Float64:
+    """Spheres (F + R, 4) that hold the surfaces: centre and radius."""
+    out = np.empty((len(faces) + len(rounds), 4))
+    for index in range(len(faces)):
+        first, count = faces[index].first, faces[index].count
+        x, y, z = 0.0, 0.0, 0.0
+        for corner in range(first, first + count):
+            x, y, z = x + corners[corner, 0], y + corners[corner, 1], z + corners[corner, 2]
+        x, y, z = x / count, y / count, z / count
+        most = 0.0
+        for corner in range(first, first + count):
+            dx, dy, dz = corners[corner, 0] - x, corners[corner, 1] - y, corners[corner, 2] - z
+            most = max(most, dx * dx + dy * dy + dz * dz)
+        out[index, 0], out[index, 1], out[index, 2], out[index, 3] = x, y, z, math.sqrt(most)
+    for index in range(len(rounds)):
+        one, at = rounds[index], len(faces) + index
+        out[at, 0], out[at, 1], out[at, 2] = one.centre_0, one.centre_1, one.centre_2
+        out[at, 3] = max(one.half_0, one.half_1, one.half_2)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def facing(
+    faces: Records,
+    spheres: Float64,
+    cones: Float64,
+    levels: Int64,
+    rotation: Float64,
+    x: float,
+    y: float,
+    z: float,
+    least_rad: float,
+) -> tuple[Int64, Float32]:
+    """Surfaces in a view that show it their outer side and are not too small to be seen, and their distances.
+
+    Args:
+        faces: (F,) FACE, flat.
+        spheres: from `spheres_of`.
+        cones: of the lens.
+        levels: of the lens.
+        rotation: (3, 3) world_R_camera.
+        x: the camera's place.
+        y: the camera's place.
+        z: the camera's place.
+        least_rad: half the angle below which a surface is left out.
+
+    Returns:
+        (N,) surfaces; (N,) least distances, metres.
+    """
+    chosen, near = np.empty(len(spheres), np.int64), np.empty(len(spheres), np.float32)
+    first, count = levels[LEVELS - 1, 0], levels[LEVELS - 1, 1] * levels[LEVELS - 1, 2]
+    turned = _turned(cones[first : first + count], rotation)
+    used = 0
+    for index in range(len(spheres)):
+        if index < len(faces):
+            one = faces[index]
+            out = one.normal_0 * x + one.normal_1 * y + one.normal_2 * z - one.offset
+            if abs(out) < 1e-7 or (out < 0.0 and not one.two_sided):
+                continue
+        dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
+        far = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if spheres[index, 3] < least_rad * far:
+            continue
+        if far > spheres[index, 3]:
+            sine = spheres[index, 3] / far
+            cosine = math.sqrt(1.0 - sine * sine)
+            within = False
+            for root in range(count):
+                within = within or _sphere_may_meet(turned[root], dx / far, dy / far, dz / far, cosine, sine)
+            if not within:
+                continue
+        chosen[used], near[used] = index, max(far - spheres[index, 3], 0.0)
+        used += 1
+    return chosen[:used], near[:used]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turned(cones: Float64, rotation: Float64) -> Float64:
+    turned = np.empty((len(cones), 5))
+    for index in range(len(cones)):
+        a, b, c = cones[index, 0], cones[index, 1], cones[index, 2]
+        turned[index, 0] = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
+        turned[index, 1] = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
+        turned[index, 2] = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
+        turned[index, 3], turned[index, 4] = cones[index, 3], cones[index, 4]
+    return turned
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def planes_of(
+    faces: Records, corners: Float64, rounds: Records, order: Int64, x: float, y: float, z: float
+) -> tuple[Int64, Float32]:
+    """What decides whether a ray from a place meets a surface, and where.
+
+    For a face: rows of three numbers; the first, times the ray, is the inverse of the distance; each other one, times
+    the ray, is negative outside of one edge. All hold for every direction, also of corners behind the place.
+    For an ellipsoid, with p the place and M the scaling to a unit sphere about its centre: the first row, times the
+    ray, is -b / c, the second and third hold the quadratic form of (b^2 - a c) / c^2, where
+    a = |M d|^2, b = M p . M d, c = |M p|^2 - 1.
+
+    Args:
+        faces: (F,) FACE, flat.
+        corners: (C, 3).
+        rounds: (R,) ROUND, flat.
+        order: (N,) surfaces.
+        x: the place.
+        y: the place.
+        z: the place.
+
+    Returns:
+        (N + 1,) where each surface's rows begin; (rows, 3).
+    """
+    starts = np.zeros(len(order) + 1, np.int64)
+    for place in range(len(order)):
+        index = order[place]
+        starts[place + 1] = starts[place] + (1 + faces[index].count if index < len(faces) else 3)
+    rows = np.empty((starts[len(order)], 3), np.float32)
+    for place in range(len(order)):
+        index, at = order[place], starts[place]
+        if index < len(faces):
+            one = faces[index]
+            beyond = one.offset - (one.normal_0 * x + one.normal_1 * y + one.normal_2 * z)
+            rows[at, 0] = one.normal_0 / beyond
+            rows[at, 1] = one.normal_1 / beyond
+            rows[at, 2] = one.normal_2 / beyond
+            sign = -1.0 if beyond < 0.0 else 1.0
+            for corner in range(one.count):
+                i, j = one.first + corner, one.first + (corner + 1) % one.count
+                ax, ay, az = corners[i, 0] - x, corners[i, 1] - y, corners[i, 2] - z
+                bx, by, bz = corners[j, 0] - x, corners[j, 1] - y, corners[j, 2] - z
+                cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+                scale = sign / max(math.sqrt(cx * cx + cy * cy + cz * cz), 1e-30)
+                rows[at + 1 + corner, 0] = scale * cx
+                rows[at + 1 + corner, 1] = scale * cy
+                rows[at + 1 + corner, 2] = scale * cz
+        else:
+            _quadric(rounds[index - len(faces)], x, y, z, rows[at : at + 3])
+    return starts, rows
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _quadric(one: Records, x: float, y: float, z: float, rows: Float32) -> None:
+    dx, dy, dz = x - one.centre_0, y - one.centre_1, z - one.centre_2
+    ax, ay, az = one.axes_00 / one.half_0, one.axes_01 / one.half_0, one.axes_02 / one.half_0
+    bx, by, bz = one.axes_10 / one.half_1, one.axes_11 / one.half_1, one.axes_12 / one.half_1
+    cx, cy, cz = one.axes_20 / one.half_2, one.axes_21 / one.half_2, one.axes_22 / one.half_2
+    p, q, r = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz, cx * dx + cy * dy + cz * dz
+    c = p * p + q * q + r * r - 1.0
+    # Within the ellipsoid nothing is met: no camera looks out of one.
+    scale = 1.0 / c if c > 1e-12 else 0.0
+    ux, uy, uz = ax * p + bx * q + cx * r, ay * p + by * q + cy * r, az * p + bz * q + cz * r
+    rows[0, 0], rows[0, 1], rows[0, 2] = -scale * ux, -scale * uy, -scale * uz
+    square = scale * scale
+    rows[1, 0] = square * (ux * ux - c * (ax * ax + bx * bx + cx * cx))
+    rows[1, 1] = square * (uy * uy - c * (ay * ay + by * by + cy * cy))
+    rows[1, 2] = square * (uz * uz - c * (az * az + bz * bz + cz * cz))
+    rows[2, 0] = 2.0 * square * (ux * uy - c * (ax * ay + bx * by + cx * cy))
+    rows[2, 1] = 2.0 * square * (ux * uz - c * (ax * az + bx * bz + cx * cz))
+    rows[2, 2] = 2.0 * square * (uy * uz - c * (ay * az + by * bz + cy * cz))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lists_of(
+    order: Int64,
+    number: int,
+    spheres: Float64,
+    starts: Int64,
+    rows: Float32,
+    cones: Float64,
+    levels: Int64,
+    rotation: Float64,
+    x: float,
+    y: float,
+    z: float,
+) -> tuple[Int64, Int32]:
+    """Surfaces that each of the finest tiles may see, in the order given.
+
+    A tile is in a cone of directions, a surface in a sphere, and a face within its edges' planes: nothing that a tile
+    sees is left out, whatever the lens.
+
+    Args:
+        order: (N,) surfaces.
+        number: of faces: surfaces below it are faces.
+        spheres: of all surfaces.
+        starts: from `planes_of`.
+        rows: from `planes_of`.
+        cones: of the lens.
+        levels: of the lens.
+        rotation: (3, 3) world_R_camera.
+        x: the camera's place.
+        y: the camera's place.
+        z: the camera's place.
+
+    Returns:
+        (tiles + 1,) where each tile's list begins; the lists: places in ``order``.
+    """
+    turned = _turned(cones, rotation)
+    tiles = levels[0, 1] * levels[0, 2]
+    pairs = np.empty((8 * tiles + 4 * len(order) + 64, 2), np.int32)
+    used = 0
+    stack = np.empty((_STACK, 3), np.int64)
+    top = LEVELS - 1
+    for place in range(len(order)):
+        index = order[place]
+        dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
+        far = math.sqrt(dx * dx + dy * dy + dz * dz)
+        sine, cosine = 1.0, -2.0
+        if far > spheres[index, 3]:
+            sine = spheres[index, 3] / far
+            cosine = math.sqrt(1.0 - sine * sine)
+            dx, dy, dz = dx / far, dy / far, dz / far
+        first, last = starts[place] + 1, starts[place + 1]
+        if index >= number:
+            last = first
+        for root in range(levels[top, 1] * levels[top, 2]):
+            depth = 1
+            stack[0, 0], stack[0, 1], stack[0, 2] = top, root // levels[top, 2], root % levels[top, 2]
+            while depth > 0:
+                depth -= 1
+                level, row, column = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+                at = levels[level, 0] + row * levels[level, 2] + column
+                if not _may_meet(turned[at], dx, dy, dz, cosine, sine, rows, first, last):
+                    continue
+                if level == 0:
+                    if used == len(pairs):
+                        longer = np.empty((2 * used, 2), np.int32)
+                        longer[:used] = pairs
+                        pairs = longer
+                    pairs[used, 0], pairs[used, 1] = row * levels[0, 2] + column, place
+                    used += 1
+                    continue
+                finer = level - 1
+                for i in range(row * FANOUT, min((row + 1) * FANOUT, levels[finer, 1])):
+                    for j in range(column * FANOUT, min((column + 1) * FANOUT, levels[finer, 2])):
+                        stack[depth, 0], stack[depth, 1], stack[depth, 2] = finer, i, j
+                        depth += 1
+    begins = np.zeros(tiles + 1, np.int64)
+    for pair in range(used):
+        begins[pairs[pair, 0] + 1] += 1
+    for tile in range(tiles):
+        begins[tile + 1] += begins[tile]
+    lists, fill = np.empty(used, np.int32), begins[:-1].copy()
+    for pair in range(used):
+        tile = pairs[pair, 0]
+        lists[fill[tile]] = pairs[pair, 1]
+        fill[tile] += 1
+    return begins, lists
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _may_meet(
+    cone: Float64,
+    dx: float,
+    dy: float,
+    dz: float,
+    cosine: float,
+    sine: float,
+    rows: Float32,
+    first: int,
+    last: int,
+) -> bool:
+    if cosine > -1.5 and not _sphere_may_meet(cone, dx, dy, dz, cosine, sine):
+        return False
+    if cone[3] <= 0.0:
+        return True
+    for row in range(first, last):
+        out = rows[row, 0] * cone[0] + rows[row, 1] * cone[1] + rows[row, 2] * cone[2]
+        # The edge's plane is farther outside than the cone is wide.
+        if out < -cone[4]:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sphere_may_meet(cone: Float64, dx: float, dy: float, dz: float, cosine: float, sine: float) -> bool:
+    # cos(a + b) of both half angles, each below 90 degrees.
+    return cone[3] <= 0.0 or dx * cone[0] + dy * cone[1] + dz * cone[2] >= cone[3] * cosine - cone[4] * sine

@@ -1,0 +1,231 @@
+"""Which surfaces each pixel shows and how much of each: nine rays a pixel, tile by tile, in registers' width."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from mirror.arrays import Float32, Float64, Int32, Int64, UInt8
+from mirror.synth.render.lens import TILE_PX
+
+SKY: Final = -1
+_AREA: Final = TILE_PX * TILE_PX
+
+OFFSETS: Final = np.array(
+    [(0.0, 0.0)]
+    + [(math.cos(0.4636) * i / 3.0 - math.sin(0.4636) * j / 3.0, math.sin(0.4636) * i / 3.0 + math.cos(0.4636) * j / 3.0)
+       for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j],
+    np.float32,
+)  # fmt: skip
+"""Rays of a pixel: its centre's, which truth is taken from, and a turned grid about it."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def cover(
+    rays: Float64,
+    rotation: Float64,
+    offsets: Float32,
+    begins: Int64,
+    lists: Int32,
+    order: Int64,
+    number: int,
+    nearest: Float32,
+    starts: Int64,
+    rows: Float32,
+    wanted: Float32,
+) -> tuple[Int32, UInt8, Int32, Float32, Int64]:
+    """What each pixel shows: one surface, or fragments of several.
+
+    Args:
+        rays: (H, W, 3) of the lens.
+        rotation: (3, 3) world_R_camera.
+        offsets: (S, 2) rays of a pixel, pixels right and down of its centre.
+        begins: from `binning.lists_of`.
+        lists: from `binning.lists_of`.
+        order: (N,) surfaces.
+        number: of faces: surfaces below it are faces.
+        nearest: (N,) least distances of the surfaces in ``order``, ascending.
+        starts: from `binning.planes_of`.
+        rows: from `binning.planes_of`.
+        wanted: (H, W) where it is 0, nothing is done; or (0, 0): everywhere.
+
+    Returns:
+        (H, W) surface that the first ray meets, or SKY; (H, W) 1 where not all rays meet that; the fragments of those
+        pixels: (K, 2) pixel and surface, (K, 3) share of the pixel's rays and their mean offset; counts of tiles, of
+        pairs of tile and surface that were tried, and of pairs in the lists.
+    """
+    height, width = rays.shape[:2]
+    down, across = -(-height // TILE_PX), -(-width // TILE_PX)
+    samples = len(offsets)
+    many = samples * _AREA
+    sx, sy, sz = np.empty(many, np.float32), np.empty(many, np.float32), np.empty(many, np.float32)
+    inverse, inside, found = np.empty(many, np.float32), np.empty(many, np.float32), np.empty(many, np.int32)
+    seen, sums = np.empty(samples, np.int32), np.empty((samples, 3), np.float32)
+    differs, bits, pattern = np.empty(_AREA, np.int32), inverse.view(np.int32), np.empty(1, np.int32)
+    room = height * width // 2 + many
+    which, share = np.empty((room, 2), np.int32), np.empty((room, 3), np.float32)
+    centre = np.full((height, width), SKY, np.int32)
+    mixed = np.zeros((height, width), np.uint8)
+    counts = np.zeros(3, np.int64)
+    counts[2] = len(lists)
+    used = 0
+    for tile in range(down * across):
+        top, left = tile // across * TILE_PX, tile % across * TILE_PX
+        if wanted.shape[0] > 0 and not _any(wanted, top, left):
+            continue
+        counts[0] += 1
+        _spread(rays, rotation, offsets, top, left, sx, sy, sz)
+        for i in range(many):
+            inverse[i], found[i] = np.float32(0.0), SKY
+        farthest = np.float32(0.0)
+        for at in range(begins[tile], begins[tile + 1]):
+            place = lists[at]
+            if nearest[place] * farthest > np.float32(1.0001):
+                break
+            counts[1] += 1
+            first, last = starts[place], starts[place + 1]
+            if order[place] < number:
+                _try_face(rows, first, last, sx, sy, sz, inside, inverse, found, place)
+            else:
+                _try_round(rows, first, sx, sy, sz, inverse, found, place)
+            if (at - begins[tile]) & 3 == 3:
+                # Positive floats are ordered as their bits are, and only integers' least is found in vectors.
+                least = bits[0]
+                for i in range(many):
+                    least = min(least, bits[i])
+                pattern[0] = least
+                farthest = pattern.view(np.float32)[0]
+        for pixel in range(_AREA):
+            differs[pixel] = 0
+        for sample in range(1, samples):
+            for pixel in range(_AREA):
+                differs[pixel] |= found[sample * _AREA + pixel] ^ found[pixel]
+        if used + many > room:
+            room = 2 * room + many
+            longer, wider = np.empty((room, 2), np.int32), np.empty((room, 3), np.float32)
+            longer[:used], wider[:used] = which[:used], share[:used]
+            which, share = longer, wider
+        for row in range(top, min(top + TILE_PX, height)):
+            for column in range(left, min(left + TILE_PX, width)):
+                pixel = (row - top) * TILE_PX + column - left
+                own = found[pixel]
+                centre[row, column] = order[own] if own >= 0 else SKY
+                if differs[pixel] == 0:
+                    continue
+                mixed[row, column] = 1
+                kinds = 0
+                for sample in range(samples):
+                    here = found[sample * _AREA + pixel]
+                    kind = 0
+                    while kind < kinds and seen[kind] != here:
+                        kind += 1
+                    if kind == kinds:
+                        seen[kind], sums[kind, 0], sums[kind, 1], sums[kind, 2] = here, 0.0, 0.0, 0.0
+                        kinds += 1
+                    sums[kind, 0] += 1.0
+                    sums[kind, 1] += offsets[sample, 0]
+                    sums[kind, 2] += offsets[sample, 1]
+                for kind in range(kinds):
+                    here = seen[kind]
+                    which[used, 0], which[used, 1] = row * width + column, order[here] if here >= 0 else SKY
+                    share[used, 0] = sums[kind, 0] / samples
+                    share[used, 1], share[used, 2] = sums[kind, 1] / sums[kind, 0], sums[kind, 2] / sums[kind, 0]
+                    used += 1
+    return centre, mixed, which[:used], share[:used], counts
+
+
+@njit(cache=True, nogil=True)
+def _any(wanted: Float32, top: int, left: int) -> bool:
+    for row in range(top, min(top + TILE_PX, wanted.shape[0])):
+        for column in range(left, min(left + TILE_PX, wanted.shape[1])):
+            if wanted[row, column] > 0.0:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _spread(
+    rays: Float64, rotation: Float64, offsets: Float32, top: int, left: int, sx: Float32, sy: Float32, sz: Float32
+) -> None:
+    """The tile's rays in the world, sample by sample; the lens is taken as linear within a pixel."""
+    height, width = rays.shape[:2]
+    bottom, right = min(top + TILE_PX, height) - 1, min(left + TILE_PX, width) - 1
+    middle_row, middle_column = (top + bottom) // 2, (left + right) // 2
+    over, under = (left, right) if right > left else (max(left - 1, 0), right)
+    above, below = (top, bottom) if bottom > top else (max(top - 1, 0), bottom)
+    across, down = np.zeros(3), np.zeros(3)
+    for axis in range(3):
+        for k in range(3):
+            a = (rays[middle_row, under, k] - rays[middle_row, over, k]) / max(under - over, 1)
+            b = (rays[below, middle_column, k] - rays[above, middle_column, k]) / max(below - above, 1)
+            across[axis] += rotation[axis, k] * a
+            down[axis] += rotation[axis, k] * b
+    for pixel in range(_AREA):
+        row, column = min(top + pixel // TILE_PX, bottom), min(left + pixel % TILE_PX, right)
+        a, b, c = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
+        sx[pixel] = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
+        sy[pixel] = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
+        sz[pixel] = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
+    # The first ray's own offset last: the others start from the centres.
+    for sample in range(len(offsets) - 1, -1, -1):
+        u, v = offsets[sample, 0], offsets[sample, 1]
+        x = np.float32(u * across[0] + v * down[0])
+        y = np.float32(u * across[1] + v * down[1])
+        z = np.float32(u * across[2] + v * down[2])
+        first = sample * _AREA
+        for pixel in range(_AREA):
+            sx[first + pixel] = sx[pixel] + x
+            sy[first + pixel] = sy[pixel] + y
+            sz[first + pixel] = sz[pixel] + z
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _try_face(
+    rows: Float32,
+    first: int,
+    last: int,
+    sx: Float32,
+    sy: Float32,
+    sz: Float32,
+    inside: Float32,
+    inverse: Float32,
+    found: Int32,
+    place: int,
+) -> None:
+    many = len(sx)
+    a, b, c = rows[first + 1, 0], rows[first + 1, 1], rows[first + 1, 2]
+    for i in range(many):
+        inside[i] = a * sx[i] + b * sy[i] + c * sz[i]
+    for edge in range(first + 2, last):
+        a, b, c = rows[edge, 0], rows[edge, 1], rows[edge, 2]
+        for i in range(many):
+            inside[i] = min(inside[i], a * sx[i] + b * sy[i] + c * sz[i])
+    a, b, c = rows[first, 0], rows[first, 1], rows[first, 2]
+    mark = np.int32(place)
+    for i in range(many):
+        w = a * sx[i] + b * sy[i] + c * sz[i]
+        nearer = (inside[i] >= np.float32(0.0)) & (w > inverse[i])
+        inverse[i] = w if nearer else inverse[i]
+        found[i] = mark if nearer else found[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _try_round(
+    rows: Float32, first: int, sx: Float32, sy: Float32, sz: Float32, inverse: Float32, found: Int32, place: int
+) -> None:
+    many = len(sx)
+    a, b, c = rows[first, 0], rows[first, 1], rows[first, 2]
+    xx, yy, zz = rows[first + 1, 0], rows[first + 1, 1], rows[first + 1, 2]
+    xy, xz, yz = rows[first + 2, 0], rows[first + 2, 1], rows[first + 2, 2]
+    mark = np.int32(place)
+    for i in range(many):
+        x, y, z = sx[i], sy[i], sz[i]
+        ahead = a * x + b * y + c * z
+        square = x * (xx * x + xy * y + xz * z) + y * (yy * y + yz * z) + zz * z * z
+        w = ahead + math.sqrt(max(square, np.float32(0.0)))
+        nearer = (square > np.float32(0.0)) & (ahead > np.float32(0.0)) & (w > inverse[i])
+        inverse[i] = w if nearer else inverse[i]
+        found[i] = mark if nearer else found[i]

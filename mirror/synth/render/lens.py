@@ -1,0 +1,72 @@
+"""A camera as the rasteriser takes it: a ray for every pixel, and cones about the rays of tiles of several sizes."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from mirror.arrays import Float64, Int64
+from mirror.errors import UsageError
+from mirror.geometry.cameras import Camera
+
+TILE_PX: Final = 8
+LEVELS: Final = 4
+FANOUT: Final = 4
+"""A tile of one level is as wide as so many of the next finer one; the finest are TILE_PX wide."""
+_MARGIN_PX: Final = 1.0
+
+
+class Lens(NamedTuple):
+    """The rays of a camera.
+
+    Attributes:
+        rays: (H, W, 3) unit directions through the pixel centres, camera frame.
+        cones: (C, 5) axis, cosine and sine of the half angle of a cone that holds all rays of a tile and a pixel
+            beyond; level by level, the finest first, each in row-major order.
+        levels: (LEVELS, 3) where a level's cones begin, and its tiles down and across.
+        pixel_rad: angle between neighbouring rays in the middle.
+    """
+
+    rays: Float64
+    cones: Float64
+    levels: Int64
+    pixel_rad: float
+
+
+def make_lens(camera: Camera) -> Lens:
+    """The rays of a camera, and cones about its tiles.
+
+    Raises:
+        UsageError: the camera has a pixel that nothing is imaged at.
+    """
+    rays = camera.rays()
+    if not rays.valid.all():
+        row, column = np.argwhere(~rays.valid)[0]
+        raise UsageError(f"no ray at pixel ({column}, {row})", expected="a lens that fills its raster")
+    height, width = rays.direction.shape[:2]
+    cones, levels = [], np.zeros((LEVELS, 3), np.int64)
+    start = 0
+    for level in range(LEVELS):
+        side = TILE_PX * FANOUT**level
+        down, across = -(-height // side), -(-width // side)
+        levels[level] = start, down, across
+        start += down * across
+        cones.append(_cones(rays.direction, side, camera.fx_px))
+    middle = rays.direction[height // 2, max(width // 2 - 1, 0) : width // 2 + 1]
+    apart = float(np.arccos(min(middle[0] @ middle[-1], 1.0))) or 1.0 / camera.fx_px
+    return Lens(np.ascontiguousarray(rays.direction), np.concatenate(cones), levels, apart)
+
+
+def _cones(rays: Float64, side: int, focal_px: float) -> Float64:
+    height, width = rays.shape[:2]
+    down, across = -(-height // side), -(-width // side)
+    cones = np.empty((down, across, 5))
+    for row in range(down):
+        for column in range(across):
+            tile = rays[row * side : (row + 1) * side, column * side : (column + 1) * side].reshape(-1, 3)
+            axis = tile.sum(axis=0)
+            axis /= np.linalg.norm(axis)
+            half = np.arccos(np.clip((tile @ axis).min(), -1.0, 1.0)) + _MARGIN_PX / focal_px
+            cones[row, column] = *axis, np.cos(half), np.sin(half)
+    return cones.reshape(-1, 5)

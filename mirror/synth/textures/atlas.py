@@ -13,9 +13,8 @@ from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.synth.textures.catalogue import PERIOD_M, Grain
 from mirror.synth.textures.grains import draw_grain
 from mirror.synth.textures.pictures import draw_pictures
-from mirror.synth.textures.sampling import GRAIN_SIZE
 
-_LEVELS: Final = GRAIN_SIZE.bit_length()
+_LEVELS: Final = 10
 _LEAST_CONTRAST: Final = 0.002
 """Levels that differ less than this from 1, root mean square, are taken as 1."""
 _LOCK: Final = threading.Lock()
@@ -27,8 +26,9 @@ class Atlas:
     """Pictures and grains.
 
     Attributes:
-        grains: (G, T) every grain's levels, the finest first, each row by row; rows go along v.
-        grain_index: (G, 2) texels a metre, and the first level that is 1 everywhere.
+        grains: (T,) every grain's levels, the finest first, each row by row; rows go along v.
+        grain_index: (G, 4) its first texel, its texels along either side of the finest level, texels a metre, and the
+            first level that is 1 everywhere.
         images: (N, 3) texels, the square root of linear reflectance times 255; row 0 is at the top.
         image_index: (P, 3 + L) width, height and number of levels, then the first texel of each level.
     """
@@ -54,18 +54,21 @@ def _built() -> Atlas:
 
 
 def _grains() -> tuple[Float32, Float64]:
-    rows, index = [], []
+    chains: list[Float32] = []
+    index, first = np.zeros((len(Grain), 4)), 0
     for grain in Grain:
-        level = draw_grain(grain, GRAIN_SIZE)
-        chain, flat = [level], 0
+        level = draw_grain(grain)
+        size = len(level)
+        levels = [level]
         while len(level) > 1:
+            # Four of equal weight: exact but for the rounding of float32.
             level = 0.25 * (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2])
-            chain.append(level)
-        while flat < len(chain) and np.std(chain[flat]) > _LEAST_CONTRAST:
-            flat += 1
-        rows.append(np.concatenate([one.ravel() for one in chain]))
-        index.append((GRAIN_SIZE / PERIOD_M[grain], flat))
-    return np.stack(rows).astype(np.float32), np.array(index, np.float64)
+            levels.append(level)
+        flat = next(n for n, one in enumerate(levels) if one.std() < _LEAST_CONTRAST)
+        index[grain] = first, size, size / PERIOD_M[grain], flat
+        chains += [one.ravel() for one in levels]
+        first += sum(one.size for one in levels)
+    return np.concatenate(chains), index
 
 
 def _images(pictures: list[UInt8]) -> tuple[UInt8, Int64]:

@@ -9,8 +9,6 @@ from numba import njit
 
 from mirror.arrays import Float32, Float64, Int64, UInt8
 
-GRAIN_SIZE: Final = 512
-"""Texels along either side of a grain's finest level."""
 MOST_TAPS: Final = 8
 
 Rgb = tuple[float, float, float]
@@ -36,7 +34,7 @@ def grain_at(
     Returns:
         A factor of the reflectance, 1 in the mean.
     """
-    scale = index[grain, 0]
+    scale = index[grain, 2]
     x, y = u * scale, v * scale
     x1, y1, x2, y2 = u1 * scale, v1 * scale, u2 * scale, v2 * scale
     long, wide = x1 * x1 + y1 * y1, x2 * x2 + y2 * y2
@@ -45,19 +43,19 @@ def grain_at(
     width = abs(u1 * v2 - u2 * v1) * scale * scale / math.sqrt(max(long, 1e-12))
     taps = min(max(int(math.sqrt(long) / max(width, 1.0) + 0.5), 1), MOST_TAPS)
     spread = max(width, math.sqrt(long) / MOST_TAPS)
-    level, first, size = 0, 0, GRAIN_SIZE
+    level, first, size = 0, int(index[grain, 0]), int(index[grain, 1])
     while spread >= 2.4 and size > 1:
         spread *= 0.5
         first += size * size
         size >>= 1
         level += 1
-    if level >= index[grain, 1]:
+    if level >= index[grain, 3]:
         return 1.0
-    texels, shrink = grains[grain], 1.0 / (1 << level)
+    shrink = 1.0 / (1 << level)
     total = 0.0
     for tap in range(taps):
         along = (tap + 0.5) / taps - 0.5
-        total += _tap(texels, first, size, (x + along * x1) * shrink - 0.5, (y + along * y1) * shrink - 0.5)
+        total += _tap(grains, first, size, (x + along * x1) * shrink - 0.5, (y + along * y1) * shrink - 0.5)
     return total / taps
 
 

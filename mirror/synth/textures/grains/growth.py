@@ -33,9 +33,9 @@ def grass(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 def bark(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Ridges along v, parted by dark fissures."""
-    ridges = np.abs(waves(rng, size, 0.16, 0.03, 0.5, 5.0))
-    plates = waves(rng, size, 0.08, 0.01, 0.4, 2.0)
-    fissures = np.exp(-((ridges / 0.28) ** 2))
+    ridges = np.abs(waves(rng, size, 0.30, 0.06, 0.4, 6.0))
+    plates = waves(rng, size, 0.08, 0.012, 0.4, 2.0)
+    fissures = np.exp(-((ridges / 0.22) ** 2))
     return 1.05 + 0.16 * plates + 0.10 * ridges - 0.55 * fissures + 0.06 * waves(rng, size, 0.02, 0.004, 0.0)
 
 
@@ -51,9 +51,9 @@ def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     shades = (48 + 78 * depth + rng.normal(0, 20, count) * (0.4 + depth)).clip(28, 225)
     for (x, y), turn, length, shade in zip(places, turns, lengths, shades):
         cos, sin = np.cos(turn) * length, np.sin(turn) * length
-        shape = outline @ np.array([[cos, sin], [-sin, cos]])
+        shape: Float64 = outline @ np.array([[cos, sin], [-sin, cos]])
         for left, top in wrapped(x, y, length, size):
-            points = ((shape + [left, top]) * 2**_SHIFT).round().astype(np.int32)
+            points = ((shape + np.array([left, top])) * 2**_SHIFT).round().astype(np.int32)
             half = len(points) // 2
             cv2.fillPoly(tone, [points], shade * 0.86, cv2.LINE_AA, _SHIFT)
             cv2.fillPoly(tone, [points[: half + 1]], shade * 1.10, cv2.LINE_AA, _SHIFT)

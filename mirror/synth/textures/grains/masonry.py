@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mirror.arrays import Float32, Float64
-from mirror.synth.textures.grains.noise import joints, middles, waves
+from mirror.synth.textures.grains.noise import joints, waves
 
 
 def _laid(
@@ -46,7 +46,7 @@ def brick(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Bricks of 0.26 m by 0.08 m with their mortar in a stretcher bond; some are burnt dark."""
     texel = period_m / size
     tone, along, up = _laid(rng, size, 26, 8, 0.5, 0.11)
-    tone = tone - 0.28 * (tone < -0.15)
+    tone = tone - 0.12 * (tone < -0.15)
     mortar = np.maximum(joints(along * 0.26, 0.26, 0.010, texel), joints(up * 0.08, 0.08, 0.010, texel))
     fine = waves(rng, size, 0.03, 0.004, 0.2)
     body = 1.0 + tone + 0.07 * fine + 0.10 * waves(rng, size, 0.06, 0.02, 0.4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mirror.arrays import Float32
+from mirror.arrays import Float32, Float64, UInt8
 from mirror.synth.textures.grains.noise import joints, middles, waves, wrapped
 
 _SHIFT = 4
@@ -48,7 +48,7 @@ def road(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     return drawn - 0.10 * drips + 0.02 * waves(rng, size, 0.3, 0.02, 1.0, 0.3)
 
 
-def _crack(tone: np.ndarray, path: np.ndarray, shade: int, thickness: int, size: int) -> None:
+def _crack(tone: UInt8, path: Float64, shade: int, thickness: int, size: int) -> None:
     reach = 0.5 * float(np.ptp(path, axis=0).max()) + 4
     middle = 0.5 * (path.min(axis=0) + path.max(axis=0))
     inside = middle % size
@@ -57,7 +57,7 @@ def _crack(tone: np.ndarray, path: np.ndarray, shade: int, thickness: int, size:
         cv2.polylines(tone, [moved.round().astype(np.int32)], False, shade, thickness, cv2.LINE_AA, _SHIFT)
 
 
-def _disc(tone: np.ndarray, x: float, y: float, radius: float, shade: int) -> None:
+def _disc(tone: UInt8, x: float, y: float, radius: float, shade: int) -> None:
     centre = (round(x * 2**_SHIFT), round(y * 2**_SHIFT))
     cv2.circle(tone, centre, round(radius * 2**_SHIFT), shade, -1, cv2.LINE_AA, _SHIFT)
 
@@ -66,13 +66,13 @@ def gravel(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Stones of 1 to 5 cm, lit from one side, over dark gaps and sand."""
     tone = np.full((size, size), 70, np.uint8)
     texel = period_m / size
-    radii = np.sort(0.006 * rng.pareto(2.6, 5200) + 0.006).clip(None, 0.03)[::-1] / texel
+    radii = np.sort(0.008 * rng.pareto(2.8, 5200) + 0.008).clip(None, 0.03)[::-1] / texel
     places = rng.uniform(0, size, (len(radii), 2))
-    shades = rng.normal(128, 26, len(radii)).clip(64, 215)
+    shades = rng.normal(118, 20, len(radii)).clip(60, 205)
     turns, flats = rng.uniform(0, 180, len(radii)), rng.uniform(0.6, 1.0, len(radii))
     for (x, y), radius, shade, turn, flat in zip(places, radii, shades, turns, flats):
         for left, top in wrapped(x, y, radius + 2, size):
-            for grow, part, shift in ((1.2, 0.5, 0.25), (1.0, 1.0, 0.0), (0.55, 1.13, -0.25)):
+            for grow, part, shift in ((1.2, 0.55, 0.25), (1.0, 1.0, 0.0), (0.6, 1.08, -0.2)):
                 centre = (round((left + shift * radius) * 2**_SHIFT), round((top - shift * radius) * 2**_SHIFT))
                 axes = (round(grow * radius * 2**_SHIFT), round(grow * flat * radius * 2**_SHIFT))
                 cv2.ellipse(tone, centre, axes, turn, 0, 360, shade * part, -1, cv2.LINE_AA, _SHIFT)

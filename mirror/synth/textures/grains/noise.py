@@ -61,5 +61,6 @@ def joints(at_m: Float64, pitch_m: float, width_m: float, texel_m: float) -> Flo
         width_m: of a joint.
         texel_m: of a texel.
     """
-    gap = np.abs((at_m + 0.5 * pitch_m) % pitch_m - 0.5 * pitch_m)
-    return np.clip((0.5 * (width_m + texel_m) - gap) / texel_m, 0.0, min(width_m / texel_m, 1.0))
+    gap: Float64 = np.abs((at_m + 0.5 * pitch_m) % pitch_m - 0.5 * pitch_m)
+    share: Float64 = np.clip((0.5 * (width_m + texel_m) - gap) / texel_m, 0.0, min(width_m / texel_m, 1.0))
+    return share

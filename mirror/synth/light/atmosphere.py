@@ -1,0 +1,129 @@
+"""The colours of a clear sky: sunlight that air and haze scatter once towards us, round a spherical earth.
+
+After T. Nishita and others, Display of the earth taking into account atmospheric scattering, SIGGRAPH 1993, with the
+ozone that makes the zenith of the dusk blue. The sun may stand below the horizon.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+
+DOME: Final = 96
+"""Samples across a dome: a square about the zenith, stereographic, with the horizon on the inscribed circle."""
+
+_EARTH_M: Final = 6_371e3
+_TOP_M: Final = 6_431e3
+_AIR_M: Final = 8_000.0
+_HAZE_M: Final = 1_200.0
+_OZONE_M: Final = 25_000.0
+_OZONE_HALF_M: Final = 15_000.0
+# Scattering a metre at sea level, and ozone's absorption where it is densest, where a screen's red, green and blue have
+# their weight: 612, 549 and 465 nm.
+_AIR: Final = np.array([8.7e-6, 13.6e-6, 26.5e-6])
+_HAZE: Final = np.array([7.2e-6, 7.6e-6, 8.3e-6])
+_OZONE: Final = np.array([2.3e-6, 1.7e-6, 0.12e-6])
+_HAZE_TAKES: Final = 1.1
+_FORWARD: Final = 0.74
+_VIEW_STEPS: Final = 24
+_SUN_STEPS: Final = 10
+# Share of the sky's own light that air which has scattered it once scatters again, evenly.
+_AGAIN: Final = 0.6
+
+
+@lru_cache(maxsize=16)
+def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
+    """Radiance (DOME, DOME, 3) of a clear sky, in units of the sunlight above the air.
+
+    Args:
+        elevation_deg: of the sun.
+        azimuth_deg: of the sun, counter-clockwise from east.
+
+    Returns:
+        The dome, read-only; rows run north, columns east.
+    """
+    away = dome_directions().reshape(-1, 3)
+    up, aside = np.radians(elevation_deg), np.radians(azimuth_deg)
+    sun = np.array([np.cos(up) * np.cos(aside), np.cos(up) * np.sin(aside), np.sin(up)])
+    eye = np.array([0.0, 0.0, _EARTH_M + 10.0])
+    reach = _to_sphere(np.broadcast_to(eye, away.shape), away, _TOP_M)
+    # Steps grow with the distance: most of what is seen near the horizon is near.
+    edges = np.linspace(0.0, 1.0, _VIEW_STEPS + 1) ** 2.5
+    cosine = away @ sun
+    air_phase = 3.0 / (16.0 * np.pi) * (1.0 + cosine**2)
+    square = _FORWARD**2
+    haze_phase = (
+        3.0 / (8.0 * np.pi) * (1.0 - square) * (1.0 + cosine**2)
+        / ((2.0 + square) * (1.0 + square - 2.0 * _FORWARD * cosine) ** 1.5)
+    )  # fmt: skip
+    seen = np.zeros((len(away), 3))
+    passed = np.zeros((len(away), 3))
+    for near, far in pairwise(edges):
+        length = (far - near) * reach
+        point = eye + (0.5 * (near + far) * reach)[:, None] * away
+        density = _densities(np.linalg.norm(point, axis=1) - _EARTH_M)
+        inside = density @ _EXTINCTION * length[:, None]
+        lit = np.exp(-passed - 0.5 * inside - _depth_to_sun(point, sun))
+        scattered = density[:, :1] * air_phase[:, None] * _AIR + density[:, 1:2] * haze_phase[:, None] * _HAZE
+        seen += lit * scattered * length[:, None]
+        passed += inside
+    seen += _AGAIN * (1.0 - np.exp(-passed)) * (dome_weights().reshape(-1, 1) * seen).sum(axis=0)
+    dome: Float64 = seen.reshape(DOME, DOME, 3)
+    dome.flags.writeable = False
+    return dome
+
+
+def dome_directions() -> Float64:
+    """Directions (DOME, DOME, 3) of a dome's samples; outside the horizon's circle, that of the nearest on it."""
+    line = np.linspace(-1.0, 1.0, DOME)
+    x, y = np.meshgrid(line, line)
+    square = x * x + y * y
+    away = np.stack([2.0 * x, 2.0 * y, 1.0 - square], axis=-1) / (1.0 + square)[..., None]
+    away[..., 2] = np.maximum(away[..., 2], 0.0)
+    return away / np.linalg.norm(away, axis=-1, keepdims=True)
+
+
+def dome_weights() -> Float64:
+    """Solid angles (DOME, DOME) times the cosine from the zenith, over pi: radiance becomes light on level ground."""
+    line = np.linspace(-1.0, 1.0, DOME)
+    x, y = np.meshgrid(line, line)
+    square = x * x + y * y
+    solid = (2.0 / (1.0 + square)) ** 2 * (line[1] - line[0]) ** 2
+    weights: Float64 = np.where(square < 1.0, solid * (1.0 - square) / (1.0 + square), 0.0)
+    return weights / weights.sum()
+
+
+_EXTINCTION: Final = np.stack([_AIR, _HAZE_TAKES * _HAZE, _OZONE])
+
+
+def _densities(height_m: Float64) -> Float64:
+    """Densities (..., 3) of air, haze and ozone, 1 where each is densest."""
+    height = np.maximum(height_m, 0.0)
+    ozone = np.maximum(1.0 - np.abs(height - _OZONE_M) / _OZONE_HALF_M, 0.0)
+    return np.stack([np.exp(-height / _AIR_M), np.exp(-height / _HAZE_M), ozone], axis=-1)
+
+
+def _to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
+    """Distances (N,) from points inside a sphere about the earth's centre to it."""
+    along = np.einsum("ni,ni->n", start, away)
+    return -along + np.sqrt(along**2 - np.einsum("ni,ni->n", start, start) + radius**2)
+
+
+def _depth_to_sun(points: Float64, sun: Float64) -> Float64:
+    """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth is between."""
+    reach = _to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
+    along = points @ sun
+    passing = np.sqrt(np.maximum(np.einsum("ni,ni->n", points, points) - along**2, 0.0))
+    hidden = (along < 0.0) & (passing < _EARTH_M)
+    depth = np.zeros_like(points)
+    for step in range(_SUN_STEPS):
+        point = points + ((step + 0.5) / _SUN_STEPS * reach)[:, None] * sun
+        depth += _densities(np.linalg.norm(point, axis=1) - _EARTH_M) @ _EXTINCTION
+    depth *= (reach / _SUN_STEPS)[:, None]
+    depth[hidden] = 1e3
+    return depth

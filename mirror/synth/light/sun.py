@@ -1,0 +1,75 @@
+"""Where the sun stands, what of its light reaches the ground, and the time of year."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Float64, Int64
+from mirror.recordings.light import Light, solar_elevation_deg
+
+SUN_ELEVATION_DEG: Final[dict[Light, float]] = {"day": 38.0, "dusk": -2.5, "night": -25.0}
+"""Elevations that are aimed at; in the winter of high latitudes the day's highest, if that is less."""
+
+# Vertical optical depths at 612, 549 and 465 nm: Rayleigh's of a standard atmosphere, and clear air's haze.
+_RAYLEIGH: Final = np.array([0.0640, 0.0992, 0.1950])
+_HAZE: Final = np.array([0.072, 0.083, 0.103])
+# White is what cameras are balanced to: the sun well up.
+_BALANCED_AT_DEG: Final = 45.0
+_DISC_RAD: Final = 0.0093
+_YEAR_DAYS: Final = 365.2425
+
+
+def sun_direction(timestamp_ns: npt.ArrayLike, longitude_deg: float, latitude_deg: float) -> Float64:
+    """Directions (..., 3) from a place to the sun: east, north, up; without refraction.
+
+    East and north of a place are up elsewhere: 90 degrees on along the equator, and along the meridian.
+    """
+    stamps = np.asarray(timestamp_ns, np.int64)
+    ups = ((longitude_deg + 90.0, 0.0), (longitude_deg, latitude_deg + 90.0), (longitude_deg, latitude_deg))
+    return np.stack([np.sin(np.radians(solar_elevation_deg(stamps, *up))) for up in ups], axis=-1)
+
+
+def instant_of(date: str, light: Light, longitude_deg: float, latitude_deg: float, *, morning: bool = False) -> int:
+    """The minute of a local date at which the sun stands as the light asks.
+
+    Args:
+        date: ISO date, by the mean solar time of the place.
+        light: day, dusk or night.
+        longitude_deg: of the place.
+        latitude_deg: of the place.
+        morning: before noon instead of after it.
+
+    Returns:
+        Unix time in nanoseconds.
+    """
+    minute_ns = 60_000_000_000
+    midnight = int(np.datetime64(date, "ns").astype(np.int64)) - round(longitude_deg / 15.0 * 60) * minute_ns
+    minutes: Int64 = midnight + np.arange(0 if morning else 720, 720 if morning else 1440, dtype=np.int64) * minute_ns
+    elevation = solar_elevation_deg(minutes, longitude_deg, latitude_deg)
+    return int(minutes[np.argmin(np.abs(elevation - SUN_ELEVATION_DEG[light]))])
+
+
+def season_of(timestamp_ns: int, latitude_deg: float) -> float:
+    """Part of the year that has passed, in [0, 1): 0 is the turn to January in the north, to July in the south."""
+    day = np.datetime64(timestamp_ns, "ns").astype("datetime64[D]")
+    passed = int((day - day.astype("datetime64[Y]").astype("datetime64[D]")).astype(np.int64)) / _YEAR_DAYS
+    return (passed + (0.5 if latitude_deg < 0.0 else 0.0)) % 1.0
+
+
+def air_mass(elevation_deg: float) -> float:
+    """Air along the way to the sun, in vertical ways (F. Kasten, A. Young, Applied Optics 28, 1989)."""
+    above = max(elevation_deg, 0.0)
+    return 1.0 / (np.sin(np.radians(above)) + 0.50572 * (above + 6.07995) ** -1.6364)
+
+
+def sunlight(elevation_deg: float) -> Float64:
+    """The sun's light (3,) on a surface that faces it, by elevation: what air lets through; 1 at 45 degrees.
+
+    Red, green and blue; the disc sets over half a degree.
+    """
+    depth = _RAYLEIGH + _HAZE
+    through: Float64 = np.exp(-depth * (air_mass(elevation_deg) - air_mass(_BALANCED_AT_DEG)))
+    return through * float(np.clip(0.5 + np.radians(elevation_deg) / _DISC_RAD, 0.0, 1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
@@ -184,7 +185,7 @@ class _Canvas:
         px, py = self.x[:, where[1]], self.y[where[0]]
         most = np.zeros((py.shape[0], px.shape[1]))
         pieces = len(points) - 1
-        for k, ((x0, y0), (x1, y1)) in enumerate(zip(points, points[1:])):
+        for k, ((x0, y0), (x1, y1)) in enumerate(pairwise(points)):
             dx, dy = x1 - x0, y1 - y0
             along = np.clip(((px - x0) * dx + (py - y0) * dy) / (dx * dx + dy * dy), 0.0, 1.0)
             gap = np.hypot(px - x0 - along * dx, py - y0 - along * dy)

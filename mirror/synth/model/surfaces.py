@@ -75,7 +75,7 @@ ROUND: Final = np.dtype(
     ]
 )
 """An ellipsoid. ``axes`` are its own directions as rows, in the frame that it stands in; ``half`` its half axes. An
-``image`` covers the half towards its own +x, as seen from there: left of the picture is +y."""
+``image`` covers the half towards its own +x, as seen from there: the right of the picture is +y."""
 
 
 @lru_cache

@@ -1,0 +1,186 @@
+"""One view of a scene: what its pixels show, the light that they bring back, and the truth beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
+from mirror.synth.model import Label
+from mirror.synth.render.binning import facing, lists_of, planes_of
+from mirror.synth.render.coverage import OFFSETS, SKY, cover
+from mirror.synth.render.lens import Lens
+from mirror.synth.render.shade import Surroundings, radiance_of
+from mirror.synth.textures.atlas import atlas
+
+_EVERYWHERE: Final = np.zeros((0, 0), np.float32)
+_SMALLEST_PX: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a camera sees of a scene.
+
+    Attributes:
+        scene: what there is.
+        lens: the camera's rays.
+        rotation: (3, 3) world_R_camera.
+        origin: (3,) the camera's place, world metres.
+        offsets: (S, 2) rays of a pixel, pixels off its centre.
+        wanted: (H, W) nothing is done where it is 0; (0, 0): everywhere.
+        surface: (H, W) surface (faces, then ellipsoids) that a pixel's first ray meets, or SKY.
+        mixed: (H, W) 1 where a pixel's rays do not all meet that.
+        which: (K, 2) pixel and surface of the fragments of such pixels.
+        share: (K, 3) their shares of the rays, and their mean offsets.
+        counts: surfaces that there are, that face the view, pairs of tile and surface that are near each other, and
+            pairs that were tried; tiles.
+    """
+
+    scene: Surroundings
+    lens: Lens
+    rotation: Float64
+    origin: Float64
+    offsets: Float32
+    wanted: Float32
+    surface: Int32
+    mixed: UInt8
+    which: Int32
+    share: Float32
+    counts: dict[str, int]
+
+    def radiance(self, footprint_px: float = 1.0) -> Float32:
+        """Light (H, W, 4) that the view's rays bring back: red, green, blue, and how much a mirrored picture adds.
+
+        Args:
+            footprint_px: width that textures are averaged over.
+        """
+        scene, pictures = self.scene, atlas()
+        return radiance_of(
+            scene.faces, scene.rounds, scene.still, scene.moving, scene.lamps, scene.below, scene.ground,
+            scene.dome, scene.clouds, scene.setting, scene.maps,
+            pictures.grains, pictures.grain_index, pictures.images, pictures.image_index,
+            self.lens.rays, self.rotation, self.origin, self.offsets[0], footprint_px,
+            self.surface, self.mixed, self.which, self.share, self.wanted,
+        )  # fmt: skip
+
+    @cached_property
+    def _geometry(self) -> tuple[Float32, Float32]:
+        scene = self.scene
+        return _geometry_of(scene.faces, scene.rounds, self.lens.rays, self.rotation, self.origin, self.surface)
+
+    @property
+    def distance_m(self) -> Float32:
+        """Distances (H, W) along the rays through the pixels' centres; infinite for the sky."""
+        return self._geometry[0]
+
+    @property
+    def normal(self) -> Float32:
+        """Unit normals (H, W, 3) in the world, towards the camera; 0 for the sky."""
+        return self._geometry[1]
+
+    def _of_surfaces(self, name: str, sky: int) -> Int64:
+        values = np.concatenate([self.scene.faces[name], self.scene.rounds[name], [sky]])
+        found: Int64 = values[self.surface]
+        return found
+
+    @property
+    def label(self) -> UInt8:
+        """Semantic classes (H, W), of `Label`."""
+        return self._of_surfaces("label", Label.SKY).astype(np.uint8)
+
+    @property
+    def object(self) -> Int32:
+        """Numbers (H, W) of the road users seen; NO_OBJECT for all else."""
+        return self._of_surfaces("object", -1).astype(np.int32)
+
+
+def see(
+    scene: Surroundings,
+    lens: Lens,
+    rotation: Float64,
+    origin: Float64,
+    *,
+    offsets: Float32 = OFFSETS,
+    wanted: Float32 = _EVERYWHERE,
+) -> View:
+    """Find what a camera sees.
+
+    Args:
+        scene: what there is.
+        lens: the camera.
+        rotation: (3, 3) world_R_camera.
+        origin: (3,) the camera's place, world metres.
+        offsets: (S, 2) rays of a pixel, pixels off its centre; truth is that of the first.
+        wanted: (H, W) nothing is done where it is 0; default: everywhere.
+    """
+    rotation = np.ascontiguousarray(rotation, np.float64)
+    x, y, z = (float(value) for value in origin)
+    chosen, near = facing(
+        scene.faces, scene.spheres, lens.cones, lens.levels, rotation, x, y, z, 0.5 * _SMALLEST_PX * lens.pixel_rad
+    )
+    by_distance = np.argsort(near, kind="stable")
+    order, nearest = chosen[by_distance], near[by_distance]
+    starts, rows = planes_of(scene.faces, scene.corners, scene.rounds, order, x, y, z)
+    begins, lists = lists_of(
+        order, len(scene.faces), scene.spheres, starts, rows, lens.cones, lens.levels, rotation, x, y, z
+    )
+    surface, mixed, which, share, counts = cover(
+        lens.rays, rotation, offsets, begins, lists, order, len(scene.faces), nearest, starts, rows, wanted
+    )
+    told = {
+        "surfaces": len(scene.spheres), "facing": len(order), "near": len(lists), "tried": int(counts[1]),
+        "tiles": int(counts[0]),
+    }  # fmt: skip
+    return View(scene, lens, rotation, np.array([x, y, z]), offsets, wanted, surface, mixed, which, share, told)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _geometry_of(
+    faces: Records, rounds: Records, rays: Float64, rotation: Float64, origin: Float64, surface: Int32
+) -> tuple[Float32, Float32]:
+    height, width = surface.shape
+    distance, normal = np.empty((height, width), np.float32), np.zeros((height, width, 3), np.float32)
+    for row in range(height):
+        for column in range(width):
+            index = surface[row, column]
+            if index == SKY:
+                distance[row, column] = np.inf
+                continue
+            i, j, k = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
+            dx = rotation[0, 0] * i + rotation[0, 1] * j + rotation[0, 2] * k
+            dy = rotation[1, 0] * i + rotation[1, 1] * j + rotation[1, 2] * k
+            dz = rotation[2, 0] * i + rotation[2, 1] * j + rotation[2, 2] * k
+            if index < len(faces):
+                one = faces[index]
+                nx, ny, nz = one.normal_0, one.normal_1, one.normal_2
+                along = nx * dx + ny * dy + nz * dz
+                t = (one.offset - nx * origin[0] - ny * origin[1] - nz * origin[2]) / along
+            else:
+                ball = rounds[index - len(faces)]
+                x, y, z = origin[0] - ball.centre_0, origin[1] - ball.centre_1, origin[2] - ball.centre_2
+                px = (ball.axes_00 * x + ball.axes_01 * y + ball.axes_02 * z) / ball.half_0
+                py = (ball.axes_10 * x + ball.axes_11 * y + ball.axes_12 * z) / ball.half_1
+                pz = (ball.axes_20 * x + ball.axes_21 * y + ball.axes_22 * z) / ball.half_2
+                vx = (ball.axes_00 * dx + ball.axes_01 * dy + ball.axes_02 * dz) / ball.half_0
+                vy = (ball.axes_10 * dx + ball.axes_11 * dy + ball.axes_12 * dz) / ball.half_1
+                vz = (ball.axes_20 * dx + ball.axes_21 * dy + ball.axes_22 * dz) / ball.half_2
+                a, b = vx * vx + vy * vy + vz * vz, px * vx + py * vy + pz * vz
+                c = px * px + py * py + pz * pz - 1.0
+                t = (-b - np.sqrt(max(b * b - a * c, 0.0))) / a
+                px, py, pz = (px + t * vx) / ball.half_0, (py + t * vy) / ball.half_1, (pz + t * vz) / ball.half_2
+                nx = ball.axes_00 * px + ball.axes_10 * py + ball.axes_20 * pz
+                ny = ball.axes_01 * px + ball.axes_11 * py + ball.axes_21 * pz
+                nz = ball.axes_02 * px + ball.axes_12 * py + ball.axes_22 * pz
+                scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
+                nx, ny, nz = nx * scale, ny * scale, nz * scale
+                along = nx * dx + ny * dy + nz * dz
+            sign = -1.0 if along > 0.0 else 1.0
+            distance[row, column] = t
+            normal[row, column, 0] = sign * nx
+            normal[row, column, 1] = sign * ny
+            normal[row, column, 2] = sign * nz
+    return distance, normal

@@ -28,6 +28,14 @@ class Body:
     model: Model
 
 
+def boxed(category: str, model: Model) -> Body:
+    """The body of a model with the least box about it, its origin moved below the box's middle."""
+    low, high = model.bounds()
+    middle = 0.5 * (low[0] + high[0])
+    size = float(high[0] - low[0]), 2.0 * float(max(high[1], -low[1])), float(high[2])
+    return Body(category, size, model.standing(-middle, 0.0))
+
+
 @dataclass(frozen=True)
 class Saddle:
     """Where somebody sits on a two-wheeler: places in the body's frame, metres.

@@ -1,0 +1,282 @@
+"""What houses look like: walls with windows, shop fronts and far woods, averaged exactly over a pixel's footprint.
+
+A footprint is a rectangle ``fu`` by ``fv`` of a face. Walls are made of rectangles within rectangles (a window in its
+surround, panes in its frame, a curtain behind the panes), so that what a footprint covers of each is known in closed
+form; every window has its own curtains and light, hence the footprint's windows are gone through one by one.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from numba import njit
+
+from mirror.arrays import Records
+from mirror.synth.render.texture import chance, grain
+
+Look = tuple[float, float, float, float, float, float, float]
+"""Reflectance of red, green and blue; emission of them; share of light that is mirrored at normal incidence."""
+
+_LINTEL_M: Final = 0.13
+"""Height of the shade under a window's head: panes stand back in the wall."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _shared(low: float, high: float, start: float, end: float) -> float:
+    """Length that two intervals share."""
+    return max(min(high, end) - max(low, start), 0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _panes(low: float, high: float, start: float, width: float, count: int, frame: float) -> float:
+    """Length of an interval that lies on panes: ``count`` of them from ``start`` on, between frames."""
+    pane = (width - (count + 1) * frame) / count
+    length = 0.0
+    for index in range(count):
+        foot = start + frame + index * (pane + frame)
+        length += _shared(low, high, foot, foot + pane)
+    return length
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _panes_up(low: float, high: float, foot: float, height: float, transom: float, frame: float) -> float:
+    """Height of an interval that lies on panes: one, or two with a bar between."""
+    if transom <= 0.0:
+        return _shared(low, high, foot + frame, foot + height - frame)
+    bar = foot + height * (1.0 - transom)
+    return _shared(low, high, foot + frame, bar - 0.5 * frame) + _shared(
+        low, high, bar + 0.5 * frame, foot + height - frame
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def wall_grain(one: Records, patterns: Records) -> int:
+    """Which grain the wall of a FACADE face has."""
+    return patterns[one.layout].grain
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def facade(
+    one: Records, patterns: Records, rough: float, u: float, v: float, fu: float, fv: float, setting: Records
+) -> Look:
+    """A wall with windows.
+
+    Args:
+        one: the face, FACE flattened; its ``layout`` is a row of windows.
+        patterns: the rows, :func:`mirror.synth.street.houses.windows.pattern_table`; an argument, since a constant would
+            outlive a change in the cache of compiled kernels.
+        rough: the wall's grain there, mean 1.
+        u: metres, 0 in the middle of the face.
+        v: the same upwards.
+        fu: width of the footprint, metres.
+        fv: its height.
+        setting: LIGHTING flattened.
+    """
+    row = patterns[one.layout]
+    wide, high = 2.0 * one.half_0, 2.0 * one.half_1
+    columns, storeys = max(int(wide / row.pitch_m + 0.5), 1), max(int(high / row.storey_m + 0.5), 1)
+    pitch, storey = wide / columns, high / storeys
+    left, right = max(u + one.half_0 - 0.5 * fu, 0.0), min(u + one.half_0 + 0.5 * fu, wide)
+    low, top = max(v + one.half_1 - 0.5 * fv, 0.0), min(v + one.half_1 + 0.5 * fv, high)
+    # A footprint of nothing, or beyond the face: a millimetre at its edge.
+    left, low = min(left, wide - 1e-3), min(low, high - 1e-3)
+    right, top = max(right, left + 1e-3), max(top, low + 1e-3)
+    r, g, b, er, eg, eb, gloss = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(int(left / pitch), min(int(right / pitch), columns - 1) + 1):
+        x0, x1 = max(left - i * pitch, 0.0), min(right - i * pitch, pitch)
+        for j in range(int(low / storey), min(int(top / storey), storeys - 1) + 1):
+            y0, y1 = max(low - j * storey, 0.0), min(top - j * storey, storey)
+            cell = _cell(one, row, rough, i, j, pitch, x0, x1, y0, y1, setting)
+            r, g, b, gloss = r + cell[0], g + cell[1], b + cell[2], gloss + cell[6]
+            er, eg, eb = er + cell[3], eg + cell[4], eb + cell[5]
+    share = 1.0 / ((right - left) * (top - low))
+    return r * share, g * share, b * share, er * share, eg * share, eb * share, gloss * share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cell(
+    one: Records,
+    row: Records,
+    rough: float,
+    i: int,
+    j: int,
+    pitch: float,
+    x0: float,
+    x1: float,
+    y0: float,
+    y1: float,
+    setting: Records,
+) -> Look:
+    """Sum over the part (x0, x1) by (y0, y1) of one window's piece of wall, in square metres."""
+    cr, cg, cb = one.colour_0, one.colour_1, one.colour_2
+    dx, dy = x1 - x0, y1 - y0
+    joint_x, joint_y = _shared(x0, x1, 0.0, row.joint_m), _shared(y0, y1, 0.0, row.joint_m)
+    joint = joint_x * dy + joint_y * dx - joint_x * joint_y
+    course = dx * _shared(y0, y1, row.joint_m, row.course_m)
+    wall = dx * dy - joint - course
+    plain = rough * (wall + 0.5 * joint)
+    # Trim is nearer to a light stone's colour than the wall.
+    near = row.trim
+    tr, tg, tb = cr + (0.62 - cr) * near, cg + (0.60 - cg) * near, cb + (0.55 - cb) * near
+    trim = course
+    half = 0.5 * row.width_m
+    middle, foot, head = 0.5 * pitch, row.sill_m, row.sill_m + row.height_m
+    edge = max(row.surround_m, 0.05)
+    beside = max(row.shutter_m, edge)
+    if row.width_m <= 0.0 or x1 <= middle - half - beside or x0 >= middle + half + beside:
+        return cr * plain + tr * trim, cg * plain + tg * trim, cb * plain + tb * trim, 0.0, 0.0, 0.0, 0.0
+    if y1 <= foot - edge or y0 >= head + edge:
+        return cr * plain + tr * trim, cg * plain + tg * trim, cb * plain + tb * trim, 0.0, 0.0, 0.0, 0.0
+    start, end = middle - half, middle + half
+    across, up = _shared(x0, x1, start, end), _shared(y0, y1, foot, head)
+    window = across * up
+    sill = _shared(x0, x1, start - edge, end + edge) * _shared(y0, y1, foot - edge, foot)
+    surround = 0.0
+    if row.surround_m > 0.0:
+        surround = _shared(x0, x1, start - edge, end + edge) * _shared(y0, y1, foot, head + edge) - window
+    shutter = (
+        _shared(x0, x1, start - edge - row.shutter_m, start - edge)
+        + _shared(x0, x1, end + edge, end + edge + row.shutter_m)
+    ) * up
+    plain -= rough * (window + sill + surround + shutter)
+    trim += sill + surround
+    r, g, b = cr * plain + tr * trim, cg * plain + tg * trim, cb * plain + tb * trim
+    if shutter > 0.0:
+        hue = chance(one.seed, 11, 5)
+        r, g, b = r + shutter * (0.10 + 0.10 * hue), g + shutter * 0.16, b + shutter * (0.20 - 0.12 * hue)
+    if window <= 0.0:
+        return r, g, b, 0.0, 0.0, 0.0, 0.0
+    panes_x = _panes(x0, x1, start, row.width_m, row.panes, row.frame_m)
+    panes_y = _panes_up(y0, y1, foot, row.height_m, row.transom, row.frame_m)
+    glass = panes_x * panes_y
+    shade = across * _shared(y0, y1, head - _LINTEL_M, head)
+    frame = window - glass - 0.55 * max(shade - panes_x * _shared(y0, y1, head - _LINTEL_M, head - row.frame_m), 0.0)
+    frame *= row.frame
+    r, g, b = r + frame, g + frame, b + 0.98 * frame
+    if glass <= 0.0:
+        return r, g, b, 0.0, 0.0, 0.0, 0.0
+    return _glazed(one, row, i, j, x0, x1, y0, y1, start, foot, panes_x, panes_y, setting, r, g, b)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _glazed(
+    one: Records,
+    row: Records,
+    i: int,
+    j: int,
+    x0: float,
+    x1: float,
+    y0: float,
+    y1: float,
+    start: float,
+    foot: float,
+    panes_x: float,
+    panes_y: float,
+    setting: Records,
+    r: float,
+    g: float,
+    b: float,
+) -> Look:
+    """What is behind a window's panes, added to the rest: curtains, blinds or a dark room; light at night."""
+    glass = panes_x * panes_y
+    own = i + 89 * j
+    kind, size, hue = chance(own, 1, one.seed), chance(own, 2, one.seed), chance(own, 3, one.seed)
+    covered = 0.0
+    if kind < 0.45 * row.curtains:
+        # Drapes on both sides.
+        drape = (0.12 + 0.2 * size) * row.width_m
+        sides = _panes(min(x0, start + drape), min(x1, start + drape), start, row.width_m, row.panes, row.frame_m)
+        far = start + row.width_m - drape
+        sides += _panes(max(x0, far), max(x1, far), start, row.width_m, row.panes, row.frame_m)
+        covered = sides * panes_y
+    elif kind < 0.8 * row.curtains:
+        # A blind, let down some way.
+        end = foot + row.height_m * (1.0 - 0.75 * size * size - 0.12)
+        covered = panes_x * _panes_up(max(y0, end), max(y1, end), foot, row.height_m, row.transom, row.frame_m)
+    elif kind < row.curtains:
+        covered = glass
+    tone = 0.22 + 0.26 * size
+    bare = row.glass * (0.6 + 0.8 * hue) * (glass - covered)
+    r += bare + tone * covered
+    g += bare + (0.94 + 0.05 * hue) * tone * covered
+    b += 1.1 * bare + (0.80 + 0.22 * hue) * tone * covered
+    if chance(own, 4, one.seed) >= setting.lit_windows * row.lit:
+        return r, g, b, 0.0, 0.0, 0.0, row.gloss * glass
+    light = (glass - 0.45 * covered) * (0.45 + 0.9 * chance(own, 5, one.seed))
+    if chance(own, 6, one.seed) < row.cool:
+        return r, g, b, 0.46 * light, 0.50 * light, 0.48 * light, row.gloss * glass
+    return r, g, b, 0.62 * light, (0.40 + 0.06 * hue) * light, (0.16 + 0.10 * hue) * light, row.gloss * glass
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shopfront(
+    one: Records,
+    red: float,
+    green: float,
+    blue: float,
+    u: float,
+    v: float,
+    fu: float,
+    fv: float,
+    setting: Records,
+) -> Look:
+    """A shop window with its door, frames and what lies behind; lit in the evening.
+
+    Args:
+        one: the face, FACE flattened; its colour is the frames'.
+        red: of the picture of what lies behind, averaged over the footprint.
+        green: of the same.
+        blue: of the same.
+        u: metres, 0 in the middle of the face.
+        v: the same upwards.
+        fu: width of the footprint, metres.
+        fv: its height.
+        setting: LIGHTING flattened.
+    """
+    wide, high = 2.0 * one.half_0, 2.0 * one.half_1
+    left, right = max(u + one.half_0 - 0.5 * fu, 0.0), min(u + one.half_0 + 0.5 * fu, wide)
+    low, top = max(v + one.half_1 - 0.5 * fv, 0.0), min(v + one.half_1 + 0.5 * fv, high)
+    left, low = min(left, wide - 1e-3), min(low, high - 1e-3)
+    right, top = max(right, left + 1e-3), max(top, low + 1e-3)
+    # The door takes a place of its own, at either end or in the middle; panes fill the rest.
+    door_wide = 1.05
+    place = int(3.0 * chance(one.seed, 21, 0))
+    door = 0.0 if place == 0 else (wide - door_wide if place == 1 else 0.5 * (wide - door_wide))
+    riser = 0.25 + 0.35 * chance(one.seed, 22, 0)
+    bar = high - 0.28 * high
+    before, behind = door, wide - door - door_wide
+    glass = 0.0
+    for start, width in ((0.0, before), (door + door_wide, behind)):
+        if width > 0.4 and right > start and left < start + width:
+            count = max(int(width / 2.1 + 0.5), 1)
+            x = _panes(left, right, start, width, count, 0.07)
+            glass += x * (_shared(low, top, riser + 0.07, bar - 0.03) + _shared(low, top, bar + 0.03, high - 0.07))
+    x = _shared(left, right, door + 0.14, door + door_wide - 0.14)
+    y = _shared(low, top, 0.22, bar - 0.12) + _shared(low, top, bar + 0.03, high - 0.07)
+    glass += x * y
+    # A handle on the door.
+    grip = _shared(left, right, door + 0.17, door + 0.21) * _shared(low, top, 0.9, 1.5)
+    area = (right - left) * (top - low)
+    glass, grip = glass / area, grip / area
+    frame = 1.0 - glass
+    burn = setting.dark * (1.0 if chance(one.seed, 23, 0) < 0.8 else 0.12)
+    seen = glass - grip
+    return (
+        one.colour_0 * frame + 0.5 * red * seen + 0.5 * grip,
+        one.colour_1 * frame + 0.5 * green * seen + 0.5 * grip,
+        one.colour_2 * frame + 0.5 * blue * seen + 0.5 * grip,
+        1.5 * burn * red * seen,
+        1.4 * burn * green * seen,
+        1.2 * burn * blue * seen,
+        0.12 * glass,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def skyline(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
+    """A far wood: clumps that fade out where the footprint is wider than they are."""
+    wide = 0.5 * (fu + fv)
+    clump = 1.0 + 0.30 * grain(u, v, 2.6, wide, one.seed) + 0.25 * grain(u, v, 0.9, wide, one.seed + 1)
+    # Crowns are lighter than what they shade.
+    clump *= 0.85 + 0.3 * min(max((v + one.half_1) / max(2.0 * one.half_1, 1e-3), 0.0), 1.0)
+    return one.colour_0 * clump, one.colour_1 * clump, one.colour_2 * clump, 0.0, 0.0, 0.0, 0.0

@@ -1,0 +1,119 @@
+"""The body of a house: where its walls stand, and the walls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.synth.model import Finish, Label, Material, Pieces
+from mirror.synth.street.houses.styles import Colour
+from mirror.synth.street.houses.windows import Windows, grid
+from mirror.synth.textures.catalogue import GRAFFITI, POSTERS
+
+FOOT_M: Final = -1.5
+"""Walls go down as far, since the ground slopes."""
+STONE: Final[Colour] = (0.30, 0.29, 0.27)
+
+
+@dataclass(frozen=True)
+class Body:
+    """The walls of a house, in its own frame: the street is towards -y, z = 0 the ground.
+
+    Attributes:
+        left: least x, metres.
+        right: greatest x.
+        front: least y.
+        back: greatest y.
+        ground_m: height of the first upper floor.
+        eaves_m: height of the walls.
+        colour: of the walls.
+        wall: material of walls without windows.
+        front_windows: of the wall towards the street.
+        side_windows: of the other walls.
+        seed: of the textures.
+    """
+
+    left: float
+    right: float
+    front: float
+    back: float
+    ground_m: float
+    eaves_m: float
+    colour: Colour
+    wall: Material
+    front_windows: Windows
+    side_windows: Windows
+    seed: int
+
+    def finish(self, windows: Windows, number: int = 0) -> Finish:
+        """Of a wall with windows."""
+        return Finish(self.colour, Material.FACADE, Label.BUILDING, self.seed + number, int(windows))
+
+    def plain(self, tone: float = 1.0, material: Material | None = None) -> Finish:
+        """Of a wall without windows, lighter or darker by ``tone``."""
+        colour = tuple(min(tone * channel, 0.8) for channel in self.colour)
+        return Finish(colour, self.wall if material is None else material, Label.BUILDING, self.seed)
+
+    def columns(self) -> tuple[list[float], int]:
+        """Middles of the front's columns of windows above the ground floor, x; and how many storeys there are."""
+        columns, storeys = grid(self.front_windows, self.right - self.left, self.eaves_m - self.ground_m)
+        pitch = (self.right - self.left) / columns
+        return [self.left + (number + 0.5) * pitch for number in range(columns)], storeys
+
+    def floor_m(self, storey: int) -> float:
+        """Height of an upper storey's floor."""
+        return self.ground_m + storey * (self.eaves_m - self.ground_m) / self.columns()[1]
+
+
+def raise_walls(pieces: Pieces, body: Body, rng: np.random.Generator, *, sides_seen: bool) -> None:
+    """The upper storeys of the front, the other walls from the ground up, and their feet.
+
+    Args:
+        pieces: to add to.
+        body: of the house.
+        rng: chooses what is painted on blind walls.
+        sides_seen: whether the sides have windows; else they are fire walls towards the neighbours.
+    """
+    left, right, front, back = body.left, body.right, body.front, body.back
+    if body.eaves_m > body.ground_m:
+        pieces.wall((left, front), (right, front), body.ground_m, body.eaves_m, body.finish(body.front_windows))
+    pieces.wall((right, back), (left, back), 0.0, body.eaves_m, body.finish(body.side_windows, 1))
+    for number, (start, end) in enumerate((((right, front), (right, back)), ((left, back), (left, front)))):
+        if sides_seen:
+            pieces.wall(start, end, 0.0, body.eaves_m, body.finish(body.side_windows, 2 + number))
+            continue
+        pieces.wall(start, end, 0.0, body.eaves_m, body.plain(0.9))
+        if rng.random() < 0.4:
+            _paint(pieces, start, end, rng)
+    foot = Finish(STONE, Material.CONCRETE, Label.BUILDING, body.seed)
+    low, high = (left, front, FOOT_M), (right, back, 0.0)
+    pieces.block(low, high, foot, without=("-y", "+z", "-z"))
+
+
+def _paint(pieces: Pieces, start: tuple[float, float], end: tuple[float, float], rng: np.random.Generator) -> None:
+    """Graffiti or posters on a side wall, near the street."""
+    x, ahead = start[0], 1.0 if end[1] > start[1] else -1.0
+    out = x + 0.02 * ahead
+    near = min(start[1], end[1]) + rng.uniform(0.4, 1.5)
+    if rng.random() < 0.5:
+        pictures, width, height, count = GRAFFITI, 3.0, 1.5, 1
+    else:
+        pictures, width, height, count = POSTERS, 1.0, 1.5, 3
+    low = rng.uniform(0.5, 0.8)
+    for number in range(count):
+        a = near + number * (width + 0.12)
+        ends = ((out, a), (out, a + width)) if ahead > 0 else ((out, a + width), (out, a))
+        picture = Finish((0.5, 0.5, 0.5), Material.IMAGE, Label.BUILDING, image=int(rng.choice(pictures)))
+        pieces.wall(*ends, low, low + height, picture)
+
+
+def cornice(pieces: Pieces, body: Body, proud_m: float = 0.35, high_m: float = 0.35) -> None:
+    """A ledge along the top of the front."""
+    low = (body.left, body.front - proud_m, body.eaves_m - high_m)
+    pieces.block(low, (body.right, body.front, body.eaves_m), body.plain(1.15), without=("+y",))
+    low = (body.left, body.front - 0.5 * proud_m, body.eaves_m - 1.7 * high_m)
+    pieces.block(
+        low, (body.right, body.front, body.eaves_m - high_m), body.plain(1.1), without=("+y", "+z", "-x", "+x")
+    )

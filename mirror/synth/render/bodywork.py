@@ -1,0 +1,193 @@
+"""What vehicles look like: paint with seams and dust, glass with what is seen through it, wheels and lamps.
+
+Every pattern is made of bands and stripes, averaged over the footprint ``fu`` by ``fv`` in closed form. What u and v
+mean on paint and glass is said by `mirror.synth.users.sheets.Panel`, a face's ``layout``.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from mirror.arrays import Records
+from mirror.synth.model import Material, Side
+from mirror.synth.render.looks import Look
+from mirror.synth.render.texture import band, chance, stripes
+from mirror.synth.users.sheets import Panel
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bodywork(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
+    """A face of PAINT, GLASS, RIM, HEADLIGHT, TAIL_LIGHT or RUBBER.
+
+    Args:
+        one: the face, FACE flattened.
+        u: texture coordinate.
+        v: the same across.
+        fu: width of the footprint in u.
+        fv: its height in v.
+        setting: LIGHTING flattened.
+    """
+    material = one.material
+    if material == Material.PAINT:
+        return _paint(one, u, v, fu, fv)
+    if material == Material.GLASS:
+        return _glass(one, u, v, fu, fv, setting)
+    if material == Material.RIM:
+        return _rim(one, u, v, 0.5 * (fu + fv))
+    if material == Material.HEADLIGHT:
+        return _headlight(one, u, v, fu, fv, setting)
+    if material == Material.TAIL_LIGHT:
+        return _tail_light(one, v, fv, setting)
+    return one.colour_0, one.colour_1, one.colour_2, 0.0, 0.0, 0.0, 0.01
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _line(x: float, at: float, half: float, footprint: float) -> float:
+    return band(x, at - half, at + half, footprint)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
+    r, g, b = one.colour_0, one.colour_1, one.colour_2
+    panel = one.layout
+    if panel == Panel.PLAIN:
+        return r, g, b, 0.0, 0.0, 0.0, 0.05
+    seam, handle, low = 0.0, 0.0, 0.0
+    if panel == Panel.ROW:
+        seam = stripes(u + 0.006, 1.0, 0.012, fu)
+    elif panel == Panel.WING:
+        seam = _line(u, 0.0, 0.008, fu)
+    elif panel >= Panel.TWO_DOORS:
+        tall = band(v, -0.62, 0.0, fv)
+        seam = _line(u, 0.0, 0.005, fu) + _line(u, 1.0, 0.005, fu)
+        handle = band(u, 0.05, 0.22, fu) * band(v, -0.125, -0.095, fv)
+        back = 0.0
+        if panel == Panel.FOUR_DOORS:
+            back = -1.0
+            seam += _line(u, -1.0, 0.005, fu)
+            handle += band(u, -0.94, -0.77, fu) * band(v, -0.125, -0.095, fv)
+        elif panel == Panel.SLIDING_DOOR:
+            back = -1.25
+            seam += _line(u, -1.25, 0.006, fu)
+            handle += band(u, -0.16, -0.06, fu) * band(v, -0.32, -0.12, fv)
+            seam += band(u, -2.6, -1.25, fu) * _line(v, -0.22, 0.012, fv)
+        seam = max(seam * tall, band(u, back, 1.0, fu) * _line(v, -0.62, 0.006, fv))
+        # Below its crease a flank leans the other way: it shows the street instead of the sky.
+        low = 0.14 * band(v, -0.50, -0.19, max(fv, 0.05)) + 0.05 * band(v, -0.70, -0.50, max(fv, 0.05))
+    tone = (1.0 - low) * (1.0 - 0.75 * min(seam, 1.0)) * (1.0 - 0.35 * handle)
+    dust = min(max(-v - 0.42, 0.0) * 2.0, 1.0)
+    dust *= 0.45 * dust * (0.25 + 0.75 * chance(one.seed, 1, 2))
+    return (
+        r * tone * (1.0 - dust) + 0.125 * dust,
+        g * tone * (1.0 - dust) + 0.110 * dust,
+        b * tone * (1.0 - dust) + 0.090 * dust,
+        0.0,
+        0.0,
+        0.0,
+        0.05 * (1.0 - 0.8 * dust) * (1.0 - min(seam, 1.0)),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
+    """Tinted glass: beyond seats and pillars the street on the other side is seen."""
+    panel = one.layout
+    pillar, hidden = 0.0, 0.0
+    if panel == Panel.FOUR_DOORS or panel == Panel.TWO_DOORS or panel == Panel.SLIDING_DOOR:
+        pillar = _line(u, 0.0, 0.045, fu)
+        hidden = _seat(u, v, 0.28, fu, fv)
+        if panel != Panel.SLIDING_DOOR:
+            hidden += _seat(u, v, -0.74, fu, fv)
+        if panel == Panel.FOUR_DOORS:
+            pillar += _line(u, -1.0, 0.03, fu)
+        if one.lights:
+            hidden = max(hidden, band(u, 0.32, 0.50, fu) * band(v, 0.0, 0.33, fv))
+    elif panel == Panel.ROW:
+        pillar = stripes(u + 0.03, 1.0, 0.06, fu)
+        hidden = 0.8 * band(v, -9.0, -0.5 * one.half_1, fv)
+    else:
+        hidden = _line(u, 0.36, 0.14, fu) + _line(u, -0.36, 0.14, fu)
+        hidden = max(min(hidden, 1.0) * band(v, -9.0, 0.1, fv), band(v, -9.0, 0.12 - one.half_1, fv))
+        if one.side == Side.BACK:
+            hidden = min(hidden + 0.3, 1.0)
+    clear = max(1.0 - pillar - min(hidden, 1.0), 0.0)
+    seen = 0.085 * clear
+    r, g, b = one.colour_0, one.colour_1, one.colour_2
+    inside = 0.010 * min(hidden, 1.0)
+    return (
+        r + inside,
+        g + inside,
+        b + inside,
+        seen * (0.6 * setting.horizon_0 + setting.ground_light_0),
+        seen * (0.6 * setting.horizon_1 + setting.ground_light_1),
+        seen * (0.6 * setting.horizon_2 + setting.ground_light_2),
+        0.08,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
+    """A backrest with its headrest, seen from the side."""
+    return max(
+        band(u, at - 0.16, at + 0.10, fu) * band(v, -9.0, 0.19, fv),
+        band(u, at - 0.13, at + 0.02, fu) * band(v, 0.0, 0.34, fv),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rim(one: Records, u: float, v: float, footprint: float) -> Look:
+    """A tyre about a wheel of one of four kinds."""
+    step = max(footprint / one.half_0, 1e-4)
+    away = math.sqrt(u * u + v * v) / one.half_0
+    wheel = band(away, -1.0, 0.70, step)
+    if wheel <= 0.0:
+        return 0.024, 0.024, 0.025, 0.0, 0.0, 0.0, 0.01
+    kind = int(4.0 * chance(one.seed, 7, 3))
+    count, duty = 5.0, 0.42
+    if kind == 1:
+        count, duty = 10.0, 0.40
+    elif kind == 2:
+        count, duty = 7.0, 0.55
+    elif kind == 3:
+        count, duty = 16.0, 0.62
+    # Spokes get narrower towards the hub: half of that is the angle's doing.
+    turn = math.atan2(v, u) / (2.0 * math.pi) * count
+    spokes = stripes(turn + 0.5 * duty, 1.0, duty, min(step * count / (2.0 * math.pi * max(away, 0.05)), 50.0))
+    gap = (1.0 - spokes) * band(away, 0.20, 0.62, step)
+    # Behind the spokes the brake's disc.
+    disc = gap * band(away, 0.20, 0.45, step)
+    metal = max(wheel - gap, 0.0) * (1.0 - 0.7 * band(away, 0.045, 0.085, step))
+    tyre = 1.0 - wheel
+    r = metal * one.colour_0 + 0.024 * tyre + 0.015 * gap + 0.05 * disc
+    g = metal * one.colour_1 + 0.024 * tyre + 0.015 * gap + 0.05 * disc
+    b = metal * one.colour_2 + 0.025 * tyre + 0.015 * gap + 0.05 * disc
+    return r, g, b, 0.0, 0.0, 0.0, 0.06 * metal + 0.01
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
+    """Two lenses in a dark housing over a strip that burns by day."""
+    wide, high = u / one.half_0, v / one.half_1
+    across, up = fu / one.half_0, fv / one.half_1
+    strip = band(high, -0.85, -0.5, up)
+    lens = (band(wide, -0.75, -0.2, across) + band(wide, 0.2, 0.75, across)) * band(high, -0.3, 0.75, up)
+    tone = 0.10 + 0.55 * strip + 0.42 * lens
+    burn = float(one.lights) * (
+        strip * (0.7 + 1.5 * setting.vehicle_lights) + (7.0 * lens + 2.5) * setting.vehicle_lights
+    )
+    return (
+        tone * one.colour_0, tone * one.colour_1, tone * one.colour_2, burn, 0.95 * burn, 0.84 * burn, 0.06,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _tail_light(one: Records, v: float, fv: float, setting: Records) -> Look:
+    """Red, with a strip that burns."""
+    strip = band(v / one.half_1, -0.1, 0.6, fv / one.half_1)
+    tone = 0.55 + 0.45 * strip
+    burn = float(one.lights) * setting.vehicle_lights * (0.7 + 1.6 * strip)
+    return (
+        tone * one.colour_0, tone * one.colour_1, tone * one.colour_2, burn, 0.035 * burn, 0.025 * burn, 0.06,
+    )  # fmt: skip

@@ -37,6 +37,7 @@ LIGHTING: Final = np.dtype(
         ("haze_per_m", np.float64),
         ("season", np.float64),
         ("white", np.float64, 3),
+        ("middle", np.float64),
         ("exposure", np.float64),
         ("read_noise", np.float64),
         ("shot_noise", np.float64),
@@ -55,8 +56,8 @@ the sky that they cover; ``lamp_light``: below a street lamp; ``headlight``: str
 ``vehicle_lights``: how much all vehicles' lamps burn, 0 to 1; ``lit_windows``: share of windows that are lit;
 ``shadows``: 1 where things keep the sun off each other; ``dark``: 0 by day, 1 at night; ``wet``: 1 in rain;
 ``haze_per_m``: extinction; ``season``: part of the year, of `season_of`; ``white``: gains of red, green and blue with
-which cameras meet the light's colour; ``exposure``: gain that suits the condition on the whole; ``read_noise``: its
-standard deviation as a share of full scale, and ``shot_noise``: variance a unit of signal.
+which cameras meet the light's colour; ``middle``: mean radiance of a street under this light; ``exposure``: gain that
+suits that; ``read_noise``: standard deviation as a share of full scale, and ``shot_noise``: variance a unit of signal.
 """
 
 _SUNLIGHT: Final = 2.5
@@ -74,6 +75,7 @@ _GROUND: Final = np.array([0.16, 0.155, 0.14])
 _LAMP: Final = np.array([1.25, 0.92, 0.55])
 _ADAPTED: Final = 0.72
 _MIDDLE: Final = 0.165
+_REFLECTANCE: Final = 0.19
 _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -179,6 +181,7 @@ def _camera(record: Records, noise: bool) -> None:
     luminance = float(_LUMINANCE @ light)
     gains = (luminance / light) ** _ADAPTED
     record["white"] = gains / (_LUMINANCE @ gains)
-    record["exposure"] = _MIDDLE * (1.0 - 0.45 * dark) / (0.19 * luminance)
+    record["middle"] = _REFLECTANCE * luminance
+    record["exposure"] = _MIDDLE * (1.0 - 0.45 * dark) / record["middle"]
     record["read_noise"] = (0.0006 + 0.0030 * dark) * noise
     record["shot_noise"] = (3.5e-5 + 4.5e-4 * dark) * noise

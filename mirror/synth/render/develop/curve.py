@@ -1,0 +1,57 @@
+"""From light on the sensor to 8-bit levels: sRGB's curve with a toe and a shoulder."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64, UInt8
+
+BRIGHTEST: Final = 16.0
+"""Everything above is white."""
+STEPS: Final = 1 << 14
+
+_TOE: Final = 0.022
+_SHOULDER: Final = 0.62
+
+
+def film(exposed: Float64) -> Float64:
+    """Levels in [0, 1) of exposed light; 1 is what a white surface gives in a picture that is exposed right.
+
+    The sRGB encoding, below drawn to black, above bent so that what is brighter than white keeps differences.
+
+    Args:
+        exposed: (...,) light; negative counts as none.
+    """
+    light = np.maximum(exposed, 0.0)
+    coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-12) ** (1.0 / 2.4) - 0.055)
+    toed = coded * coded * (1.0 + _TOE) / (coded + _TOE)
+    rest = 1.0 - _SHOULDER
+    bent = _SHOULDER + rest * (1.0 - np.exp(-(toed - _SHOULDER) / rest))
+    return np.where(toed < _SHOULDER, toed, bent)
+
+
+@cache
+def film_table() -> UInt8:
+    """8-bit levels (STEPS,) at evenly spaced square roots of light, from 0 to that of BRIGHTEST; read-only.
+
+    Between two steps a level changes by less than 0.03: the nearest step gives it to half a level.
+    """
+    root = np.linspace(0.0, np.sqrt(BRIGHTEST), STEPS)
+    table = np.floor(255.0 * film(root**2) + 0.5).astype(np.uint8)
+    table.flags.writeable = False
+    return table
+
+
+@cache
+def gaussian_table() -> Float64:
+    """4096 evenly probable values of a normal distribution of variance 1; read-only."""
+    from statistics import NormalDist
+
+    normal = NormalDist()
+    values = np.array([normal.inv_cdf((step + 0.5) / 4096) for step in range(4096)])
+    values /= values.std()
+    values.flags.writeable = False
+    return values

@@ -1,0 +1,74 @@
+"""Rain on a lens: drops out of focus, each of which shows the street upside down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from mirror.arrays import Float32, Records
+from mirror.synth.render.develop.glare import QUARTER, quartered
+
+DROP: Final = np.dtype([(name, np.float64) for name in ("x", "y", "half_x", "half_y", "reach", "depth")])
+"""A drop: middle, half axes and half the width of what it shows, in widths of the picture; and how opaque it is."""
+
+_DRY: Final = 0.4
+_MOST: Final = 26
+_SOFT: Final = 0.55
+_DARK_RIM: Final = 0.45
+
+
+def lens_drops(seed: int | Sequence[int], aspect: float) -> Records:
+    """The drops (N,) DROP on the lens that a seed stands for; two lenses in five are dry.
+
+    Args:
+        seed: of the drive and the camera: drops stay where they are.
+        aspect: height of the picture by its width.
+    """
+    rng = np.random.default_rng(seed)
+    count = 0 if rng.random() < _DRY else int(rng.integers(4, _MOST))
+    drops = np.zeros(count, DROP)
+    drops["x"], drops["y"] = rng.uniform(0.0, 1.0, count), rng.uniform(0.0, aspect, count)
+    # Many are small, few are large.
+    size = 0.006 + 0.030 * rng.random(count) ** 3
+    drops["half_x"], drops["half_y"] = size, size * rng.uniform(0.95, 1.5, count)
+    drops["reach"], drops["depth"] = size * rng.uniform(2.5, 5.0, count), rng.uniform(0.6, 0.95, count)
+    return drops
+
+
+def through_drops(picture: Float32, drops: Records) -> Float32:
+    """A picture (H, W, 3) of radiance seen through drops (N,) DROP; nothing but their pixels is touched."""
+    import cv2
+
+    small, _ = quartered(picture, np.ones(3), 0.0, np.inf)
+    out = picture.copy()
+    soft = cv2.GaussianBlur(small, (0, 0), max(picture.shape[1] / 640.0, 0.5))
+    _refract(np.asarray(soft, np.float32), drops, out)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _refract(small: Float32, drops: Records, out: Float32) -> None:
+    height, width = out.shape[:2]
+    for index in range(len(drops)):
+        drop = drops[index]
+        x, y, wide, high = drop.x * width, drop.y * width, drop.half_x * width, drop.half_y * width
+        reach = drop.reach * width
+        for row in range(max(int(y - high), 0), min(int(y + high) + 1, height)):
+            down = (row + 0.5 - y) / high
+            for column in range(max(int(x - wide), 0), min(int(x + wide) + 1, width)):
+                right = (column + 0.5 - x) / wide
+                square = right * right + down * down
+                if square >= 1.0:
+                    continue
+                edge = min((1.0 - square) / _SOFT, 1.0)
+                cover = drop.depth * edge * edge * (3.0 - 2.0 * edge)
+                bend = reach * (1.0 + square)
+                i = min(max(int((y - down * bend) / QUARTER), 0), small.shape[0] - 1)
+                j = min(max(int((x - right * bend) / QUARTER), 0), small.shape[1] - 1)
+                shade = 1.0 - _DARK_RIM * square * square
+                for channel in range(3):
+                    here = out[row, column, channel]
+                    out[row, column, channel] = here + cover * (shade * small[i, j, channel] - here)

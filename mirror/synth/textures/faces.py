@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import Final, Literal
 
@@ -65,6 +66,7 @@ class Features:
     feminine: bool
 
 
+@cache
 def features(number: int) -> Features:
     """The features of a face.
 

@@ -1,0 +1,114 @@
+"""People on foot and on two-wheelers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from mirror.synth.model import Label, Model
+from mirror.synth.textures.catalogue import FACES
+from mirror.synth.users.body import Body, Saddle
+from mirror.synth.users.figure import Bag, Colour, Garment, Hat, Person, dressed
+from mirror.synth.users.skeleton import STRIDE, riding, standing, walking
+
+_TOPS: Final[tuple[Colour, ...]] = (
+    (0.018, 0.019, 0.022), (0.018, 0.019, 0.022), (0.028, 0.034, 0.060), (0.075, 0.078, 0.082), (0.17, 0.165, 0.155),
+    (0.16, 0.022, 0.022), (0.050, 0.060, 0.036), (0.15, 0.11, 0.065), (0.46, 0.45, 0.43), (0.035, 0.075, 0.14),
+    (0.28, 0.19, 0.045), (0.10, 0.035, 0.06), (0.035, 0.10, 0.075),
+)  # fmt: skip
+_LEGS: Final[tuple[Colour, ...]] = (
+    (0.018, 0.019, 0.023), (0.035, 0.050, 0.090), (0.024, 0.032, 0.055), (0.080, 0.077, 0.074), (0.18, 0.145, 0.10),
+    (0.050, 0.047, 0.038),
+)  # fmt: skip
+_SHOES: Final[tuple[Colour, ...]] = ((0.02, 0.02, 0.02), (0.055, 0.033, 0.02), (0.45, 0.45, 0.44))
+_BOX_PHASES: Final = 16
+_BOX_SPARE_M: Final = 0.002
+"""Added to the box, for phases between those that were looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pedestrian(Body):
+    """A person on foot; ``model`` stands still.
+
+    Attributes:
+        person: who it is.
+    """
+
+    person: Person
+
+    @property
+    def stride_m(self) -> float:
+        """Two steps: one phase of the gait."""
+        return STRIDE * self.person.height_m
+
+    def posed(self, phase: float) -> Model:
+        """Walking; within the box at every phase.
+
+        Args:
+            phase: distance walked by ``stride_m``; the gait repeats after 1.
+        """
+        return dressed(self.person, walking(self.person.height_m, phase, held=self.person.umbrella is not None),
+                       Label.PERSON)  # fmt: skip
+
+
+def person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False) -> Person:
+    """Somebody, dressed for the weather.
+
+    Args:
+        rng: decides who.
+        child: 5 to 12 years old, else grown up.
+        umbrella: holds one up.
+        warm: shirts and dresses, else jackets and coats.
+    """
+    garments: tuple[Garment, ...] = ("shirt", "shirt", "dress", "jacket") if warm else ("jacket", "jacket", "coat")
+    hats: tuple[Hat, ...] = ("none", "none", "none", "cap") if warm else ("none", "none", "none", "beanie", "cap")
+    bags: tuple[Bag, ...] = ("none", "none", "backpack", "handbag")
+    colours = [_TOPS[int(i)] for i in rng.integers(len(_TOPS), size=4)]
+    height = rng.uniform(1.05, 1.45) if child else rng.normal(1.71, 0.075)
+    return Person(
+        height_m=float(np.clip(height, 1.0, 1.95)),
+        stout=float(rng.uniform(0.92, 1.12)),
+        face=int(rng.choice(FACES)),
+        garment=garments[int(rng.integers(len(garments)))],
+        top=colours[0],
+        legs=_LEGS[int(rng.integers(len(_LEGS)))],
+        shoes=_SHOES[int(rng.integers(len(_SHOES)))],
+        hat=hats[int(rng.integers(len(hats)))],
+        hat_colour=colours[1],
+        bag=bags[int(rng.integers(len(bags)))],
+        bag_colour=colours[2],
+        umbrella=colours[3] if umbrella else None,
+        seed=int(rng.integers(1 << 30)),
+    )
+
+
+def pedestrian(
+    rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False
+) -> Pedestrian:
+    """A person on foot; arguments as those of :func:`person`."""
+    who = person(rng, child=child, umbrella=umbrella, warm=warm)
+    held = umbrella
+    still = dressed(who, standing(who.height_m, held=held), Label.PERSON)
+    poses = [dressed(who, walking(who.height_m, k / _BOX_PHASES, held=held), Label.PERSON) for k in range(_BOX_PHASES)]
+    ends = np.array([np.abs(model.bounds()).max(axis=0) for model in (still, *poses)]).max(axis=0)
+    length, width, height = 2.0 * ends[0], 2.0 * ends[1], ends[2]
+    spare = _BOX_SPARE_M
+    return Pedestrian("pedestrian", (length + 2 * spare, width + 2 * spare, height + spare), still, who)
+
+
+def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False) -> Model:
+    """Somebody who rides a two-wheeler, in its frame.
+
+    Args:
+        rng: decides who.
+        saddle: where they sit.
+        motorcycle: with a full helmet and a jacket; else mostly with a cycle helmet or none.
+    """
+    who = person(rng)
+    hats: tuple[Hat, ...] = ("full helmet",) if motorcycle else ("cycle helmet", "cycle helmet", "none")
+    bag: Bag = "none" if who.bag == "handbag" else who.bag
+    garment: Garment = "jacket" if motorcycle or rng.random() < 0.6 else "shirt"
+    who = replace(who, garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag)
+    return dressed(who, riding(who.height_m, saddle), Label.RIDER)

@@ -14,7 +14,7 @@ from mirror.geometry.geodesy import TangentFrame
 from mirror.synth.driving import Drive
 from mirror.synth.lighting import Condition, instant_of
 from mirror.synth.presets import TRAVERSALS, Preset, Recipe, ScenePlan, planned
-from mirror.synth.rigs import SALOON, VAN, Vehicle
+from mirror.synth.rigs.former import SALOON, VAN, Vehicle
 from mirror.synth.road_users import RoadUser
 from mirror.synth.routes import drive_along
 from mirror.synth.traffic import traffic

@@ -1,0 +1,229 @@
+"""How what is recorded differs from the truth: positions, attitude, calibrations, clocks, lost pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Final, Literal
+
+import numpy as np
+
+from mirror.arrays import Bool, Float64
+from mirror.errors import UsageError
+from mirror.geometry import Poses
+from mirror.geometry.cameras import Camera
+
+Stage = Literal["factory", "online"]
+
+FARTHEST_SIGMA: Final = 3.0
+"""Errors of a mounting are drawn again from farther out than this: calibrations are off up to a known angle."""
+
+
+def _require(given: object, fits: bool, expected: str) -> None:
+    if not fits:
+        raise UsageError(f"{given}", expected=expected)
+
+
+@dataclass(frozen=True)
+class MountingError:
+    """How far off the truth a camera's mounting is believed to be.
+
+    Attributes:
+        angle_deg: 1-sigma of the rotation about each axis; the whole angle is at most FARTHEST_SIGMA times that.
+        distance_m: 1-sigma along each axis, at most FARTHEST_SIGMA times that in all.
+    """
+
+    angle_deg: float
+    distance_m: float
+
+    def __post_init__(self) -> None:
+        _require(self, self.angle_deg >= 0.0 and self.distance_m >= 0.0, "angles and distances of at least 0")
+
+    def draw(self, rng: np.random.Generator) -> Poses:
+        """One error: a motion to be applied in the camera's own frame."""
+        turn, shift = _near(rng, math.radians(self.angle_deg)), _near(rng, self.distance_m)
+        return Poses.exp(np.concatenate([turn, shift])[None])
+
+    def covariance(self) -> list[float]:
+        """6x6 row-major: rotation (rad), then translation (m)."""
+        return np.diag([math.radians(self.angle_deg) ** 2] * 3 + [self.distance_m**2] * 3).ravel().tolist()
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A camera's clock.
+
+    Attributes:
+        offset_ns: what the vehicle adds to the camera's stamps: ``time_offset_ns`` of its calibration.
+        error_ns: how much later than the truth the recorded stamps then are.
+    """
+
+    offset_ns: int
+    error_ns: int
+
+
+@dataclass(frozen=True)
+class Errors:
+    """The errors of a recording; all may be 0. `Errors.none` has none.
+
+    Attributes:
+        position_noise_m: 1-sigma of each fix along each axis, independent of the others.
+        position_drift_m: 1-sigma along each axis of a smooth drift.
+        drift_time_s: over which it wanders: it is a Gauss-Markov process of second order.
+        position_bias_m: 1-sigma along each axis of an offset that a drive keeps.
+        attitude_noise_deg: 1-sigma about each axis of each pose's rotation.
+        factory: of the mountings in ``calibrations/factory.json``, the same in all drives of a vehicle.
+        online: of those in ``calibrations/online.json``, others in every drive.
+        focal_share: 1-sigma of the focal length, as a share of it; the same in both stages.
+        centre_share: 1-sigma of the principal point along each axis, as a share of the picture's width.
+        clock_offset_ns: 1-sigma of the cameras' clocks against the vehicle's.
+        clock_error_ns: 1-sigma of what the vehicle does not know of that.
+        dropped: share of the pictures that are lost.
+    """
+
+    position_noise_m: float = 0.003
+    position_drift_m: float = 0.03
+    drift_time_s: float = 4.0
+    position_bias_m: float = 0.02
+    attitude_noise_deg: float = 0.02
+    factory: MountingError = MountingError(0.25, 0.010)
+    online: MountingError = MountingError(0.04, 0.004)
+    focal_share: float = 2e-4
+    centre_share: float = 2e-4
+    clock_offset_ns: int = 1_000_000
+    clock_error_ns: int = 100_000
+    dropped: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = [value for one in fields(self) if isinstance(value := getattr(self, one.name), int | float)]
+        _require(self, min(numbers) >= 0.0, "numbers of at least 0")
+        _require(self, self.drift_time_s > 0.0, "drift_time_s above 0")
+        _require(self, self.dropped < 1.0, "a share of dropped pictures below 1")
+
+    @classmethod
+    def none(cls) -> Errors:
+        """Recorded as it was."""
+        exact = MountingError(0.0, 0.0)
+        return cls(
+            position_noise_m=0.0,
+            position_drift_m=0.0,
+            position_bias_m=0.0,
+            attitude_noise_deg=0.0,
+            factory=exact,
+            online=exact,
+            focal_share=0.0,
+            centre_share=0.0,
+            clock_offset_ns=0,
+            clock_error_ns=0,
+            dropped=0.0,
+        )
+
+    @property
+    def sigma_m(self) -> float:
+        """1-sigma of a fix along each axis, as a receiver states it."""
+        return math.sqrt(self.position_noise_m**2 + self.position_drift_m**2 + self.position_bias_m**2)
+
+    def mounting(self, stage: Stage) -> MountingError:
+        """Of a stage's mountings."""
+        return self.factory if stage == "factory" else self.online
+
+    def measured(self, truth: Poses, time_s: Float64, rng: np.random.Generator) -> Poses:
+        """Poses as a receiver gives them.
+
+        Args:
+            truth: N poses in a level frame.
+            time_s: (N,) ascending.
+            rng: of the errors.
+        """
+        shape = (len(time_s), 3)
+        off = rng.normal(0.0, self.position_bias_m, 3)
+        off = off + self.position_drift_m * drift(time_s, self.drift_time_s, rng)
+        off = off + rng.normal(0.0, self.position_noise_m, shape)
+        turn = rng.normal(0.0, math.radians(self.attitude_noise_deg), shape)
+        turned = truth @ Poses.exp(np.concatenate([turn, np.zeros(shape)], axis=1))
+        return Poses(turned.rotation, truth.translation + off)
+
+    def believed(self, camera: Camera, rng: np.random.Generator) -> Camera:
+        """The intrinsics that are taken for a camera's own."""
+        return disturbed(camera, self.focal_share, self.centre_share, rng)
+
+    def clocks(self, cameras: Sequence[str], rng: np.random.Generator) -> dict[str, Clock]:
+        """The cameras' clocks."""
+        errors = np.round(rng.normal(0.0, self.clock_error_ns, len(cameras))).astype(int)
+        known = np.round(rng.normal(0.0, self.clock_offset_ns, len(cameras))).astype(int)
+        return {name: Clock(int(offset), int(error)) for name, offset, error in zip(cameras, known, errors)}
+
+    def lost(self, count: int, rng: np.random.Generator) -> Bool:
+        """Which of a camera's pictures (count,) are lost."""
+        return rng.random(count) < self.dropped
+
+
+def drift(time_s: Float64, over_s: float, rng: np.random.Generator) -> Float64:
+    """Three smooth random processes of unit variance: Gauss-Markov of second order, critically damped.
+
+    Their autocorrelation is ``(1 + |t| / over_s) exp(-|t| / over_s)``: once differentiable, as the errors of a filter
+    are. The discretisation is exact at any steps (A. Gelb, "Applied Optimal Estimation", MIT Press 1974).
+
+    Args:
+        time_s: (N,) ascending.
+        over_s: the time constant.
+        rng: of the errors.
+
+    Returns:
+        (N, 3).
+    """
+    rate = 1.0 / over_s
+    spread = np.diag([1.0, rate**2])
+    states = rng.normal(size=(len(time_s), 2, 3))
+    if not len(states):
+        return states[:, 0]
+    states[0] *= np.sqrt(np.diag(spread))[:, None]
+    steps, which = np.unique(np.diff(time_s), return_inverse=True)
+    onward = np.exp(-rate * steps)[:, None, None] * (
+        np.array([[1.0, 0.0], [0.0, 1.0]]) + steps[:, None, None] * np.array([[rate, 1.0], [-(rate**2), -rate]])
+    )
+    added = spread - onward @ spread @ np.swapaxes(onward, 1, 2)
+    root = _root(added)
+    for i, step in enumerate(which, start=1):
+        states[i] = onward[step] @ states[i - 1] + root[step] @ states[i]
+    return states[:, 0]
+
+
+def disturbed(camera: Camera, focal_share: float, centre_share: float, rng: np.random.Generator) -> Camera:
+    """A camera whose focal length and principal point are a little off.
+
+    Args:
+        camera: as it is.
+        focal_share: 1-sigma of the focal length, as a share of it.
+        centre_share: 1-sigma of the principal point along each axis, as a share of the width.
+        rng: of the errors.
+    """
+    longer = 1.0 + rng.normal(0.0, focal_share)
+    aside, down = rng.normal(0.0, centre_share * camera.width_px, 2)
+    return Camera(
+        camera.model,
+        camera.width_px,
+        camera.height_px,
+        camera.fx_px * longer,
+        camera.fy_px * longer,
+        camera.cx_px + aside,
+        camera.cy_px + down,
+        camera.distortion,
+    )
+
+
+def _root(covariance: Float64) -> Float64:
+    """Lower roots (N, 2, 2) of positive semi-definite matrices; steps of no length have none but zeros."""
+    first = np.sqrt(np.maximum(covariance[:, 0, 0], 0.0))
+    cross = covariance[:, 0, 1] / np.where(first > 0.0, first, 1.0)
+    second = np.sqrt(np.maximum(covariance[:, 1, 1] - cross**2, 0.0))
+    return np.stack([np.stack([first, np.zeros_like(first)], axis=1), np.stack([cross, second], axis=1)], axis=1)
+
+
+def _near(rng: np.random.Generator, sigma: float) -> Float64:
+    """A normal vector (3,), none from farther out than FARTHEST_SIGMA."""
+    while True:
+        drawn = rng.normal(size=3)
+        if np.linalg.norm(drawn) <= FARTHEST_SIGMA:
+            return sigma * drawn

@@ -1,0 +1,8 @@
+"""Recording vehicles: seven types with seven cameras each, and the vehicles that are built of them."""
+
+from __future__ import annotations
+
+from mirror.synth.rigs.types import VEHICLE_TYPES, VehicleType
+from mirror.synth.rigs.vehicle import Vehicle
+
+__all__ = ["VEHICLE_TYPES", "Vehicle", "VehicleType"]

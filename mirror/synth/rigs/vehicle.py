@@ -1,0 +1,120 @@
+"""One vehicle: its cameras sit where they were installed, which is not quite where they were designed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from mirror.geometry import Poses
+from mirror.geometry.cameras import Camera
+from mirror.synth.errors import Clock, Errors, MountingError, Stage, disturbed
+from mirror.synth.rigs.types import VehicleType
+
+_INSTALLED: Final = MountingError(0.4, 0.01)
+_FOCAL_TOLERANCE: Final = 0.004
+_CENTRE_TOLERANCE: Final = 0.004
+_STAGES: Final[tuple[Stage, ...]] = ("factory", "online")
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """One vehicle.
+
+    Attributes:
+        vehicle_id: pseudonym.
+        kind: its type.
+        width_px: of a preset; its cameras' rasters follow from that.
+        seed: of its tolerances, and of what the factory believes of them.
+    """
+
+    vehicle_id: str
+    kind: VehicleType
+    width_px: int
+    seed: int
+
+    @cached_property
+    def cameras(self) -> dict[str, Camera]:
+        """True lenses by camera name, in canonical order."""
+        rng = np.random.default_rng([self.seed, 1])
+        return {
+            mount.camera: disturbed(
+                mount.optics.camera(mount.raster, self.width_px), _FOCAL_TOLERANCE, _CENTRE_TOLERANCE, rng
+            )
+            for mount in self.kind.mounts
+        }
+
+    @cached_property
+    def ego_SE3_camera(self) -> dict[str, Poses]:  # noqa: N802
+        """True mountings by camera name."""
+        rng = np.random.default_rng([self.seed, 2])
+        return {mount.camera: mount.ego_SE3_camera() @ _INSTALLED.draw(rng) for mount in self.kind.mounts}
+
+    def calibration(
+        self, stage: Stage, errors: Errors, drive: int, clocks: Mapping[str, Clock]
+    ) -> list[dict[str, Any]]:
+        """What a stage says of every camera: entries of ``calibrations/<stage>.json``.
+
+        Args:
+            stage: factory or online.
+            errors: by which that differs from the truth.
+            drive: seed of the drive: the online calibration is another in each.
+            clocks: of all cameras.
+        """
+        number = _STAGES.index(stage)
+        mountings = np.random.default_rng([self.seed, 3, number, drive if stage == "online" else 0])
+        lenses = np.random.default_rng([self.seed, 4])
+        error = errors.mounting(stage)
+        return [
+            self._entry(
+                name,
+                errors.believed(self.cameras[name], lenses),
+                self.ego_SE3_camera[name] @ error.draw(mountings),
+                time_offset_ns=clocks[name].offset_ns,
+                covariance=error.covariance(),
+                method=f"synthetic, {stage} error",
+            )
+            for name in self.cameras
+        ]
+
+    def true_calibration(self) -> list[dict[str, Any]]:
+        """The same entries, exact."""
+        return [
+            self._entry(
+                name, camera, self.ego_SE3_camera[name], time_offset_ns=0, covariance=None, method="synthetic, truth"
+            )
+            for name, camera in self.cameras.items()
+        ]
+
+    def _entry(
+        self,
+        name: str,
+        camera: Camera,
+        ego_SE3_camera: Poses,
+        *,
+        time_offset_ns: int,
+        covariance: list[float] | None,
+        method: str,
+    ) -> dict[str, Any]:
+        return {
+            "camera": name,
+            "model": camera.model,
+            "width_px": camera.width_px,
+            "height_px": camera.height_px,
+            "fx_px": camera.fx_px,
+            "fy_px": camera.fy_px,
+            "cx_px": camera.cx_px,
+            "cy_px": camera.cy_px,
+            "distortion": list(camera.distortion),
+            "ego_SE3_camera": [*ego_SE3_camera.rotation[0].tolist(), *ego_SE3_camera.translation[0].tolist()],
+            "valid_from_ns": None,
+            "valid_to_ns": None,
+            "time_offset_ns": time_offset_ns,
+            "shutter_direction": self.kind.shutter,
+            "readout_ns": self.kind.readout_ns,
+            "covariance": covariance,
+            "method": method,
+        }

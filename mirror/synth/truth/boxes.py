@@ -1,0 +1,114 @@
+"""What of each object a picture shows: how much of it is hidden, and where its pixels lie."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64, Int32, Int64
+from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
+from mirror.geometry.cameras import Camera
+from mirror.synth.model import Model
+from mirror.synth.truth.casting import NOTHING, cast
+
+_MOST_RAYS: Final = 6000
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """One object as it stands at an instant.
+
+    Attributes:
+        model: in the world.
+        world_SE3_box: the pose of its 3D box; one.
+        size_m: length, width, height of the box, which encloses the model.
+    """
+
+    model: Model
+    world_SE3_box: Poses
+    size_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a picture shows of N objects.
+
+    Attributes:
+        number: (N,) of the object, ascending.
+        pixels: (N,) that show it.
+        visibility: (N,) share of its pixels that are seen, of those that would be if nothing stood before it; what lies
+            outside the raster counts in neither.
+        bounds_px: (N, 4) ``u_min v_min u_max v_max`` of the pixels that show it, whole pixels; NaN where none does.
+    """
+
+    number: Int64
+    pixels: Int64
+    visibility: Float64
+    bounds_px: Float64
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+
+def shown(objects: Int32, camera: Camera, world_SE3_camera: Poses, standing: Mapping[int, Standing]) -> Shown:
+    """Find what a picture shows of each object.
+
+    Args:
+        objects: (H, W) number of the object at the centre of each pixel, below 0 where there is none.
+        camera: of the picture.
+        world_SE3_camera: one pose.
+        standing: the objects by number.
+
+    Returns:
+        Of those that would have a pixel if nothing stood before them. The visibility of large ones is that of every
+        second or third pixel or so, across and down: of some thousands of pixels.
+    """
+    numbers = np.array(sorted(standing), np.int64)
+    counts, bounds = _extents(objects, numbers)
+    if not len(numbers):
+        return Shown(numbers, counts, np.zeros(0), bounds)
+    ones = [standing[int(number)] for number in numbers]
+    world_SE3_box = Poses(
+        np.concatenate([one.world_SE3_box.rotation for one in ones]),
+        np.concatenate([one.world_SE3_box.translation for one in ones]),
+    )
+    boxes = project_boxes(camera, world_SE3_camera.inverse() @ world_SE3_box, [one.size_m for one in ones])
+    turn, origin = matrix_from_quaternion(world_SE3_camera.rotation)[0], world_SE3_camera.translation[0]
+    shares = np.full(len(ones), np.nan)
+    for row in np.flatnonzero(boxes.visible):
+        columns, rows = _grid(boxes.bounds_px[row])
+        u, v = np.meshgrid(columns, rows)
+        rays = camera.unproject(np.stack([u, v], axis=-1) + 0.5).direction.reshape(-1, 3) @ turn.T
+        there = cast(ones[row].model, origin, rays)[1] != NOTHING
+        if there.any():
+            shares[row] = (objects[v, u].ravel()[there] == numbers[row]).mean()
+    # A pixel that the renderer gives to it is there, even where the ray of the coarse grid or rounding missed it.
+    shares = np.where(np.isnan(shares) & (counts > 0), 1.0, shares)
+    known = ~np.isnan(shares)
+    return Shown(numbers[known], counts[known], shares[known], bounds[known])
+
+
+def _grid(bounds_px: Float64) -> tuple[Int64, Int64]:
+    """Columns and rows of pixels in a rectangle: all of them, or as coarse a grid as the number of rays asks."""
+    first, end = np.floor(bounds_px[:2]).astype(int), np.ceil(bounds_px[2:]).astype(int)
+    step = max(int(np.ceil(np.sqrt((end - first).prod() / _MOST_RAYS))), 1)
+    return np.arange(first[0], end[0], step), np.arange(first[1], end[1], step)
+
+
+def _extents(objects: Int32, numbers: Int64) -> tuple[Int64, Float64]:
+    """Counts (N,) and bounds (N, 4) of the pixels of each of the ascending numbers."""
+    counts, bounds = np.zeros(len(numbers), np.int64), np.full((len(numbers), 4), np.nan)
+    rows, columns = np.nonzero(np.isin(objects, numbers))
+    which = np.searchsorted(numbers, objects[rows, columns])
+    order = np.argsort(which, kind="stable")
+    which, rows, columns = which[order], rows[order], columns[order]
+    found, starts = np.unique(which, return_index=True)
+    if len(found):
+        counts[found] = np.diff([*starts, len(which)])
+        ends = (np.minimum, columns), (np.minimum, rows), (np.maximum, columns), (np.maximum, rows)
+        for place, (most, values) in enumerate(ends):
+            bounds[found, place] = most.reduceat(values, starts) + (place > 1)
+    return counts, bounds

@@ -1,0 +1,116 @@
+"""Rays against surfaces whose intersections are known in closed form."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mirror.geometry import Poses
+from mirror.geometry.cameras import Camera
+from mirror.synth.model import Label, Material, Model, block, ellipsoid, merged, polygon
+from mirror.synth.truth.casting import NOTHING, cast, own_mask
+
+GREY = (0.5, 0.5, 0.5)
+
+
+def square(size_m: float = 2.0, z: float = 0.0, **how: bool) -> Model:
+    h = 0.5 * size_m
+    return polygon([(-h, -h, z), (h, -h, z), (h, h, z), (-h, h, z)], GREY, Material.PLAIN, Label.ROAD, **how)
+
+
+def ball(centre: tuple[float, float, float], radius_m: float) -> Model:
+    return ellipsoid(centre, (2 * radius_m,) * 3, GREY, Material.PLAIN, Label.TERRAIN)
+
+
+def rays(count: int, seed: int = 0) -> np.ndarray:
+    directions = np.random.default_rng(seed).normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def test_a_plane_is_met_where_the_ray_crosses_it() -> None:
+    down = rays(4000) * (1, 1, -1)
+    down[:, 2] = -np.abs(down[:, 2])
+    origin = np.array([0.3, -0.2, 1.7])
+    distance, index = cast(square(6.0), origin, down)
+    expected = 1.7 / -down[:, 2]
+    at = origin + expected[:, None] * down
+    inside = (np.abs(at[:, :2]) <= 3.0).all(axis=1)
+    assert np.array_equal(index == 0, inside)
+    assert np.abs(distance[inside] / expected[inside] - 1).max() < 1e-14
+    assert np.isinf(distance[~inside]).all()
+    assert 500 < inside.sum() < 3500
+
+
+def test_a_sphere_is_met_where_algebra_says() -> None:
+    centre, radius = np.array([5.0, 2.0, 1.0]), 1.5
+    aim = centre + rays(3000) * np.linspace(0, 2.5, 3000)[:, None]
+    directions = aim / np.linalg.norm(aim, axis=1, keepdims=True)
+    distance, index = cast(ball(tuple(centre), radius), np.zeros(3), directions)
+    along = directions @ centre
+    room = radius**2 - (centre @ centre - along**2)
+    assert np.array_equal(index == 0, room > 0)
+    expected = along[room > 0] - np.sqrt(room[room > 0])
+    assert np.abs(distance[room > 0] - expected).max() < 1e-6
+
+
+def test_an_ellipsoid_far_away_keeps_its_distance() -> None:
+    far = 1e5
+    model = ellipsoid((far, 0, 0), (2.0, 4.0, 1.0), GREY, Material.PLAIN, Label.TERRAIN, yaw=0.0)
+    distance, index = cast(
+        model, np.zeros(3), np.array([[1.0, 0.0, 0.0], [1.0, 1.9 / far, 0.0], [1.0, 2.1 / far, 0.0]])
+    )
+    assert index.tolist() == [0, 0, NOTHING]
+    assert distance[0] == pytest.approx(far - 1.0, abs=1e-9)
+    assert distance[1] == pytest.approx(far - np.sqrt(1 - 0.95**2), abs=1e-3)
+
+
+def test_the_nearest_surface_wins_and_rounds_count_on_after_faces() -> None:
+    model = merged([square(z=0.0), square(z=-3.0), ball((0, 0, 4.0), 1.0)])
+    down, up = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 2.0]])
+    assert [value[0] for value in cast(model, np.array([0.1, 0.0, 2.0]), down)] == [2.0, 0]
+    distance, index = cast(model, np.array([0.0, 0.0, 2.0]), up)
+    assert (distance[0], index[0]) == (0.5, 2)
+
+
+def test_faces_are_seen_from_outside_unless_they_have_two_sides() -> None:
+    up = np.array([[0.0, 0.0, 1.0]])
+    below = np.array([0.1, 0.2, -1.0])
+    assert cast(square(), below, up)[1][0] == NOTHING
+    assert cast(square(two_sided=True), below, up)[1][0] == 0
+    assert cast(square(), np.array([0.1, 0.2, 0.0]), up)[1][0] == NOTHING
+
+
+def test_nothing_stands_in_an_empty_model_and_rays_may_be_none() -> None:
+    assert np.isinf(cast(Model.empty(), np.zeros(3), rays(5))[0]).all()
+    assert cast(square(), np.zeros(3), np.zeros((0, 3)))[1].shape == (0,)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.1, 30.0), st.floats(-3.0, 3.0))
+def test_moving_everything_changes_nothing(seed: int, shift: float, yaw: float) -> None:
+    model = merged(
+        [block((4, 0, 1), (2, 3, 2), GREY, Material.PLAIN, Label.CAR, slope=(0.2, 0.1)), ball((-5, 1, 0), 2)]
+    )
+    directions = rays(200, seed)
+    first = cast(model, np.zeros(3), directions)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1.0]])
+    moved = model.placed(turn, np.array([shift, -shift, 1.0]))
+    again = cast(moved, np.array([shift, -shift, 1.0]), directions @ turn.T)
+    assert (first[1] != again[1]).sum() <= 1
+    same = (first[1] == again[1]) & (first[1] != NOTHING)
+    assert np.abs(first[0][same] - again[0][same]).max(initial=0.0) < 1e-9
+
+
+def test_the_mask_of_a_plate_before_a_pinhole_is_its_projection() -> None:
+    camera = Camera("pinhole", 64, 48, 40.0, 40.0, 32.0, 24.0)
+    # 2 m ahead in the ego frame, 5.2 pixels to each side of the axis.
+    h = 2.0 * 5.2 / 40.0
+    plate = polygon([(2, h, -h), (2, -h, -h), (2, -h, h), (2, h, h)], GREY, Material.PLAIN, Label.EGO)
+    forward, backward = (
+        Poses(np.array([q]), np.zeros((1, 3))) for q in ([0.5, -0.5, 0.5, -0.5], [0.5, -0.5, -0.5, 0.5])
+    )
+    expected = np.zeros((48, 64), np.uint8)
+    expected[18:30, 26:38] = 255
+    assert np.array_equal(own_mask(plate, camera, forward), expected)
+    assert not own_mask(plate, camera, backward).any()

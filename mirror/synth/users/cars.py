@@ -2,61 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from mirror.synth.model import Label, Material, Side, ellipsoid
+from mirror.synth.model import Label, Material, ellipsoid
 from mirror.synth.users.body import Body, boxed
-from mirror.synth.users.fittings import (
-    BLACK,
-    HEADLIGHT,
-    TAIL_LIGHT,
-    car_paint,
-    insert,
-    lamp,
-    mirrors,
-    number_plate,
-    plates,
-    rim,
-    wheel,
-)
-from mirror.synth.users.sheets import Finish, Panel, Sheets
-from mirror.synth.users.shell import DARK, PANE, End, Point, Shape, pane, shell
+from mirror.synth.users.design import Design, drawn, dressed
+from mirror.synth.users.fittings import car_paint
+from mirror.synth.users.sheets import Finish, Panel
 
 _CLADDING: Final = Finish((0.035, 0.035, 0.037), Material.PLAIN)
 _TAXI_PAINTS: Final = ((0.62, 0.56, 0.40), (0.55, 0.33, 0.015), (0.015, 0.015, 0.017), (0.70, 0.70, 0.69))
-
-
-@dataclass(frozen=True)
-class Design:
-    """A car as it is drawn: a shape, and what is fitted where.
-
-    Attributes:
-        shape: measures.
-        windows: points of the side windows' outline in the side view, from the windscreen's foot along the waist to
-            the back, and forward under the roof.
-        rear_window: share of the rear window's height at which its glass begins.
-        rear_inset_m: width of the pillars beside it.
-        headlights_m: lower and upper edge.
-        tail_lights_m: lower and upper edge.
-        rear_plate_m: height of the plate's middle.
-        sill: of the lowest band; None: painted as the rest.
-        deck: behind the rear window; None: painted.
-    """
-
-    shape: Shape
-    windows: tuple[Point, ...]
-    rear_window: float
-    rear_inset_m: float
-    headlights_m: Point
-    tail_lights_m: Point
-    rear_plate_m: float
-    sill: Finish | None = None
-    deck: Finish | None = None
 
 
 def car(rng: np.random.Generator) -> Body:
@@ -68,44 +27,48 @@ def car(rng: np.random.Generator) -> Body:
 
 def hatchback(rng: np.random.Generator) -> Body:
     """A compact car with a steep back."""
-    return _built(rng, _hatchback(rng))
+    return _painted(rng, _hatchback(rng))
 
 
 def saloon(rng: np.random.Generator) -> Body:
     """A car with a boot."""
-    return _built(rng, _saloon(rng))
+    return _painted(rng, _saloon(rng))
 
 
 def estate(rng: np.random.Generator) -> Body:
     """A saloon whose roof goes on to the end."""
-    return _built(rng, _estate(rng))
+    return _painted(rng, _estate(rng))
 
 
 def suv(rng: np.random.Generator) -> Body:
     """High, with large wheels and dark sills."""
-    return _built(rng, _suv(rng))
+    return _painted(rng, _suv(rng))
 
 
 def city_car(rng: np.random.Generator) -> Body:
     """Very short, with two doors."""
-    return _built(rng, _city_car(rng))
+    return _painted(rng, _city_car(rng))
 
 
 def coupe(rng: np.random.Generator) -> Body:
     """Low, with a long bonnet and a sloping back."""
-    return _built(rng, _coupe(rng))
+    return _painted(rng, _coupe(rng))
 
 
 def pickup(rng: np.random.Generator) -> Body:
     """A double cab with a covered bed."""
-    return _built(rng, _pickup(rng))
+    return _painted(rng, _pickup(rng))
 
 
 def taxi(rng: np.random.Generator) -> Body:
     """A saloon or an estate with a sign on its roof."""
     design = _saloon(rng) if rng.random() < 0.5 else _estate(rng)
     colour = _TAXI_PAINTS[int(rng.integers(len(_TAXI_PAINTS)))]
-    return _built(rng, design, paint=Finish(colour, Material.PAINT), sign=True)
+    sheets = dressed(rng, design, Finish(colour, Material.PAINT), Label.CAR)
+    roof = design.shape.roof
+    place = 0.5 * (roof[1][0] + roof[-2][0]), 0.0, max(z for _, z in roof) + 0.06
+    sheets.add(ellipsoid(place, (0.16, 0.48, 0.14), (0.75, 0.6, 0.12), Material.PLAIN, Label.CAR))
+    return boxed("car", sheets.model())
 
 
 _SHARES: Final[Mapping[Callable[[np.random.Generator], Body], float]] = {
@@ -113,156 +76,18 @@ _SHARES: Final[Mapping[Callable[[np.random.Generator], Body], float]] = {
 }  # fmt: skip
 
 
-def _built(rng: np.random.Generator, design: Design, *, paint: Finish | None = None, sign: bool = False) -> Body:
-    shape = design.shape
-    coat = car_paint(rng) if paint is None else paint
-    sheets = Sheets(Label.CAR, int(rng.integers(1 << 30)))
-    shell(sheets, shape, coat, sill=design.sill or coat, deck=design.deck or coat)
-    _windows(sheets, design)
-    _face(sheets, design, coat)
-    for x in shape.axles_m:
-        outer = 0.5 * shape.width_m - 0.022
-        wheel(sheets, x, outer, shape.wheel_m, 0.6 * shape.wheel_m, rim=rim(rng))
-    front, back = (plates(rng),) * 2
-    middle = shape.levels_m[1]
-    number_plate(sheets, (shape.front.reach_m + 0.012, 0.0, middle - 0.02), Side.FRONT, front)
-    x = float(shape.face(shape.back, 0.0, max(design.rear_plate_m - 0.06, middle))[0])
-    number_plate(sheets, (x - 0.012, 0.0, design.rear_plate_m), Side.BACK, back)
-    foot = shape.roof[0][0] - 0.42
-    mirrors(sheets, (foot, shape.side_m(shape.waist_m) + 0.12, shape.waist_m + 0.075), coat)
-    if sign:
-        place = 0.5 * (shape.roof[1][0] + shape.roof[-2][0]), 0.0, max(z for _, z in shape.roof) + 0.06
-        sheets.add(ellipsoid(place, (0.16, 0.48, 0.14), (0.75, 0.6, 0.12), Material.PLAIN, Label.CAR))
-    return boxed("car", sheets.model())
-
-
-def _windows(sheets: Sheets, design: Design) -> None:
-    shape = design.shape
-    panel = Panel.TWO_DOORS if shape.doors is Panel.TWO_DOORS else Panel.FOUR_DOORS
-    corners = [shape.side(*point) for point in design.windows]
-    sheets.sheet(corners, Side.LEFT, PANE._replace(panel=panel), texture=shape.shown, lift_m=0.004, both=True)
-    foot, top = shape.waist_m, shape.roof[-2][1]
-    low = foot + design.rear_window * (top - foot)
-    behind = pane(shape, shape.rear_window, low, top - 0.05, design.rear_inset_m)
-    sheets.sheet(behind, Side.BACK, PANE, lift_m=0.004)
-
-
-def _face(sheets: Sheets, design: Design, coat: Finish) -> None:
-    """Lamps, grille and air intakes."""
-    shape = design.shape
-    front, back = shape.front, shape.back
-    low, middle = shape.levels_m[:2]
-    under, over = design.headlights_m
-    lamp(sheets, shape, front, HEADLIGHT, (under, over), inner=0.62, wrap=0.85, rise_m=0.03, slant_m=0.03)
-    insert(sheets, shape, front, BLACK, (under - 0.06, over - 0.01), (0.5, 0.58))
-    insert(sheets, shape, front, BLACK, (low + 0.05, middle - 0.09), (0.85, 0.7))
-    under, over = design.tail_lights_m
-    lamp(sheets, shape, back, TAIL_LIGHT, (under, over), inner=0.58, wrap=0.9, rise_m=0.01, slant_m=0.03)
-    insert(sheets, shape, back, DARK, (low + 0.01, low + 0.45 * (middle - low)), (0.9, 0.8))
-
-
-def _design(
-    length: float,
-    width: float,
-    height: float,
-    *,
-    clearance: float,
-    waist: float,
-    wheel: float,
-    overhangs: Point,
-    cowl: float,
-    screen_deg: float,
-    nose: float,
-    roof_end: Point,
-    tail: float,
-    pillar: float,
-    rise: float = 0.05,
-    doors: Panel = Panel.FOUR_DOORS,
-    rear_window: float = 0.12,
-    lean: float = 0.30,
-) -> Design:
-    """A design from a few measures, in metres.
-
-    Args:
-        length: of the body.
-        width: of the body without mirrors.
-        height: of the roof.
-        clearance: of the sills.
-        waist: height of the waistline.
-        wheel: radius.
-        overhangs: in front and behind.
-        cowl: how far the windscreen's foot is ahead of the front axle.
-        screen_deg: slope of the windscreen.
-        nose: height of the bonnet's front edge.
-        roof_end: x of the roof's end, from the tail, and how much lower it is there.
-        tail: x of the rear window's foot, from the tail.
-        pillar: width of the rear pillar.
-        rise: how much higher the side windows begin behind.
-        doors: seams of the flanks.
-        rear_window: share of the rear window's height at which its glass begins.
-        lean: of the sides of the greenhouse.
-    """
-    end = 0.5 * length
-    axles = end - overhangs[0], overhangs[1] - end
-    foot, crown = axles[0] + cowl, height - 0.035
-    top = foot - (crown - waist) / math.tan(math.radians(screen_deg))
-    back = roof_end[0] - end
-    roof = (
-        (foot, waist),
-        (top, crown),
-        (top + 0.30 * (back - top), height),
-        (top + 0.70 * (back - top), height - 0.15 * roof_end[1]),
-        (back, height - roof_end[1]),
-        (tail - end, waist),
-    )
-    seam, last = axles[0] - 1.06 * wheel - 0.16, axles[1] + 0.14
-    long_door = doors is Panel.TWO_DOORS
-    door = (seam - 1.30, 1.30) if long_door else (0.5 * (seam + last), 0.5 * (seam - last))
-    shape = Shape(
-        width_m=width,
-        clearance_m=clearance,
-        waist_m=waist,
-        wheel_m=wheel,
-        axles_m=axles,
-        front=End(end, (0.17, 0.30), 0.22, 0.30, 0.055, nose),
-        back=End(end, (0.085, 0.26), 0.22, 0.10, 0.035, waist - 0.02),
-        bonnet=((0.45 * foot + 0.55 * (end - 0.1), nose + 0.72 * (waist - nose)),),
-        roof=roof,
-        rail_m=height - max(0.085, roof_end[1] + 0.02),
-        lean=lean,
-        rail_lean=1.9,
-        tuck_m=0.05,
-        shoulder_m=0.055,
-        doors=doors,
-        door_m=door,
-    )
-    low, high = waist + 0.03, shape.rail_m - 0.012
-    windows = (
-        (shape.screen(low) - 0.14, low),
-        (shape.rear_window(low + rise) + pillar, low + rise),
-        (shape.rear_window(high) + pillar, high),
-        (shape.screen(high) - 0.10, high),
-    )
-    middle = shape.levels_m[1]
-    return Design(
-        shape,
-        windows,
-        rear_window,
-        0.09,
-        (nose - 0.17, nose - 0.045),
-        (waist - 0.23, waist - 0.07),
-        0.5 * (middle + waist),
-    )
+def _painted(rng: np.random.Generator, design: Design) -> Body:
+    return boxed("car", dressed(rng, design, car_paint(rng), Label.CAR).model())
 
 
 def _hatchback(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.0, 4.4), rng.uniform(1.43, 1.50)
-    return _design(
+    return drawn(
         length,
         rng.uniform(1.75, 1.81),
         height,
         clearance=0.17,
-        waist=0.635 * height,
+        waist=0.658 * height,
         wheel=rng.uniform(0.312, 0.335),
         overhangs=(0.86, 0.74),
         cowl=rng.uniform(-0.30, -0.18),
@@ -277,12 +102,12 @@ def _hatchback(rng: np.random.Generator) -> Design:
 
 def _saloon(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.6, 4.95), rng.uniform(1.42, 1.48)
-    return _design(
+    return drawn(
         length,
         rng.uniform(1.80, 1.87),
         height,
         clearance=0.16,
-        waist=0.655 * height,
+        waist=0.672 * height,
         wheel=rng.uniform(0.325, 0.345),
         overhangs=(0.86, 1.08),
         cowl=rng.uniform(-0.46, -0.34),
@@ -298,12 +123,12 @@ def _saloon(rng: np.random.Generator) -> Design:
 
 def _estate(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.55, 4.9), rng.uniform(1.45, 1.52)
-    return _design(
+    return drawn(
         length,
         rng.uniform(1.80, 1.86),
         height,
         clearance=0.16,
-        waist=0.64 * height,
+        waist=0.66 * height,
         wheel=rng.uniform(0.322, 0.342),
         overhangs=(0.87, 1.0),
         cowl=rng.uniform(-0.44, -0.32),
@@ -318,12 +143,12 @@ def _estate(rng: np.random.Generator) -> Design:
 
 def _suv(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.25, 4.75), rng.uniform(1.60, 1.72)
-    design = _design(
+    design = drawn(
         length,
         rng.uniform(1.82, 1.92),
         height,
         clearance=0.21,
-        waist=0.64 * height,
+        waist=0.66 * height,
         wheel=rng.uniform(0.348, 0.372),
         overhangs=(0.88, 0.86),
         cowl=rng.uniform(-0.40, -0.28),
@@ -340,12 +165,12 @@ def _suv(rng: np.random.Generator) -> Design:
 
 def _city_car(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(3.5, 3.75), rng.uniform(1.46, 1.54)
-    return _design(
+    return drawn(
         length,
         rng.uniform(1.62, 1.68),
         height,
         clearance=0.165,
-        waist=0.625 * height,
+        waist=0.645 * height,
         wheel=rng.uniform(0.285, 0.30),
         overhangs=(0.72, 0.56),
         cowl=rng.uniform(-0.12, 0.0),
@@ -362,12 +187,12 @@ def _city_car(rng: np.random.Generator) -> Design:
 
 def _coupe(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.3, 4.6), rng.uniform(1.28, 1.34)
-    return _design(
+    return drawn(
         length,
         rng.uniform(1.83, 1.90),
         height,
         clearance=0.13,
-        waist=0.67 * height,
+        waist=0.685 * height,
         wheel=rng.uniform(0.335, 0.35),
         overhangs=(0.86, 0.92),
         cowl=rng.uniform(-0.66, -0.52),
@@ -385,7 +210,7 @@ def _coupe(rng: np.random.Generator) -> Design:
 
 def _pickup(rng: np.random.Generator) -> Design:
     height = rng.uniform(1.78, 1.86)
-    design = _design(
+    design = drawn(
         rng.uniform(5.2, 5.4),
         rng.uniform(1.84, 1.90),
         height,

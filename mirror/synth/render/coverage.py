@@ -28,6 +28,7 @@ def cover(
     rays: Float64,
     rotation: Float64,
     offsets: Float32,
+    cones: Float64,
     begins: Int64,
     lists: Int32,
     order: Int64,
@@ -43,6 +44,7 @@ def cover(
         rays: (H, W, 3) of the lens.
         rotation: (3, 3) world_R_camera.
         offsets: (S, 2) rays of a pixel, pixels right and down of its centre.
+        cones: of the lens; the first are the tiles'.
         begins: from `binning.lists_of`.
         lists: from `binning.lists_of`.
         order: (N,) surfaces.
@@ -78,6 +80,11 @@ def cover(
             continue
         counts[0] += 1
         _spread(rays, rotation, offsets, top, left, sx, sy, sz)
+        i, j, k = cones[tile, 0], cones[tile, 1], cones[tile, 2]
+        cx = rotation[0, 0] * i + rotation[0, 1] * j + rotation[0, 2] * k
+        cy = rotation[1, 0] * i + rotation[1, 1] * j + rotation[1, 2] * k
+        cz = rotation[2, 0] * i + rotation[2, 1] * j + rotation[2, 2] * k
+        sine = cones[tile, 4] if cones[tile, 3] > 0.0 else 2.0
         for i in range(many):
             inverse[i], found[i] = np.float32(0.0), SKY
         farthest = np.float32(0.0)
@@ -88,7 +95,7 @@ def cover(
             counts[1] += 1
             first, last = starts[place], starts[place + 1]
             if order[place] < number:
-                _try_face(rows, first, last, sx, sy, sz, inside, inverse, found, place)
+                _try_face(rows, first, last, cx, cy, cz, sine, sx, sy, sz, inside, inverse, found, place)
             else:
                 _try_round(rows, first, sx, sy, sz, inverse, found, place)
             if (at - begins[tile]) & 3 == 3:
@@ -187,6 +194,10 @@ def _try_face(
     rows: Float32,
     first: int,
     last: int,
+    cx: float,
+    cy: float,
+    cz: float,
+    sine: float,
     sx: Float32,
     sy: Float32,
     sz: Float32,
@@ -196,20 +207,33 @@ def _try_face(
     place: int,
 ) -> None:
     many = len(sx)
-    a, b, c = rows[first + 1, 0], rows[first + 1, 1], rows[first + 1, 2]
-    for i in range(many):
-        inside[i] = a * sx[i] + b * sy[i] + c * sz[i]
-    for edge in range(first + 2, last):
+    crossed = False
+    for edge in range(first + 1, last):
         a, b, c = rows[edge, 0], rows[edge, 1], rows[edge, 2]
-        for i in range(many):
-            inside[i] = min(inside[i], a * sx[i] + b * sy[i] + c * sz[i])
+        # The whole tile is inside of this edge.
+        if a * cx + b * cy + c * cz >= sine:
+            continue
+        if crossed:
+            for i in range(many):
+                inside[i] = min(inside[i], a * sx[i] + b * sy[i] + c * sz[i])
+        else:
+            crossed = True
+            for i in range(many):
+                inside[i] = a * sx[i] + b * sy[i] + c * sz[i]
     a, b, c = rows[first, 0], rows[first, 1], rows[first, 2]
     mark = np.int32(place)
-    for i in range(many):
-        w = a * sx[i] + b * sy[i] + c * sz[i]
-        nearer = (inside[i] >= np.float32(0.0)) & (w > inverse[i])
-        inverse[i] = w if nearer else inverse[i]
-        found[i] = mark if nearer else found[i]
+    if crossed:
+        for i in range(many):
+            w = a * sx[i] + b * sy[i] + c * sz[i]
+            nearer = (inside[i] >= np.float32(0.0)) & (w > inverse[i])
+            inverse[i] = w if nearer else inverse[i]
+            found[i] = mark if nearer else found[i]
+    else:
+        for i in range(many):
+            w = a * sx[i] + b * sy[i] + c * sz[i]
+            nearer = w > inverse[i]
+            inverse[i] = w if nearer else inverse[i]
+            found[i] = mark if nearer else found[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})

@@ -12,11 +12,11 @@ from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Label, Material
 from mirror.synth.render.coverage import SKY
-from mirror.synth.render.facades import facade
+from mirror.synth.render.facades import facade, shopfront, skyline, wall_grain
 from mirror.synth.render.lens import TILE_PX
 from mirror.synth.render.looks import lamp, picture, plain
 from mirror.synth.render.shadows import CELL_M, sunlit
-from mirror.synth.textures.sampling import image_at
+from mirror.synth.textures.sampling import grain_at, image_at
 
 LAMP_CELL_M: Final = 1.0
 BELOW_CELL_M: Final = 0.2
@@ -54,6 +54,7 @@ class Surroundings(NamedTuple):
         ground: (rows, columns) heights of the ground.
         dome: of the clear sky.
         clouds: their field.
+        layouts: (L, K) MARK, flat: markings of carriageways.
         setting: LIGHTING record, flat.
         maps: MAPS record, flat.
     """
@@ -69,6 +70,7 @@ class Surroundings(NamedTuple):
     ground: Float32
     dome: Float32
     clouds: Float32
+    layouts: Records
     setting: Records
     maps: Records
 
@@ -98,7 +100,7 @@ def _beam_at(setting: Records, maps: Records, x: float, y: float, z: float, nx: 
     return setting.headlight * wide * wide * max(0.25 * faces + 0.12, 0.0) * 14.0 / (4.0 + 0.09 * far * far)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def shade(
     faces: Records,
     rounds: Records,
@@ -115,6 +117,7 @@ def shade(
     grain_index: Float64,
     images: UInt8,
     image_index: Int64,
+    patterns: Records,
     index: int,
     ox: float,
     oy: float,
@@ -143,7 +146,6 @@ def shade(
     if index == SKY:
         r, g, b = sky(dome, clouds, setting, dx, dy, dz, math.sqrt(ax * ax + ay * ay + az * az))
         return r, g, b, 0.0
-    mirror, up = 0.0, 0.0
     if index < len(faces):
         one = faces[index]
         nx, ny, nz = one.normal_0, one.normal_1, one.normal_2
@@ -166,10 +168,24 @@ def shade(
         material, label = one.material, one.label
         if (material == Material.IMAGE or material == Material.LIT_IMAGE) and one.image >= 0:
             fr, fg, fb, er, eg, eb, gloss = picture(images, image_index, one, u, v, u1, v1, u2, v2, setting)
-        elif material == Material.FACADE:
-            fr, fg, fb, er, eg, eb, gloss = facade(one, 1.0, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting)
         elif material >= Material.HEADLIGHT and material <= Material.SIGNAL:
             fr, fg, fb, er, eg, eb, gloss = lamp(one, setting)
+        elif material == Material.FACADE:
+            rough = grain_at(grains, grain_index, wall_grain(one, patterns), u, v, u1, v1, u2, v2)
+            fr, fg, fb, er, eg, eb, gloss = facade(
+                one, patterns, rough, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting
+            )
+        elif material == Material.SHOPFRONT:
+            wide, high = 0.5 / one.half_0, 0.5 / one.half_1
+            sr, sg, sb = image_at(
+                images, image_index, one.image, 0.5 + u * wide, 0.5 + v * high,
+                u1 * wide, v1 * high, u2 * wide, v2 * high,
+            )  # fmt: skip
+            fr, fg, fb, er, eg, eb, gloss = shopfront(
+                one, sr, sg, sb, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting
+            )
+        elif material == Material.SKYLINE:
+            fr, fg, fb, er, eg, eb, gloss = skyline(one, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2))
         else:
             fr, fg, fb, er, eg, eb, gloss = plain(
                 grains, grain_index, material, one.seed, (one.colour_0, one.colour_1, one.colour_2),
@@ -215,7 +231,7 @@ def shade(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _lit(
     still: Float32,
     moving: Float32,
@@ -328,6 +344,7 @@ def radiance_of(
     grain_index: Float64,
     images: UInt8,
     image_index: Int64,
+    patterns: Records,
     rays: Float64,
     rotation: Float64,
     origin: Float64,
@@ -387,7 +404,7 @@ def radiance_of(
                         dx, dy, dz = x + u * ax + v * bx, y + u * ay + v * by, z + u * az + v * bz
                         pr, pg, pb, pm = shade(
                             faces, rounds, still, moving, lamps, below, ground, dome, clouds, setting, maps,
-                            grains, grain_index, images, image_index, index, ox, oy, oz, dx, dy, dz,
+                            grains, grain_index, images, image_index, patterns, index, ox, oy, oz, dx, dy, dz,
                             scale * ax, scale * ay, scale * az, scale * bx, scale * by, scale * bz,
                         )  # fmt: skip
                         # Lamps are clipped before they are averaged, or their edges stay hard.

@@ -15,10 +15,12 @@ from mirror.synth.render.binning import facing, lists_of, planes_of
 from mirror.synth.render.coverage import OFFSETS, SKY, cover
 from mirror.synth.render.lens import Lens
 from mirror.synth.render.shade import Surroundings, radiance_of
+from mirror.synth.street.houses.windows import pattern_table
 from mirror.synth.textures.atlas import atlas
 
 _EVERYWHERE: Final = np.zeros((0, 0), np.float32)
 _SMALLEST_PX: Final = 0.1
+_PATTERNS: Final = pattern_table()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,7 @@ class View:
         return radiance_of(
             scene.faces, scene.rounds, scene.still, scene.moving, scene.lamps, scene.below, scene.ground,
             scene.dome, scene.clouds, scene.setting, scene.maps,
-            pictures.grains, pictures.grain_index, pictures.images, pictures.image_index,
+            pictures.grains, pictures.grain_index, pictures.images, pictures.image_index, _PATTERNS,
             self.lens.rays, self.rotation, self.origin, self.offsets[0], footprint_px,
             self.surface, self.mixed, self.which, self.share, self.wanted,
         )  # fmt: skip
@@ -129,7 +131,7 @@ def see(
         order, len(scene.faces), scene.spheres, starts, rows, lens.cones, lens.levels, rotation, x, y, z
     )
     surface, mixed, which, share, counts = cover(
-        lens.rays, rotation, offsets, begins, lists, order, len(scene.faces), nearest, starts, rows, wanted
+        lens.rays, rotation, offsets, lens.cones, begins, lists, order, len(scene.faces), nearest, starts, rows, wanted
     )
     told = {
         "surfaces": len(scene.spheres), "facing": len(order), "near": len(lists), "tried": int(counts[1]),

@@ -1,0 +1,210 @@
+"""A world as it stands at an instant, ready for views: what is there, what shadows fall, which lamps burn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Float32, Float64, Int64, Records
+from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.schema.documents import Roi
+from mirror.synth.light.condition import Condition
+from mirror.synth.light.lighting import LIGHTING, Lighting, lighting
+from mirror.synth.model import FACE, NO_IMAGE, NO_OBJECT, ROUND, Label, Model, flat, merged
+from mirror.synth.render.binning import spheres_of
+from mirror.synth.render.shade import BELOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M, MAPS, Surroundings
+from mirror.synth.render.shadows import ShadowMap, shadow_map, sun_axes
+from mirror.synth.street.foliage import foliage
+from mirror.synth.users.body import Body, Placement, RoadUser
+
+_LAMP_REACH_M: Final = 22.0
+_DRAWN_WITHIN_M: Final = 220.0
+_SHADED_WITHIN_M: Final = 50.0
+_BEYOND_M: Final = 80.0
+
+
+class Place(Protocol):
+    """What a scene takes of a world: all that stands still."""
+
+    @property
+    def roi(self) -> Roi:
+        """The region of interest."""
+        ...
+
+    @property
+    def model(self) -> Model:
+        """Ground, houses, plants in full leaf, furniture."""
+        ...
+
+    @property
+    def layouts(self) -> Records:
+        """(L, K) MARK: markings of carriageways."""
+        ...
+
+    @property
+    def lamps(self) -> Float64:
+        """(M, 3) places of street lamps' lights."""
+        ...
+
+    def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
+        """Heights of the ground."""
+        ...
+
+    def burning(self, time_s: float) -> Int64:
+        """Faces of traffic lights that burn at an instant."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """Everything as it stands at one instant round a place.
+
+    Attributes:
+        surroundings: for views.
+        placements: of the road users that are near enough to be drawn, by number.
+    """
+
+    surroundings: Surroundings
+    placements: dict[int, Placement]
+
+
+class Scene:
+    """A world in one condition with its road users: makes instants. Thread-safe once prepared.
+
+    Args:
+        world: what stands still.
+        condition: light and weather.
+        users: everybody else, parked ones too; objects are numbered in this order.
+        own: model of the recording vehicle in its ego frame.
+    """
+
+    def __init__(self, world: Place, condition: Condition, users: Sequence[RoadUser], own: Model) -> None:
+        roi = world.roi
+        self.world, self.condition, self.users, self.own = world, condition, tuple(users), own
+        self.light: Lighting = lighting(condition, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
+
+    @cached_property
+    def _still(self) -> _Still:
+        world, condition = self.world, self.condition
+        model = foliage(
+            world.model, float(self.light.record["season"]), condition.visit if condition.effects.foliage else 0
+        )
+        _turn_pictures(model, condition.visit if condition.effects.billboards else 0)
+        maps = np.zeros(1, MAPS)
+        sun = np.array(self.light.record["sun"])
+        maps["sun_axes"] = sun_axes(sun)
+        shadow = ShadowMap.none()
+        reach = world.roi.radius_m + _BEYOND_M
+        if self.light.record["shadows"] and self.light.record["sunlight"].any():
+            casting = model.faces["label"] > Label.TERRAIN
+            shadow = shadow_map(Model(model.faces[casting], model.corners, model.rounds), sun, np.zeros(3), reach)
+        maps["still_origin"] = shadow.origin
+        lamps, maps["lamps_origin"] = _lamp_map(world.lamps, reach)
+        grid = np.arange(-reach, reach + GROUND_CELL_M, GROUND_CELL_M)
+        x, y = np.meshgrid(grid, grid)
+        ground = np.asarray(world.height_m(x.ravel(), y.ravel())).reshape(x.shape).astype(np.float32)
+        maps["ground_origin"] = -reach
+        spheres = spheres_of(model.faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)))
+        return _Still(model, spheres, shadow, lamps, ground, maps)
+
+    def prepare(self) -> None:
+        """Make now what all instants share."""
+        _ = self._still
+
+    def at(self, time_s: float, world_SE3_ego: Poses) -> Instant:
+        """All that there is ``time_s`` after the start, round the recording vehicle at its pose."""
+        ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
+        placements = {}
+        for number, user in enumerate(self.users):
+            place = user.motion.at(time_s)
+            if math.hypot(place.x_m - ego[0], place.y_m - ego[1]) < _DRAWN_WITHIN_M:
+                placements[number] = place
+        moving = merged(
+            self.users[number].body.model.placed(place.rotation, place.translation, number)
+            for number, place in placements.items()
+        )
+        own = self.own.placed(turn, ego, NO_OBJECT)
+        own.faces["label"], own.rounds["label"] = Label.EGO, Label.EGO
+        return self._instant(time_s, merged([moving, own]), moving, placements, ego, turn)
+
+    def _instant(
+        self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, turn: Float64
+    ) -> Instant:
+        still, record = self._still, self.light.at(time_s)
+        there.faces["lights"] = 1
+        model = merged([still.model, there])
+        faces = model.faces
+        faces["lights"][self.world.burning(time_s)] = 1
+        # Ellipsoids come after all faces: the spheres of both models are interleaved.
+        spheres = spheres_of(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
+        split, first = len(still.model.faces), len(there.faces)
+        spheres = np.concatenate([still.spheres[:split], spheres[:first], still.spheres[split:], spheres[first:]])
+        maps = still.maps.copy()
+        shadow = ShadowMap.none()
+        if record["shadows"] and record["sunlight"].any():
+            shadow = shadow_map(moving, np.array(record["sun"]), ego, _DRAWN_WITHIN_M)
+        maps["moving_origin"] = shadow.origin
+        below, maps["below_origin"] = _below(
+            [(self.users[number].body, place) for number, place in placements.items()], ego
+        )
+        maps["beam"] = *(ego + turn @ (3.4, 0.0, 0.7)), *(turn @ (0.998, 0.0, -0.06))
+        surroundings = Surroundings(
+            faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)), spheres,
+            still.shadow.height, shadow.height, still.lamps, below, still.ground,
+            self.light.dome, self.light.clouds, self.world.layouts.view(flat(self.world.layouts.dtype)),
+            record.reshape(1).view(flat(LIGHTING))[0], maps.view(flat(MAPS))[0],
+        )  # fmt: skip
+        return Instant(surroundings, placements)
+
+
+@dataclass(frozen=True, eq=False)
+class _Still:
+    model: Model
+    spheres: Float64
+    shadow: ShadowMap
+    lamps: Float32
+    ground: Float32
+    maps: Records
+
+
+def _turn_pictures(model: Model, visit: int) -> None:
+    """Put up the pictures that a visit shows."""
+    faces = model.faces
+    changing = (faces["images"] > 1) & (faces["image"] != NO_IMAGE)
+    faces["image"][changing] += (faces["seed"][changing] + visit) % faces["images"][changing]
+
+
+def _lamp_map(lights: Float64, edge: float) -> tuple[Float32, Float64]:
+    grid = np.arange(-edge, edge + LAMP_CELL_M, LAMP_CELL_M)
+    light = np.zeros((len(grid), len(grid)))
+    for x, y, _ in lights:
+        rows = np.abs(grid - y) <= _LAMP_REACH_M
+        columns = np.abs(grid - x) <= _LAMP_REACH_M
+        square = (grid[columns] - x) ** 2 + (grid[rows] - y)[:, None] ** 2
+        fade = np.clip(1.0 - square / _LAMP_REACH_M**2, 0.0, 1.0) ** 2
+        light[np.ix_(rows, columns)] += fade * (36.0 / (36.0 + square)) ** 1.5
+    return light.astype(np.float32), np.array([-edge, -edge])
+
+
+def _below(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
+    grid = np.arange(-_SHADED_WITHIN_M, _SHADED_WITHIN_M, BELOW_CELL_M)
+    shade = np.zeros((len(grid), len(grid)), np.float32)
+    for body, place in bodies:
+        x, y = place.x_m - ego[0], place.y_m - ego[1]
+        half, aside = 0.5 * body.size_m[0] - 0.1, 0.5 * body.size_m[1] - 0.1
+        reach = half + 1.2
+        columns = slice(*np.searchsorted(grid, (x - reach, x + reach)))
+        rows = slice(*np.searchsorted(grid, (y - reach, y + reach)))
+        cos, sin = math.cos(place.yaw_rad), math.sin(place.yaw_rad)
+        dx, dy = grid[columns] - x, (grid[rows] - y)[:, None]
+        beyond = np.hypot(
+            np.maximum(np.abs(cos * dx + sin * dy) - half, 0.0), np.maximum(np.abs(cos * dy - sin * dx) - aside, 0.0)
+        )
+        shade[rows, columns] = 1.0 - (1.0 - shade[rows, columns]) * (1.0 - 0.8 * np.exp(-beyond / 0.22))
+    return shade, ego[:2] - _SHADED_WITHIN_M

@@ -232,7 +232,6 @@ def _brim(person: Person, skeleton: Skeleton, label: Label) -> Model:
 def _handbag(person: Person, skeleton: Skeleton, label: Label) -> Model:
     """Two leaning sheets and two ends, hanging from the right hand."""
     hand = skeleton.wrists[1] - [0.0, 0.0, 0.07 * person.height_m]
-    half_x, half_y, low, high = 0.17, 0.06, -0.34, -0.04
     around = np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
     foot = hand + around * (0.17, 0.06, 0.0) - (0.0, 0.0, 0.34)
     top = hand + around * (0.17, 0.03, 0.0) - (0.0, 0.0, 0.04)

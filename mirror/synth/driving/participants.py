@@ -1,0 +1,189 @@
+"""Those who take part in the traffic, and their meetings, as the compiled simulation takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.synth.driving.simulation import TICK_S, Meetings, Users, Ways, simulate
+from mirror.synth.driving.trace import Aside, Chassis, Schedule
+from mirror.synth.driving.ways import Way
+from mirror.synth.driving.zones import Zone, zones
+from mirror.synth.street.network import Network
+
+Kind = Literal["car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian"]
+
+_NEVER: Final = 1e9
+_ROOM_M: Final = 0.35
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How somebody moves.
+
+    Attributes:
+        eager: share of the pace that a way allows.
+        fastest_mps: greatest speed.
+        pick_up_mps2: greatest acceleration.
+        brake_mps2: usual deceleration.
+        headway_s: kept to the one ahead.
+        phase: of the small changes of speed.
+    """
+
+    eager: float
+    fastest_mps: float
+    pick_up_mps2: float
+    brake_mps2: float
+    headway_s: float
+    phase: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Participant:
+    """One who takes part.
+
+    Attributes:
+        kind: what it is.
+        number: which of that kind it looks like.
+        way: that it follows; many follow the same.
+        chassis: its size.
+        manner: how it moves.
+        aside: how it keeps its lane.
+        enter_s: when it would like to come in, from the first tick.
+        enter_m: length of its front end along the way then.
+        end_m: length at which it leaves; default: the way's end.
+        pause_m: where it stands for a while.
+        pause_s: for how long.
+    """
+
+    kind: Kind
+    number: int
+    way: Way
+    chassis: Chassis
+    manner: Manner
+    aside: Aside = Aside()
+    enter_s: float = 0.0
+    enter_m: float = 0.0
+    end_m: float | None = None
+    pause_m: float = _NEVER
+    pause_s: float = 0.0
+
+
+def simulated(
+    network: Network, participants: Sequence[Participant], clock_s: float, longest_s: float
+) -> list[Schedule | None]:
+    """Move all participants until the first of them has left.
+
+    Args:
+        network: with the signals.
+        participants: the recording vehicle first.
+        clock_s: of the signals, when it begins.
+        longest_s: it ends then at the latest.
+
+    Returns:
+        Their schedules, times from the first tick on; None: somebody never found room to come in.
+    """
+    ways: list[Way] = []
+    for participant in participants:
+        if not any(participant.way is way for way in ways):
+            ways.append(participant.way)
+    number = {id(way): place for place, way in enumerate(ways)}
+    users = _users(participants, number)
+    meetings = _meetings(participants, ways, number)
+    green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
+    ticks = int(longest_s / TICK_S)
+    lengths, speeds, _ = simulate(_ways(ways), users, meetings, green, network.cycle_s, clock_s, ticks)
+    found: list[Schedule | None] = []
+    for place in range(len(participants)):
+        there = np.flatnonzero(np.isfinite(lengths[:, place]))
+        if len(there) < 2:
+            found.append(None)
+            continue
+        span = slice(there[0], there[-1] + 1)
+        found.append(
+            # A tick's state is the one at its end.
+            Schedule((there[0] + 1) * TICK_S, TICK_S, lengths[span, place].copy(), speeds[span, place].copy())
+        )
+    return found
+
+
+def _ways(ways: Sequence[Way]) -> Ways:
+    halts = [halt for way in ways for halt in way.halts]
+    return Ways(
+        np.cumsum([0, *(len(way.points) for way in ways)], dtype=np.int64),
+        np.concatenate([way.pace_mps for way in ways]),
+        np.cumsum([0, *(len(way.halts) for way in ways)], dtype=np.int64),
+        np.array([halt.at_m for halt in halts], np.float64),
+        np.array([halt.clear_m for halt in halts], np.float64),
+        np.array([-1 if halt.group is None else halt.group for halt in halts], np.int64),
+        np.array([halt.on_foot for halt in halts], np.uint8),
+    )
+
+
+def _users(participants: Sequence[Participant], number: dict[int, int]) -> Users:
+    rows = [
+        (
+            one.chassis.length_m,
+            one.enter_s,
+            one.enter_m,
+            one.way.length_m if one.end_m is None else one.end_m,
+            one.manner.eager,
+            one.manner.fastest_mps,
+            one.manner.pick_up_mps2,
+            one.manner.brake_mps2,
+            one.manner.headway_s,
+            one.manner.phase,
+            one.pause_m,
+            one.pause_s,
+        )
+        for one in participants
+    ]
+    ways = np.array([number[id(one.way)] for one in participants], np.int64)
+    return Users(ways, *np.ascontiguousarray(np.array(rows, np.float64).T))
+
+
+def _meetings(participants: Sequence[Participant], ways: Sequence[Way], number: dict[int, int]) -> Meetings:
+    """All meetings of two participants; the zones of two ways are found once."""
+    known: dict[tuple[int, int, float], list[int]] = {}
+    found: list[Zone] = []
+    pairs: list[tuple[int, int]] = []
+    chosen: list[int] = []
+    for i, one in enumerate(participants):
+        for j in range(i):
+            other = participants[j]
+            on_foot = one.kind == "pedestrian" and other.kind == "pedestrian"
+            # People step out of each other's way, but those in one file.
+            if on_foot and (one.way is not other.way or one.aside.right_m != other.aside.right_m):
+                continue
+            p, q = sorted((i, j), key=lambda place: number[id(participants[place].way)])
+            room = round(0.5 * (one.chassis.width_m + other.chassis.width_m) + _ROOM_M, 1)
+            key = (number[id(participants[p].way)], number[id(participants[q].way)], room)
+            if key not in known:
+                new = zones(ways[key[0]], ways[key[1]], room)
+                known[key] = list(range(len(found), len(found) + len(new)))
+                found += new
+            pairs += [(p, q)] * len(known[key])
+            chosen += known[key]
+    zone = np.array(chosen, np.int64)
+    limits = [limit for one_zone in found for limit in one_zone.limits]
+    counts = np.array([len(limit) for limit in limits], np.int64)
+    tables = np.concatenate([[0], np.cumsum(counts)[:-1]]) if limits else counts
+    return Meetings(
+        np.array(pairs, np.int64).reshape(-1, 2),
+        _pairs([one_zone.begin_m for one_zone in found])[zone],
+        _pairs([one_zone.end_m for one_zone in found])[zone],
+        _pairs([one_zone.hold_m for one_zone in found])[zone],
+        tables.astype(np.int64).reshape(-1, 2)[zone],
+        counts.reshape(-1, 2)[zone],
+        np.array([one_zone.along for one_zone in found], np.uint8)[zone],
+        np.array([one_zone.first for one_zone in found], np.int64)[zone],
+        np.concatenate(limits) if limits else np.zeros(0),
+    )
+
+
+def _pairs(values: list[tuple[float, float]]) -> Float64:
+    return np.array(values, np.float64).reshape(-1, 2)

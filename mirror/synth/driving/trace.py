@@ -1,0 +1,243 @@
+"""Where a vehicle is when it has come so far along its way, and how far it has come at a time: smooth, and exact."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from mirror.arrays import Float64
+from mirror.synth.driving.ways import STEP_M, Way
+from mirror.synth.users.body import Placement
+
+HeightField = Callable[[Float64, Float64], Float64]
+"""Height of the ground at x and y, metres: arrays in, array out."""
+
+# Controls beyond the ends of the way, so that the longest vehicle stands on them.
+_PAD: Final = 44
+
+
+@dataclass(frozen=True)
+class Chassis:
+    """What of a vehicle decides how it follows a line: the front axle on it, the rear axle trailing.
+
+    Attributes:
+        length_m: of the body.
+        width_m: of the body.
+        wheelbase_m: between the axles; of people on foot some decimetres.
+        rear_overhang_m: from the rear axle to the rear end.
+        origin_m: how far ahead of the rear axle the origin of its frame lies.
+    """
+
+    length_m: float
+    width_m: float
+    wheelbase_m: float
+    rear_overhang_m: float
+    origin_m: float
+
+    @classmethod
+    def of_box(cls, length_m: float, width_m: float) -> Chassis:
+        """Of a body that is known by its box, with the origin in its middle."""
+        wheelbase, overhang = 0.6 * length_m, 0.2 * length_m
+        return cls(length_m, width_m, wheelbase, overhang, 0.5 * length_m - overhang)
+
+    @property
+    def front_overhang_m(self) -> float:
+        """From the front axle to the front end."""
+        return self.length_m - self.rear_overhang_m - self.wheelbase_m
+
+
+@dataclass(frozen=True)
+class Aside:
+    """How a driver keeps his lane.
+
+    Attributes:
+        right_m: right of its middle, on average.
+        wander_m: amplitude of the slow wandering about that.
+        phase: of the wandering.
+    """
+
+    right_m: float = 0.0
+    wander_m: float = 0.0
+    phase: float = 0.0
+
+    def at(self, along_m: Float64) -> Float64:
+        """Metres right of the middle at lengths (N,)."""
+        slow = np.sin(along_m / 31.0 + self.phase) + 0.5 * np.sin(along_m / 13.0 + 2.3 * self.phase)
+        return self.right_m + self.wander_m * slow
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """The placements of a vehicle along its way: uniform cubic B-splines, twice continuously differentiable.
+
+    The length along the way is that of the vehicle's front end. Beyond the ends of the way it goes straight on.
+
+    Attributes:
+        controls: (N, 6) x, y, z, yaw, pitch, roll every `STEP_M`, the first at ``begin_m``.
+        begin_m: length of the first control.
+    """
+
+    controls: Float64
+    begin_m: float
+
+    def at(self, along_m: Float64) -> tuple[Float64, Float64]:
+        """Placements (N, 6), and forward metres of the origin per metre along the way (N,), at lengths (N,)."""
+        low, high = self.begin_m + STEP_M, self.begin_m + STEP_M * (len(self.controls) - 3)
+        inside = np.clip(along_m, low, high)
+        place = (inside - self.begin_m) / STEP_M
+        first = np.minimum(place.astype(np.int64), len(self.controls) - 3)
+        f = place - first
+        weights, slopes = _weights(f)
+        rows = self.controls[first[:, None] + np.arange(-1, 3)]
+        found = np.einsum("nk,nkd->nd", weights, rows)
+        slope = np.einsum("nk,nkd->nd", slopes, rows[:, :, :2]) / STEP_M
+        found[:, :2] += (along_m - inside)[:, None] * slope
+        return found, np.hypot(slope[:, 0], slope[:, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """How far along its way something has come at any time: a cubic between knots, speed and place without jumps.
+
+    Attributes:
+        begin_s: time of the first knot.
+        step_s: between knots.
+        along_m: (N,) at the knots.
+        speed_mps: (N,) at the knots; before the first and after the last it stays as it is there.
+    """
+
+    begin_s: float
+    step_s: float
+    along_m: Float64
+    speed_mps: Float64
+
+    def at(self, time_s: Float64) -> tuple[Float64, Float64]:
+        """Lengths (N,) and speeds (N,) at times (N,)."""
+        last = len(self.along_m) - 1
+        place = (np.asarray(time_s, np.float64) - self.begin_s) / self.step_s
+        inside = np.clip(place, 0.0, last)
+        i = np.minimum(inside.astype(np.int64), last - 1)
+        f = inside - i
+        s0, s1 = self.along_m[i], self.along_m[i + 1]
+        v0, v1 = self.speed_mps[i] * self.step_s, self.speed_mps[i + 1] * self.step_s
+        d = s1 - s0
+        along = s0 + f * (v0 + f * (3.0 * d - 2.0 * v0 - v1 + f * (v0 + v1 - 2.0 * d)))
+        speed = v0 + f * (2.0 * (3.0 * d - 2.0 * v0 - v1) + 3.0 * f * (v0 + v1 - 2.0 * d))
+        return along + (place - inside) * speed, speed / self.step_s
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """The motion of a road user along its way."""
+
+    trace: Trace
+    schedule: Schedule
+
+    def at(self, time_s: float) -> Placement:
+        """The placement ``time_s`` after the drive's start."""
+        # One placement is asked for at a time, and numpy's overhead on arrays of one would be most of the cost.
+        schedule, trace = self.schedule, self.trace
+        last = len(schedule.along_m) - 1
+        place = (time_s - schedule.begin_s) / schedule.step_s
+        inside = min(max(place, 0.0), float(last))
+        i = min(int(inside), last - 1)
+        f = inside - i
+        s0, s1 = schedule.along_m[i : i + 2].tolist()
+        v0, v1 = schedule.speed_mps[i : i + 2].tolist()
+        v0, v1, d = v0 * schedule.step_s, v1 * schedule.step_s, s1 - s0
+        b, c = 3.0 * d - 2.0 * v0 - v1, v0 + v1 - 2.0 * d
+        speed = v0 + f * (2.0 * b + 3.0 * f * c)
+        along = s0 + f * (v0 + f * (b + f * c)) + (place - inside) * speed
+        end = len(trace.controls) - 3
+        knot = (along - trace.begin_m) / STEP_M
+        on = min(max(knot, 1.0), float(end))
+        k = min(int(on), end)
+        f = on - k
+        g = 1.0 - f
+        weights = np.array(
+            (
+                (g**3 / 6.0, (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0, (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0, f**3 / 6.0),
+                (-0.5 * g * g, f * (1.5 * f - 2.0), g * (2.0 - 1.5 * g), 0.5 * f * f),
+            )
+        )
+        found, slope = (weights @ trace.controls[k - 1 : k + 3]).tolist()
+        over = knot - on
+        return Placement(
+            found[0] + over * slope[0],
+            found[1] + over * slope[1],
+            found[2],
+            found[3],
+            found[4],
+            found[5],
+            math.hypot(slope[0], slope[1]) / STEP_M * speed / schedule.step_s,
+        )
+
+
+def trace_of(way: Way, chassis: Chassis, height_m: HeightField, aside: Aside | None = None) -> Trace:
+    """How a vehicle follows a way: its front axle on the line, its rear axle trailing (a tractrix), on the ground.
+
+    Args:
+        way: that is followed.
+        chassis: of the vehicle.
+        height_m: the ground.
+        aside: how it keeps its lane.
+    """
+    begin = -STEP_M * _PAD
+    along = begin + STEP_M * np.arange(len(way.points) + 2 * _PAD) - chassis.front_overhang_m
+    guide = _on_line(way.points, along)
+    if aside is not None:
+        step = np.gradient(guide, axis=0)
+        step /= np.linalg.norm(step, axis=1, keepdims=True)
+        guide = guide + aside.at(along)[:, None] * np.column_stack([step[:, 1], -step[:, 0]])
+    rear = _trailing(np.ascontiguousarray(guide), chassis.wheelbase_m)
+    step = np.gradient(rear, axis=0)
+    yaw = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    base, track = chassis.wheelbase_m, 0.8 * chassis.width_m
+    middle = rear + 0.5 * base * ahead
+    wheels = np.concatenate([rear, rear + base * ahead, middle + 0.5 * track * left, middle - 0.5 * track * left])
+    back, front, port, starboard = height_m(wheels[:, 0], wheels[:, 1]).reshape(4, len(rear))
+    origin = rear + chassis.origin_m * ahead
+    height = back + (front - back) * (chassis.origin_m / base)
+    pitch, roll = np.arctan2(front - back, base), np.arctan2(port - starboard, track)
+    return Trace(np.column_stack([origin, height, yaw, pitch, roll]), begin)
+
+
+def _weights(f: Float64) -> tuple[Float64, Float64]:
+    """Weights (N, 4) of the four controls about a place, and those of the slope."""
+    g = 1.0 - f
+    value = (g**3 / 6.0, (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0, (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0, f**3 / 6.0)
+    slope = (-0.5 * g * g, f * (1.5 * f - 2.0), g * (2.0 - 1.5 * g), 0.5 * f * f)
+    return np.stack(value, axis=1), np.stack(slope, axis=1)
+
+
+def _on_line(points: Float64, along_m: Float64) -> Float64:
+    """Points (M, 2) at lengths (M,) of a line given every `STEP_M`, which goes straight on beyond its ends."""
+    end = STEP_M * (len(points) - 1)
+    inside = np.clip(along_m, 0.0, end)
+    over = (along_m - inside)[:, None]
+    place = STEP_M * np.arange(len(points))
+    found = np.column_stack([np.interp(inside, place, points[:, axis]) for axis in (0, 1)])
+    first, last = points[1] - points[0], points[-1] - points[-2]
+    return found + np.where(over < 0.0, over * first / np.linalg.norm(first), over * last / np.linalg.norm(last))
+
+
+@njit(cache=True, nogil=True)
+def _trailing(guide: Float64, base: float) -> Float64:
+    """Points (N, 2) of the rear axle when the front axle follows (N, 2)."""
+    rear = np.empty_like(guide)
+    dx, dy = guide[1, 0] - guide[0, 0], guide[1, 1] - guide[0, 1]
+    long = math.hypot(dx, dy)
+    x, y = guide[0, 0] - base * dx / long, guide[0, 1] - base * dy / long
+    for i in range(len(guide)):
+        dx, dy = guide[i, 0] - x, guide[i, 1] - y
+        pull = 1.0 - base / math.hypot(dx, dy)
+        x, y = x + pull * dx, y + pull * dy
+        rear[i, 0], rear[i, 1] = x, y
+    return rear

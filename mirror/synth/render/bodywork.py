@@ -1,7 +1,7 @@
 """What vehicles look like: paint with seams and dust, glass with what is seen through it, wheels and lamps.
 
 Every pattern is made of bands and stripes, averaged over the footprint ``fu`` by ``fv`` in closed form. What u and v
-mean on paint and glass is said by `mirror.synth.users.sheets.Panel`, a face's ``layout``.
+mean on paint and glass is said by `mirror.synth.users.coachwork.sheets.Panel`, a face's ``layout``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mirror.arrays import Records
 from mirror.synth.model import Material, Side
 from mirror.synth.render.looks import Look
 from mirror.synth.render.texture import band, chance, stripes
-from mirror.synth.users.sheets import Panel
+from mirror.synth.users.coachwork.sheets import Panel
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

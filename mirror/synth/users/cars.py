@@ -10,9 +10,9 @@ import numpy as np
 
 from mirror.synth.model import Label, Material, ellipsoid
 from mirror.synth.users.body import Body, boxed
-from mirror.synth.users.design import Design, drawn, dressed
-from mirror.synth.users.fittings import car_paint
-from mirror.synth.users.sheets import Finish, Panel
+from mirror.synth.users.coachwork.design import Design, drawn, dressed
+from mirror.synth.users.coachwork.fittings import car_paint
+from mirror.synth.users.coachwork.sheets import Finish, Panel
 
 _CLADDING: Final = Finish((0.035, 0.035, 0.037), Material.PLAIN)
 _TAXI_PAINTS: Final = ((0.62, 0.56, 0.40), (0.55, 0.33, 0.015), (0.015, 0.015, 0.017), (0.70, 0.70, 0.69))

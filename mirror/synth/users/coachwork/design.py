@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mirror.synth.model import Label, Side
-from mirror.synth.users.fittings import (
+from mirror.synth.users.coachwork.fittings import (
     BLACK,
     HEADLIGHT,
     TAIL_LIGHT,
@@ -20,8 +20,8 @@ from mirror.synth.users.fittings import (
     rim,
     wheel,
 )
-from mirror.synth.users.sheets import Finish, Panel, Sheets
-from mirror.synth.users.shell import DARK, PANE, End, Point, Shape, pane, shell
+from mirror.synth.users.coachwork.sheets import Finish, Panel, Sheets
+from mirror.synth.users.coachwork.shell import DARK, PANE, End, Point, Shape, pane, shell
 
 
 @dataclass(frozen=True)

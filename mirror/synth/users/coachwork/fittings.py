@@ -12,8 +12,8 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.synth.model import Material, Side, ellipsoid
 from mirror.synth.textures.catalogue import PLATES
-from mirror.synth.users.sheets import Finish, Sheets
-from mirror.synth.users.shell import End, Shape
+from mirror.synth.users.coachwork.sheets import Finish, Sheets
+from mirror.synth.users.coachwork.shell import End, Shape
 
 PLATE_M: Final = (0.52, 0.11)
 HEADLIGHT: Final = Finish((0.62, 0.63, 0.65), Material.HEADLIGHT)

@@ -17,7 +17,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import Material, Side
-from mirror.synth.users.sheets import Finish, Panel, Sheets
+from mirror.synth.users.coachwork.sheets import Finish, Panel, Sheets
 
 Point = tuple[float, float]
 """Of the side view: x forward and z upwards, metres."""
@@ -103,6 +103,16 @@ class Shape:
             self.wheel_m + 0.78 * self.arch_m,
             self.wheel_m + 0.97 * self.arch_m,
         )
+
+    @cached_property
+    def crown(self) -> list[Point]:
+        """The roof's points, and where its line crosses the rail."""
+        points = [self.roof[0]]
+        for (x, z), (other_x, other_z) in pairwise(self.roof):
+            if (z - self.rail_m) * (other_z - self.rail_m) < 0.0:
+                points.append((x + (other_x - x) * (self.rail_m - z) / (other_z - z), self.rail_m))
+            points.append((other_x, other_z))
+        return points
 
     def open_m(self, z: float) -> float:
         """Half the length of a wheel arch at a height."""
@@ -293,14 +303,13 @@ def _across(low: tuple[float, float, float] | Float64, high: tuple[float, float,
 def _greenhouse(sheets: Sheets, shape: Shape, paint: Finish) -> None:
     waist, rail = shape.waist_m, shape.rail_m
     front, back = shape.roof[0][0], shape.roof[-1][0]
-    outline = [
-        (back, waist - _LAP_M), (front, waist - _LAP_M), (front, waist),
-        (shape.screen(rail), rail), (shape.rear_window(rail), rail), (back, waist),
-    ]  # fmt: skip
-    sheets.sheet([shape.side(*point) for point in outline], Side.LEFT, paint, both=True)
-    over = [(shape.rear_window(rail), rail), (shape.screen(rail), rail), *shape.roof[1:-1]]
-    sheets.sheet([shape.side(*point) for point in over], Side.LEFT, paint, both=True)
-    for here, there in pairwise(shape.roof[1:-1]):
+    crown = shape.crown
+    lower = [(back, waist - _LAP_M), (front, waist - _LAP_M), *(point for point in crown if point[1] <= rail)]
+    sheets.sheet([shape.side(*point) for point in lower], Side.LEFT, paint, both=True)
+    upper = [point for point in crown if point[1] >= rail]
+    sheets.sheet([shape.side(*point) for point in upper], Side.LEFT, paint, both=True)
+    first, last = crown.index(shape.roof[1]), crown.index(shape.roof[-2])
+    for here, there in pairwise(crown[first : last + 1]):
         sheets.sheet(_across(shape.side(*here), shape.side(*there)), Side.TOP, paint)
     sheets.sheet(pane(shape, shape.screen, waist, shape.roof[1][1]), Side.FRONT, PANE)
     sheets.sheet(pane(shape, shape.rear_window, waist, shape.roof[-2][1]), Side.BACK, paint)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+import shapely
+
 from mirror.arrays import Float64
 
-LotKind = Literal["front", "corner", "detached", "hall", "farm", "works"]
-"""A house in a row; one at a crossing; one with a garden; a building of a campus; a farm; a shed beside a motorway."""
+LotKind = Literal["front", "corner", "yard", "hall", "farm", "works"]
+"""A house in a row; one at a crossing; one behind others; a building of a campus; a farm; a shed beside a motorway."""
 
 SpotKind = Literal[
     "lamp", "tree", "sign", "furniture", "signal", "yield", "stop", "crosswalk", "bus_stop", "gantry", "exit", "pole"
 ]
 """A street lamp; a tree; a traffic sign (speed, parking); anything small (bench, bin, box, bollards); a traffic light;
-a yield sign; a stop sign; a sign of a zebra crossing; a bus shelter; a gantry over the carriageway, whose one foot stands
-there; the sign of an exit; a pole with wires."""
+a yield sign; a stop sign; a sign of a zebra crossing; a bus shelter; a gantry over the carriageway, with
+one foot there; the sign of an exit; a pole with wires."""
 
 RailKind = Literal["guard", "fence", "wall", "hedge"]
 
@@ -25,7 +29,7 @@ class Lot:
     """Free land along a street for one house.
 
     A house stands with the middle of its front at ``origin``, turned by ``yaw_rad``: its own +x is to the right seen
-    from its back, +y leads away from the street.
+    from the street, +y leads away from it.
 
     Attributes:
         origin: (3,) middle of the front edge on the ground, world metres.
@@ -40,6 +44,13 @@ class Lot:
     length_m: float
     depth_m: float
     kind: LotKind
+
+    def outline(self) -> shapely.Polygon:
+        """Its rectangle on the ground plane."""
+        along = np.array([math.cos(self.yaw_rad), math.sin(self.yaw_rad)])
+        half, deep = 0.5 * self.length_m * along, self.depth_m * np.array([-along[1], along[0]])
+        front = self.origin[:2]
+        return shapely.Polygon([front - half, front + half, front + half + deep, front - half + deep])
 
 
 @dataclass(frozen=True)

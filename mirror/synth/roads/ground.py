@@ -1,0 +1,343 @@
+"""The ground as triangles: carriageways, kerbs, pavements and land, without a gap between any two.
+
+All outlines and cross-lines are laid into one arrangement of lines on a grid of a millimetre, whose cells are then
+triangulated; so neighbours share their corners exactly. What a triangle is made of is asked at its middle. Every corner
+has a height on the carriageway and one a kerb above it; where one side of an edge is carriageway and the other is not,
+a kerb stands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import shapely
+
+from mirror.arrays import AnyArray, Bool, Float64, Int64
+from mirror.synth.model import Label, Material, Model, merged, polygons
+from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.relief import Relief
+
+_GRID_M: Final = 1e-3
+_KERB_TOP_M: Final = 0.16
+_CELL_M: Final = 24.0
+_GROWTH: Final = 1.45
+_PARCEL_CELLS: Final = (2, 3)
+_KERB_GREY: Final = (0.34, 0.335, 0.32)
+
+
+@dataclass(frozen=True)
+class Cover:
+    """What a part of the land is covered with.
+
+    Attributes:
+        outline: where; None: dealt out.
+        material: of it.
+        label: of it.
+        colour: of it.
+    """
+
+    outline: shapely.Geometry
+    material: Material
+    label: Label
+    colour: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a street and its row of markings."""
+
+    street: int
+    low_m: float
+    high_m: float
+    layout: int
+
+
+@dataclass(frozen=True)
+class Outlines:
+    """Where carriageways are, with their kerbs, and with the pavements beside them."""
+
+    carriageway: shapely.Geometry
+    kerbs: shapely.Geometry
+    roads: shapely.Geometry
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The ground.
+
+    Attributes:
+        model: its faces.
+        triangles: (T, 3, 3) corners of all but the kerbs' faces, metres, counter-clockwise from above.
+        outlines: of the roads.
+    """
+
+    model: Model
+    triangles: Float64
+    outlines: Outlines
+
+
+def outlines(
+    streets: Sequence[Street], stations: Sequence[Float64], crossings: Sequence[Crossing], kerbs: bool
+) -> Outlines:
+    """The roads' outlines, their corners rounded.
+
+    Args:
+        streets: all of them.
+        stations: by street, where its pieces end.
+        crossings: where they meet.
+        kerbs: whether there are any.
+    """
+    grown = []
+    for beside in ("none", "kerb", "pavement"):
+        parts: list[shapely.Geometry] = []
+        for street, at in zip(streets, stations):
+            section = street.section
+            wider = {"none": 0.0, "kerb": _KERB_TOP_M if kerbs else 0.0, "pavement": section.pavement_m}[beside]
+            outer = section.half_m + wider
+            bands = [(-outer, outer)]
+            if section.median_m and beside == "none":
+                bands = [(-outer, -section.median_m), (section.median_m, outer)]
+            parts += [_strip(street, at, low, high) for low, high in bands]
+        for crossing in crossings:
+            for corner in crossing.corners:
+                narrow = min(crossing.arms[arm].street.section.pavement_m for arm in (corner.first, corner.second))
+                wider = {
+                    "none": 0.0,
+                    "kerb": _KERB_TOP_M if kerbs else 0.0,
+                    "pavement": min(narrow, corner.radius_m - 0.8),
+                }[beside]
+                parts.append(shapely.Polygon(crossing.patch(corner, wider)))
+        grown.append(shapely.union_all(parts, grid_size=_GRID_M))
+    return Outlines(*grown)
+
+
+def _strip(street: Street, stations: Float64, low_m: float, high_m: float) -> shapely.Geometry:
+    right, left = street.line.at(stations, low_m), street.line.at(stations, high_m)
+    return shapely.Polygon(np.vstack([right, left[::-1]]))
+
+
+def build_ground(
+    streets: Sequence[Street],
+    stations: Sequence[Float64],
+    roads: Outlines,
+    relief: Relief,
+    stretches: Sequence[Stretch],
+    covers: Sequence[Cover],
+    parcels: Sequence[Cover],
+    yaw_rad: float,
+    extent_m: tuple[float, float],
+    seed: int,
+) -> Ground:
+    """Triangulate the ground.
+
+    Args:
+        streets: in the order in which they lay claim to crossings.
+        stations: by street, where its pieces end.
+        roads: their outlines.
+        relief: the heights.
+        stretches: the markings.
+        covers: of outlined parts of the land; the first that holds a place counts.
+        parcels: of the rest of the land, dealt out by its grid.
+        yaw_rad: direction of the grid of the land.
+        extent_m: half the width of the land that is laid finely, and of all.
+        seed: of the parcels' colours.
+    """
+    lines = [roads.carriageway.boundary, roads.kerbs.boundary, roads.roads.boundary]
+    lines += [cover.outline.boundary for cover in covers]
+    lines += _cross_lines(streets, stations, relief)
+    grid = shapely.multilinestrings(shapely.linestrings(_grid_lines(yaw_rad, *extent_m)))
+    lines.append(shapely.difference(grid, roads.roads, grid_size=_GRID_M))
+    mesh = shapely.unary_union(np.array(lines), grid_size=_GRID_M)
+    cells = shapely.get_parts(shapely.polygonize([mesh]))
+    pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(cells))
+    corners = shapely.get_coordinates(pieces).reshape(-1, 4, 2)[:, :3]
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    clockwise = edge[:, 0] * other[:, 1] < edge[:, 1] * other[:, 0]
+    corners[clockwise] = corners[clockwise][:, ::-1]
+    points, number = np.unique(np.round(corners.reshape(-1, 2) / _GRID_M).astype(np.int64), axis=0, return_inverse=True)
+    number = number.reshape(-1, 3)
+    plane = points * _GRID_M
+    low, high = relief.heights_m(plane)
+    middle = plane[number].mean(axis=1)
+    driven = _inside(roads.carriageway, middle)
+    height = np.where(driven[:, None], low[number], high[number])
+    triangles = np.concatenate([plane[number], height[:, :, None]], axis=2)
+    place = [street.line.locate(plane) for street in streets]
+    parts = [
+        _carriageways(triangles[driven], number[driven], middle[driven], streets, place, stretches),
+        _kerb_faces(number, driven, plane, low, high),
+    ]
+    free = ~driven
+    kerb_top = free & _inside(roads.kerbs, middle)
+    if relief.kerb_m > 0.0:
+        parts.append(_kerb_tops(triangles[kerb_top], number[kerb_top], middle[kerb_top], streets, place))
+        free &= ~kerb_top
+    for cover in covers:
+        here = free & _inside(cover.outline, middle)
+        free &= ~here
+        if cover.label == Label.PAVEMENT:
+            texture = _street_texture(_owners(streets, middle[here]), number[here], place)
+        else:
+            texture = _turned(triangles[here], yaw_rad)
+        parts.append(_covered(cover, triangles[here], texture, 1.0, seed))
+    texture = _turned(triangles[free], yaw_rad)
+    dealt, shade = _dealt(texture.mean(axis=1), len(parcels), seed)
+    for which, cover in enumerate(parcels):
+        mine = dealt == which
+        parts.append(_covered(cover, triangles[free][mine], texture[mine], shade[mine, None], seed + which))
+    return Ground(merged(parts), triangles, roads)
+
+
+def _inside(region: shapely.Geometry, points: Float64) -> Bool:
+    shapely.prepare(region)
+    return np.asarray(shapely.contains_xy(region, points[:, 0], points[:, 1]))
+
+
+def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief: Relief) -> list[shapely.Geometry]:
+    """Lines across the streets where their pieces end, and along their crowns: none in crossings and older streets."""
+    found: list[shapely.Geometry] = []
+    older: shapely.Geometry = shapely.Polygon()
+    for number, (street, at) in enumerate(zip(streets, stations)):
+        section, level = street.section, relief.level_at[number]
+        inside = ((at[:, None] > level[:, 0] + 1e-6) & (at[:, None] < level[:, 1] - 1e-6)).any(axis=1)
+        kerb = _KERB_TOP_M if relief.kerb_m > 0.0 else 0.0
+        half = section.half_m
+        outer = half + section.pavement_m
+        steps = np.unique([-outer, -half - kerb, -half, -section.median_m, section.median_m, half, half + kerb, outer])
+        lines = [shapely.LineString(street.line.at(station, steps)) for station in at[~inside]]
+        between = 0.5 * (at[1:] + at[:-1])
+        crowned = ~((between[:, None] > level[:, 0]) & (between[:, None] < level[:, 1])).any(axis=1)
+        crown = street.line.at(at, 0.0)
+        lines += [shapely.LineString(crown[i : i + 2]) for i in np.flatnonzero(crowned)]
+        found.append(shapely.difference(shapely.MultiLineString(lines), older, grid_size=_GRID_M))
+        older = shapely.union(older, _strip(street, at, -outer, outer), grid_size=_GRID_M)
+    return found
+
+
+def _grid_lines(yaw_rad: float, fine_m: float, extent_m: float) -> AnyArray:
+    """Lines (N, 2, 2) of the land's grid, turned by the yaw; its cells grow outside ``fine_m``."""
+    steps = [0.0]
+    step = _CELL_M
+    while steps[-1] < extent_m:
+        step = step * _GROWTH if steps[-1] > fine_m else step
+        steps.append(steps[-1] + step)
+    at = np.array([-x for x in steps[:0:-1]] + steps)
+    first, last = np.full_like(at, at[0]), np.full_like(at, at[-1])
+    lines = np.concatenate(
+        [np.stack([np.c_[at, first], np.c_[at, last]], axis=1), np.stack([np.c_[first, at], np.c_[last, at]], axis=1)]
+    )
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return lines @ np.array([[cos, sin], [-sin, cos]])
+
+
+def _owners(streets: Sequence[Street], middle: Float64) -> Int64:
+    """Which street (N,) each place belongs to: the first that it lies within, else the nearest."""
+    beyond = np.empty((len(streets), len(middle)))
+    for number, street in enumerate(streets):
+        station, offset = street.line.locate(middle)
+        ends = np.maximum(street.line.first_m - station, station - street.line.last_m)
+        beyond[number] = np.maximum(np.maximum(np.abs(offset) - street.section.half_m, ends), 0.0)
+    return np.argmin(beyond, axis=0)
+
+
+def _street_texture(owner: Int64, number: Int64, place: Sequence[tuple[Float64, Float64]]) -> Float64:
+    """Stations and offsets (T, 3, 2) of triangles' corners along the streets that they belong to."""
+    table = np.stack([np.stack(pair, axis=1) for pair in place])
+    return table[owner[:, None], number]
+
+
+def _carriageways(
+    triangles: Float64,
+    number: Int64,
+    middle: Float64,
+    streets: Sequence[Street],
+    place: Sequence[tuple[Float64, Float64]],
+    stretches: Sequence[Stretch],
+) -> Model:
+    owner = _owners(streets, middle)
+    texture = _street_texture(owner, number, place)
+    station = texture[:, :, 0].mean(axis=1)
+    layout = np.zeros(len(triangles), np.int64)
+    for stretch in stretches:
+        on = (owner == stretch.street) & (station > stretch.low_m) & (station < stretch.high_m)
+        layout[on] = stretch.layout
+    parts = []
+    for which, street in enumerate(streets):
+        mine = owner == which
+        if mine.any():
+            section = street.section
+            parts.append(
+                polygons(
+                    triangles[mine],
+                    section.colour,
+                    section.material,
+                    Label.ROAD if section.material == Material.ASPHALT else Label.TERRAIN,
+                    texture=texture[mine],
+                    layouts=layout[mine],
+                    seeds=which,
+                )
+            )
+    return merged(parts)
+
+
+def _kerb_faces(number: Int64, driven: Bool, plane: Float64, low: Float64, high: Float64) -> Model:
+    """Upright faces where a carriageway ends and something a kerb higher begins; they look to the carriageway."""
+    edges = np.concatenate([number[:, [0, 1]], number[:, [1, 2]], number[:, [2, 0]]])
+    below = np.tile(driven, 3)
+    key = edges.min(axis=1) * len(plane) + edges.max(axis=1)
+    order = np.argsort(key, kind="stable")
+    twin = key[order][1:] == key[order][:-1]
+    first, second = order[:-1][twin], order[1:][twin]
+    differ = below[first] != below[second]
+    inner = np.where(below[first], first, second)[differ]
+    start, end = edges[inner, 0], edges[inner, 1]
+    step = (high[start] > low[start] + 1e-6) & (high[end] > low[end] + 1e-6)
+    start, end = start[step], end[step]
+    if not len(start):
+        return Model.empty()
+    corners = np.stack(
+        [
+            np.c_[plane[end], low[end]],
+            np.c_[plane[start], low[start]],
+            np.c_[plane[start], high[start]],
+            np.c_[plane[end], high[end]],
+        ],
+        axis=1,
+    )
+    return polygons(corners, _KERB_GREY, Material.KERB, Label.PAVEMENT)
+
+
+def _kerb_tops(
+    triangles: Float64,
+    number: Int64,
+    middle: Float64,
+    streets: Sequence[Street],
+    place: Sequence[tuple[Float64, Float64]],
+) -> Model:
+    texture = _street_texture(_owners(streets, middle), number, place)
+    return polygons(triangles, _KERB_GREY, Material.KERB, Label.PAVEMENT, texture=texture)
+
+
+def _turned(triangles: Float64, yaw_rad: float) -> Float64:
+    """Texture coordinates (T, 3, 2) along the grid of the land."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return triangles[:, :, :2] @ np.array([[cos, -sin], [sin, cos]])
+
+
+def _covered(cover: Cover, triangles: Float64, texture: Float64, shade: Float64 | float, seed: int) -> Model:
+    if not len(triangles):
+        return Model.empty()
+    colours = np.asarray(cover.colour) * shade
+    return polygons(triangles, colours, cover.material, cover.label, texture=texture, seeds=seed % 1000)
+
+
+def _dealt(middle: Float64, count: int, seed: int) -> tuple[Int64, Float64]:
+    """Which cover (T,) of ``count`` a place gets, and a tone (T,) from 0.85 to 1.15: by the parcel that it lies in."""
+    row, column = (np.floor(middle / (_CELL_M * np.array(_PARCEL_CELLS))).astype(np.int64)).T
+    mixed = (row * 73856093) ^ (column * 19349663) ^ (seed * 83492791)
+    mixed = (mixed ^ (mixed >> 13)) * 1274126177 & 0x7FFFFFFF
+    return (mixed >> 8) % count, 0.85 + 0.30 * ((mixed >> 16) % 1009) / 1009.0

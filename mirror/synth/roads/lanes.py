@@ -1,0 +1,156 @@
+"""Lanes along the streets, between their crossings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.layouts import Approach, approaches
+from mirror.synth.roads.section import Track
+from mirror.synth.street.network import Lane
+
+_STEP_M: Final = 1.0
+_PARK_CLEAR_M: Final = 6.0
+_LEAST_M: Final = 4.0
+_BESIDE_M: Final = 4.5
+_WALK_SHARE: Final = 0.55
+WALK_MPS: Final = 1.4
+
+
+@dataclass(frozen=True)
+class Port:
+    """Where a lane meets a crossing.
+
+    Attributes:
+        lane_id: the lane.
+        place: (2,) its end there.
+        heading_rad: of who drives there.
+        crossing: name of the crossing.
+        arm: number of the arm.
+        arrives: whether the lane ends there; else it begins there.
+        left: of walking lanes: whether it is on the arm's left, seen outwards.
+    """
+
+    lane_id: str
+    place: Float64
+    heading_rad: float
+    crossing: str
+    arm: int
+    arrives: bool
+    left: bool
+
+
+@dataclass(frozen=True)
+class _Limit:
+    """An end of a stretch of street between two crossings; ``approach`` is None where the street ends."""
+
+    station_m: float
+    crossing: str = ""
+    arm: int = 0
+    approach: Approach | None = None
+
+
+def lanes_along(street: Street, crossings: Sequence[Crossing], feet: bool) -> Iterator[tuple[Lane, tuple[Port, ...]]]:
+    """The lanes of a street, with the crossings that they meet.
+
+    Args:
+        street: the street.
+        crossings: all of the scene.
+        feet: whether there are pavements to walk on.
+    """
+    for number, (low, high) in enumerate(_stretches(street, crossings)):
+        name = f"{street.name}.{number}"
+        tracks = street.section.tracks
+        for track in tracks:
+            yield _lane(street, name, track, tracks, low, high)
+        if feet:
+            offset = street.section.half_m + _WALK_SHARE * street.section.pavement_m
+            width = 0.6 * street.section.pavement_m
+            for side in (1, -1):
+                for way in (1, -1):
+                    track = Track(f"walk{'+' if way > 0 else '-'}{'l' if side > 0 else 'r'}", "walk", side * offset,
+                                  width, way, WALK_MPS)  # fmt: skip
+                    yield _lane(street, name, track, (), low, high)
+
+
+def _stretches(street: Street, crossings: Sequence[Crossing]) -> list[tuple[_Limit, _Limit]]:
+    """Stretches of a street between its ends and crossings."""
+    ends: list[_Limit] = []
+    starts: list[_Limit] = []
+    for crossing in crossings:
+        for number, (arm, approach) in enumerate(zip(crossing.arms, approaches(crossing))):
+            if arm.street is street:
+                limit = _Limit(arm.station(approach.begin_m), crossing.name, number, approach)
+                (starts if arm.way > 0 else ends).append(limit)
+    starts.sort(key=lambda limit: limit.station_m)
+    ends.sort(key=lambda limit: limit.station_m)
+    first, last = _Limit(street.line.first_m), _Limit(street.line.last_m)
+    if not starts or (ends and ends[0].station_m <= starts[0].station_m):
+        starts.insert(0, first)
+    if len(ends) < len(starts):
+        ends.append(last)
+    return list(zip(starts, ends))
+
+
+def _lane(
+    street: Street, name: str, track: Track, beside: Sequence[Track], low: _Limit, high: _Limit
+) -> tuple[Lane, tuple[Port, ...]]:
+    """One lane of a stretch, and its ports."""
+    begin, end = (_trimmed(limit, track, sign) for limit, sign in ((low, 1), (high, -1)))
+    if track.use == "park" and end - begin < _LEAST_M:
+        end = begin + _LEAST_M
+    stations = np.linspace(begin, end, max(math.ceil((end - begin) / (0.95 * _STEP_M)), 1) + 1)
+    line = street.line.at(stations, track.offset_m)[:: track.way]
+    lane_id = f"{name}.{track.name}"
+    ports = []
+    for limit, station, arrives in ((low, begin, track.way < 0), (high, end, track.way > 0)):
+        if limit.approach is not None and track.use != "park":
+            heading = float(street.line.heading(station)) + (0.0 if track.way > 0 else math.pi)
+            place = line[-1] if arrives else line[0]
+            left = (track.offset_m > 0.0) == (limit.approach.arm.way > 0)
+            ports.append(Port(lane_id, place, heading, limit.crossing, limit.arm, arrives, left))
+    goal = high if track.way > 0 else low
+    stop = None
+    if goal.approach is not None and goal.approach.stop_m is not None and track.use in ("drive", "cycle"):
+        length = float(np.hypot(*np.diff(line, axis=0).T).sum())
+        stop = length - (goal.approach.stop_m - goal.approach.begin_m)
+    left_id, right_id = (_neighbour(name, track, beside, side) for side in (1, -1))
+    lane = Lane(
+        lane_id, track.use, line, track.width_m, track.speed_mps, left=left_id, right=right_id,
+        stop_m=None if stop is None else max(stop, 0.0),
+    )  # fmt: skip
+    return lane, tuple(ports)
+
+
+def _trimmed(limit: _Limit, track: Track, inwards: int) -> float:
+    """The station where a lane ends: parking keeps clear of crossings, walking goes up to the zebra."""
+    approach = limit.approach
+    if approach is None:
+        return limit.station_m
+    if track.use == "park":
+        return approach.arm.station(approach.end_m) + inwards * _PARK_CLEAR_M
+    if track.use == "walk":
+        return approach.arm.station(walks_from(approach))
+    return limit.station_m
+
+
+def walks_from(approach: Approach) -> float:
+    """How far out of a crossing's middle an arm's pavements begin: at the middle of its zebra, if there is one."""
+    return approach.begin_m + 0.5 if approach.zebra_m is None else 0.5 * sum(approach.zebra_m)
+
+
+def _neighbour(name: str, track: Track, beside: Sequence[Track], side: int) -> str | None:
+    """The lane beside a track to which one may change: 1 to the left, -1 to the right of who drives."""
+    if track.use != "drive":
+        return None
+    for other in beside:
+        gap = side * track.way * (other.offset_m - track.offset_m)
+        if other.use == "drive" and other.way == track.way and 0.0 < gap < _BESIDE_M:
+            return f"{name}.{other.name}"
+    return None

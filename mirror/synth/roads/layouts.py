@@ -1,0 +1,160 @@
+"""Which markings lie where: between crossings, before them and in them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64, Records
+from mirror.synth.model import Material
+from mirror.synth.roads.crossing import Arm, Crossing, Street
+from mirror.synth.roads.ground import Stretch
+from mirror.synth.roads.markings import Mark, layout_table, stop_line, yield_line, zebra
+from mirror.synth.roads.relief import Dip
+
+_ZEBRA_M: Final = (0.5, 3.5)
+_STOP_M: Final = (4.6, 5.05)
+_YIELD_M: Final = (0.3, 0.75)
+_STRICT_M: Final = 18.0
+_RAMP_M: Final = 0.9
+_PIECE_M: Final = 6.0
+_PIECE_RAD: Final = 0.07
+_LEAST_PIECE_M: Final = 1.5
+_SAME_M: Final = 0.3
+
+
+@dataclass(frozen=True)
+class Approach:
+    """What lies on an arm before a crossing, in metres out from the crossing's middle.
+
+    Attributes:
+        arm: the arm.
+        begin_m: where the crossing ends.
+        stop_m: where those who come stop; None: they need not.
+        zebra_m: the zebra crossing; None: there is none.
+        end_m: from where on the street is as anywhere.
+    """
+
+    arm: Arm
+    begin_m: float
+    stop_m: float | None
+    zebra_m: tuple[float, float] | None
+    end_m: float
+
+
+def approaches(crossing: Crossing) -> tuple[Approach, ...]:
+    """The approaches of a crossing, in the order of its arms."""
+    found = []
+    for arm, reach in zip(crossing.arms, crossing.reach_m):
+        waits = (crossing.control == "signal" or arm.minor) and arm.street.section.material == Material.ASPHALT
+        stop = reach + (_STOP_M if arm.zebra else _YIELD_M)[1] if waits or arm.zebra else None
+        walk = (reach + _ZEBRA_M[0], reach + _ZEBRA_M[1]) if arm.zebra else None
+        found.append(Approach(arm, reach, stop, walk, reach if stop is None else stop + 0.15))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Layouts:
+    """All markings of a scene.
+
+    Attributes:
+        table: (L, MOST_MARKS) MARK; row 0 has none.
+        stretches: which row lies where.
+        dips: where kerbs are dropped.
+        stations: by street, where its pieces end.
+    """
+
+    table: Records
+    stretches: tuple[Stretch, ...]
+    dips: tuple[Dip, ...]
+    stations: tuple[Float64, ...]
+
+
+def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts:
+    """Distribute the markings over the streets, and cut these into pieces."""
+    rows: list[Sequence[Mark]] = [()]
+    stretches: list[Stretch] = []
+    dips: list[Dip] = []
+    stations = []
+    for number, street in enumerate(streets):
+        section = street.section
+        rows += [(*section.marks, *section.middle), (*section.marks, *section.strict)]
+        free, strict = len(rows) - 2, len(rows) - 1
+        first, last = street.line.first_m, street.line.last_m
+        cuts = [first, last]
+        if section.material == Material.ASPHALT:
+            stretches.append(Stretch(number, first, last, free))
+        for crossing in crossings:
+            if crossing.control == "joint":
+                continue
+            for approach in approaches(crossing):
+                arm = approach.arm
+                if arm.street is not street:
+                    continue
+                begin, end = arm.station(approach.begin_m), arm.station(approach.end_m)
+                far = arm.station(approach.end_m + _STRICT_M)
+                cuts += [arm.station_m, begin, end, far]
+                if section.material == Material.ASPHALT:
+                    stretches.append(Stretch(number, *sorted((end, far)), strict))
+                    if end != begin:
+                        rows.append(_before_crossing(approach, crossing.control == "signal"))
+                        stretches.append(Stretch(number, *sorted((begin, end)), len(rows) - 1))
+                stretches.append(Stretch(number, *sorted((arm.station_m, begin)), 0))
+                if approach.zebra_m is not None:
+                    low, high = sorted(arm.station(out) for out in approach.zebra_m)
+                    dips.append(Dip(number, low, high))
+                    cuts += [low - _RAMP_M, low, high, high + _RAMP_M]
+        stations.append(_pieces(street, np.array(cuts)))
+    return Layouts(layout_table(rows), tuple(stretches), tuple(dips), tuple(stations))
+
+
+def _before_crossing(approach: Approach, signal: bool) -> tuple[Mark, ...]:
+    """The marks between a crossing and the street as it is anywhere."""
+    arm, section = approach.arm, approach.arm.street.section
+    begin, end = sorted((arm.station(approach.begin_m), arm.station(approach.end_m)))
+    marks: list[Mark] = []
+    stop = approach.stop_m
+    if approach.zebra_m is not None:
+        low, high = sorted(arm.station(out) for out in approach.zebra_m)
+        marks.append(zebra((low, high), section.half_m))
+    if stop is not None:
+        # Who comes keeps right: seen outwards, on the left.
+        coming = [track for track in section.tracks if track.way == -arm.way and track.use in ("drive", "cycle")]
+        sides = [track.offset_m + side * 0.5 * track.width_m for track in coming for side in (-1, 1)]
+        broken = not signal and approach.zebra_m is None
+        near, far = sorted((arm.station(stop - 0.45), arm.station(stop)))
+        bar = yield_line if broken else stop_line
+        marks.append(bar((near, far), (min(sides), max(sides))))
+    if approach.zebra_m is not None:
+        edge = sorted((arm.station(approach.zebra_m[1]), end if arm.way > 0 else begin))
+        marks += [_within(mark, (edge[0], edge[1])) for mark in section.strict]
+    else:
+        marks += list(section.strict)
+    return tuple(marks)
+
+
+def _within(mark: Mark, u_m: tuple[float, float]) -> Mark:
+    return Mark(u_m, mark.v_m, mark.u_stripes, mark.v_stripes, mark.slant, mark.colour, mark.strength, mark.worn)
+
+
+def _pieces(street: Street, cuts: Float64) -> Float64:
+    """Stations where a street's pieces end: at the cuts, and between them the closer the sharper the bend."""
+    line = street.line
+    cuts = np.unique(np.clip(cuts, line.first_m, line.last_m))
+    kept = [cuts[0]]
+    for cut in cuts[1:]:
+        if cut - kept[-1] > _SAME_M:
+            kept.append(cut)
+    kept[-1] = line.last_m
+    bends = np.abs(np.gradient(line.headings, line.stations))
+    found = [np.array([kept[0]])]
+    for low, high in itertools.pairwise(kept):
+        on = (line.stations >= low) & (line.stations <= high)
+        most = float(bends[on].max()) if on.any() else 0.0
+        step = min(_PIECE_M, max(_PIECE_RAD / max(most, 1e-9), _LEAST_PIECE_M))
+        found.append(np.linspace(low, high, max(int(np.ceil((high - low) / step)), 1) + 1)[1:])
+    return np.concatenate(found)

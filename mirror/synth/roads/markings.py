@@ -1,0 +1,144 @@
+"""Markings of carriageways: each layout is a row of marks, each mark a patch of stripes in a street's own coordinates.
+
+u runs along the street, v to the left of its middle, in metres. A pixel's share of a mark is the exact mean over its
+footprint, so that lines fade with distance and never flicker (`mirror.synth.render.carriageway`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Records
+from mirror.errors import UsageError
+
+MOST_MARKS: Final = 32
+FAR_M: Final = 1e6
+
+WHITE: Final = (0.62, 0.62, 0.60)
+YELLOW: Final = (0.60, 0.42, 0.06)
+RED: Final = (0.24, 0.075, 0.055)
+
+MARK: Final = np.dtype(
+    [
+        ("u_low", np.float64),
+        ("u_high", np.float64),
+        ("v_low", np.float64),
+        ("v_high", np.float64),
+        ("u_period", np.float64),
+        ("u_duty", np.float64),
+        ("u_phase", np.float64),
+        ("v_period", np.float64),
+        ("v_duty", np.float64),
+        ("v_phase", np.float64),
+        ("slant", np.float64),
+        ("red", np.float64),
+        ("green", np.float64),
+        ("blue", np.float64),
+        ("strength", np.float64),
+        ("worn", np.float64),
+    ]
+)
+"""A patch [u_low, u_high] x [v_low, v_high] of stripes.
+
+Along u the stripes start at ``u_phase + slant v`` and repeat after ``u_period`` metres (0: no stripes), of which they
+fill the share ``u_duty``; the same along v. ``strength`` is 0 where a row has no more marks; below 1 the carriageway
+shows through: traces of wheels. ``worn`` is how much of the paint has gone in places."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One mark, as MARK has it."""
+
+    u_m: tuple[float, float]
+    v_m: tuple[float, float]
+    u_stripes: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    v_stripes: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    slant: float = 0.0
+    colour: tuple[float, float, float] = WHITE
+    strength: float = 1.0
+    worn: float = 0.25
+
+
+_ALONG: Final = (-FAR_M, FAR_M)
+
+
+def solid(v_m: float, half_m: float) -> Mark:
+    """A line without gaps at v."""
+    return Mark(_ALONG, (v_m - half_m, v_m + half_m))
+
+
+def dashes(v_m: float, half_m: float, period_m: float, length_m: float) -> Mark:
+    """A line of dashes at v."""
+    return replace(solid(v_m, half_m), u_stripes=(period_m, length_m / period_m, 0.0))
+
+
+def parking_bays(inner_m: float, outer_m: float) -> tuple[Mark, ...]:
+    """Bays beside the lane: a broken line, and ticks between the bays."""
+    low, high = min(inner_m, outer_m), max(inner_m, outer_m)
+    return (
+        replace(dashes(inner_m, 0.05, 6.0, 1.6), worn=0.5),
+        Mark(_ALONG, (low, high), u_stripes=(6.0, 0.10 / 6.0, -0.75), worn=0.5),
+    )
+
+
+def cycle_lane(low_m: float, high_m: float) -> tuple[Mark, ...]:
+    """A red lane between two white lines."""
+    return (
+        Mark(_ALONG, (low_m, high_m), colour=RED, strength=0.85, worn=0.3),
+        dashes(low_m if low_m > 0 else high_m, 0.06, 2.0, 1.0),
+    )
+
+
+def tracks_of_wheels(v_m: float) -> tuple[Mark, ...]:
+    """Where wheels have polished a lane with its middle at v."""
+    return tuple(
+        Mark(_ALONG, (v_m + side - 0.28, v_m + side + 0.28), colour=(0.15, 0.15, 0.15), strength=0.16, worn=0.6)
+        for side in (-0.82, 0.82)
+    )
+
+
+def oil(v_m: float) -> Mark:
+    """What drips on the middle of a lane."""
+    return Mark(_ALONG, (v_m - 0.3, v_m + 0.3), colour=(0.05, 0.05, 0.05), strength=0.22, worn=0.7)
+
+
+def zebra(u_m: tuple[float, float], half_m: float) -> Mark:
+    """A crossing on foot between u and u, over a carriageway as wide as twice ``half_m``."""
+    return Mark(u_m, (-half_m + 0.25, half_m - 0.25), v_stripes=(1.0, 0.5, 0.25))
+
+
+def stop_line(u_m: tuple[float, float], v_m: tuple[float, float]) -> Mark:
+    """A bar across the lane of those who wait."""
+    return Mark(u_m, v_m)
+
+
+def yield_line(u_m: tuple[float, float], v_m: tuple[float, float]) -> Mark:
+    """A broken bar across the lane of those who yield."""
+    return Mark(u_m, v_m, v_stripes=(0.75, 0.5 / 0.75, v_m[0] + 0.12))
+
+
+def hatched(u_m: tuple[float, float], v_m: tuple[float, float], slant: float) -> Mark:
+    """An area not to be driven on."""
+    return Mark(u_m, v_m, u_stripes=(2.0, 0.4, 0.0), slant=slant)
+
+
+def layout_table(rows: Sequence[Sequence[Mark]]) -> Records:
+    """Layouts (L, MOST_MARKS) MARK.
+
+    Raises:
+        UsageError: a row has more marks than fit.
+    """
+    table = np.zeros((len(rows), MOST_MARKS), MARK)
+    for number, marks in enumerate(rows):
+        if len(marks) > MOST_MARKS:
+            raise UsageError(f"layout {number} has {len(marks)} marks", expected=f"{MOST_MARKS} at most")
+        for place, mark in enumerate(marks):
+            table[number, place] = (
+                *mark.u_m, *mark.v_m, *mark.u_stripes, *mark.v_stripes, mark.slant, *mark.colour, mark.strength,
+                mark.worn,
+            )  # fmt: skip
+    return table

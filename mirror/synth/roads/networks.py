@@ -1,0 +1,108 @@
+"""The network of a street plan: its lanes, joined, ruled and laid on the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.lanes import Port, lanes_along
+from mirror.synth.roads.turnings import footways, joined, ruled, turnings
+from mirror.synth.street.network import Lane, Network
+
+_CYCLE_S: Final = 60.0
+_GREEN_S: Final = np.array([[0.0, 24.0], [30.0, 54.0], [30.0, 46.0], [0.0, 16.0]])
+"""Of the first street, of the second, on foot over the first, on foot over the second."""
+_ON_FOOT: Final = 2
+
+
+def build_network(
+    streets: Sequence[Street],
+    crossings: Sequence[Crossing],
+    feet: bool,
+    height_m: Callable[[Float64, Float64], Float64],
+) -> Network:
+    """All lanes of a plan.
+
+    Args:
+        streets: its streets.
+        crossings: where they meet.
+        feet: whether they have pavements.
+        height_m: of the ground, by x and y.
+    """
+    lanes: dict[str, Lane] = {}
+    ports: dict[str, list[Port]] = {crossing.name: [] for crossing in crossings}
+    for street in streets:
+        for lane, meets in lanes_along(street, crossings, feet):
+            lanes[lane.lane_id] = lane
+            for port in meets:
+                ports[port.crossing].append(port)
+    for crossing in crossings:
+        _cross(crossing, ports[crossing.name], lanes, feet)
+    lifted = {name: replace(lane, line=_lifted(lane.line, height_m)) for name, lane in lanes.items()}
+    signals = any(crossing.control == "signal" for crossing in crossings)
+    return Network(lifted, _GREEN_S if signals else np.zeros((0, 2)), _CYCLE_S)
+
+
+def _cross(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane], feet: bool) -> None:
+    """Add a crossing's lanes, and tell those that meet it what follows and what they wait for."""
+    if crossing.control == "joint":
+        _join(crossing, ports, lanes)
+        return
+    walks = [port for port in ports if lanes[port.lane_id].use == "walk"]
+    wheels = [port for port in ports if lanes[port.lane_id].use in ("drive", "cycle")]
+    footpaths: list[Lane] = []
+    over: dict[int, tuple[str, ...]] = {}
+    if feet:
+        footpaths, over = footways(crossing, walks, [arm.zebra for arm in crossing.arms])
+    through = ruled(crossing, turnings(crossing, wheels, lanes), over)
+    signal = crossing.control == "signal"
+    groups = {name: _ON_FOOT + crossing.group(arm) for arm, names in over.items() for name in names if signal}
+    footpaths = [replace(lane, signal=groups.get(lane.lane_id)) for lane in footpaths]
+    found = {lane.lane_id: lane for lane in (*through, *footpaths)}
+    lanes.update(found)
+    for port in ports:
+        if not port.arrives:
+            continue
+        lane = lanes[port.lane_id]
+        if lane.use == "walk":
+            follow = tuple(other.lane_id for other in footpaths if np.hypot(*(other.line[0] - port.place)) < 1e-6)
+            lanes[lane.lane_id] = replace(lane, successors=follow)
+            continue
+        follow = tuple(other.lane_id for other in through if f".{lane.lane_id}>" in f".{other.lane_id}")
+        lanes[lane.lane_id] = replace(
+            lane,
+            successors=follow,
+            signal=crossing.group(port.arm),
+            yields_to=() if signal else over.get(port.arm, ()),
+        )
+
+
+def _join(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane]) -> None:
+    """Lanes that branch off or come in: who comes in waits for who is there."""
+    after = joined(ports)
+    for port in ports:
+        if port.arrives:
+            rivals = tuple(
+                other.lane_id
+                for other in ports
+                if other.arrives
+                and other.arm != port.arm
+                and set(after[other.lane_id]) & set(after[port.lane_id])
+                and crossing.arms[port.arm].street is not _main(crossing)
+            )
+            lanes[port.lane_id] = replace(lanes[port.lane_id], successors=after[port.lane_id], yields_to=rivals)
+
+
+def _main(crossing: Crossing) -> Street:
+    """The street that goes through."""
+    names = [arm.street.name for arm in crossing.arms]
+    return next(arm.street for arm in crossing.arms if names.count(arm.street.name) == 2)
+
+
+def _lifted(line: Float64, height_m: Callable[[Float64, Float64], Float64]) -> Float64:
+    return np.c_[line, height_m(line[:, 0], line[:, 1])]

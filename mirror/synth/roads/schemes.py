@@ -1,0 +1,273 @@
+"""The street plans of the four kinds of scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import shapely
+
+from mirror.arrays import Float64
+from mirror.synth.model import Label, Material
+from mirror.synth.roads.crossing import Arm, Crossing, Street, crossing
+from mirror.synth.roads.ground import Cover
+from mirror.synth.roads.line import Bend, Line, curved
+from mirror.synth.roads.section import (
+    CAMPUS_STREET,
+    COUNTRY_ROAD,
+    CYCLE_STREET,
+    FARM_TRACK,
+    MAIN_STREET,
+    MOTORWAY,
+    OUTER_STREET,
+    SIDE_STREET,
+    SLIP_ROAD,
+    Section,
+)
+
+BEYOND_M: Final = 90.0
+"""By which streets go on outside the ROI."""
+EDGE: Final = 0.975
+"""Share of the radius at which the street at the ROI's edge passes."""
+
+GRASS: Final = (0.085, 0.125, 0.040)
+_MEADOW: Final = (0.110, 0.150, 0.048)
+_STUBBLE: Final = (0.240, 0.200, 0.110)
+_SOIL: Final = (0.125, 0.092, 0.064)
+_CROP: Final = (0.070, 0.115, 0.034)
+_SLABS: Final = (0.300, 0.293, 0.280)
+_YARD: Final = (0.215, 0.208, 0.195)
+_DIRT: Final = (0.260, 0.225, 0.180)
+_NOWHERE: Final = shapely.Polygon()
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """A street plan.
+
+    Attributes:
+        streets: the main street first; who comes first has the say on the surface of crossings.
+        crossings: where they meet.
+        kerb_m: height of kerbs.
+        slope: of the land as a whole.
+        steepest: of its waves.
+        pavement: what lies beside carriageways.
+        covers: outlined parts of the land.
+        parcels: what the rest of the land is parcelled into, as often as named.
+    """
+
+    streets: tuple[Street, ...]
+    crossings: tuple[Crossing, ...]
+    kerb_m: float
+    slope: float
+    steepest: float
+    pavement: Cover
+    covers: tuple[Cover, ...]
+    parcels: tuple[Cover, ...]
+
+
+def _wound(length_m: float, least_radius_m: float, most_rad: float) -> float:
+    """The most that a bend of a length may turn."""
+    return min(most_rad, length_m / (2.0 * least_radius_m))
+
+
+def _through(street: Street, station: float, *, zebra: bool = False, minor: bool = False) -> tuple[Arm, Arm]:
+    return Arm(street, station, 1, minor, zebra), Arm(street, station, -1, minor, zebra)
+
+
+def _edge_street(main: Line, radius: float, section: Section, extent: float) -> tuple[Street, float]:
+    """A straight street across the main street whose distance from the ROI's centre is ``EDGE`` times the radius."""
+    stations = np.arange(main.first_m, -0.5 * radius, 0.25)
+    headings, points = main.heading(stations), main.at(stations)
+    distance = -(points[:, 0] * np.cos(headings) + points[:, 1] * np.sin(headings))
+    station = float(stations[int(np.argmin(np.abs(distance - EDGE * radius)))])
+    line = curved(main.at(station), float(main.heading(station)) + 0.5 * math.pi, -2.0 * extent, 2.0 * extent)
+    return Street("edge", line.until(extent), section), station
+
+
+def _across(
+    name: str, main: Line, station: float, turn: float, section: Section, extent: float, bends: tuple[Bend, ...] = ()
+) -> Street:
+    """A street through the main street, at an angle of ``turn`` to it."""
+    line = curved(main.at(station), float(main.heading(station)) + turn, -2.0 * extent, 2.0 * extent, bends)
+    return Street(name, line.until(extent), section)
+
+
+def _branch(
+    name: str, main: Line, station: float, turn: float, section: Section, extent: float, bends: tuple[Bend, ...] = ()
+) -> Street:
+    """A street that begins on the main street's middle."""
+    line = curved(main.at(station), float(main.heading(station)) + turn, 0.0, 2.0 * extent, bends)
+    far = np.hypot(*line.points.T) > extent
+    stop = int(np.argmax(far)) if far.any() else len(far)
+    kept = Line(0.0, float(line.stations[stop - 1]), line.stations[:stop], line.points[:stop], line.headings[:stop])
+    return Street(name, kept, section)
+
+
+def _land(material: Material, label: Label, colour: tuple[float, float, float]) -> Cover:
+    return Cover(_NOWHERE, material, label, colour)
+
+
+def _paved(colour: tuple[float, float, float] = _SLABS) -> Cover:
+    return _land(Material.PAVING, Label.PAVEMENT, colour)
+
+
+def _urban(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
+    extent = radius + BEYOND_M
+    side = float(rng.choice((-1.0, 1.0)))
+    first, second = 0.60 * radius, 0.50 * radius
+    bends = (
+        Bend(-0.32 * radius, first, side * _wound(first, 60.0, rng.uniform(0.42, 0.55))),
+        Bend(0.66 * radius, second, -side * _wound(second, 60.0, rng.uniform(0.30, 0.42))),
+    )
+    place = _away(yaw, rng.uniform(-2.0, 2.0))
+    main = Street("main", curved(place, yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MAIN_STREET)
+    at = 0.28 * radius
+    cross = _across("cross", main.line, at, 0.5 * math.pi + rng.uniform(-0.07, 0.07), CYCLE_STREET, extent)
+    edge, edge_at = _edge_street(main.line, radius, OUTER_STREET, extent)
+    streets, crossings = (
+        [main, cross, edge],
+        [
+            crossing("signals", (*_through(main, at, zebra=True), *_through(cross, 0.0, zebra=True)), "signal", 7.0),
+            crossing("corner", (*_through(main, edge_at), *_through(edge, 0.0, minor=True)), "priority", 7.0),
+        ],
+    )
+    if radius >= 100.0:
+        station = -0.47 * radius
+        turn = -side * 0.5 * math.pi
+        bend = Bend(0.5 * radius, 0.6 * radius, side * _wound(0.6 * radius, 60.0, 0.3))
+        lane = _branch("side", main.line, station, turn, SIDE_STREET, extent, (bend,))
+        streets.append(lane)
+        arms = (*_through(main, station), Arm(lane, 0.0, 1, minor=True, zebra=True))
+        crossings.append(crossing("branch", arms, "priority", 5.5))
+    ground = (
+        _land(Material.PAVING, Label.PAVEMENT, _YARD),
+        _land(Material.GRASS, Label.TERRAIN, GRASS),
+        _land(Material.GRAVEL, Label.TERRAIN, _DIRT),
+        _land(Material.GRASS, Label.TERRAIN, _MEADOW),
+    )
+    return Scheme(tuple(streets), tuple(crossings), 0.12, 0.010, 0.016, _paved(), (), ground)
+
+
+def _campus(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
+    extent = radius + BEYOND_M
+    side = float(rng.choice((-1.0, 1.0)))
+    first, second = 0.66 * radius, 0.46 * radius
+    bends = (
+        Bend(-0.30 * radius, first, side * _wound(first, 45.0, 0.65)),
+        Bend(0.64 * radius, second, -side * _wound(second, 45.0, 0.50)),
+    )
+    main = Street("main", curved(_away(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), CAMPUS_STREET)
+    at = 0.28 * radius
+    cross = _across("cross", main.line, at, 0.5 * math.pi + rng.uniform(-0.1, 0.1), CAMPUS_STREET, extent)
+    edge, edge_at = _edge_street(main.line, radius, OUTER_STREET, extent)
+    crossings = (
+        crossing(
+            "middle", (*_through(main, at, zebra=True), *_through(cross, 0.0, minor=True, zebra=True)), "priority"
+        ),
+        crossing("corner", (*_through(main, edge_at), *_through(edge, 0.0, minor=True)), "priority"),
+    )
+    centre, reach = main.line.at(0.08 * radius, -side * (CAMPUS_STREET.half_m + 0.14 * radius)), 0.13 * radius
+    plaza = shapely.Point(*centre).buffer(reach, quad_segs=6)
+    covers = (Cover(plaza, Material.PAVING, Label.PAVEMENT, (0.36, 0.33, 0.29)),)
+    parcels = (
+        _land(Material.GRASS, Label.TERRAIN, GRASS),
+        _land(Material.GRASS, Label.TERRAIN, _MEADOW),
+        _land(Material.GRASS, Label.TERRAIN, GRASS),
+    )
+    return Scheme((main, cross, edge), crossings, 0.10, 0.012, 0.020, _paved((0.33, 0.31, 0.28)), covers, parcels)
+
+
+def _rural(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
+    extent = radius + BEYOND_M
+    side = float(rng.choice((-1.0, 1.0)))
+    bends = tuple(
+        Bend(place * radius, length * radius, side * turn * _wound(length * radius, 55.0, most))
+        for place, length, turn, most in (
+            (-0.62, 0.42, 1.0, 0.45),
+            (-0.18, 0.46, -1.0, 0.70),
+            (0.28, 0.44, 1.0, 0.65),
+            (0.74, 0.40, -1.0, 0.50),
+        )
+    )
+    main = Street("main", curved(_away(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), COUNTRY_ROAD)
+    track_at, lane_at = -0.16 * radius, 0.50 * radius
+    bend = Bend(0.45 * radius, 0.5 * radius, side * _wound(0.5 * radius, 40.0, 0.5))
+    track = _branch("track", main.line, track_at, -side * 0.5 * math.pi, FARM_TRACK, extent, (bend,))
+    lane = _branch("lane", main.line, lane_at, side * (0.5 * math.pi + 0.12), COUNTRY_ROAD, extent)
+    edge, edge_at = _edge_street(main.line, radius, COUNTRY_ROAD, extent)
+    crossings = (
+        crossing("gate", (*_through(main, track_at), Arm(track, 0.0, 1, minor=True)), "priority", 5.0),
+        crossing("fork", (*_through(main, lane_at), Arm(lane, 0.0, 1, minor=True)), "priority", 9.0),
+        crossing("corner", (*_through(main, edge_at), *_through(edge, 0.0, minor=True)), "priority", 9.0),
+    )
+    shoulder = _land(Material.GRAVEL, Label.TERRAIN, (0.22, 0.20, 0.16))
+    parcels = tuple(
+        _land(material, Label.TERRAIN, colour)
+        for material, colour in (
+            (Material.GRASS, _MEADOW),
+            (Material.GRASS, _CROP),
+            (Material.GRAVEL, _SOIL),
+            (Material.GRASS, _STUBBLE),
+            (Material.GRASS, GRASS),
+        )
+    )
+    return Scheme((main, lane, edge, track), crossings, 0.0, 0.018, 0.035, shoulder, (), parcels)
+
+
+def _highway(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
+    extent = radius + BEYOND_M
+    side = float(rng.choice((-1.0, 1.0)))
+    length = 1.6 * radius
+    bends = (Bend(0.1 * radius, length, side * _wound(length, 350.0, 0.35)),)
+    main = Street("main", curved(_away(yaw, -9.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MOTORWAY)
+    verge = _land(Material.GRASS, Label.TERRAIN, GRASS)
+    parcels = (
+        _land(Material.GRASS, Label.TERRAIN, GRASS),
+        _land(Material.GRASS, Label.TERRAIN, _MEADOW),
+        _land(Material.GRASS, Label.TERRAIN, _STUBBLE),
+        _land(Material.GRASS, Label.TERRAIN, _CROP),
+    )
+    streets, crossings = _slip_roads(main, radius, extent)
+    return Scheme((main, *streets), crossings, 0.0, 0.006, 0.014, verge, (), parcels)
+
+
+def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Street, ...], tuple[Crossing, ...]]:
+    """The exit and the entry of the carriageway along the line: on its right."""
+    lane = next(track.offset_m for track in MOTORWAY.tracks if track.name == "drive1+")
+    leave, join = -0.45 * radius, 0.40 * radius
+    away = -0.30
+    out = curved(
+        main.line.at(leave, lane), float(main.line.heading(leave)), 0.0, 2.0 * extent, (Bend(70.0, 110.0, away),)
+    )
+    back = curved(
+        main.line.at(join, lane), float(main.line.heading(join)), -2.0 * extent, 0.0, (Bend(-70.0, 110.0, -away),)
+    )
+    exits, entries = Street("exit", _cut(out, extent), SLIP_ROAD), Street("entry", _cut(back, extent), SLIP_ROAD)
+    return (exits, entries), (
+        crossing("leave", (*_through(main, leave), Arm(exits, 0.0, 1)), "joint"),
+        crossing("join", (*_through(main, join), Arm(entries, 0.0, -1)), "joint"),
+    )
+
+
+def _cut(line: Line, extent: float) -> Line:
+    near = np.hypot(*line.points.T) <= extent
+    kept = np.flatnonzero(near)
+    part = slice(int(kept[0]), int(kept[-1]) + 1)
+    stations = line.stations[part]
+    return Line(float(stations[0]), float(stations[-1]), stations, line.points[part], line.headings[part])
+
+
+def _away(yaw: float, left_m: float) -> Float64:
+    return left_m * np.array([-math.sin(yaw), math.cos(yaw)])
+
+
+SCHEMES: Final[dict[str, Callable[[float, float, np.random.Generator], Scheme]]] = {
+    "urban": _urban,
+    "campus": _campus,
+    "rural": _rural,
+    "highway": _highway,
+}

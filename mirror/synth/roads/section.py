@@ -1,0 +1,168 @@
+"""Cross-sections of streets: what lies side by side from one edge to the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from mirror.synth.model import Material
+from mirror.synth.roads.markings import (
+    Mark,
+    cycle_lane,
+    dashes,
+    oil,
+    parking_bays,
+    solid,
+    tracks_of_wheels,
+)
+from mirror.synth.street.network import Use
+
+
+@dataclass(frozen=True)
+class Track:
+    """One lane of a cross-section.
+
+    Attributes:
+        name: within the section.
+        use: what it is for.
+        offset_m: its middle, to the left of the street's middle.
+        width_m: of it.
+        way: 1 along the street, -1 against it.
+        speed_mps: allowed.
+    """
+
+    name: str
+    use: Use
+    offset_m: float
+    width_m: float
+    way: int
+    speed_mps: float
+
+
+@dataclass(frozen=True)
+class Section:
+    """A cross-section, the same on both sides.
+
+    Attributes:
+        half_m: from the middle to the outer edge of the carriageway.
+        tracks: its lanes.
+        marks: its markings, but those down the middle.
+        middle: markings down the middle, where one may overtake.
+        strict: markings down the middle before crossings.
+        median_m: from the middle to the inner edge of the carriageway; 0: there is but one carriageway.
+        crossfall: by which the carriageway falls outwards, metres a metre.
+        pavement_m: width of the pavement, verge or shoulder beside it.
+        material: of the carriageway.
+        colour: of the carriageway.
+    """
+
+    half_m: float
+    tracks: tuple[Track, ...]
+    marks: tuple[Mark, ...] = ()
+    middle: tuple[Mark, ...] = ()
+    strict: tuple[Mark, ...] = ()
+    median_m: float = 0.0
+    crossfall: float = 0.025
+    pavement_m: float = 3.4
+    material: Material = Material.ASPHALT
+    colour: tuple[float, float, float] = (0.100, 0.100, 0.104)
+
+
+def _both(use: Use, offset: float, width: float, speed: float, number: int = 1) -> tuple[Track, Track]:
+    """A lane on either side; traffic keeps right."""
+    return (
+        Track(f"{use}{number}+", use, -offset, width, 1, speed),
+        Track(f"{use}{number}-", use, offset, width, -1, speed),
+    )
+
+
+def _worn(*offsets: float) -> tuple[Mark, ...]:
+    """What wheels and oil leave on lanes on either side."""
+    lanes = [side * offset for offset in offsets for side in (1.0, -1.0)]
+    return tuple(mark for lane in lanes for mark in (*tracks_of_wheels(lane), oil(lane)))
+
+
+MAIN_STREET: Final = Section(
+    5.9,
+    (*_both("drive", 1.75, 3.4, 13.9), *_both("park", 4.75, 2.2, 3.0)),
+    marks=(*_worn(1.75), *parking_bays(3.6, 5.85), *parking_bays(-3.6, -5.85)),
+    middle=(dashes(0.0, 0.06, 9.0, 3.0),),
+    strict=(solid(0.0, 0.06),),
+    pavement_m=3.8,
+)
+CYCLE_STREET: Final = Section(
+    5.5,
+    (*_both("drive", 1.7, 3.3, 13.9), *_both("cycle", 4.4, 1.8, 7.0)),
+    marks=(*_worn(1.7), *cycle_lane(3.5, 5.3), *cycle_lane(-5.3, -3.5)),
+    middle=(dashes(0.0, 0.06, 9.0, 3.0),),
+    strict=(solid(0.0, 0.06),),
+    pavement_m=3.2,
+    colour=(0.088, 0.088, 0.092),
+)
+SIDE_STREET: Final = Section(
+    3.3,
+    _both("drive", 1.6, 3.1, 8.3),
+    marks=_worn(1.5),
+    pavement_m=2.6,
+    colour=(0.125, 0.122, 0.118),
+)
+OUTER_STREET: Final = Section(
+    5.0,
+    _both("drive", 1.85, 3.5, 13.9),
+    marks=(*_worn(1.85), *(solid(side * 4.6, 0.06) for side in (1, -1))),
+    middle=(dashes(0.0, 0.06, 9.0, 3.0),),
+    strict=(solid(0.0, 0.06),),
+    pavement_m=3.0,
+    colour=(0.110, 0.110, 0.110),
+)
+CAMPUS_STREET: Final = Section(
+    3.7,
+    _both("drive", 1.8, 3.4, 8.3),
+    marks=_worn(1.8),
+    middle=(dashes(0.0, 0.05, 6.0, 2.0),),
+    strict=(solid(0.0, 0.05),),
+    pavement_m=2.8,
+    colour=(0.135, 0.133, 0.130),
+)
+COUNTRY_ROAD: Final = Section(
+    3.4,
+    _both("drive", 1.65, 3.2, 19.4),
+    marks=(*_worn(1.65), *(solid(side * 3.1, 0.06) for side in (1, -1))),
+    middle=(dashes(0.0, 0.06, 12.0, 4.0),),
+    strict=(solid(0.0, 0.06),),
+    pavement_m=1.0,
+    colour=(0.115, 0.114, 0.112),
+)
+FARM_TRACK: Final = Section(
+    1.9,
+    _both("drive", 0.8, 1.6, 5.6),
+    pavement_m=0.6,
+    crossfall=0.02,
+    material=Material.GRAVEL,
+    colour=(0.30, 0.26, 0.20),
+)
+MOTORWAY: Final = Section(
+    16.6,
+    tuple(
+        track for number, offset in enumerate((12.0, 8.25, 4.5), start=1)
+        for track in _both("drive", offset, 3.75, 33.0, number)
+    ),
+    marks=(
+        *_worn(12.0, 8.25, 4.5),
+        *(dashes(side * offset, 0.075, 18.0, 6.0) for offset in (6.375, 10.125) for side in (1, -1)),
+        *(solid(side * 2.55, 0.075) for side in (1, -1)),
+    ),
+    middle=tuple(solid(side * 13.95, 0.15) for side in (1, -1)),
+    strict=tuple(solid(side * 13.95, 0.15) for side in (1, -1)),
+    median_m=2.1,
+    pavement_m=2.0,
+    colour=(0.120, 0.120, 0.120),
+)  # fmt: skip
+SLIP_ROAD: Final = Section(
+    3.6,
+    (Track("drive1+", "drive", 0.0, 4.0, 1, 16.7),),
+    marks=(*tracks_of_wheels(0.0), *(solid(side * 2.6, 0.1) for side in (1, -1))),
+    crossfall=0.02,
+    pavement_m=1.5,
+    colour=(0.118, 0.118, 0.118),
+)

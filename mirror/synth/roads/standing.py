@@ -1,0 +1,136 @@
+"""Where things stand: the height of the ground's triangles under any point."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from mirror.arrays import Float64, Int64
+from mirror.errors import UsageError
+
+_CELL_M: Final = 4.0
+_MARGIN: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The ground's triangles, found by the cell of a grid that they reach into.
+
+    Attributes:
+        triangles: (T, 3, 3) corners, metres, counter-clockwise from above.
+        low: (2,) where the grid begins.
+        shape: cells along x and y.
+        first: (cells + 1,) where each cell's triangles begin in ``members``.
+        members: numbers of triangles.
+    """
+
+    triangles: Float64
+    low: Float64
+    shape: tuple[int, int]
+    first: Int64
+    members: Int64
+
+    def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
+        """Heights (...,) of the ground at places; on a kerb's edge the higher one.
+
+        Raises:
+            UsageError: a place is off the ground, or not finite.
+        """
+        x, y = np.broadcast_arrays(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
+        shape = x.shape
+        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        found = _heights(self.triangles, self.low, self.shape[0], self.shape[1], self.first, self.members, points)
+        if np.isnan(found).any():
+            place = points[int(np.argmax(np.isnan(found)))]
+            raise UsageError(
+                "no ground there", place=f"({place[0]:.3f}, {place[1]:.3f})", expected="a place of the scene"
+            )
+        return found.reshape(shape)
+
+
+def standing_on(triangles: Float64) -> Standing:
+    """Make the grid over triangles (T, 3, 3)."""
+    low = triangles[:, :, :2].min(axis=(0, 1))
+    span = triangles[:, :, :2].max(axis=(0, 1)) - low
+    nx, ny = (int(n) for n in np.ceil(span / _CELL_M + 1e-9))
+    first, members = _binned(np.ascontiguousarray(triangles), low, max(nx, 1), max(ny, 1))
+    return Standing(triangles, low, (max(nx, 1), max(ny, 1)), first, members)
+
+
+@njit(cache=True, nogil=True)
+def _reaches(triangle: Float64, left: float, bottom: float) -> bool:
+    """Whether a triangle (3, 3) reaches into the cell whose lower left corner is given, by its edges' half planes."""
+    for corner in range(3):
+        other = (corner + 1) % 3
+        ax, ay = triangle[corner, 0], triangle[corner, 1]
+        dx, dy = triangle[other, 0] - ax, triangle[other, 1] - ay
+        # The cell's corner that lies farthest to the left of the edge.
+        x = left if dy > 0.0 else left + _CELL_M
+        y = bottom + _CELL_M if dx > 0.0 else bottom
+        if dx * (y - ay) - dy * (x - ax) < -1e-6:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _span(triangle: Float64, axis: int, low: float, count: int) -> tuple[int, int]:
+    least = min(triangle[0, axis], triangle[1, axis], triangle[2, axis])
+    most = max(triangle[0, axis], triangle[1, axis], triangle[2, axis])
+    start = math.floor((least - low - 1e-6) / _CELL_M)
+    stop = math.floor((most - low + 1e-6) / _CELL_M)
+    return max(start, 0), min(stop, count - 1)
+
+
+@njit(cache=True, nogil=True)
+def _binned(triangles: Float64, low: Float64, nx: int, ny: int) -> tuple[Int64, Int64]:
+    first = np.zeros(nx * ny + 1, np.int64)
+    members = np.zeros(0, np.int64)
+    for turn in range(2):
+        fill = first[:-1].copy()
+        for number in range(len(triangles)):
+            triangle = triangles[number]
+            i0, i1 = _span(triangle, 0, low[0], nx)
+            j0, j1 = _span(triangle, 1, low[1], ny)
+            for j in range(j0, j1 + 1):
+                for i in range(i0, i1 + 1):
+                    if _reaches(triangle, low[0] + i * _CELL_M, low[1] + j * _CELL_M):
+                        if turn == 0:
+                            first[j * nx + i + 1] += 1
+                        else:
+                            members[fill[j * nx + i]] = number
+                            fill[j * nx + i] += 1
+        if turn == 0:
+            first = np.cumsum(first)
+            members = np.zeros(first[-1], np.int64)
+    return first, members
+
+
+@njit(cache=True, nogil=True)
+def _heights(
+    triangles: Float64, low: Float64, nx: int, ny: int, first: Int64, members: Int64, points: Float64
+) -> Float64:
+    found = np.full(len(points), np.nan)
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        if not (math.isfinite(x) and math.isfinite(y)):
+            continue
+        i, j = math.floor((x - low[0]) / _CELL_M), math.floor((y - low[1]) / _CELL_M)
+        if i < 0 or j < 0 or i >= nx or j >= ny:
+            continue
+        for place in range(first[j * nx + i], first[j * nx + i + 1]):
+            t = triangles[members[place]]
+            ax, ay = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1]
+            bx, by = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1]
+            px, py = x - t[0, 0], y - t[0, 1]
+            area = ax * by - ay * bx
+            s, w = (px * by - py * bx) / area, (ax * py - ay * px) / area
+            if s >= -_MARGIN and w >= -_MARGIN and s + w <= 1.0 + _MARGIN:
+                z = t[0, 2] + s * (t[1, 2] - t[0, 2]) + w * (t[2, 2] - t[0, 2])
+                if math.isnan(found[k]) or z > found[k]:
+                    found[k] = z
+    return found

@@ -1,0 +1,187 @@
+"""Lanes through crossings, and who goes first on them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import shapely
+
+from mirror.arrays import Float64
+from mirror.synth.roads.crossing import Crossing
+from mirror.synth.roads.lanes import WALK_MPS, Port
+from mirror.synth.street.network import Lane
+
+_STEP_M: Final = 0.4
+_STRAIGHT_RAD: Final = math.radians(30.0)
+_TURN_MPS: Final = 6.5
+_SAME_M: Final = 0.01
+
+
+@dataclass(frozen=True)
+class Turning:
+    """A lane through a crossing.
+
+    Attributes:
+        lane: the lane.
+        start: where it comes from.
+        goal: where it leads to.
+        turn_rad: by which one turns on it, counter-clockwise.
+    """
+
+    lane: Lane
+    start: Port
+    goal: Port
+    turn_rad: float
+
+
+def curve(
+    start: Float64, heading_rad: float, goal: Float64, goal_heading_rad: float, step_m: float = _STEP_M
+) -> Float64:
+    """A cubic curve (N, 2) from one place and heading to another; an arc where both are as far from their corner."""
+    turn = _wrapped(goal_heading_rad - heading_rad)
+    ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
+    after = np.array([math.cos(goal_heading_rad), math.sin(goal_heading_rad)])
+    gap = goal - start
+    if abs(turn) < _STRAIGHT_RAD or abs(turn) > math.pi - _STRAIGHT_RAD:
+        first = second = float(np.hypot(*gap)) / 3.0
+    else:
+        share = 4.0 / 3.0 * math.tan(0.25 * abs(turn)) / math.tan(0.5 * abs(turn))
+        sin = ahead[0] * after[1] - ahead[1] * after[0]
+        first = share * (gap[0] * after[1] - gap[1] * after[0]) / sin
+        second = share * (ahead[0] * gap[1] - ahead[1] * gap[0]) / sin
+        least = 0.2 * float(np.hypot(*gap))
+        first, second = max(first, least), max(second, least)
+    control = np.array([start, start + first * ahead, goal - second * after, goal])
+    fine = _cubic(control, np.linspace(0.0, 1.0, 257))
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
+    count = max(math.ceil(along[-1] / step_m), 2)
+    share_at = np.interp(np.linspace(0.0, along[-1], count + 1), along, np.linspace(0.0, 1.0, 257))
+    return _cubic(control, share_at)
+
+
+def _cubic(control: Float64, share: Float64) -> Float64:
+    t = share[:, None]
+    return (
+        (1 - t) ** 3 * control[0]
+        + 3 * (1 - t) ** 2 * t * control[1]
+        + 3 * (1 - t) * t**2 * control[2]
+        + t**3 * control[3]
+    )
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane]) -> list[Turning]:
+    """The lanes of wheels through a crossing, from each lane that arrives to each of the same use on another arm."""
+    found = []
+    for start in ports:
+        use = lanes[start.lane_id].use
+        if not start.arrives or use not in ("drive", "cycle"):
+            continue
+        for goal in ports:
+            if goal.arrives or goal.arm == start.arm or lanes[goal.lane_id].use != use:
+                continue
+            line = curve(start.place, start.heading_rad, goal.place, goal.heading_rad)
+            turn = _wrapped(goal.heading_rad - start.heading_rad)
+            before, after = lanes[start.lane_id], lanes[goal.lane_id]
+            fastest = min(before.speed_mps, after.speed_mps)
+            speed = fastest if abs(turn) < _STRAIGHT_RAD else min(fastest, _TURN_MPS)
+            lane = Lane(
+                f"{crossing.name}.{start.lane_id}>{goal.lane_id}", "turn", line,
+                min(before.width_m, after.width_m), speed, (goal.lane_id,),
+            )  # fmt: skip
+            found.append(Turning(lane, start, goal, turn))
+    return found
+
+
+def joined(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
+    """Successors of lanes that go on at once where others begin: where lanes branch off and come in."""
+    return {
+        start.lane_id: tuple(
+            goal.lane_id for goal in ports if not goal.arrives and np.hypot(*(goal.place - start.place)) < _SAME_M
+        )
+        for start in ports
+        if start.arrives
+    }
+
+
+def ruled(crossing: Crossing, found: Sequence[Turning], crosses: Mapping[int, tuple[str, ...]]) -> list[Lane]:
+    """The turning lanes, with those that they yield to.
+
+    Args:
+        crossing: the crossing.
+        found: its turnings.
+        crosses: by arm, the lanes on foot over its zebra.
+    """
+    lines = [shapely.LineString(turning.lane.line) for turning in found]
+    lanes = []
+    for turning, line in zip(found, lines):
+        first = [
+            other.lane.lane_id
+            for other, rival in zip(found, lines)
+            if other.start.arm != turning.start.arm
+            and _goes_first(crossing, other, turning)
+            and (other.goal.lane_id == turning.goal.lane_id or shapely.intersects(line, rival))
+        ]
+        straight = abs(turning.turn_rad) < _STRAIGHT_RAD
+        if crossing.control != "signal" or not straight:
+            first += crosses.get(turning.goal.arm, ())
+        lanes.append(replace(turning.lane, yields_to=tuple(first)))
+    return lanes
+
+
+def _goes_first(crossing: Crossing, other: Turning, mine: Turning) -> bool:
+    """Whether one who turns has to wait for another."""
+    theirs, own = crossing.arms[other.start.arm], crossing.arms[mine.start.arm]
+    if theirs.minor != own.minor:
+        return own.minor
+    if theirs.street is not own.street and crossing.control == "signal":
+        return False
+    # Of equals, who turns left waits for those who do not.
+    return mine.turn_rad > _STRAIGHT_RAD and other.turn_rad <= _STRAIGHT_RAD
+
+
+def footways(
+    crossing: Crossing, ports: Sequence[Port], zebras: Sequence[bool]
+) -> tuple[list[Lane], dict[int, tuple[str, ...]]]:
+    """Lanes on foot round the corners of a crossing and over its zebras, linked with each other and the pavements.
+
+    Args:
+        crossing: the crossing.
+        ports: of its lanes on foot alone.
+        zebras: by arm, whether there is one.
+
+    Returns:
+        The lanes, and the ids of those over each arm.
+    """
+    at = {(port.arm, port.left, port.arrives): port for port in ports}
+    made: list[tuple[Lane, tuple[int, bool], tuple[int, bool]]] = []
+    over: dict[int, tuple[str, ...]] = {}
+    for number in range(len(crossing.arms)):
+        after = (number + 1) % len(crossing.arms)
+        for start, goal in (((number, True), (after, False)), ((after, False), (number, True))):
+            begin, end = at[(*start, True)], at[(*goal, False)]
+            line = curve(begin.place, begin.heading_rad, end.place, end.heading_rad)
+            name = f"{crossing.name}.walk{start[0]}{'l' if start[1] else 'r'}>{goal[0]}{'l' if goal[1] else 'r'}"
+            made.append((Lane(name, "walk", line, 1.5, WALK_MPS), start, goal))
+        if zebras[number]:
+            ids = []
+            for left in (True, False):
+                begin, end = at[number, left, True], at[number, not left, False]
+                count = math.ceil(float(np.hypot(*(end.place - begin.place))) / 0.9)
+                line = begin.place + np.linspace(0.0, 1.0, count + 1)[:, None] * (end.place - begin.place)
+                name = f"{crossing.name}.cross{number}{'l' if left else 'r'}"
+                made.append((Lane(name, "cross", line, 3.0, WALK_MPS), (number, left), (number, not left)))
+                ids.append(name)
+            over[number] = tuple(ids)
+    lanes = []
+    for lane, _, goal in made:
+        onwards = (other.lane_id for other, begin, _ in made if begin == goal and other.use != lane.use)
+        lanes.append(replace(lane, successors=(at[(*goal, False)].lane_id, *onwards)))
+    return lanes, over

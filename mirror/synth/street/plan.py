@@ -1,0 +1,135 @@
+"""The plan of a scene: its roads and ground, and where all else goes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import shapely
+
+from mirror.arrays import Bool, Float64, Records
+from mirror.errors import UsageError
+from mirror.schema.documents import Roi
+from mirror.synth.model import Model
+from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.ground import build_ground, outlines
+from mirror.synth.roads.layouts import lay_out
+from mirror.synth.roads.networks import build_network
+from mirror.synth.roads.relief import Relief, land, level_stretches
+from mirror.synth.roads.schemes import BEYOND_M, SCHEMES
+from mirror.synth.roads.standing import Standing, standing_on
+from mirror.synth.street.frontages import lay_lots
+from mirror.synth.street.lots import Lot, Rail, Spot
+from mirror.synth.street.network import Network
+from mirror.synth.street.spots import lay_rails, lay_spots
+
+_FIELDS_M: Final = 260.0
+_LEAST_RADIUS_M: Final = 50.0
+_MOST_RADIUS_M: Final = 400.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The plan of a scene, in its world frame: east, north, up, metres, the origin at the ROI's centre.
+
+    Attributes:
+        roi: the scene.
+        kind: of scene.
+        yaw_rad: direction of the main street at the ROI's centre, counter-clockwise from east.
+        streets: the main street first.
+        crossings: where they meet.
+        ground: carriageways, kerbs, pavements and land.
+        layouts: (L, MOST_MARKS) MARK, by the ``layout`` of the carriageways' faces.
+        network: the lanes.
+        lots: for houses.
+        spots: for lamps, trees, signs and lights.
+        rails: beside the streets.
+        standing: heights of the ground.
+        driven: the carriageways, on the ground plane.
+        roads: these with their pavements or shoulders, and squares.
+        built: the lots.
+    """
+
+    roi: Roi
+    kind: str
+    yaw_rad: float
+    streets: tuple[Street, ...]
+    crossings: tuple[Crossing, ...]
+    ground: Model
+    layouts: Records
+    network: Network
+    lots: tuple[Lot, ...]
+    spots: tuple[Spot, ...]
+    rails: tuple[Rail, ...]
+    standing: Standing
+    driven: shapely.Geometry
+    roads: shapely.Geometry
+    built: shapely.Geometry
+
+    def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
+        """Heights (...,) of the ground at places; on a kerb's edge the higher one.
+
+        Raises:
+            UsageError: a place is off the ground, or not finite.
+        """
+        return self.standing.height_m(x_m, y_m)
+
+    def is_free(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, clear_m: float = 0.0) -> Bool:
+        """Whether places (...,) are open land, so far from any road, square and lot."""
+        places = shapely.points(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
+        return np.asarray(
+            (shapely.distance(self.roads, places) > clear_m) & (shapely.distance(self.built, places) > clear_m)
+        )
+
+
+def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
+    """Plan a scene.
+
+    Args:
+        roi: its radius sets the extent, its ``scene_type`` the kind; default: urban.
+        yaw_deg: direction of the main street at the centre, counter-clockwise from east.
+        seed: of all that is left to chance.
+
+    Raises:
+        UsageError: the ROI is smaller than a crossing, or larger than the land that can be laid.
+    """
+    if not _LEAST_RADIUS_M <= roi.radius_m <= _MOST_RADIUS_M:
+        raise UsageError(
+            f"a ROI of {roi.radius_m:g} m", place="radius_m", expected=f"{_LEAST_RADIUS_M:g} to {_MOST_RADIUS_M:g} m"
+        )
+    kind = roi.scene_type or "urban"
+    layout_rng, land_rng, lot_rng, spot_rng = (np.random.default_rng([seed, 11, part]) for part in range(4))
+    yaw = math.radians(yaw_deg)
+    scheme = SCHEMES[kind](roi.radius_m, yaw, layout_rng)
+    feet = scheme.kerb_m > 0.0
+    streets, crossings = scheme.streets, scheme.crossings
+    layouts = lay_out(streets, crossings)
+    relief = Relief(
+        land(land_rng, scheme.slope, scheme.steepest),
+        streets,
+        tuple(level_stretches(street, crossings) for street in streets),
+        scheme.kerb_m,
+        layouts.dips,
+    )
+    roads = outlines(streets, layouts.stations, crossings, feet)
+    covers = (replace(scheme.pavement, outline=roads.roads), *scheme.covers)
+    extent = roi.radius_m + BEYOND_M, roi.radius_m + _FIELDS_M
+    ground = build_ground(
+        streets, layouts.stations, roads, relief, layouts.stretches, covers, scheme.parcels, yaw, extent, seed
+    )
+    standing = standing_on(ground.triangles)
+    squares = [cover.outline for cover in scheme.covers]
+    taken = shapely.union_all([roads.roads, *squares])
+    lots = lay_lots(streets, taken, kind, standing.height_m, lot_rng)
+    built = shapely.union_all([lot.outline() for lot in lots])
+    for geometry in (taken, built):
+        shapely.prepare(geometry)
+    return Plan(
+        roi, kind, yaw, streets, crossings, ground.model, layouts.table,
+        build_network(streets, crossings, feet, standing.height_m), lots,
+        lay_spots(streets, crossings, kind, roads.carriageway, standing, spot_rng),
+        lay_rails(streets, layouts.stations, kind, standing), standing, roads.carriageway, taken, built,
+    )  # fmt: skip

@@ -1,0 +1,214 @@
+"""Places for lamps, trees, signs and lights along the streets, and rails beside them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import shapely
+
+from mirror.arrays import Float64
+from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.layouts import approaches
+from mirror.synth.roads.relief import level_stretches
+from mirror.synth.roads.standing import Standing
+from mirror.synth.street.lots import Rail, RailKind, Spot, SpotKind
+
+_KERB_SIDE_M: Final = 0.65
+_CLEAR_M: Final = 4.0
+_LEAST_M: Final = 0.4
+_LEAST_RAIL_M: Final = 6.0
+_POLE_ASIDE_M: Final = 4.5
+_TREE_APART_M: Final = 3.5
+_THING_APART_M: Final = 2.2
+_TREE_SHARE: Final = 0.8
+
+
+@dataclass(frozen=True)
+class Furnishing:
+    """What stands along a kind of scene's streets.
+
+    Attributes:
+        lamps_m: between lamps; 0: there are none.
+        trees_m: between trees; 0: there are none.
+        tree_aside_m: of trees from the edge of the carriageway.
+        things_m: between signs and small things.
+        poles_m: between poles with wires, on one side of the main street; 0: there are none.
+        rails: kinds and offsets from the carriageway's outer edge, negative ones from its inner edge.
+    """
+
+    lamps_m: float
+    trees_m: float
+    tree_aside_m: float
+    things_m: float
+    poles_m: float = 0.0
+    rails: tuple[tuple[RailKind, float], ...] = ()
+
+
+FURNISHINGS: Final = {
+    "urban": Furnishing(26.0, 12.0, 0.9, 9.0),
+    "campus": Furnishing(24.0, 10.0, 0.9, 16.0),
+    "rural": Furnishing(0.0, 19.0, 3.2, 120.0, poles_m=42.0),
+    "highway": Furnishing(0.0, 30.0, 9.0, 140.0, rails=(("guard", 0.8), ("guard", -0.7))),
+}
+"""By kind of scene."""
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A spot in a street's own coordinates."""
+
+    street: Street
+    station_m: float
+    offset_m: float
+    kind: SpotKind
+    group: int | None = None
+
+    def spot(self, height: float) -> Spot:
+        line, side = self.street.line, 1 if self.offset_m > 0.0 else -1
+        heading = float(line.heading(self.station_m))
+        where = line.at(self.station_m, self.offset_m)
+        lanes = [track.offset_m for track in self.street.section.tracks if track.use == "drive"]
+        near = max((side * offset for offset in lanes), default=0.0)
+        reach = abs(self.offset_m) - near
+        if self.kind == "gantry":
+            reach = abs(self.offset_m) - self.street.section.median_m + 0.6
+        return Spot(
+            np.array([*where, height]), heading - side * 0.5 * math.pi, heading + (0.0 if side > 0 else math.pi),
+            self.kind, self.group, reach,
+        )  # fmt: skip
+
+
+def lay_spots(
+    streets: Sequence[Street],
+    crossings: Sequence[Crossing],
+    kind: str,
+    driven: shapely.Geometry,
+    standing: Standing,
+    rng: np.random.Generator,
+) -> tuple[Spot, ...]:
+    """Spots on both sides of the streets, none on a carriageway.
+
+    Args:
+        streets: the main street first.
+        crossings: where they meet.
+        kind: of scene.
+        driven: the carriageways.
+        standing: the ground.
+        rng: of what is left to chance.
+    """
+    places = [place for crossing in crossings for place in _at_crossing(crossing)]
+    if kind == "highway":
+        places += _over_motorway(streets[0])
+    furnishing = FURNISHINGS[kind]
+    for street in streets:
+        level = level_stretches(street, crossings)
+        found = _lined(street, furnishing, rng)
+        if street is streets[0] and furnishing.poles_m:
+            found += _regular(street, "pole", furnishing.poles_m, 1, _POLE_ASIDE_M)
+        for place in found:
+            if not ((place.station_m > level[:, 0] - _CLEAR_M) & (place.station_m < level[:, 1] + _CLEAR_M)).any():
+                places.append(place)
+    points = np.array([place.street.line.at(place.station_m, place.offset_m) for place in places])
+    free = shapely.distance(driven, shapely.points(points)) > _LEAST_M
+    heights = standing.height_m(points[:, 0], points[:, 1])
+    return tuple(place.spot(float(height)) for place, height, kept in zip(places, heights, free) if kept)
+
+
+def _at_crossing(crossing: Crossing) -> Iterator[_Place]:
+    """Lights and signs before a crossing, on the right of those who come."""
+    for number, approach in enumerate(approaches(crossing)):
+        arm = approach.arm
+        if approach.stop_m is None:
+            continue
+        station = arm.station(approach.stop_m + 0.3)
+        # Who comes inwards has the arm's left, seen outwards, on the right.
+        offset = arm.way * (arm.street.section.half_m + _KERB_SIDE_M)
+        if crossing.control == "signal":
+            yield _Place(arm.street, station, offset, "signal", crossing.group(number))
+        elif arm.minor:
+            yield _Place(arm.street, station, offset, "yield")
+        else:
+            yield _Place(arm.street, station, offset, "crosswalk")
+
+
+def _over_motorway(street: Street) -> list[_Place]:
+    """Gantries over both carriageways."""
+    aside = street.section.half_m + 1.4
+    length = street.line.last_m - street.line.first_m
+    return [
+        _Place(street, street.line.first_m + share * length, side * aside, "gantry")
+        for side, share in ((-1, 0.36), (1, 0.62))
+    ]
+
+
+def _lined(street: Street, furnishing: Furnishing, rng: np.random.Generator) -> list[_Place]:
+    """Lamps by turns on both sides, trees between them, signs and small things between these."""
+    found: list[_Place] = []
+    for side in (1, -1):
+        lamps = []
+        if furnishing.lamps_m:
+            lamps = _regular(street, "lamp", furnishing.lamps_m, side, _KERB_SIDE_M)
+        if furnishing.trees_m:
+            trees = _regular(street, "tree", furnishing.trees_m, side, furnishing.tree_aside_m, rng, 0.22)
+            trees = [tree for tree in trees if _apart(tree, lamps, _TREE_APART_M) and rng.random() < _TREE_SHARE]
+        else:
+            trees = []
+        things = _regular(street, "furniture", furnishing.things_m, side, _KERB_SIDE_M, rng, 0.4)
+        things = [thing for thing in things if _apart(thing, [*lamps, *trees], _THING_APART_M)]
+        kinds = rng.choice(["furniture", "sign"], len(things), p=[0.7, 0.3])
+        found += [*lamps, *trees, *(replace(thing, kind=kind) for thing, kind in zip(things, kinds.tolist()))]
+    return found
+
+
+def _regular(
+    street: Street,
+    kind: SpotKind,
+    step_m: float,
+    side: int,
+    aside_m: float,
+    rng: np.random.Generator | None = None,
+    jitter: float = 0.0,
+) -> list[_Place]:
+    """Places every ``step_m`` along one side, by half a step apart from the other side's."""
+    stations = np.arange(street.line.first_m + (0.3 if side > 0 else 0.8) * step_m, street.line.last_m, step_m)
+    if rng is not None:
+        stations = stations + jitter * step_m * rng.uniform(-1.0, 1.0, len(stations))
+    return [_Place(street, float(at), side * (street.section.half_m + aside_m), kind) for at in stations]
+
+
+def _apart(place: _Place, others: Sequence[_Place], least_m: float) -> bool:
+    return all(abs(place.station_m - other.station_m) > least_m for other in others)
+
+
+def lay_rails(
+    streets: Sequence[Street], stations: Sequence[Float64], kind: str, standing: Standing
+) -> tuple[Rail, ...]:
+    """Rails along the main street, broken where other streets come in.
+
+    Args:
+        streets: the main street first.
+        stations: by street, where its pieces end.
+        kind: of scene.
+        standing: the ground.
+    """
+    main, at = streets[0], stations[0]
+    others = shapely.union_all(
+        [
+            shapely.LineString(street.line.at(along)).buffer(street.section.half_m + street.section.pavement_m)
+            for street, along in zip(streets[1:], stations[1:])
+        ]
+    )
+    rails = []
+    for rail, aside in FURNISHINGS[kind].rails:
+        offset = main.section.half_m + aside if aside > 0.0 else main.section.median_m + aside
+        for side in (1, -1):
+            line = shapely.LineString(main.line.at(at, side * offset))
+            for part in shapely.get_parts(shapely.difference(line, others)):
+                if part.length > _LEAST_RAIL_M:
+                    points = shapely.get_coordinates(part)
+                    rails.append(Rail(np.c_[points, standing.height_m(points[:, 0], points[:, 1])], rail))
+    return tuple(rails)

@@ -27,7 +27,7 @@ class Atlas:
 
     Attributes:
         grains: (T,) every grain's levels, the finest first, each row by row; rows go along v.
-        grain_index: (G, 4) its first texel, its texels along either side of the finest level, texels a metre, and the
+        grain_index: (G, 4) its first texel, the logarithm to base 2 of its side in texels, texels a metre, and the
             first level that is 1 everywhere.
         images: (N, 3) texels, the square root of linear reflectance times 255; row 0 is at the top.
         image_index: (P, 3 + L) width, height and number of levels, then the first texel of each level.
@@ -65,7 +65,7 @@ def _grains() -> tuple[Float32, Float64]:
             level = 0.25 * (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2])
             levels.append(level)
         flat = next(n for n, one in enumerate(levels) if one.std() < _LEAST_CONTRAST)
-        index[grain] = first, size, size / PERIOD_M[grain], flat
+        index[grain] = first, size.bit_length() - 1, size / PERIOD_M[grain], flat
         chains += [one.ravel() for one in levels]
         first += sum(one.size for one in levels)
     return np.concatenate(chains), index

@@ -49,7 +49,8 @@ def wrapped(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float
 
 def middles(size: int, period_m: float) -> Float64:
     """Where the texels' middles are along one side, metres."""
-    return (np.arange(size) + 0.5) * (period_m / size)
+    places: Float64 = (np.arange(size, dtype=np.float64) + 0.5) * (period_m / size)
+    return places
 
 
 def joints(at_m: Float64, pitch_m: float, width_m: float, texel_m: float) -> Float64:

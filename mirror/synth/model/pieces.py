@@ -56,7 +56,8 @@ class Finish(NamedTuple):
 class Pieces:
     """Gathers polygons; :meth:`model` makes them one model, in the order in which they came.
 
-    u runs along a polygon's first edge and is 0 in the middle, v is 90 degrees counter-clockwise from it.
+    u runs along a polygon's first edge, v is 90 degrees counter-clockwise from it; both are 0 in the middle of
+    the corners' extents.
     """
 
     def __init__(self) -> None:

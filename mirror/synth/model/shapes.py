@@ -109,7 +109,8 @@ def polygons(
         colours: (F, 3) or (3,).
         material: of all, or (F,).
         label: of all, or (F,).
-        texture: (F, N, 2) u and v at the corners, affine over each; default: u along the first edge, 0 in the middle.
+        texture: (F, N, 2) u and v at the corners, affine over each; default: u along the first edge, 0 in the middle
+            of the corners' extents.
         layouts: (F,) or one.
         seeds: (F,) or one.
         two_sided: seen from behind as well.
@@ -133,7 +134,8 @@ def polygons(
         u = points[:, 1] - points[:, 0]
         u /= np.linalg.norm(u, axis=1, keepdims=True)
         v = np.cross(normal, u)
-        u0, v0 = -np.einsum("fi,fi->f", u, middle), -np.einsum("fi,fi->f", v, middle)
+        along, up = np.einsum("fni,fi->fn", points, u), np.einsum("fni,fi->fn", points, v)
+        u0, v0 = -0.5 * (along.min(axis=1) + along.max(axis=1)), -0.5 * (up.min(axis=1) + up.max(axis=1))
     else:
         frame = np.stack([points[:, 1] - points[:, 0], points[:, 2] - points[:, 0], normal], axis=1)
         known = np.zeros((number, 3, 2))

@@ -63,8 +63,8 @@ def facade(
 
     Args:
         one: the face, FACE flattened; its ``layout`` is a row of windows.
-        patterns: the rows, :func:`mirror.synth.street.houses.windows.pattern_table`; an argument, since a constant would
-            outlive a change in the cache of compiled kernels.
+        patterns: the rows, :func:`mirror.synth.street.houses.windows.pattern_table`; an argument, since a constant
+            would outlive a change in the cache of compiled kernels.
         rough: the wall's grain there, mean 1.
         u: metres, 0 in the middle of the face.
         v: the same upwards.

@@ -55,6 +55,37 @@ POSTERS: Final = range(56, 72)
 """2 wide to 3 high."""
 TRAFFIC_SIGNS: Final = range(72, 92)
 """Square pictures; outside a round or three-cornered sign they are grey, its back shows there."""
+
+
+class Sign(IntEnum):
+    """Which picture of :data:`TRAFFIC_SIGNS` says what."""
+
+    SPEED_30 = 72
+    SPEED_50 = 73
+    SPEED_80 = 74
+    SPEED_120 = 75
+    NO_ENTRY = 76
+    YIELD = 77
+    """A triangle that stands on its tip."""
+    STOP = 78
+    """An octagon."""
+    PRIORITY = 79
+    """A square that stands on its tip."""
+    PARKING = 80
+    NO_PARKING = 81
+    CROSSWALK = 82
+    CYCLE_PATH = 83
+    BUS_STOP = 84
+    ONE_WAY = 85
+    KEEP_RIGHT = 86
+    BEND = 87
+    """A triangle that stands on its side, as the next ones."""
+    CHILDREN = 88
+    ROADWORKS = 89
+    CROSSING_AHEAD = 90
+    ROUNDABOUT = 91
+
+
 DIRECTION_SIGNS: Final = range(92, 100)
 """Over roads, 2 wide to 1 high."""
 SHOP_WINDOWS: Final = range(100, 124)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mirror.synth.street.houses.house import house
+from mirror.synth.street.houses.skyline import far_houses, far_woods
 from mirror.synth.street.houses.styles import HouseStyle
 
-__all__ = ["HouseStyle", "house"]
+__all__ = ["HouseStyle", "far_houses", "far_woods", "house"]

@@ -30,8 +30,9 @@ _HAZE: Final = np.array([7.2e-6, 7.6e-6, 8.3e-6])
 _OZONE: Final = np.array([2.3e-6, 1.7e-6, 0.12e-6])
 _HAZE_TAKES: Final = 1.1
 _FORWARD: Final = 0.74
-_VIEW_STEPS: Final = 24
-_SUN_STEPS: Final = 10
+_VIEW_STEPS: Final = 18
+_SUN_STEPS: Final = 16
+_NO_LIGHT: Final = 1e3
 # Share of the sky's own light that air which has scattered it once scatters again, evenly.
 _AGAIN: Final = 0.6
 
@@ -115,15 +116,15 @@ def _to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
 
 
 def _depth_to_sun(points: Float64, sun: Float64) -> Float64:
-    """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth is between."""
+    """Optical depths (N, 3) from points (N, 3) from the earth's centre to the sun; huge where the earth is between."""
     reach = _to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
     along = points @ sun
     passing = np.sqrt(np.maximum(np.einsum("ni,ni->n", points, points) - along**2, 0.0))
     hidden = (along < 0.0) & (passing < _EARTH_M)
     depth = np.zeros_like(points)
-    for step in range(_SUN_STEPS):
-        point = points + ((step + 0.5) / _SUN_STEPS * reach)[:, None] * sun
-        depth += _densities(np.linalg.norm(point, axis=1) - _EARTH_M) @ _EXTINCTION
-    depth *= (reach / _SUN_STEPS)[:, None]
-    depth[hidden] = 1e3
+    for near, far in pairwise(np.linspace(0.0, 1.0, _SUN_STEPS + 1) ** 2):
+        point = points + (0.5 * (near + far) * reach)[:, None] * sun
+        depth += (far - near) * (_densities(np.linalg.norm(point, axis=1) - _EARTH_M) @ _EXTINCTION)
+    depth *= reach[:, None]
+    depth[hidden] = _NO_LIGHT
     return depth

@@ -12,12 +12,12 @@ from mirror.arrays import Float32, Float64
 SIDE: Final = 1024
 """Samples across a period of the finest level."""
 LEVELS: Final = 6
-PERIOD: Final = 5.0
+PERIOD: Final = 7.0
 """Of the field, in heights of the cloud layer."""
 
 _SEED: Final = 20
-_STEEPNESS: Final = 1.75
-_LONGEST: Final = 6.0
+_STEEPNESS: Final = 1.95
+_LONGEST: Final = 5.0
 _WARP: Final = 0.016
 
 

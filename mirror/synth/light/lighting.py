@@ -69,12 +69,12 @@ _NIGHT_ZENITH: Final = np.array([0.0035, 0.0045, 0.0080])
 _NIGHT_HORIZON: Final = np.array([0.0260, 0.0190, 0.0140])
 _COVER: Final[dict[Weather, float]] = {"clear": 0.27, "clouds": 1.0, "rain": 1.0}
 _OVERCAST: Final[dict[Weather, float]] = {"clear": 0.0, "clouds": 1.55, "rain": 0.85}
-_VISIBILITY_PER_M: Final[dict[Weather, float]] = {"clear": 1 / 2400, "clouds": 1 / 1400, "rain": 1 / 420}
+_HAZE_PER_M: Final[dict[Weather, float]] = {"clear": 1 / 2400, "clouds": 1 / 1400, "rain": 1 / 420}
 _GREY: Final = np.array([0.95, 1.0, 1.06])
 _GROUND: Final = np.array([0.16, 0.155, 0.14])
 _LAMP: Final = np.array([1.25, 0.92, 0.55])
 _ADAPTED: Final = 0.72
-_MIDDLE: Final = 0.165
+_MIDDLE: Final = 0.20
 _REFLECTANCE: Final = 0.19
 _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
 
@@ -109,23 +109,30 @@ def lighting(condition: Condition, longitude_deg: float, latitude_deg: float) ->
     azimuth = float(np.degrees(np.arctan2(sun[1], sun[0])))
     dark = float(np.clip((7.0 - elevation) / 15.0, 0.0, 1.0))
     record["sun"], record["dark"] = sun, dark
-    record["sunlight"] = _SUNLIGHT * sunlight(elevation) if weather == "clear" else 0.0
     record["shadows"] = float(effects.sun_shadows)
-    record["cloud"], record["wet"] = _COVER[weather], float(weather == "rain" and effects.wet_road)
+    record["cloud"] = _COVER[weather]
     dome = _dome(elevation, azimuth)
     _clouds(record, condition, elevation, dome)
     dome32 = dome.astype(np.float32)
     light, horizon = _sums(record, dome32)
     record["sky_light"], record["horizon"] = light, horizon
+    record["sunlight"] = _SUNLIGHT * sunlight(elevation) if weather == "clear" else 0.0
     record["ground_light"] = _GROUND * (light + max(float(sun[2]), 0.0) * record["sunlight"])
-    burning = float(np.clip(1.6 * dark - 0.5, 0.0, 1.0))
-    record["lamp_light"] = _LAMP * burning * effects.lamps
-    record["lit_windows"] = 0.45 * float(np.clip(1.5 * dark - 0.4, 0.0, 1.0)) * effects.windows
-    burn = max(float(np.clip(2.0 * dark - 0.4, 0.0, 1.0)), 0.5 * (weather == "rain")) * effects.headlights
+    record["lamp_light"] = _LAMP * float(np.clip(1.6 * dark - 0.5, 0.0, 1.0))
+    record["lit_windows"] = 0.45 * float(np.clip(1.5 * dark - 0.4, 0.0, 1.0))
+    burn = max(float(np.clip(2.0 * dark - 0.4, 0.0, 1.0)), 0.5 * (weather == "rain"))
     record["vehicle_lights"], record["headlight"] = burn, 1.3 * burn
-    record["haze_per_m"] = _VISIBILITY_PER_M[weather] * effects.haze
+    record["haze_per_m"] = _HAZE_PER_M[weather]
     record["season"] = season_of(condition.start_ns, latitude_deg) if effects.season else _MIDSUMMER
-    _camera(record, effects.noise)
+    record["wet"] = float(weather == "rain")
+    _camera(record)
+    # Only now: cameras are set to the whole of the light, so that a switch changes nothing but its own.
+    record["lamp_light"] *= effects.lamps
+    record["lit_windows"] *= effects.windows
+    record["vehicle_lights"] *= effects.headlights
+    record["headlight"] *= effects.headlights
+    record["haze_per_m"] *= effects.haze
+    record["wet"] *= effects.wet_road
     return Lighting(record, dome32, cloud_field())
 
 
@@ -155,7 +162,7 @@ def _clouds(record: Records, condition: Condition, elevation: float, dome: Float
     grey = float(_LUMINANCE @ light) * _OVERCAST[condition.weather] * _GREY
     # The last light of the day colours an overcast sky too.
     grey += 0.25 * _OVERCAST[condition.weather] * (light - float(_LUMINANCE @ light))
-    spread = 0.24 if condition.weather == "clouds" else 0.12
+    spread = 0.17 if condition.weather == "clouds" else 0.12
     record["cloud_lit"], record["cloud_base"] = (1.0 + spread) * grey, (1.0 - spread) * grey
 
 
@@ -173,7 +180,7 @@ def _sums(record: Records, dome: Float32) -> tuple[Float64, Float64]:
     return light, np.mean(ring, axis=0)
 
 
-def _camera(record: Records, noise: bool) -> None:
+def _camera(record: Records) -> None:
     """How cameras set themselves: gains against the light's colour, exposure, and the noise that comes of it."""
     dark = float(record["dark"])
     level = max(float(record["sun"][2]), 0.0) * record["sunlight"] + record["sky_light"]
@@ -183,5 +190,5 @@ def _camera(record: Records, noise: bool) -> None:
     record["white"] = gains / (_LUMINANCE @ gains)
     record["middle"] = _REFLECTANCE * luminance
     record["exposure"] = _MIDDLE * (1.0 - 0.45 * dark) / record["middle"]
-    record["read_noise"] = (0.0006 + 0.0030 * dark) * noise
-    record["shot_noise"] = (3.5e-5 + 4.5e-4 * dark) * noise
+    record["read_noise"] = 0.0006 + 0.0030 * dark
+    record["shot_noise"] = 3.5e-5 + 4.5e-4 * dark

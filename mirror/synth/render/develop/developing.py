@@ -18,7 +18,7 @@ from mirror.synth.render.develop.glare import QUARTER, glare
 from mirror.synth.render.develop.look import CameraLook
 from mirror.synth.render.develop.motion import blurred
 
-_VIVID: Final = 1.16
+_VIVID: Final = 1.12
 """Colours are that much further from grey than they are."""
 _SCALE: Final = (STEPS - 1) / math.sqrt(BRIGHTEST)
 
@@ -42,7 +42,7 @@ def develop(
         effects: what is left out.
         seed: of the noise: another for each picture.
         motion: (H, W, 2) pixels that each pixel moves during the exposure, of `image_motion`.
-        drops: (N,) DROP on the lens, of `lens_drops`; shown in wet conditions.
+        drops: (N,) DROP on the lens, of `lens_drops`: in rain.
 
     Returns:
         (H, W, 3), blue first.

@@ -16,7 +16,7 @@ DROP: Final = np.dtype([(name, np.float64) for name in ("x", "y", "half_x", "hal
 
 _DRY: Final = 0.4
 _MOST: Final = 26
-_SOFT: Final = 0.55
+_SOFT: Final = 0.8
 _DARK_RIM: Final = 0.45
 
 
@@ -32,7 +32,7 @@ def lens_drops(seed: int | Sequence[int], aspect: float) -> Records:
     drops = np.zeros(count, DROP)
     drops["x"], drops["y"] = rng.uniform(0.0, 1.0, count), rng.uniform(0.0, aspect, count)
     # Many are small, few are large.
-    size = 0.006 + 0.030 * rng.random(count) ** 3
+    size = 0.007 + 0.034 * rng.random(count) ** 3
     drops["half_x"], drops["half_y"] = size, size * rng.uniform(0.95, 1.5, count)
     drops["reach"], drops["depth"] = size * rng.uniform(2.5, 5.0, count), rng.uniform(0.6, 0.95, count)
     return drops

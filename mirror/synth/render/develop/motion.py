@@ -13,8 +13,10 @@ from mirror.arrays import Float32, Float64
 
 BLOCK_PX: Final = 4
 _LEAST_PX: Final = 1.0
-_MOST_TAPS: Final = 11
-_TAPS_PER_PX: Final = 0.38
+# Samples lie in pairs about the pixel itself: one pair from a pixel on, another every 2.6 pixels.
+_PAIRS_PER_PX: Final = 0.38
+_FIRST_PAIR: Final = 0.62
+_MOST_PAIRS: Final = 6
 _EDGE_PX: Final = 0.01
 
 
@@ -97,33 +99,39 @@ def blurred(picture: Float32, flow: Float32) -> Float32:
     """
     height, width = picture.shape[:2]
     out = np.empty_like(picture)
+    half, edge = np.float32(0.5), np.float32(_EDGE_PX)
+    right_end, lower_end = np.float32(width) - edge, np.float32(height) - edge
     for row in range(height):
         for column in range(width):
             right, down = flow[row, column, 0], flow[row, column, 1]
             square = right * right + down * down
-            if square < _LEAST_PX * _LEAST_PX:
+            if square < np.float32(_LEAST_PX * _LEAST_PX):
                 out[row, column, 0] = picture[row, column, 0]
                 out[row, column, 1] = picture[row, column, 1]
                 out[row, column, 2] = picture[row, column, 2]
                 continue
-            taps = min(2 * int(_TAPS_PER_PX * math.sqrt(square) + 0.62) + 1, _MOST_TAPS)
-            dx, dy = right / taps, down / taps
-            reach = 0.5 * (taps - 1)
-            x, y = column + 0.5 - reach * dx, row + 0.5 - reach * dy
-            red, green, blue = 0.0, 0.0, 0.0
-            inside = min(x, x + 2.0 * reach * dx) >= _EDGE_PX and min(y, y + 2.0 * reach * dy) >= _EDGE_PX
-            inside = inside and max(x, x + 2.0 * reach * dx) < width - _EDGE_PX
-            if inside and max(y, y + 2.0 * reach * dy) < height - _EDGE_PX:
-                for _ in range(taps):
-                    i, j = np.uint32(y), np.uint32(x)
-                    red, green, blue = red + picture[i, j, 0], green + picture[i, j, 1], blue + picture[i, j, 2]
-                    x, y = x + dx, y + dy
+            pairs = min(int(np.float32(_PAIRS_PER_PX) * math.sqrt(square) + np.float32(_FIRST_PAIR)), _MOST_PAIRS)
+            share = np.float32(1.0) / np.float32(2 * pairs + 1)
+            dx, dy = right * share, down * share
+            reach_x, reach_y = abs(dx) * np.float32(pairs), abs(dy) * np.float32(pairs)
+            x, y = np.float32(column) + half, np.float32(row) + half
+            red, green, blue = picture[row, column, 0], picture[row, column, 1], picture[row, column, 2]
+            clear = x - reach_x > edge and x + reach_x < right_end
+            if clear and y - reach_y > edge and y + reach_y < lower_end:
+                for step in range(1, pairs + 1):
+                    aside, along = dx * np.float32(step), dy * np.float32(step)
+                    i, j = np.uint32(y + along), np.uint32(x + aside)
+                    k, m = np.uint32(y - along), np.uint32(x - aside)
+                    red += picture[i, j, 0] + picture[k, m, 0]
+                    green += picture[i, j, 1] + picture[k, m, 1]
+                    blue += picture[i, j, 2] + picture[k, m, 2]
             else:
-                for _ in range(taps):
-                    i, j = min(max(int(y), 0), height - 1), min(max(int(x), 0), width - 1)
-                    red, green, blue = red + picture[i, j, 0], green + picture[i, j, 1], blue + picture[i, j, 2]
-                    x, y = x + dx, y + dy
-            share = 1.0 / taps
-            out[row, column, 0], out[row, column, 1] = red * share, green * share
-            out[row, column, 2] = blue * share
+                for step in range(1, pairs + 1):
+                    aside, along = dx * np.float32(step), dy * np.float32(step)
+                    below, right_of = min(max(int(y + along), 0), height - 1), min(max(int(x + aside), 0), width - 1)
+                    above, left_of = min(max(int(y - along), 0), height - 1), min(max(int(x - aside), 0), width - 1)
+                    red += picture[below, right_of, 0] + picture[above, left_of, 0]
+                    green += picture[below, right_of, 1] + picture[above, left_of, 1]
+                    blue += picture[below, right_of, 2] + picture[above, left_of, 2]
+            out[row, column, 0], out[row, column, 1], out[row, column, 2] = red * share, green * share, blue * share
     return out

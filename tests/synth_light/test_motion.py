@@ -1,0 +1,70 @@
+"""Motion in pictures against exact projection, and blur against its integral."""
+
+import numpy as np
+import pytest
+
+from mirror.geometry.cameras import Camera
+from mirror.synth.render.develop import image_jacobian, image_motion
+from mirror.synth.render.develop.motion import blurred
+
+LENSES = [
+    Camera("pinhole", 480, 270, 300.0, 300.0, 240.0, 135.0, ()),
+    Camera("kannala_brandt", 480, 270, 220.0, 220.0, 240.0, 135.0, (-0.012, 0.004, -0.002, 0.0)),
+    Camera("brown_conrady", 480, 270, 275.0, 280.0, 236.0, 138.0, (-0.17, 0.022, 0.0006, -0.0004, 0.0)),
+]
+
+
+@pytest.mark.parametrize("camera", LENSES, ids=lambda camera: camera.model)
+def test_what_stands_still_moves_as_its_projection(camera: Camera) -> None:
+    rng = np.random.default_rng(2)
+    rays = camera.rays().direction
+    distance = rng.uniform(5.0, 40.0, (270, 480)).astype(np.float32)
+    velocity, turn, exposure = np.array([3.0, -0.5, 12.0]), np.array([0.05, -0.4, 0.1]), 0.01
+    flow = image_motion(image_jacobian(rays), distance, velocity, turn, exposure)
+    points = rays * distance[..., None]
+
+    def projected(time: float) -> np.ndarray:
+        moved = points - time * (velocity + np.cross(turn, points))
+        return camera.project(moved.reshape(-1, 3)).uv_px.reshape(270, 480, 2)
+
+    exact = projected(0.5 * exposure) - projected(-0.5 * exposure)
+    size = np.linalg.norm(exact, axis=-1)
+    error = np.linalg.norm(flow - exact, axis=-1)
+    assert size.max() > 4.0
+    assert error.max() < 0.02 * size.max()
+    assert error.mean() < 0.01 * size.mean()
+
+
+def test_the_sky_moves_by_turning_alone() -> None:
+    jacobian = image_jacobian(LENSES[0].rays().direction)
+    sky = np.full((270, 480), np.inf, np.float32)
+    assert not image_motion(jacobian, sky, (0.0, 0.0, 20.0), (0.0, 0.0, 0.0), 0.01).any()
+    # Turning right moves the picture left: 300 px a radian in the middle.
+    flow = image_motion(jacobian, sky, (0.0, 0.0, 20.0), (0.0, 1.0, 0.0), 0.05)
+    assert flow[135, 240] == pytest.approx([-15.0, 0.0], abs=0.05)
+
+
+@pytest.mark.parametrize("length", [2.0, 4.0, 9.0])
+def test_an_edge_becomes_a_ramp_as_long_as_the_way(length: float) -> None:
+    picture = np.zeros((20, 60, 3), np.float32)
+    picture[:, 30:] = 1.0
+    flow = np.zeros((20, 60, 2), np.float32)
+    flow[..., 0] = length
+    ramp = np.clip((np.arange(60) + 0.5 - 30.0) / length + 0.5, 0.0, 1.0)
+    out = blurred(picture, flow)
+    assert np.array_equal(out[0], out[19])
+    assert np.abs(out[5, :, 0] - ramp).max() < 0.26
+    assert np.abs(out[5, :, 0] - ramp).mean() < 0.02
+    assert np.array_equal(
+        blurred(picture.swapaxes(0, 1).copy(), flow.swapaxes(0, 1)[..., ::-1].copy()), out.swapaxes(0, 1)
+    )
+
+
+def test_even_pictures_and_short_ways_stay_as_they_are() -> None:
+    rng = np.random.default_rng(0)
+    picture = rng.random((30, 40, 3)).astype(np.float32)
+    assert np.array_equal(blurred(picture, np.full((30, 40, 2), 0.5, np.float32)), picture)
+    even = np.full_like(picture, 0.7)
+    flow = rng.normal(0.0, 30.0, (30, 40, 2)).astype(np.float32)
+    assert blurred(even, flow) == pytest.approx(even, rel=1e-5)
+    assert blurred(picture, flow).min() >= 0.0

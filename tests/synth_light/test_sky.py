@@ -1,0 +1,143 @@
+"""The sky against closed forms, and against its own sums."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mirror.synth.light import atmosphere
+from mirror.synth.light.atmosphere import clear_dome, dome_directions, dome_weights
+from mirror.synth.light.clouds import LEVELS, SIDE, cloud_field
+from mirror.synth.light.condition import Condition
+from mirror.synth.light.lighting import LIGHTING, Lighting, lighting
+from mirror.synth.light.sky import sky
+from mirror.synth.light.sun import instant_of
+from mirror.synth.model import flat
+
+PLACE = (8.4, 49.0)
+
+
+def lit(light: str, weather: str) -> Lighting:
+    return lighting(Condition(instant_of("2025-05-10", light, *PLACE), light, weather), *PLACE)
+
+
+def seen(one: Lighting, direction: np.ndarray, spread: float = 0.002) -> np.ndarray:
+    setting = one.record.reshape(1).view(flat(LIGHTING))[0]
+    return np.array(sky(one.dome, one.clouds, setting, *direction, spread))
+
+
+def test_air_straight_up_is_as_deep_as_its_closed_form() -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    for height in (0.0, 2_000.0, 9_000.0):
+        depth = atmosphere._depth_to_sun(np.array([[0.0, 0.0, 6_371e3 + height]]), up)[0]
+        air = 8_000.0 * np.exp(-height / 8_000.0) * np.array([8.7e-6, 13.6e-6, 26.5e-6])
+        haze = 1_200.0 * np.exp(-height / 1_200.0) * 1.1 * np.array([7.2e-6, 7.6e-6, 8.3e-6])
+        ozone = 15_000.0 * np.array([2.3e-6, 1.7e-6, 0.12e-6])
+        assert depth == pytest.approx(air + haze + ozone, rel=0.03)
+
+
+def test_a_slanting_way_through_the_air_is_as_deep_as_a_fine_sum() -> None:
+    place = np.array([0.0, 0.0, 6_371e3 + 12_000.0])
+    for elevation in (-3.0, 0.0, 4.0, 25.0):
+        sun = np.array([np.cos(np.radians(elevation)), 0.0, np.sin(np.radians(elevation))])
+        reach = atmosphere._to_sphere(place[None], sun[None], 6_431e3)[0]
+        steps = (np.arange(20_000) + 0.5) / 20_000 * reach
+        height = np.linalg.norm(place + steps[:, None] * sun, axis=1) - 6_371e3
+        fine = (atmosphere._densities(height) @ atmosphere._EXTINCTION).sum(axis=0) * reach / 20_000
+        assert atmosphere._depth_to_sun(place[None], sun)[0] == pytest.approx(fine, rel=0.03)
+
+
+def test_the_earth_keeps_the_sun_from_what_is_in_its_shadow() -> None:
+    sun = np.array([np.cos(np.radians(-8.0)), 0.0, np.sin(np.radians(-8.0))])
+    heights = np.array([10.0, 30_000.0, 64_000.0])
+    # Sunlight passes over the horizon at R (1 / cos 8 - 1) = 62.6 km.
+    points = np.stack([np.zeros(3), np.zeros(3), 6_371e3 + heights], axis=1)
+    assert (atmosphere._depth_to_sun(points, sun)[:, 0] > 100.0).tolist() == [True, True, False]
+
+
+def test_a_dome_is_the_same_on_both_sides_of_the_sun() -> None:
+    dome = clear_dome(25.0, 90.0)
+    assert dome == pytest.approx(dome[:, ::-1], rel=1e-9)
+    assert dome[70:].mean() > dome[:26].mean()
+    assert dome_weights().sum() == pytest.approx(1.0)
+    assert np.linalg.norm(dome_directions(), axis=-1) == pytest.approx(np.ones((96, 96)))
+
+
+def test_the_zenith_is_bluer_than_the_horizon_and_the_dusk_is_red_where_the_sun_set() -> None:
+    for elevation in (60.0, 20.0, -2.0):
+        dome = clear_dome(elevation, 0.0)
+        zenith, before, behind = dome[48, 48], dome[48, 92], dome[48, 3]
+        assert zenith[2] / zenith[0] > max(before[2] / before[0], 1.3)
+        assert before.sum() > behind.sum()
+    assert before[0] > 2.0 * before[2]
+
+
+@pytest.mark.parametrize("weather", ["clear", "clouds", "rain"])
+@pytest.mark.parametrize("light", ["day", "dusk"])
+def test_light_on_the_ground_is_the_sum_over_the_sky(light: str, weather: str) -> None:
+    one = lit(light, weather)
+    rng = np.random.default_rng(1)
+    # Cosine-weighted directions: their mean radiance is the light.
+    i, j = np.meshgrid(np.arange(60), np.arange(60))
+    radius, angle = np.sqrt((i + rng.random(i.shape)) / 60), 2 * np.pi * (j + rng.random(j.shape)) / 60
+    away = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=-1).reshape(-1, 3)
+    radiance = np.array([seen(one, direction, 0.02) for direction in away if direction @ one.record["sun"] < 0.9999])
+    assert one.record["sky_light"] == pytest.approx(radiance.mean(axis=0), rel=0.03)
+
+
+def test_more_light_comes_from_a_higher_sun() -> None:
+    noon = int(np.datetime64("2025-03-20T12:07", "ns").astype(np.int64))
+    total = []
+    for minutes in range(0, 441, 40):
+        record = lighting(Condition(noon - (440 - minutes) * 60_000_000_000, "day", "clear"), 0.0, 0.0).record
+        level = max(record["sun"][2], 0.0) * record["sunlight"] + record["sky_light"]
+        total.append(level @ [0.2126, 0.7152, 0.0722])
+    assert (np.diff(total) > -1e-4).all()
+    assert total[0] < 0.02 * total[-1]
+
+
+def test_the_sun_gives_a_sunny_road_some_four_times_the_light_of_the_sky() -> None:
+    record = lit("day", "clear").record
+    luminance = np.array([0.2126, 0.7152, 0.0722])
+    ratio = record["sun"][2] * (record["sunlight"] @ luminance) / (record["sky_light"] @ luminance)
+    assert 2.5 < ratio < 5.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), st.floats(0.0, 0.5), st.floats(0.0, 1e4))
+def test_the_sky_is_defined_everywhere(vector: list[float], spread: float, time_s: float) -> None:
+    direction = np.array(vector)
+    length = np.linalg.norm(direction)
+    direction = direction / length if length > 1e-6 else np.array([0.0, 0.0, -1.0])
+    one = lit("day", "clear")
+    moved = Lighting(one.at(time_s), one.dome, one.clouds)
+    radiance = seen(moved, direction, spread)
+    assert np.isfinite(radiance).all()
+    assert (radiance > 0.0).all()
+
+
+def test_the_sky_shows_the_sun_where_it_stands_and_is_level_below_the_horizon() -> None:
+    one = lit("day", "clear")
+    sun = one.record["sun"]
+    aside = np.array([-sun[1], sun[0], 0.0])
+    assert seen(one, sun)[1] > 20 * seen(one, np.cos(0.05) * sun + np.sin(0.05) * aside / np.linalg.norm(aside))[1]
+    assert seen(one, np.array([0.6, 0.8, -1e-6])) == pytest.approx(seen(one, np.array([0.6, 0.8, 0.0])), rel=1e-4)
+
+
+def test_clouds_repeat_move_and_are_as_many_as_stated() -> None:
+    field = cloud_field()
+    finest = field[: SIDE * SIDE].reshape(SIDE, SIDE)
+    assert len(field) == sum((SIDE >> level) ** 2 for level in range(LEVELS))
+    for share in (0.1, 0.27, 0.6):
+        assert (finest > 1.0 - share).mean() == pytest.approx(share, abs=0.01)
+    start = 0
+    for level in range(LEVELS):
+        side = SIDE >> level
+        one = field[start : start + side * side].reshape(side, side)
+        start += side * side
+        assert one.mean() == pytest.approx(finest.mean(), abs=1e-5)
+        seam = np.abs(one[:, 0] - one[:, -1]).mean()
+        assert seam < 2.5 * np.abs(np.diff(one, axis=1)).mean()
+    lighting_one = lit("day", "clear")
+    shift = lighting_one.at(100.0)["cloud_shift"] - lighting_one.record["cloud_shift"]
+    assert np.hypot(*shift) == pytest.approx(0.4)

@@ -61,7 +61,7 @@ _YEARS: Final[dict[Species, Year]] = {
     Species.PLANE: Year(0.29, 0.06, _FRESH, 0.12, 0.75, 0.10, ((3.2, 1.5, 0.8), (3.4, 1.1, 0.7)), 0.06),
     Species.BIRCH: Year(0.26, 0.05, _FRESH, 0.12, 0.72, 0.08, ((4.6, 2.5, 0.8), (4.2, 2.3, 0.8)), 0.05),
     Species.POPLAR: Year(0.27, 0.05, _FRESH, 0.12, 0.73, 0.08, ((4.0, 2.3, 0.8), (3.4, 2.2, 0.9)), 0.05),
-    Species.CHERRY: Year(0.26, 0.03, (10.0, 4.4, 18.0), 0.07, 0.71, 0.08, ((4.6, 0.9, 0.8), (4.4, 0.5, 0.7)), 0.05),
+    Species.CHERRY: Year(0.26, 0.03, (10.5, 3.6, 15.0), 0.07, 0.71, 0.08, ((4.6, 0.9, 0.8), (4.4, 0.5, 0.7)), 0.05),
     Species.OAK: Year(0.31, 0.05, _FRESH, 0.12, 0.78, 0.09, ((2.9, 1.2, 0.8), (2.4, 1.0, 0.9)), 0.08),
     Species.SHRUB: Year(0.24, 0.07, _FRESH, 0.12, 0.77, 0.10, ((2.8, 1.6, 0.9), (2.0, 1.4, 0.9)), 0.06),
     Species.CROP: Year(0.22, 0.10, _FRESH, 0.10, 0.50, 0.04, ((4.4, 2.0, 1.8), (3.9, 1.9, 1.7)), 0.10),
@@ -94,10 +94,13 @@ def foliage(model: Model, season: float, visit: int) -> Model:
     faces, rounds = model.faces.copy(), model.rounds.copy()
     shown = np.ones(len(faces), np.bool_)
     leaves = np.flatnonzero(faces["material"] == Material.LEAVES)
-    shown[leaves] = _dressed(faces, leaves, season) & (_draw(faces["seed"][leaves], 2 + visit) >= _MOST_GONE)
+    seeds = faces["seed"][leaves]
+    shown[leaves] = _dressed(faces, leaves, season, _draw(seeds, 0), _draw(seeds, 1))
+    shown[leaves] &= _draw(seeds, 2 + visit) >= _MOST_GONE
     stays = np.ones(len(rounds), np.bool_)
     inner = np.flatnonzero(rounds["material"] == Material.LEAVES)
-    _dressed(rounds, inner, season)
+    middling = np.full(len(inner), 0.5)
+    _dressed(rounds, inner, season, middling, middling)
     share = crown_share(rounds["seed"][inner], season)
     rounds["half"][inner] *= (0.4 + 0.6 * share)[:, None]
     stays[inner] = share >= _THIN
@@ -114,20 +117,27 @@ def crown_share(seeds: Int64, season: float) -> Float64:
     return share
 
 
-def _dressed(pieces: Records, leaves: Int64, season: float) -> Bool:
-    """Colour the leaves for the season; which of them are there."""
+def _dressed(pieces: Records, leaves: Int64, season: float, early: Float64, late: Float64) -> Bool:
+    """Colour the leaves for the season; which of them are there.
+
+    Args:
+        pieces: faces or rounds, changed in place.
+        leaves: (N,) which of them.
+        season: part of the year.
+        early: (N,) how late in its species' spring each comes out, in [0, 1).
+        late: (N,) how late in autumn each turns.
+    """
     seeds = pieces["seed"][leaves]
     there = np.ones(len(leaves), np.bool_)
-    when, which = _draw(seeds, 0), _draw(seeds, 1)
     for species, year in _YEARS.items():
         mine = np.flatnonzero(seeds >> 24 == species)
         if not len(mine):
             continue
-        out, turn = year.out + year.out_span * when[mine], year.turn + year.turn_span * which[mine]
+        out, turn = year.out + year.out_span * early[mine], year.turn + year.turn_span * late[mine]
         there[mine] = (season >= out) & (season < turn + year.linger)
         young = np.clip(1.0 - (season - out) / year.fresh_span, 0.0, 1.0)[:, None]
         old = np.clip((season - turn) / (0.5 * year.linger) + 0.5, 0.0, 1.0)[:, None]
-        kind = np.where((when[mine] < 0.5)[:, None], *(np.array(factor) for factor in year.turned))
+        kind = np.where((early[mine] < 0.5)[:, None], *(np.array(factor) for factor in year.turned))
         change = 1.0 + young * (np.array(year.fresh) - 1.0) + old * (kind - 1.0)
         pieces["colour"][leaves[mine]] = np.minimum(pieces["colour"][leaves[mine]] * change, 0.85)
     return there

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
-from mirror.synth.model import Label, Material, Model, block, ellipsoid, merged, polygons
+from mirror.synth.model import Label, Material, Model, block, merged, polygons
+from mirror.synth.model.batches import ellipsoids, tubes
 from mirror.synth.street.foliage import Species, leaf_seeds
 
 Kind = Literal["lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", "cherry", "oak"]
@@ -21,6 +21,8 @@ STREET_TREES: Final[tuple[Kind, ...]] = ("lime", "plane", "birch", "cherry")
 """That stand along streets; on roads through fields and woods it is more the others."""
 PASSING_M: Final = 4.5
 """Nothing hangs lower over a carriageway."""
+_COVER: Final = 1.0
+"""Area of the sprays by that of the crown."""
 _ROOT_M: Final = 0.5
 """Trunks go this far into the ground, which may slope."""
 
@@ -37,8 +39,7 @@ class _Habit:
         lobes: how many round parts the crown has.
         lobe: their radius, as a share of the crown's there; 1 puts them round the trunk, one above the other.
         shape: the crown's radius at its foot, middle and top, as shares of its greatest.
-        leaves: how many polygons; each stands for a spray of leaves.
-        leaf_m: half length of one.
+        leaves: how many polygons; each stands for a spray of leaves, as large as to cover the crown.
         narrow: half width of one, as a share.
         hang: how far they hang down instead of lying any way.
         leaf: colour.
@@ -54,7 +55,6 @@ class _Habit:
     lobe: float
     shape: tuple[float, float, float]
     leaves: int
-    leaf_m: float
     narrow: float
     hang: float
     leaf: tuple[float, float, float]
@@ -65,39 +65,39 @@ class _Habit:
 _BROWN: Final = (0.11, 0.085, 0.06)
 _HABITS: Final[dict[Kind, _Habit]] = {
     "lime": _Habit(
-        Species.LIME, (8.5, 12.5), 0.60, 2.7, 8, 0.60, (0.75, 1.0, 0.45), 215, 0.46, 0.75, 0.3,
+        Species.LIME, (8.0, 11.5), 0.58, 2.7, 17, 0.46, (0.70, 1.0, 0.40), 220, 0.45, 0.3,
         (0.060, 0.115, 0.028), _BROWN, 0.016,
     ),
     "plane": _Habit(
-        Species.PLANE, (9.5, 14.0), 0.72, 3.0, 9, 0.52, (0.70, 1.0, 0.60), 225, 0.52, 0.80, 0.2,
+        Species.PLANE, (8.5, 11.5), 0.62, 3.0, 20, 0.42, (0.65, 1.0, 0.55), 230, 0.45, 0.2,
         (0.075, 0.130, 0.034), (0.34, 0.31, 0.24), 0.019,
     ),
     "birch": _Habit(
-        Species.BIRCH, (8.0, 12.0), 0.42, 2.5, 8, 0.62, (0.85, 1.0, 0.30), 210, 0.36, 0.55, 0.8,
+        Species.BIRCH, (8.0, 12.0), 0.42, 2.5, 15, 0.50, (0.80, 1.0, 0.30), 210, 0.45, 0.8,
         (0.080, 0.140, 0.036), (0.58, 0.57, 0.53), 0.011,
     ),
     "poplar": _Habit(
-        Species.POPLAR, (11.0, 16.0), 0.19, 1.6, 7, 0.85, (0.75, 1.0, 0.35), 200, 0.42, 0.60, -0.4,
+        Species.POPLAR, (11.0, 16.0), 0.19, 1.6, 13, 0.75, (0.75, 1.0, 0.35), 200, 0.50, -0.4,
         (0.060, 0.115, 0.034), (0.16, 0.145, 0.115), 0.013,
     ),
     "cypress": _Habit(
-        Species.EVERGREEN, (5.5, 10.0), 0.17, 0.5, 6, 1.0, (0.80, 1.0, 0.25), 150, 0.38, 0.50, -0.8,
+        Species.EVERGREEN, (5.5, 10.0), 0.17, 0.5, 8, 1.0, (0.80, 1.0, 0.25), 140, 0.40, -0.8,
         (0.028, 0.055, 0.024), _BROWN, 0.012,
     ),
     "spruce": _Habit(
-        Species.EVERGREEN, (7.0, 14.0), 0.42, 0.7, 8, 1.0, (1.0, 0.62, 0.12), 220, 0.56, 0.42, 0.9,
+        Species.EVERGREEN, (7.0, 14.0), 0.42, 0.7, 11, 1.0, (1.0, 0.62, 0.10), 220, 0.40, 0.9,
         (0.026, 0.052, 0.028), (0.10, 0.07, 0.05), 0.014,
     ),
     "pine": _Habit(
-        Species.EVERGREEN, (9.0, 14.0), 0.42, 5.0, 7, 0.55, (0.70, 1.0, 0.70), 170, 0.40, 0.70, -0.3,
+        Species.EVERGREEN, (9.0, 13.0), 0.42, 5.0, 13, 0.45, (0.60, 1.0, 0.70), 170, 0.50, -0.3,
         (0.036, 0.066, 0.032), (0.24, 0.13, 0.07), 0.014,
     ),
     "cherry": _Habit(
-        Species.CHERRY, (4.2, 6.0), 0.80, 2.3, 6, 0.58, (0.75, 1.0, 0.65), 150, 0.32, 0.70, 0.2,
+        Species.CHERRY, (4.2, 6.0), 0.80, 2.3, 12, 0.48, (0.75, 1.0, 0.65), 170, 0.45, 0.2,
         (0.062, 0.112, 0.030), (0.12, 0.07, 0.05), 0.018,
     ),
     "oak": _Habit(
-        Species.OAK, (8.0, 12.0), 0.98, 2.3, 9, 0.48, (0.80, 1.0, 0.60), 230, 0.58, 0.80, 0.0,
+        Species.OAK, (7.0, 10.0), 0.90, 2.3, 20, 0.40, (0.75, 1.0, 0.55), 230, 0.45, 0.0,
         (0.055, 0.100, 0.026), (0.12, 0.10, 0.075), 0.024,
     ),
 }  # fmt: skip
@@ -122,8 +122,8 @@ def tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf) -> M
     wood = _wood(rng, habit, height, centres, halves)
     leaf = np.array(habit.leaf) * rng.uniform(0.85, 1.15) * rng.uniform(0.92, 1.08, 3)
     seeds = leaf_seeds(rng, habit.species, habit.leaves + len(centres))
-    crown = _leaves(rng, centres, halves, habit.leaves, habit.leaf_m, habit.narrow, habit.hang, leaf, seeds, road_m)
-    return merged([wood, crown, *_insides(centres, halves, leaf, seeds[habit.leaves :])])
+    crown = _leaves(rng, centres, halves, habit.leaves, habit.narrow, habit.hang, leaf, seeds, road_m)
+    return merged([wood, crown, _insides(centres, halves, leaf, seeds[habit.leaves :])])
 
 
 def bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
@@ -135,8 +135,8 @@ def bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
     species = Species.EVERGREEN if evergreen else Species.SHRUB
     leaf = np.array((0.04, 0.08, 0.03) if evergreen else (0.07, 0.12, 0.03)) * rng.uniform(0.8, 1.2)
     seeds = leaf_seeds(rng, species, 63)
-    crown = _leaves(rng, centres, halves, 60, 0.17, 0.7, 0.0, leaf, seeds)
-    return merged([crown, *_insides(centres, halves, leaf, seeds[60:])])
+    crown = _leaves(rng, centres, halves, 60, 0.6, 0.0, leaf, seeds)
+    return merged([crown, _insides(centres, halves, leaf, seeds[60:])])
 
 
 def hedge(
@@ -165,42 +165,49 @@ def hedge(
     outward[np.arange(number), axis] = sign
     places[np.arange(number), axis] = sign * (extent[axis] - rng.uniform(0.03, 0.09, number))
     corners = _sprays(rng, places, outward, np.full(number, 0.17), 0.75, 0.0, 0.35)
-    corners = np.clip(corners, [-0.5 * length_m, -0.5 * width_m, 0.0], extent)
+    least, most = [-0.5 * length_m, -0.5 * width_m, 0.0], extent
+    corners += np.maximum(least - corners.min(axis=1), 0.0)[:, None]
+    corners -= np.maximum(corners.max(axis=1) - most, 0.0)[:, None]
     return merged([inside, _painted(rng, corners, leaf * _depth(places[:, 2], height_m), seeds)])
 
 
 def crops(rng: np.random.Generator, length_m: float) -> Model:
     """A row of corn along x, its middle at the origin."""
-    number = max(2, round(3.0 * length_m))
+    number = max(2, round(2.4 * length_m))
     seeds = leaf_seeds(rng, Species.CROP, number)
-    height = rng.uniform(0.7, 1.0)
-    return _blades(rng, length_m, 0.12, number, (0.7 * height, height), 0.22, (0.085, 0.15, 0.035), seeds)
+    place = np.c_[(np.arange(number) + rng.uniform(0.2, 0.8, number)) / number - 0.5, np.zeros(number)]
+    foot = place * length_m + rng.normal(0.0, 0.03, (number, 2))
+    turn = rng.normal(0.0, 0.35, number)
+    return _blades(rng, foot, turn, 0.40, rng.uniform(0.75, 1.05, number), (0.085, 0.15, 0.035), seeds)
 
 
 def reeds(rng: np.random.Generator, length_m: float, width_m: float = 0.8) -> Model:
     """Reeds or tall grass along x, their middle at the origin."""
     number = max(3, round(8.0 * length_m * width_m))
     seeds = leaf_seeds(rng, Species.REED, number)
-    return _blades(rng, length_m, width_m, number, (0.5, 1.3), 0.10, (0.15, 0.16, 0.06), seeds)
+    foot = rng.uniform(-0.5, 0.5, (number, 2)) * (length_m, width_m)
+    turn = rng.uniform(0.0, math.pi, number)
+    return _blades(rng, foot, turn, 0.11, rng.uniform(0.5, 1.3, number), (0.15, 0.16, 0.06), seeds)
 
 
 def _blades(
     rng: np.random.Generator,
-    length_m: float,
-    width_m: float,
-    number: int,
-    height_m: tuple[float, float],
+    foot_m: Float64,
+    turn: Float64,
     half_m: float,
+    height_m: Float64,
     colour: tuple[float, float, float],
     seeds: Int64,
 ) -> Model:
-    """Upright tufts, wider at the top."""
-    foot = np.c_[rng.uniform(-0.5, 0.5, (number, 2)) * (length_m, width_m), np.full(number, -0.1)]
-    turn = rng.uniform(0.0, math.pi, number)
+    """Upright tufts at places (N, 2), wider at the top."""
+    number = len(foot_m)
+    foot = np.c_[foot_m, np.full(number, -0.1)]
     aside = np.c_[np.cos(turn), np.sin(turn), np.zeros(number)] * half_m
-    top = foot + np.c_[rng.normal(0.0, 0.08, (number, 2)), 0.1 + rng.uniform(*height_m, number)]
-    drop = np.c_[np.zeros((number, 2)), rng.uniform(0.1, 0.3, number)]
-    corners = np.stack([foot - 0.4 * aside, foot + 0.4 * aside, top + aside - drop, top, top - aside - drop], axis=1)
+    # Leaning along its own width keeps a tuft in one plane.
+    lean = rng.normal(0.0, 0.25, (number, 1)) * aside
+    top = foot + lean + np.c_[np.zeros((number, 2)), 0.1 + height_m]
+    drop = np.c_[np.zeros((number, 2)), rng.uniform(0.12, 0.3, number) * height_m]
+    corners = np.stack([foot - 0.5 * aside, foot + 0.5 * aside, top + aside - drop, top, top - aside - drop], axis=1)
     return _painted(rng, corners, np.tile(colour, (number, 1)), seeds)
 
 
@@ -229,7 +236,6 @@ def _leaves(
     centres: Float64,
     halves: Float64,
     number: int,
-    size_m: float,
     narrow: float,
     hang: float,
     colour: Float64,
@@ -238,18 +244,20 @@ def _leaves(
 ) -> Model:
     """Sprays of leaves on the outside of the lobes, none low over the carriageway nor in the ground."""
     tries = 4 * number
-    area = halves[:, 0] * (halves[:, 0] + 2.0 * halves[:, 2])
+    # As of a sphere whose squared radius is the mean of the three products of two half axes.
+    area = 4.0 / 3.0 * math.pi * halves[:, 0] * (halves[:, 0] + 2.0 * halves[:, 2])
     lobe = rng.choice(len(centres), tries, p=area / area.sum())
     ray = rng.normal(size=(tries, 3))
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    places = centres[lobe] + ray * halves[lobe] * rng.uniform(0.7, 1.05, tries)[:, None]
+    places = centres[lobe] + ray * halves[lobe] * rng.uniform(0.8, 1.05, tries)[:, None]
     inside = (((places[:, None] - centres) / halves) ** 2).sum(axis=2)
-    outer = (inside > 0.45).all(axis=1) & (places[:, 2] > 0.05)
+    outer = (inside > 0.6).all(axis=1) & (places[:, 2] > 0.05)
     places, lobe, ray = places[outer][:number], lobe[outer][:number], ray[outer][:number]
     outward = ray / halves[lobe]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    sizes = size_m * rng.uniform(0.7, 1.25, len(places))
-    corners = _sprays(rng, places, outward, sizes, narrow, hang, 0.45)
+    size = math.sqrt(_COVER * area.sum() * outer.mean() / (number * 0.76 * math.pi * narrow))
+    sizes = size * rng.uniform(0.55, 1.35, len(places))
+    corners = _sprays(rng, places, outward, sizes, narrow, hang, 0.65)
     reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1)
     clear = (corners[..., 2].min(axis=1) > 0.0) & ((reach < road_m) | (corners[..., 2].min(axis=1) >= PASSING_M))
     bright = _depth(places[:, 2], float(centres[:, 2].max() + halves[:, 2].max()))
@@ -292,31 +300,30 @@ def _painted(rng: np.random.Generator, corners: Float64, colours: Float64, seeds
     )  # fmt: skip
 
 
-def _insides(centres: Float64, halves: Float64, colour: Float64, seeds: Int64) -> list[Model]:
+def _insides(centres: Float64, halves: Float64, colour: Float64, seeds: Int64) -> Model:
     """The dark inside of each lobe, so that a crown in leaf is not seen through everywhere."""
-    return [
-        ellipsoid(centre, 1.3 * half, 0.4 * colour, Material.LEAVES, Label.VEGETATION, seed=int(seed))
-        for centre, half, seed in zip(centres, halves, seeds)
-    ]
+    return ellipsoids(centres, 0.75 * halves, 0.55 * colour, Material.LEAVES, Label.VEGETATION, seeds=seeds)
 
 
 def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float64, halves: Float64) -> Model:
-    """Trunk, a limb to each lobe, twigs about its middle."""
+    """Trunk, a limb to every other lobe, twigs in each."""
     thick = habit.trunk * height
     fork = min(habit.crown_m + 0.5, 0.5 * height)
     lean = rng.normal(0.0, 0.012 * height, 2)
     knee, tip = np.array([*(0.5 * lean), fork]), np.array([*lean, float(centres[:, 2].max())])
-    trunk = _tubes(
+    trunk = tubes(
         np.array([[0.0, 0.0, -_ROOT_M], knee]), np.array([knee, tip]), np.array([1.15, 0.8]) * thick,
-        np.array([0.8, 0.12]) * thick, habit.bark, 6,
+        np.array([0.8, 0.12]) * thick, habit.bark, Material.BARK, Label.VEGETATION,
     )  # fmt: skip
     share = rng.uniform(0.15, 0.6, len(centres))
     rise = np.minimum(fork + share * (tip[2] - fork), np.maximum(centres[:, 2] - 0.5 * halves[:, 2], fork - 0.6))
     starts = np.c_[np.outer(rise / tip[2], lean), rise]
-    away = np.hypot(*(centres - starts)[:, :2].T) > 0.15
-    limbs = _tubes(
-        starts[away], centres[away], np.full(away.sum(), 0.38 * thick), np.full(away.sum(), 0.08 * thick), habit.bark, 3
-    )
+    away = (np.hypot(*(centres - starts)[:, :2].T) > 0.15) & (np.arange(len(centres)) % 2 == 0)
+    branches = int(away.sum())
+    limbs = tubes(
+        starts[away], centres[away], np.full(branches, 0.38 * thick), np.full(branches, 0.08 * thick), habit.bark,
+        Material.BARK, Label.VEGETATION, corners=3,
+    )  # fmt: skip
     return merged([trunk, limbs, _twigs(rng, habit.bark, centres, halves, starts)])
 
 
@@ -324,8 +331,8 @@ def _twigs(
     rng: np.random.Generator, bark: tuple[float, float, float], centres: Float64, halves: Float64, starts: Float64
 ) -> Model:
     """Thin triangles from the limbs to the outside of the lobes: what is left to see in winter."""
-    number = 5 * len(centres)
-    lobe = np.repeat(np.arange(len(centres)), 5)
+    number = 2 * len(centres)
+    lobe = np.repeat(np.arange(len(centres)), 2)
     ray = rng.normal(size=(number, 3))
     ray[:, 2] = np.abs(ray[:, 2])
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
@@ -335,19 +342,3 @@ def _twigs(
     across *= 0.03 / np.linalg.norm(across, axis=1, keepdims=True)
     corners = np.stack([roots - across, roots + across, ends], axis=1)
     return polygons(corners, 0.8 * np.array(bark), Material.BARK, Label.VEGETATION, two_sided=True)
-
-
-def _tubes(
-    starts: Float64, ends: Float64, radii: Float64, end_radii: Float64, colour: npt.ArrayLike, corners: int
-) -> Model:
-    """Many tapered tubes at once."""
-    along = ends - starts
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    across = np.cross(along, np.where(np.abs(along[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]))
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    aside = np.cross(along, across)
-    angle = 2.0 * math.pi * (np.arange(corners + 1) + 0.5) / corners
-    ring = np.cos(angle)[None, :, None] * across[:, None] + np.sin(angle)[None, :, None] * aside[:, None]
-    low, high = starts[:, None] + radii[:, None, None] * ring, ends[:, None] + end_radii[:, None, None] * ring
-    quads = np.stack([low[:, :-1], low[:, 1:], high[:, 1:], high[:, :-1]], axis=2).reshape(-1, 4, 3)
-    return polygons(quads, colour, Material.BARK, Label.VEGETATION)

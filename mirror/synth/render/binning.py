@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, Records
+from mirror.synth.model import Label
 from mirror.synth.render.lens import FANOUT, LEVELS
 
 _STACK: Final = 4 * LEVELS * FANOUT * FANOUT
@@ -47,6 +48,7 @@ def facing(
     y: float,
     z: float,
     least_rad: float,
+    ground: bool,
 ) -> tuple[Int64, Float32]:
     """Surfaces in a view that show it their outer side and are not too small to be seen, and their distances.
 
@@ -60,6 +62,7 @@ def facing(
         y: the camera's place.
         z: the camera's place.
         least_rad: half the angle below which a surface is left out.
+        ground: whether faces of the ground are taken.
 
     Returns:
         (N,) surfaces; (N,) least distances, metres.
@@ -71,6 +74,8 @@ def facing(
     for index in range(len(spheres)):
         if index < len(faces):
             one = faces[index]
+            if not ground and one.label <= Label.TERRAIN:
+                continue
             out = one.normal_0 * x + one.normal_1 * y + one.normal_2 * z - one.offset
             if abs(out) < 1e-7 or (out < 0.0 and not one.two_sided):
                 continue

@@ -113,7 +113,7 @@ def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Reco
         if one.side == Side.BACK:
             hidden = min(hidden + 0.3, 1.0)
     clear = max(1.0 - pillar - min(hidden, 1.0), 0.0)
-    seen = 0.045 * clear
+    seen = 0.03 * clear
     r, g, b = one.colour_0, one.colour_1, one.colour_2
     inside = 0.010 * min(hidden, 1.0)
     return (
@@ -123,7 +123,7 @@ def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Reco
         seen * (0.6 * setting.horizon_0 + setting.ground_light_0),
         seen * (0.6 * setting.horizon_1 + setting.ground_light_1),
         seen * (0.6 * setting.horizon_2 + setting.ground_light_2),
-        0.08,
+        0.05,
     )
 
 

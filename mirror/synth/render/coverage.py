@@ -14,12 +14,17 @@ from mirror.synth.render.lens import TILE_PX
 SKY: Final = -1
 _AREA: Final = TILE_PX * TILE_PX
 
+_TURN: Final = math.atan(0.5)
 OFFSETS: Final = np.array(
     [(0.0, 0.0)]
-    + [(math.cos(0.4636) * i / 3.0 - math.sin(0.4636) * j / 3.0, math.sin(0.4636) * i / 3.0 + math.cos(0.4636) * j / 3.0)
-       for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j],
+    + [
+        (math.cos(_TURN) * i / 3.0 - math.sin(_TURN) * j / 3.0, math.sin(_TURN) * i / 3.0 + math.cos(_TURN) * j / 3.0)
+        for i in (-1, 0, 1)
+        for j in (-1, 0, 1)
+        if i or j
+    ],
     np.float32,
-)  # fmt: skip
+)
 """Rays of a pixel: its centre's, which truth is taken from, and a turned grid about it."""
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
+from mirror.synth.render.develop.motion import ImageJacobian, image_jacobian
 
 TILE_PX: Final = 8
 LEVELS: Final = 4
@@ -17,7 +20,8 @@ FANOUT: Final = 4
 _MARGIN_PX: Final = 1.0
 
 
-class Lens(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Lens:
     """The rays of a camera.
 
     Attributes:
@@ -32,6 +36,11 @@ class Lens(NamedTuple):
     cones: Float64
     levels: Int64
     pixel_rad: float
+
+    @cached_property
+    def jacobian(self) -> ImageJacobian:
+        """How directions become pixels."""
+        return image_jacobian(self.rays)
 
 
 def make_lens(camera: Camera) -> Lens:

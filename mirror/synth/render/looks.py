@@ -99,17 +99,9 @@ def picture(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lamp(one: Records, setting: Records) -> Look:
-    """What gives light of its own: street lamps, signals, lights of vehicles."""
+    """What gives light of its own: street lamps and traffic lights."""
     r, g, b = one.colour_0, one.colour_1, one.colour_2
-    material = one.material
-    if material == Material.STREET_LAMP:
+    if one.material == Material.STREET_LAMP:
         return r, g, b, 6.0 * setting.lamp_light_0, 6.0 * setting.lamp_light_1, 6.0 * setting.lamp_light_2, 0.0
-    burn = float(one.lights)
-    if material == Material.SIGNAL:
-        glow = burn * (1.6 + 0.6 * setting.dark)
-        return 0.12 * r, 0.12 * g, 0.12 * b, glow * r, glow * g, glow * b, 0.02
-    if material == Material.HEADLIGHT:
-        burn *= 0.15 + 4.0 * setting.vehicle_lights
-        return 0.6, 0.6, 0.6, burn, 0.93 * burn, 0.78 * burn, 0.08
-    burn *= 0.05 + 1.6 * setting.vehicle_lights
-    return 0.30, 0.015, 0.015, burn, 0.03 * burn, 0.02 * burn, 0.08
+    glow = float(one.lights) * (1.6 + 0.6 * setting.dark)
+    return 0.12 * r, 0.12 * g, 0.12 * b, glow * r, glow * g, glow * b, 0.02

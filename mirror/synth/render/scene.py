@@ -6,27 +6,34 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from mirror.arrays import Float32, Float64, Int64, Records
+from mirror.arrays import Float32, Float64, Int64, Records, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.schema.documents import Roi
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.lighting import LIGHTING, Lighting, lighting
 from mirror.synth.model import FACE, NO_IMAGE, NO_OBJECT, ROUND, Label, Model, flat, merged
 from mirror.synth.render.binning import spheres_of
-from mirror.synth.render.shade import BELOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M, MAPS, Surroundings
+from mirror.synth.render.develop.developing import develop
+from mirror.synth.render.develop.look import CameraLook
+from mirror.synth.render.develop.motion import image_motion
+from mirror.synth.render.lens import Lens
 from mirror.synth.render.shadows import ShadowMap, shadow_map, sun_axes
+from mirror.synth.render.surroundings import BELOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M, MAPS, Surroundings
+from mirror.synth.render.view import View, see
+from mirror.synth.render.wet import with_reflections
 from mirror.synth.street.foliage import foliage
-from mirror.synth.users.body import Body, Placement, RoadUser
+from mirror.synth.users.body import Body, Placement, RoadUser, Still
 
 _LAMP_REACH_M: Final = 22.0
 _DRAWN_WITHIN_M: Final = 220.0
 _SHADED_WITHIN_M: Final = 50.0
 _BEYOND_M: Final = 80.0
+_PLAIN: Final = CameraLook()
 
 
 class Place(Protocol):
@@ -72,6 +79,33 @@ class Instant:
 
     surroundings: Surroundings
     placements: dict[int, Placement]
+
+
+class Twist(NamedTuple):
+    """How a camera moves during an exposure, in its own frame.
+
+    Attributes:
+        velocity_mps: (3,).
+        turn_radps: (3,) rate of turning.
+        exposure_s: length of the exposure.
+    """
+
+    velocity_mps: tuple[float, float, float]
+    turn_radps: tuple[float, float, float]
+    exposure_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A rendered picture.
+
+    Attributes:
+        bgr: (H, W, 3).
+        view: what it shows: distances, normals, labels, objects.
+    """
+
+    bgr: UInt8
+    view: View
 
 
 class Scene:
@@ -125,19 +159,59 @@ class Scene:
             place = user.motion.at(time_s)
             if math.hypot(place.x_m - ego[0], place.y_m - ego[1]) < _DRAWN_WITHIN_M:
                 placements[number] = place
-        moving = merged(
-            self.users[number].body.model.placed(place.rotation, place.translation, number)
-            for number, place in placements.items()
-        )
+        drawn = []
+        for number, place in placements.items():
+            user = self.users[number]
+            model = user.body.model.placed(place.rotation, place.translation, number)
+            model.faces["lights"] = not isinstance(user.motion, Still)
+            drawn.append(model)
+        moving = merged(drawn)
         own = self.own.placed(turn, ego, NO_OBJECT)
         own.faces["label"], own.rounds["label"] = Label.EGO, Label.EGO
         return self._instant(time_s, merged([moving, own]), moving, placements, ego, turn)
+
+    def picture(
+        self,
+        instant: Instant,
+        lens: Lens,
+        world_SE3_camera: Poses,
+        *,
+        look: CameraLook = _PLAIN,
+        seed: int = 0,
+        drops: Records | None = None,
+        twist: Twist | None = None,
+    ) -> Picture:
+        """Render one picture.
+
+        Args:
+            instant: what there is.
+            lens: the camera.
+            world_SE3_camera: one pose, at mid-exposure.
+            look: how the camera develops.
+            seed: of the noise.
+            drops: rain on the lens, from `lens_drops`.
+            twist: how the camera moves; None: it stands.
+        """
+        surroundings, effects = instant.surroundings, self.condition.effects
+        rotation, origin = matrix_from_quaternion(world_SE3_camera.rotation)[0], world_SE3_camera.translation[0]
+        view = see(surroundings, lens, rotation, origin)
+        radiance = view.radiance()
+        if self.light.record["wet"] > 0.0:
+            radiance = with_reflections(radiance, surroundings, lens, rotation, origin)
+        motion = None
+        if twist is not None and effects.motion_blur:
+            motion = image_motion(
+                lens.jacobian, view.distance_m, twist.velocity_mps, twist.turn_radps, twist.exposure_s
+            )
+            # The vehicle itself moves with its cameras.
+            motion[view.label == Label.EGO] = 0.0
+        light = np.ascontiguousarray(radiance[..., :3])
+        return Picture(develop(light, self.light.record, look, effects, seed, motion=motion, drops=drops), view)
 
     def _instant(
         self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, turn: Float64
     ) -> Instant:
         still, record = self._still, self.light.at(time_s)
-        there.faces["lights"] = 1
         model = merged([still.model, there])
         faces = model.faces
         faces["lights"][self.world.burning(time_s)] = 1

@@ -14,7 +14,8 @@ from mirror.synth.model import Label
 from mirror.synth.render.binning import facing, lists_of, planes_of
 from mirror.synth.render.coverage import OFFSETS, SKY, cover
 from mirror.synth.render.lens import Lens
-from mirror.synth.render.shade import Surroundings, radiance_of
+from mirror.synth.render.shade import radiance_of
+from mirror.synth.render.surroundings import Surroundings
 from mirror.synth.street.houses.windows import pattern_table
 from mirror.synth.textures.atlas import atlas
 
@@ -108,6 +109,7 @@ def see(
     *,
     offsets: Float32 = OFFSETS,
     wanted: Float32 = _EVERYWHERE,
+    ground: bool = True,
 ) -> View:
     """Find what a camera sees.
 
@@ -118,11 +120,21 @@ def see(
         origin: (3,) the camera's place, world metres.
         offsets: (S, 2) rays of a pixel, pixels off its centre; truth is that of the first.
         wanted: (H, W) nothing is done where it is 0; default: everywhere.
+        ground: whether the ground is there.
     """
     rotation = np.ascontiguousarray(rotation, np.float64)
     x, y, z = (float(value) for value in origin)
     chosen, near = facing(
-        scene.faces, scene.spheres, lens.cones, lens.levels, rotation, x, y, z, 0.5 * _SMALLEST_PX * lens.pixel_rad
+        scene.faces,
+        scene.spheres,
+        lens.cones,
+        lens.levels,
+        rotation,
+        x,
+        y,
+        z,
+        0.5 * _SMALLEST_PX * lens.pixel_rad,
+        ground,
     )
     by_distance = np.argsort(near, kind="stable")
     order, nearest = chosen[by_distance], near[by_distance]

@@ -1,0 +1,63 @@
+"""All that a picture depends on besides its camera, as arrays for compiled kernels."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from mirror.arrays import Float32, Float64, Records
+
+LAMP_CELL_M: Final = 1.0
+BELOW_CELL_M: Final = 0.2
+GROUND_CELL_M: Final = 2.0
+
+MAPS: Final = np.dtype(
+    [
+        ("sun_axes", np.float64, (2, 3)),
+        ("still_origin", np.float64, 2),
+        ("moving_origin", np.float64, 2),
+        ("lamps_origin", np.float64, 2),
+        ("below_origin", np.float64, 2),
+        ("ground_origin", np.float64, 2),
+        ("beam", np.float64, 6),
+    ]
+)
+"""The axes across the sun's direction, the middles of the maps' first cells, and the place and direction of the
+recording vehicle's headlights."""
+
+
+class Surroundings(NamedTuple):
+    """All that a picture depends on besides its camera.
+
+    Attributes:
+        faces: (F,) FACE, flat.
+        corners: (C, 3).
+        rounds: (R,) ROUND, flat.
+        spheres: (F + R, 4) from `binning.spheres_of`.
+        still: shadow map of what stands still.
+        moving: shadow map of what moves.
+        lamps: (rows, columns) over the ground: light of the street lamps.
+        below: (rows, columns) over the ground: share of the sky's light that road users keep from it.
+        ground: (rows, columns) heights of the ground.
+        dome: of the clear sky.
+        clouds: their field.
+        layouts: (L, K) MARK, flat: markings of carriageways.
+        setting: LIGHTING record, flat.
+        maps: MAPS record, flat.
+    """
+
+    faces: Records
+    corners: Float64
+    rounds: Records
+    spheres: Float64
+    still: Float32
+    moving: Float32
+    lamps: Float32
+    below: Float32
+    ground: Float32
+    dome: Float32
+    clouds: Float32
+    layouts: Records
+    setting: Records
+    maps: Records

@@ -1,0 +1,100 @@
+"""What wet ground mirrors: the view of a camera below it that looks up as the camera looks down."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from mirror.arrays import Float32, Float64
+from mirror.synth.render.lens import Lens
+from mirror.synth.render.surroundings import GROUND_CELL_M, Surroundings
+from mirror.synth.render.view import see
+
+_DRAWN_OUT_PX: Final = 5
+_LEAST_SHARE: Final = 0.03
+_REACH_M: Final = 24.0
+_ONE_RAY: Final = np.zeros((1, 2), np.float32)
+# What a rough, wet surface loses of its own light where it mirrors.
+_HIDDEN: Final = 0.5
+
+
+def with_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation: Float64, origin: Float64) -> Float32:
+    """A picture with what its wet ground mirrors.
+
+    The ground is taken as a plane, fitted to it round the camera.
+
+    Args:
+        radiance: (H, W, 4) from `View.radiance`.
+        scene: what there is.
+        lens: the camera.
+        rotation: (3, 3) world_R_camera.
+        origin: (3,) its place.
+
+    Returns:
+        (H, W, 4) radiance.
+    """
+    share = radiance[..., 3]
+    wanted = _reached(np.ascontiguousarray(share))
+    if not wanted.any():
+        return radiance
+    normal, offset = ground_plane(scene, origin)
+    flip = np.eye(3) - 2.0 * np.outer(normal, normal)
+    below = origin - 2.0 * (normal @ origin - offset) * normal
+    mirrored = see(scene, lens, flip @ rotation, below, offsets=_ONE_RAY, wanted=wanted, ground=False)
+    return _blended(radiance, mirrored.radiance(2.0))
+
+
+def ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, float]:
+    """Normal (3,) and offset of the plane that fits the ground round a place best."""
+    ground, left, low = scene.ground, float(scene.maps["ground_origin_0"]), float(scene.maps["ground_origin_1"])
+    column, row = round((place[0] - left) / GROUND_CELL_M), round((place[1] - low) / GROUND_CELL_M)
+    reach = math.ceil(_REACH_M / GROUND_CELL_M)
+    rows = np.arange(max(row - reach, 0), min(row + reach + 1, ground.shape[0]))
+    columns = np.arange(max(column - reach, 0), min(column + reach + 1, ground.shape[1]))
+    if len(rows) < 2 or len(columns) < 2:
+        return np.array([0.0, 0.0, 1.0]), 0.0
+    x, y = np.meshgrid(left + columns * GROUND_CELL_M - place[0], low + rows * GROUND_CELL_M - place[1])
+    z = ground[np.ix_(rows, columns)].astype(np.float64)
+    # What lies below the camera counts most: pavements and verges stand higher.
+    weight = np.exp(-(x * x + y * y) / (0.5 * _REACH_M) ** 2).ravel()
+    terms = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) * weight[:, None]
+    slope_x, slope_y, height = np.linalg.lstsq(terms, z.ravel() * weight, rcond=None)[0]
+    normal = np.array([-slope_x, -slope_y, 1.0])
+    normal /= np.linalg.norm(normal)
+    return normal, float(normal @ (place[0], place[1], height))
+
+
+@njit(cache=True, nogil=True)
+def _reached(share: Float32) -> Float32:
+    """Where a mirrored picture is asked for: pixels that mirror, and those that are drawn over them."""
+    height, width = share.shape
+    wanted = np.zeros((height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            if share[row, column] > _LEAST_SHARE:
+                for step in range(-2, 3):
+                    wanted[min(max(row + _DRAWN_OUT_PX * step, 0), height - 1), column] = 1.0
+    return wanted
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _blended(radiance: Float32, mirrored: Float32) -> Float32:
+    height, width = radiance.shape[:2]
+    out = radiance.copy()
+    for row in range(height):
+        for column in range(width):
+            share = radiance[row, column, 3]
+            if share <= _LEAST_SHARE:
+                continue
+            for channel in range(3):
+                # Ripples and the roughness of the road draw a reflection out lengthwise.
+                drawn = 0.0
+                for step in range(-2, 3):
+                    drawn += mirrored[min(max(row + _DRAWN_OUT_PX * step, 0), height - 1), column, channel]
+                out[row, column, channel] = (
+                    radiance[row, column, channel] * (1.0 - _HIDDEN * share) + share * drawn / 5.0
+                )
+    return out

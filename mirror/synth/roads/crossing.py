@@ -110,10 +110,8 @@ class Crossing:
     corners: tuple[Corner, ...] = field(default=())
     reach_m: tuple[float, ...] = field(default=())
 
-    def group(self, arm: int) -> int | None:
-        """The signal group of those who come on an arm."""
-        if self.control != "signal":
-            return None
+    def group(self, arm: int) -> int:
+        """The signal group of those who come on an arm, where there are traffic lights."""
         return 0 if self.arms[arm].street.name == self.first else 1
 
     def patch(self, corner: Corner, beside_m: float) -> Float64:

@@ -99,17 +99,21 @@ def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts
                 far = arm.station(approach.end_m + _STRICT_M)
                 cuts += [arm.station_m, begin, end, far]
                 if section.material == Material.ASPHALT:
-                    stretches.append(Stretch(number, *sorted((end, far)), strict))
+                    stretches.append(_stretch(number, end, far, strict))
                     if end != begin:
                         rows.append(_before_crossing(approach, crossing.control == "signal"))
-                        stretches.append(Stretch(number, *sorted((begin, end)), len(rows) - 1))
-                stretches.append(Stretch(number, *sorted((arm.station_m, begin)), 0))
+                        stretches.append(_stretch(number, begin, end, len(rows) - 1))
+                stretches.append(_stretch(number, arm.station_m, begin, 0))
                 if approach.zebra_m is not None:
                     low, high = sorted(arm.station(out) for out in approach.zebra_m)
                     dips.append(Dip(number, low, high))
                     cuts += [low - _RAMP_M, low, high, high + _RAMP_M]
         stations.append(_pieces(street, np.array(cuts)))
     return Layouts(layout_table(rows), tuple(stretches), tuple(dips), tuple(stations))
+
+
+def _stretch(street: int, one_m: float, other_m: float, layout: int) -> Stretch:
+    return Stretch(street, min(one_m, other_m), max(one_m, other_m), layout)
 
 
 def _before_crossing(approach: Approach, signal: bool) -> tuple[Mark, ...]:

@@ -52,7 +52,7 @@ class Line:
 
     def heading(self, station_m: npt.ArrayLike) -> Float64:
         """Heading at stations (...,), radians; beyond the ends as at them."""
-        return np.interp(station_m, self.stations, self.headings)
+        return np.asarray(np.interp(np.asarray(station_m, np.float64), self.stations, self.headings))
 
     def at(self, station_m: npt.ArrayLike, offset_m: npt.ArrayLike = 0.0) -> Float64:
         """Points (..., 2) at stations and offsets to the left; beyond the ends the line goes straight on."""
@@ -110,7 +110,7 @@ def curved(place: npt.ArrayLike, heading_rad: float, first_m: float, last_m: flo
         bends: in any order.
     """
     before, after = math.ceil(-first_m / _STEP_M), math.ceil(last_m / _STEP_M)
-    stations = _STEP_M * np.arange(-before, after + 1)
+    stations: Float64 = _STEP_M * np.arange(-before, after + 1, dtype=np.float64)
     heading = heading_rad + _turned(stations, bends) - _turned(np.zeros(1), bends)
     middle = heading_rad + _turned(stations[:-1] + 0.5 * _STEP_M, bends) - _turned(np.zeros(1), bends)
     points = np.zeros((len(stations), 2))

@@ -77,7 +77,7 @@ def _cross(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane], fe
         lanes[lane.lane_id] = replace(
             lane,
             successors=follow,
-            signal=crossing.group(port.arm),
+            signal=crossing.group(port.arm) if signal else None,
             yields_to=() if signal else over.get(port.arm, ()),
         )
 

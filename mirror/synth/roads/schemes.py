@@ -32,6 +32,8 @@ BEYOND_M: Final = 90.0
 """By which streets go on outside the ROI."""
 EDGE: Final = 0.975
 """Share of the radius at which the street at the ROI's edge passes."""
+_SLIP_RAD: Final = 0.30
+"""By which slip roads turn away from a motorway."""
 
 GRASS: Final = (0.085, 0.125, 0.040)
 _MEADOW: Final = (0.110, 0.150, 0.048)
@@ -55,6 +57,7 @@ class Scheme:
         slope: of the land as a whole.
         steepest: of its waves.
         pavement: what lies beside carriageways.
+        forecourt_m: by how much it goes on behind pavements, up to the houses.
         covers: outlined parts of the land.
         parcels: what the rest of the land is parcelled into, as often as named.
     """
@@ -65,6 +68,7 @@ class Scheme:
     slope: float
     steepest: float
     pavement: Cover
+    forecourt_m: float
     covers: tuple[Cover, ...]
     parcels: tuple[Cover, ...]
 
@@ -149,7 +153,7 @@ def _urban(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
         _land(Material.GRAVEL, Label.TERRAIN, _DIRT),
         _land(Material.GRASS, Label.TERRAIN, _MEADOW),
     )
-    return Scheme(tuple(streets), tuple(crossings), 0.12, 0.010, 0.016, _paved(), (), ground)
+    return Scheme(tuple(streets), tuple(crossings), 0.12, 0.010, 0.016, _paved(), 5.0, (), ground)
 
 
 def _campus(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
@@ -170,7 +174,7 @@ def _campus(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
         ),
         crossing("corner", (*_through(main, edge_at), *_through(edge, 0.0, minor=True)), "priority"),
     )
-    centre, reach = main.line.at(0.08 * radius, -side * (CAMPUS_STREET.half_m + 0.14 * radius)), 0.13 * radius
+    centre, reach = main.line.at(0.08 * radius, -side * (CAMPUS_STREET.half_m + 0.125 * radius)), 0.13 * radius
     plaza = shapely.Point(*centre).buffer(reach, quad_segs=6)
     covers = (Cover(plaza, Material.PAVING, Label.PAVEMENT, (0.36, 0.33, 0.29)),)
     parcels = (
@@ -178,7 +182,7 @@ def _campus(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
         _land(Material.GRASS, Label.TERRAIN, _MEADOW),
         _land(Material.GRASS, Label.TERRAIN, GRASS),
     )
-    return Scheme((main, cross, edge), crossings, 0.10, 0.012, 0.020, _paved((0.33, 0.31, 0.28)), covers, parcels)
+    return Scheme((main, cross, edge), crossings, 0.10, 0.012, 0.020, _paved((0.33, 0.31, 0.28)), 0.0, covers, parcels)
 
 
 def _rural(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
@@ -215,14 +219,14 @@ def _rural(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
             (Material.GRASS, GRASS),
         )
     )
-    return Scheme((main, lane, edge, track), crossings, 0.0, 0.018, 0.035, shoulder, (), parcels)
+    return Scheme((main, lane, edge, track), crossings, 0.0, 0.018, 0.035, shoulder, 0.0, (), parcels)
 
 
 def _highway(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
     extent = radius + BEYOND_M
-    side = float(rng.choice((-1.0, 1.0)))
     length = 1.6 * radius
-    bends = (Bend(0.1 * radius, length, side * _wound(length, 350.0, 0.35)),)
+    # It curves to the left, away from its slip roads.
+    bends = (Bend(0.1 * radius, length, _wound(length, 350.0, rng.uniform(0.15, 0.35))),)
     main = Street("main", curved(_away(yaw, -9.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MOTORWAY)
     verge = _land(Material.GRASS, Label.TERRAIN, GRASS)
     parcels = (
@@ -232,19 +236,18 @@ def _highway(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
         _land(Material.GRASS, Label.TERRAIN, _CROP),
     )
     streets, crossings = _slip_roads(main, radius, extent)
-    return Scheme((main, *streets), crossings, 0.0, 0.006, 0.014, verge, (), parcels)
+    return Scheme((main, *streets), crossings, 0.0, 0.006, 0.014, verge, 0.0, (), parcels)
 
 
 def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Street, ...], tuple[Crossing, ...]]:
     """The exit and the entry of the carriageway along the line: on its right."""
     lane = next(track.offset_m for track in MOTORWAY.tracks if track.name == "drive1+")
     leave, join = -0.45 * radius, 0.40 * radius
-    away = -0.30
     out = curved(
-        main.line.at(leave, lane), float(main.line.heading(leave)), 0.0, 2.0 * extent, (Bend(70.0, 110.0, away),)
+        main.line.at(leave, lane), float(main.line.heading(leave)), 0.0, 2.0 * extent, (Bend(70.0, 110.0, -_SLIP_RAD),)
     )
     back = curved(
-        main.line.at(join, lane), float(main.line.heading(join)), -2.0 * extent, 0.0, (Bend(-70.0, 110.0, -away),)
+        main.line.at(join, lane), float(main.line.heading(join)), -2.0 * extent, 0.0, (Bend(-70.0, 110.0, -_SLIP_RAD),)
     )
     exits, entries = Street("exit", _cut(out, extent), SLIP_ROAD), Street("entry", _cut(back, extent), SLIP_ROAD)
     return (exits, entries), (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,6 +17,7 @@ from mirror.synth.street.lots import Lot, LotKind
 
 _STEP_M: Final = 1.0
 _CLEAR_M: Final = 0.05
+_CORNER_M: Final = 4.0
 _SHARES: Final = np.linspace(0.0, 1.0, 9)
 
 
@@ -91,8 +92,8 @@ def lay_lots(
 
 
 def _standing(lot: Lot, height_m: Callable[[npt.ArrayLike, npt.ArrayLike], Float64]) -> Lot:
-    place = lot.origin[:2]
-    return Lot(np.array([*place, float(height_m(*place))]), lot.yaw_rad, lot.length_m, lot.depth_m, lot.kind)
+    x, y = lot.origin
+    return replace(lot, origin=np.array([x, y, float(height_m(x, y))]))
 
 
 def _row(
@@ -104,23 +105,27 @@ def _row(
     rng: np.random.Generator,
 ) -> Iterator[tuple[Lot, shapely.Geometry]]:
     """Lots of one side of a street; whoever takes one adds its outline to ``built``."""
-    at, corner = street.line.first_m, True
+    at = street.line.first_m
     wish = _wish(building, rng)
     while at + wish[0] < street.line.last_m:
         length, depth, back, gap = wish
         for deep in (depth, 0.75 * depth):
             lot, outline = _lot(street, side, at, length, deep, back, building.kind)
             if not shapely.intersects(taken, outline) and not shapely.intersects(built, outline).any():
-                yield (_as_corner(lot) if corner and lot.kind == "front" else lot), outline
+                corner = building.kind == "front" and _at_corner(street, side, at, length, taken)
+                yield (replace(lot, kind="corner") if corner else lot), outline
                 at += length + gap
-                wish, corner = _wish(building, rng), False
+                wish = _wish(building, rng)
                 break
         else:
-            at, corner = at + _STEP_M, True
+            at += _STEP_M
 
 
-def _as_corner(lot: Lot) -> Lot:
-    return Lot(lot.origin, lot.yaw_rad, lot.length_m, lot.depth_m, "corner")
+def _at_corner(street: Street, side: int, at: float, length: float, taken: shapely.Geometry) -> bool:
+    """Whether another street runs beside a lot."""
+    aside = street.section.half_m + street.section.pavement_m + 5.0
+    beside = street.line.at(np.array([at - _CORNER_M, at + length + _CORNER_M]), side * aside)
+    return bool(shapely.contains_xy(taken, beside[:, 0], beside[:, 1]).any())
 
 
 def _wish(building: Building, rng: np.random.Generator) -> tuple[float, float, float, float]:

@@ -27,6 +27,7 @@ from mirror.synth.street.network import Network
 from mirror.synth.street.spots import lay_rails, lay_spots
 
 _FIELDS_M: Final = 260.0
+_FORECOURT_M: Final = 0.4
 _LEAST_RADIUS_M: Final = 50.0
 _MOST_RADIUS_M: Final = 400.0
 
@@ -115,7 +116,10 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
         layouts.dips,
     )
     roads = outlines(streets, layouts.stations, crossings, feet)
-    covers = (replace(scheme.pavement, outline=roads.roads), *scheme.covers)
+    covers = [replace(scheme.pavement, outline=roads.roads), *scheme.covers]
+    if scheme.forecourt_m:
+        forecourt = roads.roads.buffer(scheme.forecourt_m, join_style="bevel").simplify(_FORECOURT_M)
+        covers.append(replace(scheme.pavement, outline=forecourt))
     extent = roi.radius_m + BEYOND_M, roi.radius_m + _FIELDS_M
     ground = build_ground(
         streets, layouts.stations, roads, relief, layouts.stretches, covers, scheme.parcels, yaw, extent, seed

@@ -1,0 +1,140 @@
+"""What carriageways look like: asphalt with repairs, cracks and covers, and the markings that its layout names.
+
+Markings are stripes within rectangles, so the share of a footprint ``fu`` by ``fv`` that a mark covers is known in
+closed form: lines of a few centimetres fade with distance and never flicker.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from numba import njit
+
+from mirror.arrays import Records
+from mirror.synth.render.texture import band, chance, grain, noise
+
+Look = tuple[float, float, float, float, float, float, float]
+"""Reflectance of red, green and blue; emission of them; share of light that is mirrored at normal incidence."""
+
+_BED_U_M: Final = 13.0
+_BED_V_M: Final = 3.4
+_PATCHED: Final = 0.10
+_CRACK_M: Final = 3.1
+_COVER_U_M: Final = 23.0
+_COVER_RADIUS_M: Final = 0.33
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _filled(x: float, period: float, duty: float) -> float:
+    """Length of the stripes between 0 and x."""
+    whole = math.floor(x / period)
+    return period * (whole * duty + min(x / period - whole, duty))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def share(x: float, width: float, low: float, high: float, period: float, duty: float, phase: float) -> float:
+    """Share of the interval of ``width`` about x that lies on stripes between ``low`` and ``high``.
+
+    Args:
+        x: middle of the interval, metres.
+        width: of the interval, metres; above 0.
+        low: where the stripes begin.
+        high: where they end.
+        period: after which they repeat; 0: all between is one stripe.
+        duty: share of the period that a stripe fills.
+        phase: where one starts.
+    """
+    start, end = max(x - 0.5 * width, low), min(x + 0.5 * width, high)
+    if end <= start:
+        return 0.0
+    if period <= 0.0:
+        return (end - start) / width
+    return max(_filled(end - phase, period, duty) - _filled(start - phase, period, duty), 0.0) / width
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def covered(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
+    """Share of a footprint that a MARK covers."""
+    across = share(v, fv, mark.v_low, mark.v_high, mark.v_period, mark.v_duty, mark.v_phase)
+    if across <= 0.0:
+        return 0.0
+    # Over the footprint's height a slanted stripe shifts along u.
+    wide = fu + abs(mark.slant) * fv
+    return across * share(u, wide, mark.u_low, mark.u_high, mark.u_period, mark.u_duty, mark.u_phase + mark.slant * v)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float, fu: float, fv: float) -> Look:
+    """A carriageway at a place of its street.
+
+    Args:
+        one: the face, FACE, flat.
+        layouts: (L, K) MARK.
+        rough: the asphalt's grain there, filtered.
+        u: metres along the street.
+        v: metres to the left of its middle.
+        fu: the pixel's footprint along u, metres.
+        fv: along v.
+    """
+    fu, fv = max(fu, 1e-4), max(fv, 1e-4)
+    tone = rough * _worn_tone(one.seed, u, v, fu, fv)
+    r, g, b = one.colour_0 * tone, one.colour_1 * tone, one.colour_2 * tone
+    row = layouts[one.layout]
+    # Stones stand out of the paint.
+    paint = 0.35 + 0.65 * rough
+    for place in range(len(row)):
+        mark = row[place]
+        if mark.strength <= 0.0:
+            break
+        part = covered(mark, u, v, fu, fv)
+        if part > 0.0:
+            wide = max(fu, fv)
+            left = 1.0 - mark.worn * (
+                0.5 + 0.45 * grain(u, v, 0.31, wide, one.seed + 11) + 0.45 * grain(u, v, 2.3, wide, one.seed + 12)
+            )
+            part *= mark.strength * min(max(left, 0.0), 1.0)
+            r += part * (mark.red * paint - r)
+            g += part * (mark.green * paint - g)
+            b += part * (mark.blue * paint - b)
+    return r, g, b, 0.0, 0.0, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
+    """What repairs, cracks and covers make of the asphalt's tone."""
+    wide = max(fu, fv)
+    tone = 1.0
+    if wide < 0.5 * _BED_V_M:
+        tone *= _repaired(seed, u, v, fu, fv)
+    if wide < 0.25:
+        away = abs(noise(u / _CRACK_M, v / _CRACK_M, seed + 5) - 0.33)
+        half = 0.006 + 0.35 * wide / _CRACK_M
+        tone *= 1.0 - 0.45 * max(1.0 - away / half, 0.0) * 0.006 / half
+    if wide < _COVER_RADIUS_M:
+        cell = math.floor(u / _COVER_U_M)
+        if chance(cell, 3, seed) < 0.5:
+            du = u - (cell + 0.1 + 0.8 * chance(cell, 4, seed)) * _COVER_U_M
+            dv = v - 4.4 * (chance(cell, 5, seed) - 0.5)
+            away = math.sqrt(du * du + dv * dv)
+            disc = min(max((_COVER_RADIUS_M - away) / wide + 0.5, 0.0), 1.0)
+            ring = min(max(1.0 - abs(away - _COVER_RADIUS_M) / (0.03 + wide), 0.0), 1.0) * 0.03 / (0.03 + wide)
+            tone *= (1.0 - 0.3 * disc) * (1.0 - 0.6 * ring)
+    return tone
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _repaired(seed: int, u: float, v: float, fu: float, fv: float) -> float:
+    """Patches of younger or older asphalt, with a dark seam."""
+    i, j = math.floor(u / _BED_U_M), math.floor(v / _BED_V_M)
+    if chance(i, j, seed + 21) >= _PATCHED:
+        return 1.0
+    length, breadth = _BED_U_M * (0.2 + 0.7 * chance(i, j, seed + 22)), _BED_V_M * (0.3 + 0.6 * chance(i, j, seed + 23))
+    left = _BED_U_M * i + (_BED_U_M - length) * chance(i, j, seed + 24)
+    low = _BED_V_M * j + (_BED_V_M - breadth) * chance(i, j, seed + 25)
+    inside = band(u, left, left + length, fu) * band(v, low, low + breadth, fv)
+    if inside <= 0.0:
+        return 1.0
+    inner = band(u, left + 0.04, left + length - 0.04, fu) * band(v, low + 0.04, low + breadth - 0.04, fv)
+    change = 0.80 if chance(i, j, seed + 26) < 0.65 else 1.13
+    return 1.0 + inner * (change - 1.0) - 0.45 * (inside - inner)

@@ -54,9 +54,10 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
     panel = one.layout
     if panel == Panel.PLAIN:
         return r, g, b, 0.0, 0.0, 0.0, 0.05
-    seam, handle, low = 0.0, 0.0, 0.0
+    seam, handle, low, gloss = 0.0, 0.0, 0.0, 0.05
     if panel == Panel.ROW:
         seam = stripes(u + 0.006, 1.0, 0.012, fu)
+        gloss = 0.015
     elif panel == Panel.WING:
         seam = _line(u, 0.0, 0.008, fu)
     elif panel >= Panel.TWO_DOORS:
@@ -86,7 +87,7 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
         0.0,
         0.0,
         0.0,
-        0.05 * (1.0 - 0.8 * dust) * (1.0 - min(seam, 1.0)),
+        gloss * (1.0 - 0.8 * dust) * (1.0 - min(seam, 1.0)),
     )
 
 
@@ -107,11 +108,13 @@ def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Reco
     elif panel == Panel.ROW:
         pillar = stripes(u + 0.03, 1.0, 0.06, fu)
         hidden = 0.8 * band(v, -9.0, -0.5 * one.half_1, fv)
-    else:
+    elif panel == Panel.PLAIN:
         hidden = _line(u, 0.36, 0.14, fu) + _line(u, -0.36, 0.14, fu)
         hidden = max(min(hidden, 1.0) * band(v, -9.0, 0.1, fv), band(v, -9.0, 0.12 - one.half_1, fv))
         if one.side == Side.BACK:
             hidden = min(hidden + 0.3, 1.0)
+    else:
+        hidden = 0.75
     clear = max(1.0 - pillar - min(hidden, 1.0), 0.0)
     seen = 0.03 * clear
     r, g, b = one.colour_0, one.colour_1, one.colour_2

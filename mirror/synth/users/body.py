@@ -27,6 +27,10 @@ class Body:
     size_m: tuple[float, float, float]
     model: Model
 
+    def posed(self, placement: Placement) -> Model:
+        """The model as it moves, within the box too: people walk, all others keep their shape."""
+        return self.model
+
 
 def boxed(category: str, model: Model) -> Body:
     """The body of a model with the least box about it, its origin moved below the box's middle."""
@@ -65,6 +69,7 @@ class Placement:
         pitch_rad: nose upwards.
         roll_rad: left side upwards.
         speed_mps: forwards.
+        along_m: how far it has moved: people set their feet by it.
     """
 
     x_m: float
@@ -74,6 +79,7 @@ class Placement:
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
     speed_mps: float = 0.0
+    along_m: float = 0.0
 
     @property
     def translation(self) -> Float64:

@@ -20,8 +20,10 @@ HEADLIGHT: Final = Finish((0.62, 0.63, 0.65), Material.HEADLIGHT)
 TAIL_LIGHT: Final = Finish((0.30, 0.012, 0.014), Material.TAIL_LIGHT)
 RUBBER: Final = Finish((0.022, 0.022, 0.023), Material.RUBBER)
 BLACK: Final = Finish((0.016, 0.016, 0.017), Material.PLAIN)
-_RIM: Final = Finish((0.36, 0.37, 0.38), Material.RIM)
-_DARK_RIM: Final = Finish((0.06, 0.06, 0.065), Material.RIM)
+# From behind, below the vehicle, a wheel's outer side is seen through the wheel.
+RIM: Final = Finish((0.36, 0.37, 0.38), Material.RIM, two_sided=True)
+STEEL_RIM: Final = RIM._replace(colour=(0.30, 0.31, 0.32))
+_DARK_RIM: Final = RIM._replace(colour=(0.06, 0.06, 0.065))
 _TYRE_CORNERS: Final = 16
 
 # Shares of cars newly registered in Europe, rounded; tones vary from car to car.
@@ -54,7 +56,7 @@ def wheel(
     radius_m: float,
     width_m: float,
     *,
-    rim: Finish = _RIM,
+    rim: Finish = RIM,
     open_deg: float = 79.0,
     treads: int = 2,
 ) -> None:
@@ -91,7 +93,7 @@ def _between(outer_m: float, width_m: float, order: tuple[int, int]) -> list[flo
 
 def rim(rng: np.random.Generator) -> Finish:
     """Light alloy, or now and then black."""
-    return _DARK_RIM if rng.random() < 0.22 else _RIM._replace(colour=tuple(np.full(3, rng.uniform(0.26, 0.46))))
+    return _DARK_RIM if rng.random() < 0.22 else RIM._replace(colour=tuple(np.full(3, rng.uniform(0.26, 0.46))))
 
 
 def lamp(
@@ -150,10 +152,10 @@ def insert(
     sheets.sheet([low, low * mirror, high * mirror, high], side, finish, lift_m=lift_m)
 
 
-def number_plate(sheets: Sheets, middle: Sequence[float], side: Side, number: int) -> None:
-    """An upright number plate, facing forwards or backwards."""
+def number_plate(sheets: Sheets, middle: Sequence[float], side: Side, number: int, *, share: float = 1.0) -> None:
+    """An upright number plate, facing forwards or backwards; ``share`` of a car's in size."""
     x, y, z = middle
-    half, tall = 0.5 * PLATE_M[0], 0.5 * PLATE_M[1]
+    half, tall = 0.5 * share * PLATE_M[0], 0.5 * share * PLATE_M[1]
     corners: Float64 = np.array([(x, y + a * half, z + b * tall) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     sheets.sheet(corners, side, Finish((0.8, 0.8, 0.8), Material.IMAGE, image=number))
 

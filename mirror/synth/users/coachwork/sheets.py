@@ -28,7 +28,7 @@ class Panel(IntEnum):
 
     PLAIN = 0
     LOWER = 1
-    """Dust towards the ground; v as on doors."""
+    """Dust towards the ground; v as on doors. Through glass no seats are seen."""
     TWO_DOORS = 2
     """One on each side, from u = 0 to 1."""
     FOUR_DOORS = 3
@@ -42,12 +42,13 @@ class Panel(IntEnum):
 
 
 class Finish(NamedTuple):
-    """What a sheet is made of: colour, material, and what it shows."""
+    """What a sheet is made of: colour, material, what it shows, and whether it is seen from behind as well."""
 
     colour: Colour
     material: Material
     panel: Panel = Panel.PLAIN
     image: int = NO_IMAGE
+    two_sided: bool = False
 
 
 class _Sheet(NamedTuple):
@@ -155,6 +156,7 @@ class Sheets:
             part.faces["material"] = [int(one.finish.material) for one in some]
             part.faces["side"] = [int(one.side) for one in some]
             part.faces["image"] = [one.finish.image for one in some]
+            part.faces["two_sided"] = [one.finish.two_sided for one in some]
             parts.append(part)
         return merged([*parts, *self._models])
 

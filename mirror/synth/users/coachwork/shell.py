@@ -24,6 +24,7 @@ Point = tuple[float, float]
 
 DARK: Final = Finish((0.018, 0.018, 0.019), Material.PLAIN)
 PANE: Final = Finish((0.012, 0.013, 0.014), Material.GLASS)
+DARK_PANE: Final = PANE._replace(panel=Panel.LOWER)
 _LAP_M: Final = 0.035
 _LEDGE_M: Final = 0.015
 
@@ -179,7 +180,7 @@ def _at(foot: Point, top: Point, z: float) -> float:
     return foot[0] + (top[0] - foot[0]) * (z - foot[1]) / (top[1] - foot[1])
 
 
-def shell(sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Finish) -> None:
+def shell(sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Finish, screen: Finish = PANE) -> None:
     """Add flanks, ends, bonnet, deck, greenhouse and what is dark behind the wheels.
 
     Args:
@@ -188,11 +189,12 @@ def shell(sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Fi
         paint: of the body.
         sill: of the lowest band of flanks and ends.
         deck: behind the rear window.
+        screen: the windscreen.
     """
     _flanks(sheets, shape, paint, sill)
     for end in (shape.front, shape.back):
         _end(sheets, shape, end, paint, sill, paint if end is shape.front else deck)
-    _greenhouse(sheets, shape, paint)
+    _greenhouse(sheets, shape, paint, screen)
     inner = 0.5 * shape.width_m - 0.27
     low, high = shape.levels_m[0], shape.levels_m[3] + 0.02
     sheets.block(
@@ -300,7 +302,7 @@ def _across(low: tuple[float, float, float] | Float64, high: tuple[float, float,
     return np.array([one, one * mirror, other * mirror, other])
 
 
-def _greenhouse(sheets: Sheets, shape: Shape, paint: Finish) -> None:
+def _greenhouse(sheets: Sheets, shape: Shape, paint: Finish, screen: Finish) -> None:
     waist, rail = shape.waist_m, shape.rail_m
     front, back = shape.roof[0][0], shape.roof[-1][0]
     crown = shape.crown
@@ -311,7 +313,7 @@ def _greenhouse(sheets: Sheets, shape: Shape, paint: Finish) -> None:
     first, last = crown.index(shape.roof[1]), crown.index(shape.roof[-2])
     for here, there in pairwise(crown[first : last + 1]):
         sheets.sheet(_across(shape.side(*here), shape.side(*there)), Side.TOP, paint)
-    sheets.sheet(pane(shape, shape.screen, waist, shape.roof[1][1]), Side.FRONT, PANE)
+    sheets.sheet(pane(shape, shape.screen, waist, shape.roof[1][1]), Side.FRONT, screen)
     sheets.sheet(pane(shape, shape.rear_window, waist, shape.roof[-2][1]), Side.BACK, paint)
 
 

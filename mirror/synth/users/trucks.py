@@ -1,0 +1,248 @@
+"""Trucks with the cab over the engine: box bodies, tippers, and tractors with a trailer."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from mirror.synth.model import Label, Material, Side
+from mirror.synth.textures.catalogue import LIVERIES
+from mirror.synth.users.body import Body, boxed
+from mirror.synth.users.coachwork.fittings import (
+    BLACK,
+    HEADLIGHT,
+    STEEL_RIM,
+    TAIL_LIGHT,
+    car_paint,
+    number_plate,
+    plates,
+    wheel,
+)
+from mirror.synth.users.coachwork.sheets import Colour, Finish, Panel, Sheets
+from mirror.synth.users.coachwork.shell import DARK, DARK_PANE, PANE
+
+_WIDTH_M: Final = 2.44
+_CORNER_M: Final = 0.20
+_FLOOR_M: Final = 1.08
+_WALLS: Final = (Side.LEFT, Side.RIGHT, Side.FRONT, Side.BACK)
+_BODY_COLOURS: Final[tuple[Colour, ...]] = (
+    (0.70, 0.70, 0.69),
+    (0.70, 0.70, 0.69),
+    (0.42, 0.43, 0.44),
+    (0.05, 0.13, 0.32),
+    (0.36, 0.03, 0.03),
+    (0.50, 0.30, 0.02),
+    (0.04, 0.17, 0.10),
+)
+
+
+class _Cab(NamedTuple):
+    """Measures of a cab, in metres: where its back and its front are, how high it is, and the wheels below it."""
+
+    back: float
+    front: float
+    high: float
+    wheel: float
+
+    @property
+    def axle(self) -> float:
+        return self.front - 1.36
+
+
+def truck(rng: np.random.Generator) -> Body:
+    """Any truck."""
+    kinds = (box_truck, tipper, articulated_truck)
+    return kinds[int(rng.choice(3, p=(0.55, 0.2, 0.25)))](rng)
+
+
+def box_truck(rng: np.random.Generator) -> Body:
+    """Two axles and a closed body, often with its firm's picture."""
+    sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
+    long, high = rng.uniform(5.4, 6.6), rng.uniform(3.3, 3.6)
+    _cab(sheets, _Cab(long, long + 1.85, 2.72, 0.46), car_paint(rng), rng)
+    _frame(sheets, 0.1, long + 1.2)
+    wheel(sheets, 1.75, 1.22, 0.46, 0.50, rim=STEEL_RIM, open_deg=124.0, treads=3)
+    _box(sheets, (0.0, long - 0.12), (1.02, high), _colour(rng), rng)
+    _tail(sheets, 0.0, 0.62, plates(rng))
+    return boxed("truck", sheets.model())
+
+
+def tipper(rng: np.random.Generator) -> Body:
+    """Three axles and an open skip."""
+    sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
+    _cab(sheets, _Cab(5.35, 7.25, 2.86, 0.50), car_paint(rng), rng)
+    _frame(sheets, 0.2, 6.4)
+    for x in (1.15, 2.50):
+        wheel(sheets, x, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
+    skip = Finish(_BODY_COLOURS[int(rng.integers(3, len(_BODY_COLOURS)))], Material.METAL)
+    low, high, ends = 1.12, rng.uniform(2.15, 2.45), (0.0, 5.1)
+    half, top = 1.12, 1.24
+    flank = [(ends[0] + 0.12, half, low), (ends[1], half, low), (ends[1], top, high), (ends[0], top, high)]
+    ribs = skip._replace(material=Material.PAINT, panel=Panel.ROW)
+    sheets.sheet(flank, Side.LEFT, ribs, texture=lambda places: places[:, [0, 2]] / (0.85, 1.0), both=True)
+    for x, other, side in ((ends[0] + 0.12, ends[0], Side.BACK), (ends[1], ends[1], Side.FRONT)):
+        sheets.sheet([(x, half, low), (x, -half, low), (other, -top, high), (other, top, high)], side, skip)
+    load = Finish((0.16, 0.13, 0.10), Material.GRAVEL)
+    sheets.sheet(
+        [
+            (ends[0], top, high - 0.1),
+            (ends[0], -top, high - 0.1),
+            (ends[1], -top, high - 0.1),
+            (ends[1], top, high - 0.1),
+        ],
+        Side.TOP,
+        load,
+    )
+    # A board over the cab.
+    sheets.block((ends[1], -top, high), (5.9, top, high + 0.55), skip, (Side.FRONT, Side.LEFT, Side.RIGHT, Side.TOP))
+    _tail(sheets, 0.05, 0.72, plates(rng))
+    return boxed("truck", sheets.model())
+
+
+def articulated_truck(rng: np.random.Generator) -> Body:
+    """A tractor with a trailer of three axles, in line."""
+    sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
+    cab = _Cab(14.15, 16.2, 3.05, 0.50)
+    coat = car_paint(rng)
+    _cab(sheets, cab, coat, rng)
+    _spoiler(sheets, cab, coat)
+    _frame(sheets, 10.1, 15.4)
+    _frame(sheets, 0.1, 9.9)
+    wheel(sheets, 11.15, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
+    for x in (1.75, 3.06, 4.37):
+        wheel(sheets, x, 1.25, 0.48, 0.40, rim=STEEL_RIM, open_deg=100.0)
+    _box(sheets, (0.0, 13.6), (1.16, 3.95), _colour(rng), rng)
+    for x in (5.4, 7.6):
+        sheets.block((x, 1.0, 0.45), (x + 2.0, 1.24, 1.0), DARK, (Side.LEFT,), both=True)
+    _tail(sheets, 0.0, 0.66, plates(rng))
+    return boxed("truck", sheets.model())
+
+
+def _colour(rng: np.random.Generator) -> Colour:
+    return _BODY_COLOURS[int(rng.integers(len(_BODY_COLOURS)))]
+
+
+def _cab(sheets: Sheets, cab: _Cab, coat: Finish, rng: np.random.Generator) -> None:
+    """Front, corners, flanks, windows, lamps, steps, wheels, mirrors and a plate."""
+    half, inner = 0.5 * _WIDTH_M, 0.5 * _WIDTH_M - _CORNER_M
+    waist, brow = 1.72, cab.high - 0.32
+    # Heights, and how far the front stands back there.
+    levels = ((0.38, 0.05), (_FLOOR_M, 0.0), (waist, 0.02), (brow, 0.14), (cab.high, 0.34))
+    bumper = coat if rng.random() < 0.6 else BLACK
+    for (low, back), (high, other) in pairwise(levels):
+        finish = bumper if low < _FLOOR_M else DARK_PANE if low == waist else coat
+        ahead, above = cab.front - back, cab.front - other
+        front = [(ahead, inner, low), (ahead, -inner, low), (above, -inner, high), (above, inner, high)]
+        sheets.sheet(front, Side.FRONT, finish)
+        corner = [
+            (ahead, inner, low), (ahead - _CORNER_M, half, low),
+            (above - _CORNER_M, half, high), (above, inner, high),
+        ]  # fmt: skip
+        sheets.sheet(corner, Side.FRONT, bumper if low < _FLOOR_M else coat, both=True)
+    edge = cab.front - _CORNER_M
+    flank = [
+        (cab.back, half, _FLOOR_M), (edge, half, _FLOOR_M), (edge - 0.02, half, waist), (edge - 0.14, half, brow),
+        (edge - 0.34, half, cab.high), (cab.back, half, cab.high),
+    ]  # fmt: skip
+    door = coat._replace(panel=Panel.TWO_DOORS)
+    sheets.sheet(
+        flank, Side.LEFT, door,
+        texture=lambda places: np.c_[(places[:, 0] - cab.front + 1.5) / 1.12, (places[:, 2] - waist) * 0.95], both=True,
+    )  # fmt: skip
+    glass = [
+        (cab.front - 1.42, half, waist + 0.06), (cab.front - 0.46, half, waist - 0.04),
+        (cab.front - 0.56, half, brow), (cab.front - 1.42, half, brow),
+    ]  # fmt: skip
+    sheets.sheet(glass, Side.LEFT, PANE, lift_m=0.004, both=True)
+    step = [
+        (cab.axle + 0.60, half - 0.02, 0.38), (edge - 0.05, half, 0.38), (edge, half, _FLOOR_M),
+        (cab.axle + 0.62, half, _FLOOR_M),
+    ]  # fmt: skip
+    step = [(x, half, z) for x, _, z in step]
+    sheets.sheet(step, Side.LEFT, bumper, both=True)
+    top = edge - 0.34
+    roof = [(cab.back, half), (top, half), (cab.front - 0.34, inner), (cab.front - 0.34, -inner), (top, -half)]
+    sheets.sheet([(x, y, cab.high) for x, y in [*roof, (cab.back, -half)]], Side.TOP, coat)
+    sheets.block((cab.back, -half, _FLOOR_M), (cab.back + 0.1, half, cab.high), coat, (Side.BACK,))
+    sheets.block((cab.back + 0.1, -0.92, 0.45), (cab.front - 0.4, 0.92, _FLOOR_M), DARK, (Side.LEFT,), both=True)
+    grille = [(cab.front, y, z) for y, z in ((0.78, 1.14), (-0.78, 1.14), (-0.78, 1.60), (0.78, 1.60))]
+    grille = [(x - 0.02 * (z - _FLOOR_M) / (waist - _FLOOR_M), y, z) for x, y, z in grille]
+    sheets.sheet(grille, Side.FRONT, BLACK, lift_m=0.004)
+    lamps = [
+        (cab.front - 0.05 * (_FLOOR_M - z) / 0.7, y, z)
+        for y, z in ((0.60, 0.62), (0.98, 0.62), (0.98, 0.84), (0.60, 0.84))
+    ]
+    sheets.sheet(lamps, Side.FRONT, HEADLIGHT, lift_m=0.004, both=True)
+    number_plate(sheets, (cab.front + 0.012, 0.0, 0.72), Side.FRONT, plates(rng))
+    wheel(sheets, cab.axle, half - 0.03, cab.wheel, 0.32, rim=STEEL_RIM, open_deg=124.0, treads=3)
+    x, y = cab.front - 0.42, half + 0.10
+    sheets.block((x, y, 2.02), (x + 0.12, y + 0.20, 2.62), BLACK, (*_WALLS, Side.TOP), both=True)
+
+
+def _spoiler(sheets: Sheets, cab: _Cab, coat: Finish) -> None:
+    """A roof that rises to the trailer's height."""
+    half, low, high = 0.5 * _WIDTH_M - 0.06, cab.high, 3.82
+    foot, top = cab.front - 0.50, cab.back + 0.45
+    sheets.sheet(
+        [(foot, half, low), (foot, -half, low), (top, -half + 0.1, high), (top, half - 0.1, high)], Side.FRONT, coat
+    )
+    sheets.sheet(
+        [(cab.back, half, low), (foot, half, low), (top, half - 0.1, high), (cab.back, half - 0.1, high)],
+        Side.LEFT,
+        coat,
+        both=True,
+    )
+    sheets.sheet(
+        [
+            (x, y, high)
+            for x, y in ((cab.back, half - 0.1), (top, half - 0.1), (top, 0.1 - half), (cab.back, 0.1 - half))
+        ],
+        Side.TOP,
+        coat,
+    )
+
+
+def _frame(sheets: Sheets, back: float, front: float) -> None:
+    """Girders, tanks and what else is dark under a body."""
+    sheets.block((back, -0.55, 0.55), (front, 0.55, 1.06), DARK, (Side.LEFT, Side.FRONT, Side.BACK), both=True)
+
+
+def _box(
+    sheets: Sheets, ends: tuple[float, float], heights: tuple[float, float], colour: Colour, rng: np.random.Generator
+) -> None:
+    """A closed body with doors behind, and a picture on both sides of two in three."""
+    (back, front), (low, high) = ends, heights
+    half = 1.275
+    wall = Finish(colour, Material.PAINT, Panel.ROW)
+    flank = [(back, half, low), (front, half, low), (front, half, high), (back, half, high)]
+    pitch = 1.13
+    sheets.sheet(flank, Side.LEFT, wall, texture=lambda places: places[:, [0, 2]] / (pitch, 1.0), both=True)
+    plain = Finish(colour, Material.PAINT)
+    doors = plain._replace(panel=Panel.WING)
+    corners = np.array([(y, z) for y, z in ((half, low), (-half, low), (-half, high), (half, high))])
+    sheets.sheet(np.c_[np.full(4, back), corners], Side.BACK, doors, texture=lambda places: places[:, 1:])
+    sheets.sheet(np.c_[np.full(4, front), corners], Side.FRONT, plain)
+    sheets.block((back, -half, low), (front, half, high), plain, (Side.TOP, Side.BOTTOM))
+    sheets.block((back, half - 0.01, low - 0.10), (front, half - 0.01, low), DARK, (Side.LEFT,), both=True)
+    if rng.random() < 0.65:
+        tall = 0.78 * (high - low)
+        middle, foot, wide = 0.5 * (back + front), low + 0.11 * (high - low), 2.0 * tall
+        picture = Finish((0.7, 0.7, 0.7), Material.IMAGE, image=int(rng.choice(LIVERIES)))
+        place = np.array(
+            [
+                (middle - 0.5 * wide, half, foot), (middle + 0.5 * wide, half, foot),
+                (middle + 0.5 * wide, half, foot + tall), (middle - 0.5 * wide, half, foot + tall),
+            ]
+        )  # fmt: skip
+        sheets.sheet(place, Side.LEFT, picture, lift_m=0.004)
+        sheets.sheet(place * (1.0, -1.0, 1.0), Side.RIGHT, picture, lift_m=0.004)
+
+
+def _tail(sheets: Sheets, x: float, z: float, number: int) -> None:
+    """Underrun bar, tail lights, plate."""
+    sheets.block((x + 0.02, -1.15, z - 0.08), (x + 0.14, 1.15, z + 0.06), DARK, (Side.BACK, Side.TOP))
+    lamps = [(x + 0.016, y, h) for y, h in ((0.72, z - 0.04), (1.14, z - 0.04), (1.14, z + 0.12), (0.72, z + 0.12))]
+    sheets.sheet(lamps, Side.BACK, TAIL_LIGHT, both=True)
+    number_plate(sheets, (x + 0.012, 0.0, z), Side.BACK, number)

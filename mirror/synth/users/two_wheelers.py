@@ -81,6 +81,7 @@ def scooter(rng: np.random.Generator, *, ridden: bool = True) -> Body:
     head = (0.46, 0.98)
     outline = ((0.16, 0.30), (-0.16, 0.30), (-0.22, 0.60), (-0.15, 0.92), (0.15, 0.92), (0.22, 0.60))
     shield = [(0.48 - 0.13 * z, y, z) for y, z in outline]
+    sheets.sheet(shield, Side.FRONT, coat._replace(two_sided=True))
     _ball(sheets, (0.47, 0.0, 0.72), (0.20, 0.26, 0.46), coat)
     _ball(sheets, (front, 0.0, 0.44), (0.44, 0.17, 0.18), coat)
     _bar(sheets, (front, 0.0, radius), (0.52, 0.0, 0.62), 0.05, _BLACK)

@@ -175,6 +175,7 @@ class Moving:
             found[4],
             found[5],
             math.hypot(slope[0], slope[1]) / STEP_M * speed / schedule.step_s,
+            along,
         )
 
 

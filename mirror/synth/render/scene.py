@@ -162,7 +162,7 @@ class Scene:
         drawn = []
         for number, place in placements.items():
             user = self.users[number]
-            model = user.body.model.placed(place.rotation, place.translation, number)
+            model = user.body.posed(place).placed(place.rotation, place.translation, number)
             model.faces["lights"] = not isinstance(user.motion, Still)
             drawn.append(model)
         moving = merged(drawn)

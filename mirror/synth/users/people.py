@@ -9,9 +9,9 @@ import numpy as np
 
 from mirror.synth.model import Label, Model
 from mirror.synth.textures.catalogue import FACES
-from mirror.synth.users.body import Body, Saddle
+from mirror.synth.users.body import Body, Placement, Saddle
 from mirror.synth.users.figure import Bag, Colour, Garment, Hat, Person, dressed
-from mirror.synth.users.skeleton import STRIDE, riding, standing, walking
+from mirror.synth.users.skeleton import STRIDE, riding, walking
 
 _TOPS: Final[tuple[Colour, ...]] = (
     (0.018, 0.019, 0.022), (0.018, 0.019, 0.022), (0.028, 0.034, 0.060), (0.075, 0.078, 0.082), (0.17, 0.165, 0.155),
@@ -23,9 +23,9 @@ _LEGS: Final[tuple[Colour, ...]] = (
     (0.050, 0.047, 0.038),
 )  # fmt: skip
 _SHOES: Final[tuple[Colour, ...]] = ((0.02, 0.02, 0.02), (0.055, 0.033, 0.02), (0.45, 0.45, 0.44))
-_BOX_PHASES: Final = 16
-_BOX_SPARE_M: Final = 0.002
-"""Added to the box, for phases between those that were looked at."""
+_FULL_PACE_MPS: Final = 0.9
+_BOX_SPARE_M: Final = 0.004
+"""Added to the box, for poses between those that were looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,17 +40,28 @@ class Pedestrian(Body):
 
     @property
     def stride_m(self) -> float:
-        """Two steps: one phase of the gait."""
+        """Two steps at full pace."""
         return STRIDE * self.person.height_m
 
-    def posed(self, phase: float) -> Model:
-        """Walking; within the box at every phase.
+    def posed(self, placement: Placement) -> Model:
+        """Walking, with shorter steps when slow, or standing."""
+        return self.walking(placement.along_m / self.stride_m, min(placement.speed_mps / _FULL_PACE_MPS, 1.0))
+
+    def walking(self, phase: float, pace: float = 1.0) -> Model:
+        """A step; within the box at every phase and pace.
 
         Args:
             phase: distance walked by ``stride_m``; the gait repeats after 1.
+            pace: 0 standing to 1 full steps.
         """
-        return dressed(self.person, walking(self.person.height_m, phase, held=self.person.umbrella is not None),
-                       Label.PERSON)  # fmt: skip
+        if pace <= 0.0:
+            return self.model
+        return _walker(self.person, phase, pace)
+
+
+def _walker(who: Person, phase: float, pace: float) -> Model:
+    skeleton = walking(who.height_m, phase, pace, held=who.umbrella is not None)
+    return dressed(who, skeleton, Label.PERSON)
 
 
 def person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False) -> Person:
@@ -89,13 +100,12 @@ def pedestrian(
 ) -> Pedestrian:
     """A person on foot; arguments as those of :func:`person`."""
     who = person(rng, child=child, umbrella=umbrella, warm=warm)
-    held = umbrella
-    still = dressed(who, standing(who.height_m, held=held), Label.PERSON)
-    poses = [dressed(who, walking(who.height_m, k / _BOX_PHASES, held=held), Label.PERSON) for k in range(_BOX_PHASES)]
+    still = _walker(who, 0.0, 0.0)
+    # Arms and legs are furthest out as the heels come down, the head is highest half-way between.
+    poses = [_walker(who, phase, 1.0) for phase in (0.0, 0.25, 0.5, 0.75)]
     ends = np.array([np.abs(model.bounds()).max(axis=0) for model in (still, *poses)]).max(axis=0)
-    length, width, height = 2.0 * ends[0], 2.0 * ends[1], ends[2]
-    spare = _BOX_SPARE_M
-    return Pedestrian("pedestrian", (length + 2 * spare, width + 2 * spare, height + spare), still, who)
+    length, width, height = np.array([2.0, 2.0, 1.0]) * ends + _BOX_SPARE_M
+    return Pedestrian("pedestrian", (float(length), float(width), float(height)), still, who)
 
 
 def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False) -> Model:

@@ -59,33 +59,27 @@ def head_half_m(height_m: float) -> float:
     return 0.5 * (0.160 + 0.037 * height_m)
 
 
-def standing(height_m: float, *, held: bool = False) -> Skeleton:
-    """Upright, the arms hanging down; ``held``: the left hand holds something up."""
-    x = np.array([0.03, -0.03]) * height_m
-    ankles = np.c_[x, np.array([1.0, -1.0]) * _HIP_OUT * height_m, np.full(2, _ANKLE * height_m)]
-    return _upright(height_m, ankles, np.zeros(2), np.zeros(2), 0.0, held)
-
-
-def walking(height_m: float, phase: float, *, held: bool = False) -> Skeleton:
-    """A step of a walk: feet stand still on the ground while the body passes over them.
+def walking(height_m: float, phase: float, pace: float, *, held: bool = False) -> Skeleton:
+    """A step of a walk: at full pace feet stand still on the ground while the body passes over them.
 
     Args:
         height_m: of the person.
         phase: of the stride; it repeats after 1. At 0 the left heel comes down.
+        pace: length of the steps, 0 to 1; at 0 the person stands.
         held: the left hand holds something up.
     """
-    stride = STRIDE * height_m
+    stride = STRIDE * height_m * pace
     phases = (phase + np.array([0.0, 0.5])) % 1.0
     stance, swing = np.minimum(phases / _STANCE, 1.0), np.maximum((phases - _STANCE) / (1.0 - _STANCE), 0.0)
     eased = swing - np.sin(2.0 * math.pi * swing) / (2.0 * math.pi)
     x = np.where(phases < _STANCE, _STANCE * stride * (0.5 - stance), _STANCE * stride * (eased - 0.5))
     # The heel leaves the ground in the last third of the stance; the toes point up as it comes down.
-    roll = np.clip((stance - 0.62) / 0.38, 0.0, 1.0) ** 1.5 * np.where(swing > 0.0, 1.0 - eased, 1.0)
-    pitch = -0.95 * roll + 0.30 * np.where(swing > 0.0, eased**3, np.clip(1.0 - 5.0 * stance, 0.0, 1.0))
-    lift = 0.075 * height_m * roll + 0.035 * height_m * np.sin(math.pi * swing) ** 2
+    roll = pace * np.clip((stance - 0.62) / 0.38, 0.0, 1.0) ** 1.5 * np.where(swing > 0.0, 1.0 - eased, 1.0)
+    pitch = -0.95 * roll + 0.30 * pace * np.where(swing > 0.0, eased**3, np.clip(1.0 - 5.0 * stance, 0.0, 1.0))
+    lift = 0.075 * height_m * roll + 0.035 * height_m * pace * np.sin(math.pi * swing) ** 2
     ahead = 0.03 * height_m * np.sin(roll)
     ankles = np.c_[x + ahead, np.array([0.8, -0.8]) * _HIP_OUT * height_m, _ANKLE * height_m + lift]
-    return _upright(height_m, ankles, pitch, x / (0.5 * _STANCE * stride), 0.05, held)
+    return _upright(height_m, ankles, pitch, x / (0.5 * _STANCE * STRIDE * height_m), 0.05 * pace, held)
 
 
 def _upright(height_m: float, ankles: Float64, pitch: Float64, step: Float64, lean: float, held: bool) -> Skeleton:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import NO_IMAGE, Label, Material, Model, merged, polygons
-from mirror.synth.model.batches import ellipsoids, tubes
+from mirror.synth.model.batches import ellipsoids
 from mirror.synth.textures.faces import HEAD_ASPECT, features
 from mirror.synth.users.skeleton import Skeleton, head_half_m
 
@@ -109,6 +109,8 @@ def dressed(person: Person, skeleton: Skeleton, label: Label) -> Model:
     _head(rounds, person, skeleton)
     _trunk(rounds, person, skeleton)
     _limbs(rounds, person, skeleton)
+    if person.umbrella is not None:
+        rounds.limb(skeleton.wrists[0], _umbrella_top(person, skeleton), 0.010, _BLACK, Material.METAL, 1.0)
     parts = [rounds.model(label, person.seed)]
     if person.garment in ("coat", "dress"):
         parts.append(_skirt(person, skeleton, label))
@@ -240,13 +242,15 @@ def _handbag(person: Person, skeleton: Skeleton, label: Label) -> Model:
 
 
 def _umbrella(person: Person, colour: Colour, skeleton: Skeleton, label: Label) -> Model:
-    """Eight panels on a stick over the left hand."""
-    grip = skeleton.wrists[0] + [0.03, 0.0, 0.0]
-    apex = np.array([grip[0] + 0.02, 0.6 * grip[1], person.height_m + 0.30])
+    """Eight panels."""
+    apex = _umbrella_top(person, skeleton)
     angle = 2.0 * math.pi * np.arange(9) / 8
     rim = apex + np.c_[0.48 * np.cos(angle), 0.48 * np.sin(angle), np.full(9, -0.24)]
     panels = np.stack([rim[:-1], rim[1:], np.broadcast_to(apex, (8, 3))], axis=1)
-    stick = tubes(
-        grip[None], apex[None], np.array([0.011]), np.array([0.009]), _BLACK, Material.METAL, label, corners=3
-    )
-    return merged([polygons(panels, colour, Material.CLOTH, label, seeds=person.seed, two_sided=True), stick])
+    return polygons(panels, colour, Material.CLOTH, label, seeds=person.seed, two_sided=True)
+
+
+def _umbrella_top(person: Person, skeleton: Skeleton) -> Float64:
+    """Over the left hand and a little towards the head."""
+    hand = skeleton.wrists[0]
+    return np.array([hand[0] + 0.05, 0.6 * hand[1], person.height_m + 0.30])

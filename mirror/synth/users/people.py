@@ -24,6 +24,8 @@ _LEGS: Final[tuple[Colour, ...]] = (
 )  # fmt: skip
 _SHOES: Final[tuple[Colour, ...]] = ((0.02, 0.02, 0.02), (0.055, 0.033, 0.02), (0.45, 0.45, 0.44))
 _FULL_PACE_MPS: Final = 0.9
+_RIDING_LEG: Final = 0.50
+"""From the saddle to the lower pedal at most, as a share of the height."""
 _BOX_SPARE_M: Final = 0.004
 """Added to the box, for poses between those that were looked at."""
 
@@ -88,7 +90,7 @@ def person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = Fa
         shoes=_SHOES[int(rng.integers(len(_SHOES)))],
         hat=hats[int(rng.integers(len(hats)))],
         hat_colour=colours[1],
-        bag=bags[int(rng.integers(len(bags)))],
+        bag="none" if umbrella else bags[int(rng.integers(len(bags)))],
         bag_colour=colours[2],
         umbrella=colours[3] if umbrella else None,
         seed=int(rng.integers(1 << 30)),
@@ -120,5 +122,7 @@ def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False)
     hats: tuple[Hat, ...] = ("full helmet",) if motorcycle else ("cycle helmet", "cycle helmet", "none")
     bag: Bag = "none" if who.bag == "handbag" else who.bag
     garment: Garment = "jacket" if motorcycle or rng.random() < 0.6 else "shirt"
-    who = replace(who, garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag)
+    # Whoever rides it has long enough legs.
+    height = max(who.height_m, float(np.linalg.norm(np.subtract(saddle.hip, saddle.foot))) / _RIDING_LEG)
+    who = replace(who, height_m=min(height, 2.0), garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag)
     return dressed(who, riding(who.height_m, saddle), Label.RIDER)

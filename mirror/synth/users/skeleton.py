@@ -124,9 +124,10 @@ def _above(height_m: float, chest: Float64, up: Float64) -> tuple[Float64, Float
 def riding(height_m: float, saddle: Saddle) -> Skeleton:
     """On a two-wheeler, hands on the grips and feet on the pedals."""
     side = np.array([1.0, -1.0])
-    hip = np.array(saddle.hip) + np.array([0.0, 0.0, 0.075]) * height_m
+    hip = np.array(saddle.hip) + np.array([0.0, 0.0, 0.055]) * height_m
     hips = hip + np.c_[np.zeros(2), side * _HIP_OUT * height_m, np.zeros(2)]
-    ankles = np.array([saddle.foot, saddle.foot_right]) + np.array([-0.03, 0.0, _ANKLE]) * height_m
+    # The ball of the foot is on the pedal, the heel above it.
+    ankles = np.array([saddle.foot, saddle.foot_right]) + np.array([-0.055, 0.0, 0.072]) * height_m
     knees = _joint(hips, ankles, _THIGH * height_m, _SHANK * height_m, np.array([1.0, 0.0, 0.35]))
     grips = np.array([saddle.hand, saddle.hand]) * np.c_[np.ones(2), side, np.ones(2)]
     wrists = grips + np.array([-0.05, 0.0, 0.02]) * height_m
@@ -140,7 +141,7 @@ def riding(height_m: float, saddle: Saddle) -> Skeleton:
     elbows = _joint(shoulders, wrists, _ARM * height_m, _FOREARM * height_m, np.array([-0.3, 0.0, -1.0]))
     elbows += np.c_[np.zeros(2), 0.02 * side, np.zeros(2)]
     neck, head = _above(height_m, chest, up)
-    soles = np.tile([1.0, 0.0, -0.08], (2, 1))
+    soles = np.tile([0.90, 0.0, -0.43], (2, 1))
     return Skeleton(hips, knees, ankles, soles, shoulders, elbows, wrists, neck, head, 0.0)
 
 

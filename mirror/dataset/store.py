@@ -145,7 +145,7 @@ class Store:
         """Some bytes of a picture's uri; fewer if the file ends before.
 
         Raises:
-            DatasetError: a relative uri leads out of the dataset.
+            DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
             OSError: the file cannot be read.
         """
         place = self.resolve(uri)
@@ -159,14 +159,22 @@ class Store:
         """A picture's uri as a local path, or as a file system and a path in it.
 
         Raises:
-            DatasetError: a relative uri leads out of the dataset.
+            DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
         """
         if "://" in uri:
             if uri.startswith("file://"):
                 return Path(unquote(urlsplit(uri).path))
             import fsspec
 
-            filesystem, path = fsspec.core.url_to_fs(uri)
+            try:
+                filesystem, path = fsspec.core.url_to_fs(uri)
+            except (ImportError, ValueError) as error:
+                raise DatasetError(
+                    f"this uri cannot be opened: {error}",
+                    file=uri,
+                    expected="a uri that fsspec reads with the packages installed here",
+                    remedy="pip install the package that reads it (s3fs for s3://, gcsfs for gs://)",
+                ) from error
             return filesystem, path
         if uri.startswith("/"):
             return Path(uri)

@@ -1,4 +1,4 @@
-"""Pictures into a traversal's folder: linked or copied byte for byte, never re-encoded, hashed on the way."""
+"""Pictures of a traversal: linked or copied byte for byte, never re-encoded, hashed on the way; or referred to."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
-from mirror.recordings.protocol import ImageStream
+from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.recordings.raster import raster_size, require_whole
 from mirror.schema.files import unwritable
 
@@ -24,15 +26,15 @@ _NOT_LINKABLE = (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.ENOTSUP)
 
 @dataclass(frozen=True)
 class Placed:
-    """The pictures of one camera in a traversal's folder.
+    """The N pictures of one camera of a traversal.
 
     Attributes:
-        names: file names.
+        names: file names in the camera's folder, or absolute uris.
         sizes: bytes of each.
-        sha256: digest of each, or None where hashing is off.
+        sha256: digest of each, or None where hashing is off or the pictures lie elsewhere.
         codec: ``jpeg`` or ``png``.
-        width_px: of the first picture.
-        height_px: of the first picture.
+        width_px: (N,) of each; of files, of the first.
+        height_px: (N,) of each; of files, of the first.
         linked: how many are hard links to the recording's own files.
     """
 
@@ -40,9 +42,24 @@ class Placed:
     sizes: list[int]
     sha256: list[bytes | None]
     codec: str
-    width_px: int
-    height_px: int
+    width_px: Int64
+    height_px: Int64
     linked: int
+
+
+def refer_to_pictures(stream: ReferencedStream, selected: Int64, advance: Callable[[int], None]) -> Placed:
+    """Leave a camera's selected pictures where they are; none is opened.
+
+    Args:
+        stream: the camera.
+        selected: (N,) ascending indices into the stream.
+        advance: called with the number of pictures.
+    """
+    uris, sizes = [stream.uris[index] for index in selected.tolist()], stream.byte_length[selected]
+    advance(len(uris))
+    nothing: list[bytes | None] = [None] * len(uris)
+    width, height = stream.width_px[selected], stream.height_px[selected]
+    return Placed(uris, sizes.tolist(), nothing, stream.codec, width, height, 0)
 
 
 def place_pictures(
@@ -142,7 +159,8 @@ def _place(
     advance(len(sizes) % _TOLD_EVERY)
     if len(sizes) != len(indices):
         raise RecordingError(f"gave {len(sizes)} of {len(indices)} pictures", place=f"camera {stream.camera}")
-    return Placed(names, sizes, digests, codec, width, height, linked)
+    widths, heights = np.full(len(sizes), width), np.full(len(sizes), height)
+    return Placed(names, sizes, digests, codec, widths, heights, linked)
 
 
 def _first_size(source: str | Path | None) -> tuple[int, int]:

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -17,10 +17,10 @@ from mirror.arrays import Int64
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError
 from mirror.ingest.judge import JudgedDrive
-from mirror.ingest.pictures import Placed, Transfer, place_pictures
+from mirror.ingest.pictures import Placed, Transfer, place_pictures, refer_to_pictures
 from mirror.ingest.tables import assign_frames, pose_table
 from mirror.ingest.trigger import Pass
-from mirror.recordings.protocol import ImageStream
+from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.schema.documents import Pictures, Roi, is_identifier
 from mirror.schema.files import conform, encode_table, write_bytes
 from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, Table
@@ -124,7 +124,14 @@ def _write(
     one, folder = drive.passes[number], layout.recorded(name)
     streams = selected_pictures(drive, one)
     _write_boxes(layout, name, drive, one, derived_from)
-    place = partial(place_pictures, transfer=options.transfer, hashing=options.hashing, advance=advance)
+
+    def place(stream: ImageStream, indices: Int64, stamps: Int64, folder: Path) -> Placed:
+        if isinstance(stream, ReferencedStream):
+            return refer_to_pictures(stream, indices, advance)
+        return place_pictures(
+            stream, indices, stamps, folder, transfer=options.transfer, hashing=options.hashing, advance=advance
+        )
+
     with ThreadPoolExecutor(threads) as pool:
         futures = {
             camera: pool.submit(place, stream, indices, stamps, folder / camera)
@@ -213,9 +220,9 @@ def _image_table(
                     "exposure_start_ns": stream.exposure_start_ns[indices],
                     "exposure_end_ns": stream.exposure_end_ns[indices],
                     "frame_index": pa.array(frames[camera], pa.int32()),
-                    "width_px": np.full(count, here.width_px, np.int32),
-                    "height_px": np.full(count, here.height_px, np.int32),
-                    "uri": [folder + file for file in here.names],
+                    "width_px": here.width_px.astype(np.int32),
+                    "height_px": here.height_px.astype(np.int32),
+                    "uri": [name if "://" in name else folder + name for name in here.names],
                     "byte_offset": np.zeros(count, np.int64),
                     "byte_length": np.array(here.sizes, np.int64),
                     "codec": pa.array([here.codec] * count, pa.string()),

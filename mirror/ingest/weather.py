@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.arrays import UInt8
 from mirror.dataset.layout import Layout
+from mirror.dataset.store import Store
 from mirror.errors import RecordingError
 from mirror.ingest.judge import JudgedDrive
 from mirror.recordings.weather import weather_from_pictures
@@ -32,22 +33,30 @@ def weather_from_traversals(
     rig = drive.recording.rig
     if drive.info.weather is not None or rig is None:
         return {}
-    labels = {}
+    labels, store = {}, Store(layout.root)
     for number, name in enumerate(traversal_ids):
         if name is None:
             continue
-        rows = read_table(layout.recorded(name) / "images.parquet", IMAGES, ["camera", "uri"]).to_pylist()
-        uris = [row["uri"] for row in rows if row["camera"] == rig.reference_camera]
-        if uris:
-            chosen = sorted({round(index) for index in np.linspace(0, len(uris) - 1, _PICTURES)})
-            labels[number] = weather_from_pictures(plugin, [_decode(layout, uris[index]) for index in chosen])
+        rows = read_table(
+            layout.recorded(name) / "images.parquet", IMAGES, ["camera", "uri", "byte_length"]
+        ).to_pylist()
+        found = [(row["uri"], row["byte_length"]) for row in rows if row["camera"] == rig.reference_camera]
+        if found:
+            chosen = sorted({round(index) for index in np.linspace(0, len(found) - 1, _PICTURES)})
+            labels[number] = weather_from_pictures(plugin, [_decode(store, *found[index]) for index in chosen])
     return labels
 
 
-def _decode(layout: Layout, uri: str) -> UInt8:
-    picture = cv2.imread(str(layout.root / uri), cv2.IMREAD_COLOR_RGB)
+def _decode(store: Store, uri: str, byte_length: int) -> UInt8:
+    try:
+        data = store.read_range(uri, 0, byte_length)
+    except OSError as error:
+        raise _broken(store, uri, f"cannot be read: {error}") from error
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
     if picture is None:
-        raise RecordingError(
-            "cannot be decoded", file=layout.root / uri, expected="a JPEG or PNG", remedy="restore the picture"
-        )
+        raise _broken(store, uri, "cannot be decoded")
     return np.asarray(picture, np.uint8)
+
+
+def _broken(store: Store, uri: str, problem: str) -> RecordingError:
+    return RecordingError(problem, file=store.where(uri), expected="a JPEG or PNG", remedy="restore the picture")

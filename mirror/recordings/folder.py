@@ -110,8 +110,8 @@ class FolderRecording:
         return np.asarray(mask, np.uint8)
 
     def files(self) -> Sequence[tuple[str, str]]:
-        """Everything in the folder but hidden files."""
-        return walk(self.path)
+        """Everything in the folder but hidden files, and ``truth/``, which is none of a fleet's."""
+        return [file for file in walk(self.path) if not file[0].startswith("truth/")]
 
     @cached_property
     def _pose_files(self) -> list[Path]:

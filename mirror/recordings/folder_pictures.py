@@ -1,9 +1,10 @@
-"""Pictures of the `folder` layout: one file a picture, or one video a camera, with their exposures."""
+"""Pictures of the `folder` layout: one file a picture, one video a camera, or elsewhere; with their exposures."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
 import numpy as np
 import pyarrow as pa
@@ -11,14 +12,16 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.folder_document import FolderCamera
-from mirror.recordings.paths import list_folder, list_names
-from mirror.recordings.protocol import FileStream, ImageStream
+from mirror.recordings.paths import is_elsewhere, list_folder, list_names
+from mirror.recordings.protocol import FileStream, ImageStream, ReferencedStream
 from mirror.recordings.tabular import Rows, read_rows
 from mirror.recordings.video import VideoStream, stamps_ns, video_stamps
 
 _CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi", ".h264", ".hevc", ".h265")
 _EXPOSURES: Final = ("exposure_start_ns", "exposure_end_ns")
+_SIZES: Final = ("byte_length", "width_px", "height_px")
+_LARGEST: Final = 2**31 - 1
 
 
 def picture_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
@@ -35,15 +38,20 @@ def picture_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
     folder = root / "images" / camera
     listed = list_folder(root, root / "videos") if (root / "videos").is_dir() else {}
     videos = [file for name, file in sorted(listed.items()) if file.stem == camera and file.suffix.lower() in _VIDEOS]
-    if folder.is_dir() == bool(videos) or len(videos) > 1:
-        found = [str(file.relative_to(root)) for file in videos] + ([f"images/{camera}"] if folder.is_dir() else [])
+    table = root / "images" / f"{camera}.csv"
+    elsewhere = table.is_file() and not folder.is_dir()
+    if folder.is_dir() + elsewhere + len(videos) != 1:
+        found = [str(file.relative_to(root)) for file in videos]
+        found += [f"images/{camera}"] * folder.is_dir() + [f"images/{camera}.csv"] * elsewhere
         raise RecordingError(
             f"camera {camera} has pictures in {' and in '.join(found)}" if found else f"camera {camera} is missing",
             file=root,
             place=f"camera {camera}",
-            expected=f"either the folder images/{camera} or one video videos/{camera}.mp4",
+            expected=f"the folder images/{camera}, one video videos/{camera}.mp4, or images/{camera}.csv with uris",
             remedy="put its pictures there, or take the camera out of recording.json",
         )
+    if elsewhere:
+        return _referenced(root, camera, table)
     return _video(root, camera, entry, videos[0]) if videos else _files(root, camera, folder)
 
 
@@ -57,13 +65,52 @@ def _files(root: Path, camera: str, folder: Path) -> FileStream:
     else:
         names = pictures
         start = end = _stamps_of_names(folder, names)
+    codec = _codec(names, folder)
+    order, ordered = _in_time_order(start, end, names, folder)
+    # Texts, not Path objects: a camera has a hundred thousand of them.
+    return FileStream(camera, codec, start[order], end[order], tuple(f"{folder}/{name}" for name in ordered))
+
+
+def _referenced(root: Path, camera: str, table: Path) -> ReferencedStream:
+    list_folder(root, table.parent)
+    columns = ("uri", *_EXPOSURES, *_SIZES)
+    texts = dict.fromkeys(("uri", *_EXPOSURES), pa.string())
+    rows = read_rows([table], types={**texts, **dict.fromkeys(_SIZES, pa.int64())}, columns=columns)
+    uris = rows.column("uri").to_pylist()
+    wrong = np.array([uri is None or not is_elsewhere(uri) for uri in uris])
+    rows.refuse(
+        wrong,
+        "uri",
+        f"{uris[int(np.argmax(wrong))]!r} leads to this machine's files, or nowhere",
+        expected="an absolute uri of a picture elsewhere, such as s3://bucket/drive/1.jpg, without '::' and '..'",
+        remedy=f"correct it; local pictures belong into images/{camera}",
+    )
+    sizes = []
+    for name in _SIZES:
+        values = rows.floats(name)
+        off = ~((values >= 1) & (values <= _LARGEST))
+        rows.refuse(off, name, "no size", expected=f"a whole number from 1 to {_LARGEST}", remedy="correct the row")
+        sizes.append(values.astype(np.int64))
+    start, end = _exposures(rows)
+    codec = _codec([urlsplit(uri).path for uri in uris], table)
+    order, ordered = _in_time_order(start, end, uris, table)
+    byte_length, width, height = (size[order] for size in sizes)
+    return ReferencedStream(camera, codec, start[order], end[order], tuple(ordered), byte_length, width, height)
+
+
+def _codec(names: list[str], file: Path) -> str:
     suffixes = {f".{name.rpartition('.')[2].lower()}" for name in names}
     codecs = {_CODECS.get(suffix) for suffix in suffixes}
     codec = codecs.pop()
     if codecs or codec is None:
         raise RecordingError(
-            f"pictures of kinds {', '.join(sorted(suffixes))}", file=folder, expected="JPEG or PNG, one kind a camera"
+            f"pictures of kinds {', '.join(sorted(suffixes))}", file=file, expected="JPEG or PNG, one kind a camera"
         )
+    return codec
+
+
+def _in_time_order(start: Int64, end: Int64, names: list[str], file: Path) -> tuple[Int64, list[str]]:
+    """The order (N,) of mid-exposures, and the names in it."""
     order = np.argsort(start + end, kind="stable")
     ordered = [names[index] for index in order.tolist()]
     middle = (start + end)[order]
@@ -72,12 +119,11 @@ def _files(root: Path, camera: str, folder: Path) -> FileStream:
         first = int(repeated[0])
         raise RecordingError(
             f"{ordered[first]} and {ordered[first + 1]} have the same time",
-            file=folder,
+            file=file,
             expected="one picture a camera and instant",
             remedy="remove one of the two",
         )
-    # Texts, not Path objects: a camera has a hundred thousand of them.
-    return FileStream(camera, codec, start[order], end[order], tuple(f"{folder}/{name}" for name in ordered))
+    return order, ordered
 
 
 def _stamps_of_names(folder: Path, names: list[str]) -> Int64:

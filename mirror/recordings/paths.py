@@ -9,6 +9,13 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from mirror.errors import RecordingError
 
 _DIGITS = re.compile(r"(\d+)")
+_SCHEME = re.compile(r"[a-z][a-z0-9+.-]*://.")
+# fmt: off
+_LOCAL = frozenset((
+    "file", "local", "asynclocal", "async_wrapper", "asyncwrapper", "generic", "reference", "git", "dvc",
+    "dir", "data", "zip", "tar", "libarchive", "cached", "blockcache", "filecache", "simplecache",
+))
+# fmt: on
 
 
 def inside(root: Path, name: str, *, file: Path, place: str) -> Path:
@@ -41,6 +48,16 @@ def _outside(name: str, file: Path, place: str) -> RecordingError:
         place=place,
         expected="a relative path without '..' to a file inside the recording's folder",
         remedy="copy the file into the recording and name it there",
+    )
+
+
+def is_elsewhere(uri: str) -> bool:
+    """Whether a uri is absolute and leads away from this machine's files: no path climbs, no chain hides one."""
+    return (
+        _SCHEME.match(uri) is not None
+        and uri.partition("://")[0] not in _LOCAL
+        and "::" not in uri
+        and ".." not in PurePosixPath(uri).parts
     )
 
 

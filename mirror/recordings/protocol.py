@@ -169,6 +169,63 @@ class FileStream:
             yield index, Path(self.paths[index]).read_bytes()
 
 
+@dataclass(frozen=True)
+class ReferencedStream:
+    """Pictures that lie elsewhere, in a bucket or on a server: ingest refers to them, and opens none.
+
+    Attributes:
+        camera: the camera's name.
+        codec: ``jpeg`` or ``png``.
+        exposure_start_ns: (N,) as in `ImageStream`.
+        exposure_end_ns: (N,) as in `ImageStream`.
+        uris: absolute, one a picture, as fsspec understands them.
+        byte_length: (N,) of each picture; it begins at the first byte of its uri.
+        width_px: (N,) of each picture.
+        height_px: (N,) of each picture.
+    """
+
+    camera: str
+    codec: str
+    exposure_start_ns: Int64
+    exposure_end_ns: Int64
+    uris: tuple[str, ...] = field(repr=False)
+    byte_length: Int64 = field(repr=False)
+    width_px: Int64 = field(repr=False)
+    height_px: Int64 = field(repr=False)
+
+    def __post_init__(self) -> None:
+        columns = (self.exposure_start_ns, self.exposure_end_ns, self.byte_length, self.width_px, self.height_px)
+        if any(len(column) != len(self.uris) for column in columns):
+            raise RecordingError(
+                f"{len(self.uris)} pictures but columns of {', '.join(str(len(column)) for column in columns)}",
+                place=f"camera {self.camera}",
+            )
+
+    def path(self, index: int) -> None:
+        """None: there is no file."""
+
+    def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
+        """Yield each picture's bytes, fetched one after the other.
+
+        Raises:
+            RecordingError: one cannot be had.
+        """
+        import fsspec
+
+        for index in indices:
+            try:
+                filesystem, path = fsspec.core.url_to_fs(self.uris[index])
+                data = bytes(filesystem.cat_file(path, start=0, end=int(self.byte_length[index])))
+            except (OSError, ImportError, ValueError) as error:
+                raise RecordingError(
+                    f"cannot be fetched: {error}",
+                    file=self.uris[index],
+                    place=f"camera {self.camera}",
+                    expected="a picture that fsspec reads with the packages installed here",
+                ) from error
+            yield index, data
+
+
 @runtime_checkable
 class Recording(Protocol):
     """One drive. Every method may be called more than once; none writes anything."""

@@ -48,7 +48,7 @@ def test_every_way_gives_the_same_bytes(
     placed = place(stream, tmp_path / "out", transfer, hashing, told)
     assert sum(told) == 35
     assert placed.names == [f"{number * 100}.jpg" for number in range(3, 38)]
-    assert (placed.width_px, placed.height_px, placed.codec) == (1920, 1080, "jpeg")
+    assert (set(placed.width_px), set(placed.height_px), placed.codec) == ({1920}, {1080}, "jpeg")
     assert placed.linked == (35 if transfer == "link" else 0)
     for number, name, size, digest in zip(range(3, 38), placed.names, placed.sizes, placed.sha256):
         data = (tmp_path / "out" / name).read_bytes()

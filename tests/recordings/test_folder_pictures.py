@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mirror.errors import RecordingError
-from mirror.recordings.protocol import ImageStream
+from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.recordings.registry import open_recording
 from tests.recordings.layout import START_NS, write_picture, write_recording
 from tests.recordings.test_video import FRAMES, decode_all, write_video
@@ -139,3 +139,87 @@ def test_many_pictures_are_listed_by_their_names_alone(tmp_path: Path) -> None:
     stream = stream_of(path)
     assert len(stream.exposure_start_ns) == 1_000
     assert (np.diff(stream.exposure_start_ns) == 33_333_333).all()
+
+
+ELSEWHERE = "uri,exposure_start_ns,exposure_end_ns,byte_length,width_px,height_px\n"
+
+
+def referring(root: Path, rows: str) -> Path:
+    path = write_recording(root)
+    shutil.rmtree(path / "images")
+    (path / "images").mkdir()
+    (path / "images" / "front_wide.csv").write_text(ELSEWHERE + rows)
+    return path
+
+
+def test_pictures_elsewhere_are_listed_and_fetched_when_asked_for(tmp_path: Path) -> None:
+    import fsspec
+
+    fsspec.filesystem("memory").pipe("/fleet/a.jpg", b"first and more")
+    rows = "s3://fleet/b.JPEG?version=3,7,9,30,8,6\nmemory://fleet/a.jpg,5,7,5,8,6\n"
+    stream = stream_of(referring(tmp_path, rows))
+    assert isinstance(stream, ReferencedStream)
+    assert stream.codec == "jpeg"
+    assert stream.uris == ("memory://fleet/a.jpg", "s3://fleet/b.JPEG?version=3")
+    assert stream.exposure_start_ns.tolist() == [5, 7]
+    assert (stream.byte_length.tolist(), stream.width_px.tolist(), stream.height_px.tolist()) == (
+        [5, 30],
+        [8, 8],
+        [6, 6],
+    )
+    assert stream.path(0) is None
+    assert dict(stream.read([0])) == {0: b"first"}
+    fsspec.filesystem("memory").rm("/fleet/a.jpg")
+    with pytest.raises(RecordingError, match="cannot be fetched") as caught:
+        dict(stream.read([0]))
+    assert caught.value.file == "memory://fleet/a.jpg"
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "file:///etc/hostname.png",
+        "FILE:///etc/hostname.png",
+        "local:///etc/hostname.png",
+        "git://../elsewhere.png",
+        "generic:///etc/hostname.png",
+        "simplecache::file:///etc/hostname.png",
+        "zip://a.png::file:///etc/a.zip",
+        "s3://fleet/../other/a.png",
+        "images/a.png",
+        "/etc/hostname.png",
+        "",
+    ],
+)
+def test_uris_that_lead_out_are_refused(tmp_path: Path, uri: str) -> None:
+    error = refusal(referring(tmp_path, f"s3://fleet/a.png,1,2,30,8,6\n{uri},3,4,30,8,6\n"))
+    assert error.place == "line 3, column uri"
+    assert "this machine's files" in error.problem
+
+
+@pytest.mark.parametrize(
+    ("rows", "place", "problem"),
+    [
+        ("s3://f/a.png,1,2,0,8,6\n", "line 2, column byte_length", "no size"),
+        ("s3://f/a.png,1,2,,8,6\n", "line 2, column byte_length", "no size"),
+        ("s3://f/a.png,1,2,9,8,99999999999\n", "line 2, column height_px", "no size"),
+        ("s3://f/a.png,1,2,9,8,6\ns3://f/b.jpg,3,4,9,8,6\n", None, "pictures of kinds .jpg, .png"),
+        ("s3://f/a.png,1,2,9,8,6\ns3://f/b.png,1,2,9,8,6\n", None, "have the same time"),
+        ("s3://f/a.png,2,1,9,8,6\n", "line 2, column exposure_end_ns", "ends before it starts"),
+    ],
+)
+def test_wrong_tables_of_uris_are_named(tmp_path: Path, rows: str, place: str | None, problem: str) -> None:
+    error = refusal(referring(tmp_path, rows))
+    assert error.place == place
+    assert problem in error.problem
+
+
+def test_pictures_here_and_elsewhere_at_once_are_refused(tmp_path: Path) -> None:
+    path = referring(tmp_path, "s3://f/a.png,1,2,9,8,6\n")
+    folder = path / "images" / "front_wide"
+    write_picture(folder / "1.jpg")
+    assert refusal(path).place == "column file"
+    shutil.rmtree(folder)
+    (path / "videos").mkdir()
+    write_video(path / "videos" / "front_wide.mp4")
+    assert "and in images/front_wide.csv" in refusal(path).problem

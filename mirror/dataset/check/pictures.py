@@ -17,6 +17,7 @@ from mirror.dataset.check.rows import Rows
 from mirror.dataset.pictures.still import decode_rgb, usable_cores
 from mirror.dataset.pictures.video import VideoDecoders
 from mirror.dataset.store import Store
+from mirror.errors import MirrorError
 from mirror.recordings.raster import TAIL_BYTES, has_end
 
 MISSING: Final = -1
@@ -116,7 +117,7 @@ class PictureReader:
                 return size, True
             tail = min(int(self._length[row]), TAIL_BYTES)
             return size, has_end(self._store.read_range(uri, end_of_bytes - tail, tail), self._codec[row])
-        except OSError:
+        except (OSError, MirrorError):
             return MISSING, True
 
     def _content(self, row: int) -> tuple[bool, bool, int, int, int]:
@@ -131,7 +132,7 @@ class PictureReader:
                 expected = self._sha256[row]
                 same = expected is None or hashlib.sha256(data).digest() == expected
                 pixels = decode_rgb(data, self._codec[row])
-        except OSError:
+        except (OSError, MirrorError):
             return _AS_IT_SHOULD_BE
         if pixels is None:
             return same, False, 0, 0, _RANGE

@@ -1,0 +1,130 @@
+"""Pictures that lie elsewhere: ingested without opening one, loaded and checked where they are."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import fsspec
+import numpy as np
+import pytest
+
+import mirror
+from mirror.dataset.check import Cost, check
+from mirror.dataset.layout import Layout
+from mirror.errors import DatasetError
+from mirror.ingest.request import IngestOptions
+from mirror.ingest.run import ingest
+from mirror.recordings import weather
+from mirror.schema.files import read_table
+from mirror.schema.tables import IMAGES
+from tests.ingest.recordings import SCENE, write_recording
+
+
+@pytest.fixture
+def bucket() -> Iterator[fsspec.AbstractFileSystem]:
+    memory = fsspec.filesystem("memory")
+    yield memory
+    memory.rm("/fleet", recursive=True)
+
+
+@pytest.fixture
+def drive(tmp_path: Path, bucket: fsspec.AbstractFileSystem) -> Path:
+    """A recording whose rear camera's pictures have been put into a bucket."""
+    path = write_recording(tmp_path / "fleet", "there")
+    folder = path / "images" / "rear"
+    lines = ["uri,exposure_start_ns,exposure_end_ns,byte_length,width_px,height_px"]
+    for file in sorted(folder.iterdir()):
+        bucket.pipe(f"/fleet/rear/{file.name}", file.read_bytes())
+        stamp = int(file.stem)
+        size = file.stat().st_size
+        lines.append(f"memory://fleet/rear/{file.name},{stamp - 1000},{stamp + 1000},{size},64,48")
+        (path / "kept" / file.name).parent.mkdir(exist_ok=True)
+        file.rename(path / "kept" / file.name)
+    folder.rmdir()
+    (path / "images" / "rear.csv").write_text("\n".join(lines) + "\n")
+    return path
+
+
+def rear_rows(dataset: Path, traversal_id: str) -> list[dict[str, object]]:
+    rows = read_table(Layout(dataset).recorded(traversal_id) / "images.parquet", IMAGES).to_pylist()
+    return [row for row in rows if row["camera"] == "rear"]
+
+
+def ids_of(dataset: Path) -> set[str]:
+    return {rule.rule_id for rule, _ in check(dataset, cost=Cost.PICTURES).findings}
+
+
+def test_they_are_referred_to_and_loaded_from_where_they_are(
+    drive: Path, tmp_path: Path, bucket: fsspec.AbstractFileSystem
+) -> None:
+    report = ingest([drive], [SCENE], tmp_path / "d")
+    assert not report.failures
+    rows = rear_rows(tmp_path / "d", report.traversals[0].traversal_id)
+    assert rows and all(str(row["uri"]).startswith("memory://fleet/rear/") for row in rows)
+    assert {row["sha256"] for row in rows} == {None}
+    assert {(row["width_px"], row["height_px"], row["codec"]) for row in rows} == {(64, 48, "jpeg")}
+    assert not (Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "rear").exists()
+    image = mirror.open(tmp_path / "d").frames()[3].images["rear"]
+    expected = cv2.imread(str(drive / "kept" / f"{image.timestamp_ns}.jpg"), cv2.IMREAD_COLOR_RGB)
+    np.testing.assert_allclose(image.decode(verify=True).astype(int), expected, atol=2)
+
+
+def test_none_is_opened_by_ingest_or_its_verification(
+    drive: Path, tmp_path: Path, bucket: fsspec.AbstractFileSystem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(bucket), "cat_file", lambda *_, **__: pytest.fail("opened a picture"))
+    report = ingest([drive], [SCENE], tmp_path / "d")
+    assert not report.failures and len(report.traversals) == 1
+    again = ingest([drive], [SCENE], tmp_path / "d", IngestOptions(verify=True))
+    assert again.unchanged == ["there"] and not again.failures
+
+
+def test_truth_beside_a_recording_is_not_part_of_it(drive: Path, tmp_path: Path) -> None:
+    ingest([drive], [SCENE], tmp_path / "d")
+    (drive / "truth").mkdir()
+    (drive / "truth" / "poses.parquet").write_bytes(b"exact")
+    assert ingest([drive], [SCENE], tmp_path / "d").unchanged == ["there"]
+
+
+def test_check_finds_what_is_missing_or_short_there(
+    drive: Path, tmp_path: Path, bucket: fsspec.AbstractFileSystem
+) -> None:
+    out = tmp_path / "d"
+    report = ingest([drive], [SCENE], out)
+    rows = rear_rows(out, report.traversals[0].traversal_id)
+    assert not {rule for rule in ids_of(out) if rule.startswith("IMG")} - {"IMG007", "IMG009"}
+    first, second, third, fourth = (f"/fleet/rear/{row['timestamp_ns']}.jpg" for row in rows[:4])
+    bucket.rm(first)
+    bucket.pipe(second, bucket.cat_file(second)[:100])
+    bucket.pipe(third, b"x" * (len(bucket.cat_file(third)) - 2) + b"\xff\xd9")
+    bucket.pipe(fourth, bucket.cat_file(fourth)[:-2] + b"..")
+    assert {"IMG001", "IMG002", "IMG003", "IMG005"} <= ids_of(out)
+
+
+def test_a_uri_that_nothing_here_reads_is_named(drive: Path, tmp_path: Path) -> None:
+    table = drive / "images" / "rear.csv"
+    table.write_text(table.read_text().replace("memory://", "nowhere-known://"))
+    ingest([drive], [SCENE], tmp_path / "d")
+    image = mirror.open(tmp_path / "d").frames()[3].images["rear"]
+    with pytest.raises(DatasetError, match="nowhere-known"):
+        image.decode()
+    assert "IMG001" in ids_of(tmp_path / "d")
+
+
+def test_weather_is_asked_of_pictures_elsewhere(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Entry:
+        name = value = "some"
+
+        @staticmethod
+        def load() -> Callable[[Sequence[np.ndarray]], str]:
+            return lambda pictures: "rain" if {picture.shape for picture in pictures} == {(48, 64, 3)} else "fog"
+
+    monkeypatch.setattr(weather, "entry_points", lambda **_: [Entry])
+    document = json.loads((drive / "recording.json").read_text())
+    document |= {"reference_camera": "rear", "weather": None}
+    (drive / "recording.json").write_text(json.dumps(document))
+    ingest([drive], [SCENE], tmp_path / "d", IngestOptions(weather_plugin="some"))
+    assert mirror.open(tmp_path / "d").table("traversals").column("weather").to_pylist() == ["rain"]

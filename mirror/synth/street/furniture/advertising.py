@@ -42,6 +42,11 @@ def billboard(rng: np.random.Generator, *, width_m: float = 3.9, low_m: float = 
     return pieces.model()
 
 
+def high_billboard(rng: np.random.Generator) -> Model:
+    """A large board high on a post, as beside motorways."""
+    return billboard(rng, width_m=8.4, low_m=5.5)
+
+
 def city_light(rng: np.random.Generator) -> Model:
     """A poster in a lit case, seen from both sides (+x and -x)."""
     pieces = Pieces()

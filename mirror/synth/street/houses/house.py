@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mirror.synth.model import Material, Model, Pieces
-from mirror.synth.street.houses.body import Body, cornice, raise_walls
+from mirror.synth.street.houses.body import FOOT_M, Body, cornice, raise_walls
 from mirror.synth.street.houses.fronts import add_balconies, add_bay
 from mirror.synth.street.houses.roofs import add_roof
 from mirror.synth.street.houses.sheds import farm, petrol_station, warehouse
@@ -16,7 +16,13 @@ from mirror.synth.textures.catalogue import Grain
 
 
 def house(
-    rng: np.random.Generator, style: HouseStyle, length_m: float, depth_m: float, *, corner: bool = False
+    rng: np.random.Generator,
+    style: HouseStyle,
+    length_m: float,
+    depth_m: float,
+    *,
+    corner: bool = False,
+    detailed: bool = True,
 ) -> Model:
     """A house: the middle of the lot's front edge at the origin, the street towards -y, z = 0 the ground.
 
@@ -28,6 +34,7 @@ def house(
         length_m: of the lot, along x; at least 5.
         depth_m: of the lot, along y; at least 8.
         corner: whether the sides of a house in a row are seen, so that they have windows.
+        detailed: whether it is ever seen from near; else it has no shops, doors and balconies.
     """
     if style == "farm":
         return farm(rng, length_m, depth_m)
@@ -39,11 +46,17 @@ def house(
     body = _body(rng, kind, length_m, depth_m)
     pieces = Pieces()
     raise_walls(pieces, body, rng, sides_seen=corner or kind.free)
-    ground = kind.ground[int(rng.integers(len(kind.ground)))]
-    {"shops": add_shops, "flats": add_flats, "lobby": add_lobby}[ground](pieces, body, rng)
-    _front(pieces, body, kind, rng)
-    if kind.cornice:
-        cornice(pieces, body)
+    if detailed:
+        ground = kind.ground[int(rng.integers(len(kind.ground)))]
+        {"shops": add_shops, "flats": add_flats, "lobby": add_lobby}[ground](pieces, body, rng)
+        _front(pieces, body, kind, rng)
+        if kind.cornice:
+            cornice(pieces, body)
+    else:
+        pieces.wall((body.left, body.front), (body.right, body.front), FOOT_M, 0.0, body.plain(0.8))
+        pieces.wall(
+            (body.left, body.front), (body.right, body.front), 0.0, body.ground_m, body.finish(body.front_windows)
+        )
     add_roof(pieces, body, kind.roofs[int(rng.integers(len(kind.roofs)))], rng)
     return pieces.model()
 

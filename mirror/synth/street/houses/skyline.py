@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
+from mirror.arrays import Float64
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
 from mirror.synth.street.houses.windows import Windows
 
+Height = Callable[[float, float], Float64]
+"""Of the ground at a place."""
 
-def far_houses(rng: np.random.Generator, near_m: float, far_m: float, tall_m: tuple[float, float]) -> Model:
+
+def far_houses(
+    rng: np.random.Generator, near_m: float, far_m: float, tall_m: tuple[float, float], height_m: Height
+) -> Model:
     """A ring of house blocks about the origin, two deep, the higher ones behind.
 
     Args:
@@ -18,6 +25,7 @@ def far_houses(rng: np.random.Generator, near_m: float, far_m: float, tall_m: tu
         near_m: distance of the nearest fronts.
         far_m: distance of the farthest.
         tall_m: least and greatest height.
+        height_m: of the ground.
     """
     pieces = Pieces()
     for row, (distance, most) in enumerate(((near_m, 0.5), (0.5 * (near_m + far_m), 1.0))):
@@ -49,12 +57,15 @@ def far_houses(rng: np.random.Generator, near_m: float, far_m: float, tall_m: tu
                 for y in (-half, half):
                     gable = [(0.0, y, tall), (deep, y, tall), (ridge, y, tall + rise)]
                     block.face(gable if y < 0 else gable[::-1], wall._replace(material=Material.PLASTER))
-            pieces.add(block.model().standing(at * math.cos(bearing), at * math.sin(bearing), 0.0, bearing))
+            x, y = at * math.cos(bearing), at * math.sin(bearing)
+            pieces.add(block.model().standing(x, y, float(height_m(x, y)), bearing))
             bearing += (wide + rng.uniform(0.0, 6.0)) / at
     return pieces.model()
 
 
-def far_woods(rng: np.random.Generator, near_m: float, far_m: float, tall_m: tuple[float, float]) -> Model:
+def far_woods(
+    rng: np.random.Generator, near_m: float, far_m: float, tall_m: tuple[float, float], height_m: Height
+) -> Model:
     """Rings of trees about the origin, paler with distance, as upright outlines that look inwards.
 
     Args:
@@ -62,6 +73,7 @@ def far_woods(rng: np.random.Generator, near_m: float, far_m: float, tall_m: tup
         near_m: distance of the nearest ring.
         far_m: distance of the farthest, which stands on hills.
         tall_m: least and greatest height of trees.
+        height_m: of the ground.
     """
     pieces = Pieces()
     rings = 3
@@ -86,6 +98,7 @@ def far_woods(rng: np.random.Generator, near_m: float, far_m: float, tall_m: tup
                 (-0.25, tall - 0.02 * high), (-0.75, foot + 0.76 * high), (-1.0, foot + 0.4 * high), (-1.0, -12.0),
             )  # fmt: skip
             cos, sin = math.cos(bearing), math.sin(bearing)
-            corners = [(at * cos + y * half * sin, at * sin - y * half * cos, z) for y, z in outline]
+            ground = float(height_m(at * cos, at * sin))
+            corners = [(at * cos + y * half * sin, at * sin - y * half * cos, ground + z) for y, z in outline]
             pieces.face(corners[-1:] + corners[:-1], finish)
     return pieces.model()

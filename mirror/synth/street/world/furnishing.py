@@ -1,0 +1,151 @@
+"""Lamps, lights, signs and all that stands at a plan's spots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.synth.model import Model
+from mirror.synth.street import furniture
+from mirror.synth.street.furniture import LampPost, SignalHead
+from mirror.synth.street.furniture.small import Maker
+from mirror.synth.street.lots import Spot
+from mirror.synth.street.plan import Plan
+from mirror.synth.textures.catalogue import Sign
+
+_SIGNS: Final[dict[str, tuple[tuple[Sign, ...], ...]]] = {
+    "urban": (
+        (Sign.SPEED_30,), (Sign.SPEED_50,), (Sign.NO_PARKING,), (Sign.PARKING,), (Sign.PRIORITY,), (Sign.CHILDREN,),
+        (Sign.PRIORITY, Sign.NO_PARKING), (Sign.CROSSING_AHEAD, Sign.SPEED_30), (Sign.CYCLE_PATH,), (Sign.ONE_WAY,),
+    ),
+    "campus": ((Sign.SPEED_30,), (Sign.PARKING,), (Sign.NO_PARKING,), (Sign.CYCLE_PATH,), (Sign.CHILDREN,)),
+    "rural": ((Sign.SPEED_80,), (Sign.BEND,), (Sign.BEND, Sign.SPEED_50), (Sign.PRIORITY,)),
+    "highway": ((Sign.SPEED_120,), (Sign.SPEED_80,)),
+}  # fmt: skip
+"""On poles at spots for signs, one of which is taken."""
+
+_THINGS: Final[dict[str, tuple[Maker, ...]]] = {
+    "urban": (
+        *furniture.PAVEMENT, furniture.bench, furniture.bin_, furniture.bollards, furniture.planter,
+        furniture.bicycle_stands, furniture.cafe_table, furniture.city_light, furniture.advertising_column,
+        furniture.billboard,
+    ),
+    "campus": (*furniture.PARK, furniture.bench, furniture.bicycle_stands, furniture.city_light),
+    "rural": (*furniture.ROADSIDE, furniture.billboard),
+    "highway": (furniture.electrical_box, furniture.high_billboard),
+}  # fmt: skip
+"""Makers of what stands at spots for small things, one of which is taken; some are named twice, being more common."""
+
+_TO_TRAFFIC: Final = frozenset((furniture.billboard, furniture.high_billboard, furniture.city_light))
+"""Look to the traffic that comes, not to the road."""
+_MAIN_REACH_M: Final = 3.0
+"""Spots so far from the next lane are on main streets."""
+_SHELTERS: Final = 3
+
+
+@dataclass(frozen=True)
+class Furniture:
+    """What stands at spots.
+
+    Attributes:
+        lamps: street lamps, in the world.
+        signals: groups of traffic lights and the lights, in the world.
+        others: all else.
+    """
+
+    lamps: tuple[LampPost, ...]
+    signals: tuple[tuple[int, SignalHead], ...]
+    others: tuple[Model, ...]
+
+
+def furnish(plan: Plan, seed: int) -> Furniture:
+    """Furniture for a plan's spots and rails.
+
+    Args:
+        plan: of the scene.
+        seed: of all that is left to chance.
+    """
+    lamps: list[LampPost] = []
+    signals: list[tuple[int, SignalHead]] = []
+    others: list[Model] = [_rail(plan, number, seed) for number in range(len(plan.rails))]
+    shelters = 0
+    for number, spot in enumerate(plan.spots):
+        rng = np.random.default_rng([seed, 22, number])
+        if spot.kind == "lamp":
+            lamps.append(_lamp(plan, spot))
+        elif spot.kind == "signal":
+            head = furniture.traffic_light(_aside(spot) * spot.reach_m)
+            placed = SignalHead(_at(spot, head.model, spot.facing_rad), head.red, head.amber, head.green)
+            signals.append((0 if spot.group is None else spot.group, placed))
+        elif spot.kind == "bus_stop" or (
+            spot.kind == "furniture" and plan.kind == "urban" and shelters < _SHELTERS and _is_main(spot)
+            and rng.random() < 0.12
+        ):  # fmt: skip
+            shelters += 1
+            others.append(_at(spot, furniture.bus_shelter(rng), spot.yaw_rad, back_m=0.45))
+        elif spot.kind not in ("tree", "pole"):
+            others.append(_thing(plan, spot, rng))
+    poles = [spot.place for spot in plan.spots if spot.kind == "pole"]
+    if poles:
+        others.append(furniture.power_line(np.array(poles)))
+    return Furniture(tuple(lamps), tuple(signals), tuple(others))
+
+
+def _thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
+    """A sign or a small thing."""
+    if spot.kind == "furniture":
+        makers = _THINGS[plan.kind]
+        maker = makers[int(rng.integers(len(makers)))]
+        away = 5.0 if maker is furniture.high_billboard else 0.0
+        return _at(spot, maker(rng), spot.facing_rad if maker in _TO_TRAFFIC else spot.yaw_rad, away_m=away)
+    if spot.kind == "gantry":
+        return _at(spot, furniture.gantry(rng, _aside(spot) * spot.reach_m), spot.facing_rad)
+    if spot.kind == "exit":
+        return _at(spot, furniture.direction_sign(rng), spot.facing_rad)
+    if spot.kind == "sign":
+        if rng.random() < 0.12:
+            return _at(spot, furniture.direction_sign(rng, width_m=1.6, low_m=2.2), spot.facing_rad)
+        kinds = _SIGNS[plan.kind]
+        return _at(spot, furniture.traffic_sign(kinds[int(rng.integers(len(kinds)))]), spot.facing_rad)
+    sign = {"yield": Sign.YIELD, "stop": Sign.STOP, "crosswalk": Sign.CROSSWALK}[spot.kind]
+    return _at(spot, furniture.traffic_sign((sign,)), spot.facing_rad)
+
+
+def _rail(plan: Plan, number: int, seed: int) -> Model:
+    rail, rng = plan.rails[number], np.random.default_rng([seed, 23, number])
+    if rail.kind == "guard":
+        return furniture.guard_rail(rail.line)
+    if rail.kind == "fence":
+        return furniture.fence(rng, rail.line)
+    return furniture.garden_wall(rng, rail.line)
+
+
+def _lamp(plan: Plan, spot: Spot) -> LampPost:
+    if plan.kind == "campus":
+        post = furniture.lamp_post("column", height_m=4.6)
+    elif _is_main(spot):
+        post = furniture.lamp_post("arm", height_m=8.0, reach_m=min(0.7 * spot.reach_m, 2.4))
+    else:
+        post = furniture.lamp_post("lantern", height_m=4.4)
+    cos, sin = math.cos(spot.yaw_rad), math.sin(spot.yaw_rad)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return LampPost(_at(spot, post.model, spot.yaw_rad), post.lights @ turn.T + spot.place)
+
+
+def _is_main(spot: Spot) -> bool:
+    return spot.reach_m > _MAIN_REACH_M
+
+
+def _aside(spot: Spot) -> float:
+    """On which side, 1 or -1 along y, the road is of what looks to the traffic."""
+    return math.copysign(1.0, math.sin(spot.yaw_rad - spot.facing_rad))
+
+
+def _at(spot: Spot, model: Model, yaw_rad: float, *, back_m: float = 0.0, away_m: float = 0.0) -> Model:
+    """A model at a spot; ``back_m`` and ``away_m`` are distances farther from the road."""
+    place: Float64 = spot.place - (back_m + away_m) * np.array([math.cos(spot.yaw_rad), math.sin(spot.yaw_rad), 0.0])
+    return model.standing(float(place[0]), float(place[1]), float(place[2]), yaw_rad)

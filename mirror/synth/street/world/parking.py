@@ -1,0 +1,71 @@
+"""Parked vehicles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from mirror.synth.model import Label, Material
+from mirror.synth.street.network import Lane
+from mirror.synth.street.plan import Plan
+from mirror.synth.textures.catalogue import PLATES
+from mirror.synth.users.body import Body, Placement, RoadUser, Still
+from mirror.synth.users.cars import car
+from mirror.synth.users.vans import van
+
+_BAY_M: Final = 6.2
+_TAKEN: Final = 0.62
+_VANS: Final = 0.12
+_MADE: Final = 16
+"""So many bodies are made; each stands in several places, under another plate."""
+
+
+def parked_on(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
+    """Vehicles on a plan's parking lanes, in driving direction.
+
+    Args:
+        plan: of the scene.
+        seed: of all that is left to chance.
+    """
+    lanes = [lane for lane in plan.network.lanes.values() if lane.use == "park"]
+    if not lanes:
+        return ()
+    rng = np.random.default_rng([seed, 27])
+    made = [van(rng) if rng.random() < _VANS else car(rng) for _ in range(_MADE)]
+    placements = [place for lane in lanes for place in _bays(plan, lane, rng)]
+    return tuple(
+        RoadUser(f"parked-{number:03d}", _plated(made[int(rng.integers(_MADE))], rng), Still(place))
+        for number, place in enumerate(placements)
+    )
+
+
+def _bays(plan: Plan, lane: Lane, rng: np.random.Generator) -> Iterator[Placement]:
+    """Placements of those that take a bay of a lane."""
+    for bay in range(int((lane.length_m - 1.0) / _BAY_M)):
+        taken, jitter = rng.random() < _TAKEN, rng.uniform(-0.35, 0.35, 2)
+        if not taken:
+            continue
+        at = (bay + 0.5) * _BAY_M + jitter[0]
+        ends = np.array([at - 1.3, at + 1.3])
+        x, y = (np.interp(ends, lane.along_m, lane.line[:, axis]) for axis in (0, 1))
+        yaw = math.atan2(y[1] - y[0], x[1] - x[0])
+        aside = 0.25 * jitter[1] * np.array([-math.sin(yaw), math.cos(yaw)])
+        middle = 0.5 * np.array([x.sum(), y.sum()]) + aside
+        heights = plan.height_m(x + aside[0], y + aside[1])
+        across = middle + 0.75 * np.array([[-math.sin(yaw), math.cos(yaw)], [math.sin(yaw), -math.cos(yaw)]])
+        left, right = plan.height_m(across[:, 0], across[:, 1]).tolist()
+        pitch = math.atan2(float(heights[1] - heights[0]), 2.6)
+        roll = math.atan2(left - right, 1.5)
+        yield Placement(float(middle[0]), float(middle[1]), float(heights.mean()), yaw, pitch, roll)
+
+
+def _plated(body: Body, rng: np.random.Generator) -> Body:
+    """The same body under another number plate."""
+    faces = body.model.faces.copy()
+    plates = (faces["material"] == Material.IMAGE) & np.isin(faces["image"], PLATES) & (faces["label"] >= Label.CAR)
+    faces["image"][plates] = int(rng.choice(PLATES))
+    return replace(body, model=replace(body.model, faces=faces))

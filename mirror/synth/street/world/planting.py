@@ -1,0 +1,80 @@
+"""Trees at a plan's spots, and what grows on its open land."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.synth.model import Model
+from mirror.synth.street.plan import Plan
+from mirror.synth.street.plants import STREET_TREES, Kind, bush, hedge, tree
+
+_FIELD_TREES: Final[tuple[Kind, ...]] = ("oak", "birch", "poplar", "spruce", "pine", "lime")
+_GARDEN_TREES: Final[tuple[Kind, ...]] = ("oak", "plane", "birch", "cherry", "pine", "cypress")
+_GROWN: Final = 4
+"""So many of each kind are grown; they stand turned in many places."""
+_LOOSE: Final = {"urban": (50, 30), "campus": (90, 70), "rural": (110, 60), "highway": (90, 50)}
+"""Trees and bushes that stand on open land."""
+_CLEAR_M: Final = {"urban": 2.5, "campus": 4.0, "rural": 5.0, "highway": 12.0}
+"""Distance of these from roads and houses."""
+_ROAD_M: Final = {"urban": 0.9, "campus": 0.9, "rural": 3.0, "highway": 8.0}
+"""Distance of the trees at spots from the carriageway."""
+
+
+def plants_of(plan: Plan, seed: int) -> Iterator[Model]:
+    """Trees, bushes and hedges in full leaf, in the world.
+
+    Args:
+        plan: of the scene.
+        seed: of all that is left to chance.
+    """
+    rng = np.random.default_rng([seed, 24])
+    streets = [str(kind) for kind in rng.choice(STREET_TREES, 2, replace=False)]
+    kinds = (
+        _FIELD_TREES if plan.kind in ("rural", "highway") else tuple(kind for kind in STREET_TREES if kind in streets)
+    )
+    row = [tree(rng, kind, road_m=_ROAD_M[plan.kind]) for kind in kinds for _ in range(_GROWN)]
+    for number, spot in enumerate(plan.spots):
+        if spot.kind == "tree":
+            own = np.random.default_rng([seed, 25, number])
+            yield _turned(row[int(own.integers(len(row)))], spot.place, own)
+    loose = _FIELD_TREES if plan.kind in ("rural", "highway") else _GARDEN_TREES
+    grown = [tree(rng, kind) for kind in loose for _ in range(_GROWN // 2)]
+    bushes = [bush(rng, evergreen=bool(number % 2)) for number in range(6)]
+    trees, shrubs = _LOOSE[plan.kind]
+    for place in _open_places(plan, trees, rng):
+        yield _turned(grown[int(rng.integers(len(grown)))], place, rng)
+    for place in _open_places(plan, shrubs, rng):
+        yield _turned(bushes[int(rng.integers(len(bushes)))], place, rng)
+    for number, rail in enumerate(plan.rails):
+        if rail.kind == "hedge":
+            yield from _hedges(rail.line, np.random.default_rng([seed, 26, number]))
+
+
+def _turned(model: Model, place: Float64, rng: np.random.Generator) -> Model:
+    return model.standing(float(place[0]), float(place[1]), float(place[2]), float(rng.uniform(0.0, 2.0 * math.pi)))
+
+
+def _open_places(plan: Plan, number: int, rng: np.random.Generator) -> Float64:
+    """Places (N, 3) on open land, in loose groups."""
+    reach = plan.roi.radius_m + 60.0
+    middles = rng.uniform(-reach, reach, (number, 2))
+    near = middles[rng.integers(number, size=6 * number)] + rng.normal(0.0, 7.0, (6 * number, 2))
+    near = near[np.hypot(near[:, 0], near[:, 1]) < reach]
+    near = near[plan.is_free(near[:, 0], near[:, 1], _CLEAR_M[plan.kind])][:number]
+    return np.c_[near, plan.height_m(near[:, 0], near[:, 1])]
+
+
+def _hedges(line: Float64, rng: np.random.Generator) -> Iterator[Model]:
+    """Hedges from point to point of a line."""
+    for start, end in pairwise(line):
+        step = end - start
+        length = float(np.hypot(step[0], step[1]))
+        if length > 0.5:
+            x, y, z = (0.5 * (start + end)).tolist()
+            yield hedge(rng, length).standing(x, y, z, math.atan2(step[1], step[0]))

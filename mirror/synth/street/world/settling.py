@@ -1,0 +1,72 @@
+"""Houses on a plan's lots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from mirror.synth.model import Model
+from mirror.synth.street.furniture import fence, garden_wall
+from mirror.synth.street.houses import HouseStyle, house
+from mirror.synth.street.lots import Lot
+from mirror.synth.street.plan import Plan
+
+Shares = dict[HouseStyle, float]
+
+_STYLES: Final[dict[str, dict[str, Shares]]] = {
+    "urban": {
+        "front": {"stucco": 0.40, "brick": 0.22, "modern": 0.18, "shophouse": 0.12, "panel": 0.08},
+        "corner": {"stucco": 0.50, "brick": 0.25, "modern": 0.25},
+        "yard": {"stucco": 0.35, "brick": 0.30, "panel": 0.20, "modern": 0.15},
+    },
+    "campus": {
+        "hall": {"hall": 0.80, "modern": 0.08, "brick": 0.12},
+        "yard": {"hall": 0.60, "panel": 0.20, "tower": 0.20},
+    },
+    "rural": {"farm": {"detached": 0.6, "farm": 0.4}, "yard": {"farm": 0.7, "detached": 0.3}},
+    "highway": {"works": {"warehouse": 0.65, "hall": 0.2, "station": 0.15}},
+}
+"""Shares of the styles by kind of scene and of lot."""
+
+_SEEN_WELL_M: Final = 30.0
+"""Beyond the ROI houses are seen in detail so far."""
+
+
+def houses_of(plan: Plan, seed: int) -> Iterator[Model]:
+    """A house for each lot, in the world; those that are never seen from near have less detail.
+
+    Args:
+        plan: of the scene.
+        seed: of all that is left to chance.
+    """
+    for number, lot in enumerate(plan.lots):
+        rng = np.random.default_rng([seed, 21, number])
+        shares = _STYLES[plan.kind][lot.kind]
+        style: HouseStyle = rng.choice(list(shares), p=list(shares.values())).item()
+        near = float(np.hypot(*lot.origin[:2])) < plan.roi.radius_m + _SEEN_WELL_M and lot.kind != "yard"
+        model = house(
+            rng, style, lot.length_m, lot.depth_m, corner=lot.kind != "front", detailed=near or plan.kind != "urban"
+        )
+        yield _standing(plan, lot, model)
+        if style == "detached" and near:
+            yield _front_fence(plan, lot, rng)
+
+
+def _standing(plan: Plan, lot: Lot, model: Model) -> Model:
+    """A house in the world, as high as the highest ground along its front."""
+    along = np.array([math.cos(lot.yaw_rad), math.sin(lot.yaw_rad)])
+    places = lot.origin[:2] + 0.5 * lot.length_m * np.array([[-1.0], [-0.5], [0.0], [0.5], [1.0]]) * along
+    height = float(plan.height_m(places[:, 0], places[:, 1]).max())
+    return model.standing(lot.origin[0], lot.origin[1], height, lot.yaw_rad)
+
+
+def _front_fence(plan: Plan, lot: Lot, rng: np.random.Generator) -> Model:
+    """A fence or wall along the front of a garden, with a way in on one side."""
+    along = np.array([math.cos(lot.yaw_rad), math.sin(lot.yaw_rad)])
+    ends = (-0.5, 0.28) if rng.random() < 0.5 else (-0.28, 0.5)
+    places = lot.origin[:2] + lot.length_m * np.linspace(*ends, 6)[:, None] * along
+    line = np.c_[places, plan.height_m(places[:, 0], places[:, 1])]
+    return garden_wall(rng, line, high_m=0.8) if rng.random() < 0.35 else fence(rng, line)

@@ -1,0 +1,164 @@
+"""A scene's static world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Float64, Int64, Records
+from mirror.schema.documents import Roi
+from mirror.synth.model import Model, merged
+from mirror.synth.street.houses import far_houses, far_woods
+from mirror.synth.street.network import Network
+from mirror.synth.street.plan import Plan, plan_scene
+from mirror.synth.street.world.furnishing import Furniture, furnish
+from mirror.synth.street.world.parking import parked_on
+from mirror.synth.street.world.planting import plants_of
+from mirror.synth.street.world.settling import houses_of
+from mirror.synth.users.body import RoadUser
+
+AMBER_S: Final = 3.0
+"""Amber follows a signal's green for so long."""
+READY_S: Final = 1.0
+"""Red and amber come before it for so long."""
+
+
+@dataclass(frozen=True)
+class Lights:
+    """The lamps of one signal group, as faces of the world's model.
+
+    Attributes:
+        red: red ones.
+        amber: amber ones.
+        green: green ones.
+    """
+
+    red: Int64
+    amber: Int64
+    green: Int64
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """All that stands still in a scene, in its world frame: east, north, up, metres, the origin at the ROI's centre.
+
+    Attributes:
+        plan: of the scene.
+        model: ground, houses, furniture, plants in full leaf, what stands far off. Plants come last: taking leaves away
+            does not change the other faces' numbers.
+        lamps: (M, 3) places of street lamps' lights.
+        lights: lamps of traffic lights by signal group.
+        parked: parked vehicles, whose bodies are not in ``model``.
+        seed: of all that was left to chance.
+    """
+
+    plan: Plan
+    model: Model
+    lamps: Float64
+    lights: Mapping[int, Lights]
+    parked: tuple[RoadUser, ...]
+    seed: int
+
+    @property
+    def roi(self) -> Roi:
+        """The scene."""
+        return self.plan.roi
+
+    @property
+    def yaw_rad(self) -> float:
+        """Direction of the main street at the ROI's centre, counter-clockwise from east."""
+        return self.plan.yaw_rad
+
+    @property
+    def network(self) -> Network:
+        """The lanes."""
+        return self.plan.network
+
+    @property
+    def layouts(self) -> Records:
+        """Markings, by the ``layout`` of the carriageways' faces."""
+        return self.plan.layouts
+
+    def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
+        """Heights (...,) of the ground at places.
+
+        Raises:
+            UsageError: a place is off the ground, or not finite.
+        """
+        return self.plan.height_m(x_m, y_m)
+
+    def burning(self, time_s: float) -> Int64:
+        """Faces of the model that are burning lamps of traffic lights, at a time of the signals' cycle."""
+        network, found = self.plan.network, [np.zeros(0, np.int64)]
+        for group, lights in self.lights.items():
+            start, end = network.green_s[group]
+            since = (time_s - start) % network.cycle_s
+            if since < end - start:
+                found.append(lights.green)
+            elif since < end - start + AMBER_S:
+                found.append(lights.amber)
+            else:
+                found.append(lights.red)
+                if since > network.cycle_s - READY_S:
+                    found.append(lights.amber)
+        return np.concatenate(found)
+
+
+def build_world(roi: Roi, yaw_deg: float, seed: int) -> World:
+    """Build a scene's world.
+
+    Args:
+        roi: its radius sets the extent, its ``scene_type`` the kind; default: urban.
+        yaw_deg: direction of the main street at the centre, counter-clockwise from east.
+        seed: of all that is left to chance.
+
+    Raises:
+        UsageError: the ROI is smaller than a crossing, or larger than the land that can be laid.
+    """
+    plan = plan_scene(roi, yaw_deg, seed)
+    things = furnish(plan, seed)
+    lights = _lights(things)
+    model = merged(
+        [
+            *(head.model for _, head in things.signals),
+            plan.ground,
+            *houses_of(plan, seed),
+            *(lamp.model for lamp in things.lamps),
+            *things.others,
+            *_backdrop(plan, seed),
+            *plants_of(plan, seed),
+        ]
+    )
+    lamps = np.concatenate([np.zeros((0, 3)), *(lamp.lights for lamp in things.lamps)])
+    return World(plan, model, lamps, lights, parked_on(plan, seed), seed)
+
+
+def _lights(things: Furniture) -> dict[int, Lights]:
+    """Lamps by group; the traffic lights' faces come first in the world's model."""
+    found: dict[int, list[tuple[Int64, Int64, Int64]]] = {}
+    first = 0
+    for group, head in things.signals:
+        found.setdefault(group, []).append((head.red + first, head.amber + first, head.green + first))
+        first += len(head.model.faces)
+    return {group: Lights(*(np.concatenate(part) for part in zip(*parts))) for group, parts in found.items()}
+
+
+def _backdrop(plan: Plan, seed: int) -> list[Model]:
+    """What stands far off on all sides."""
+    rng = np.random.default_rng([seed, 28])
+    radius = plan.roi.radius_m
+    if plan.kind == "urban":
+        return [
+            far_houses(rng, radius + 115.0, radius + 230.0, (9.0, 34.0), plan.height_m),
+            far_woods(rng, radius + 232.0, radius + 256.0, (10.0, 16.0), plan.height_m),
+        ]
+    if plan.kind == "campus":
+        return [
+            far_houses(rng, radius + 140.0, radius + 230.0, (8.0, 22.0), plan.height_m),
+            far_woods(rng, radius + 110.0, radius + 250.0, (10.0, 17.0), plan.height_m),
+        ]
+    return [far_woods(rng, radius + 120.0, radius + 256.0, (9.0, 17.0), plan.height_m)]

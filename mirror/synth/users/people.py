@@ -123,6 +123,7 @@ def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False)
     bag: Bag = "none" if who.bag == "handbag" else who.bag
     garment: Garment = "jacket" if motorcycle or rng.random() < 0.6 else "shirt"
     # Whoever rides it has long enough legs.
-    height = max(who.height_m, float(np.linalg.norm(np.subtract(saddle.hip, saddle.foot))) / _RIDING_LEG)
+    reach = max(float(np.linalg.norm(np.subtract(saddle.hip, foot))) for foot in (saddle.foot, saddle.foot_right))
+    height = max(who.height_m, reach / _RIDING_LEG)
     who = replace(who, height_m=min(height, 2.0), garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag)
     return dressed(who, riding(who.height_m, saddle), Label.RIDER)

@@ -65,7 +65,7 @@ class Participant:
     way: Way
     chassis: Chassis
     manner: Manner
-    aside: Aside = Aside()
+    aside: Aside
     enter_s: float = 0.0
     enter_m: float = 0.0
     end_m: float | None = None

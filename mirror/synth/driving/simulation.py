@@ -216,9 +216,7 @@ def _limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> floa
 
 
 @njit(cache=True, nogil=True)
-def _entry_speed(
-    u: int, ways: Ways, users: Users, meetings: Meetings, state: UInt8, s: Float64, v: Float64
-) -> float:
+def _entry_speed(u: int, ways: Ways, users: Users, meetings: Meetings, state: UInt8, s: Float64, v: Float64) -> float:
     """The speed at which a user can come in, or -1 while there is no room."""
     at = users.enter_m[u]
     speed = min(_pace(ways, users.way[u], at) * users.eager[u], users.fastest_mps[u])

@@ -18,6 +18,7 @@ _SMOOTH_M: Final = 2.0
 _SIDEWAYS_MPS2: Final = 2.2
 _BRAKING_MPS2: Final = 1.4
 _NO_LANE: Final = -1
+_KERB_M: Final = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +182,10 @@ def _halts(pieces: Sequence[Piece], starts: Float64, end_m: float) -> tuple[Halt
     found = []
     for number, piece in enumerate(pieces):
         lane = piece.lane
-        if lane is None or lane.stop_m is None or lane.stop_m < piece.at_m:
+        stop = None if lane is None else _stop_m(lane)
+        if lane is None or stop is None or stop < piece.at_m:
             continue
-        at = float(starts[number] + lane.stop_m - piece.at_m)
+        at = float(starts[number] + stop - piece.at_m)
         next_at = starts[number + 1] if number + 1 < len(pieces) else end_m
         if at > next_at + 1.0:
             continue
@@ -191,6 +193,11 @@ def _halts(pieces: Sequence[Piece], starts: Float64, end_m: float) -> tuple[Halt
         clear = float(starts[after[0]]) if after else end_m
         found.append(Halt(at, lane.signal, clear, lane.use in ("walk", "cross")))
     return tuple(found)
+
+
+def _stop_m(lane: Lane) -> float | None:
+    """Where one waits on a lane: people who cross at a signal wait by the kerb."""
+    return _KERB_M if lane.stop_m is None and lane.signal is not None and lane.use == "cross" else lane.stop_m
 
 
 def _of(piece: Piece) -> str | None:

@@ -136,4 +136,3 @@ def _close(a: Float64, b: Float64, clearance: float) -> UInt8:
                 # No point nearer than the distance that is missing can be in reach.
                 j += max(int((distance - clearance) / GRID_M), 1)
     return found
-

@@ -1,0 +1,56 @@
+"""The road users that are met: a fixed population of each kind, so that nobody is built twice."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Final, Literal
+
+import numpy as np
+
+from mirror.synth.users.body import Body
+
+Kind = Literal["car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian"]
+KINDS: Final[tuple[Kind, ...]] = ("car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian")
+
+POPULATION: Final[dict[Kind, int]] = {
+    "car": 160, "van": 32, "truck": 24, "bus": 12, "motorcycle": 12, "cyclist": 32, "pedestrian": 96,
+}  # fmt: skip
+"""How many there are of each kind."""
+
+_CHILD: Final = 0.12
+
+
+@lru_cache(maxsize=1024)
+def body_of(kind: Kind, number: int, umbrella: bool = False, warm: bool = False) -> Body:
+    """One of the population.
+
+    Args:
+        kind: what it is.
+        number: which.
+        umbrella: somebody on foot holds one up.
+        warm: people are dressed for summer.
+    """
+    rng = np.random.default_rng([7, KINDS.index(kind), number])
+    if kind == "pedestrian":
+        from mirror.synth.users.people import pedestrian
+
+        return pedestrian(rng, child=rng.random() < _CHILD, umbrella=umbrella, warm=warm)
+    if kind == "car":
+        from mirror.synth.users.cars import car
+
+        return car(rng)
+    if kind == "van":
+        from mirror.synth.users.vans import van
+
+        return van(rng)
+    if kind == "truck":
+        from mirror.synth.users.trucks import truck
+
+        return truck(rng)
+    if kind == "bus":
+        from mirror.synth.users.buses import bus
+
+        return bus(rng)
+    from mirror.synth.users.two_wheelers import bicycle, motorcycle
+
+    return motorcycle(rng) if kind == "motorcycle" else bicycle(rng)

@@ -1,0 +1,133 @@
+"""Paths through the network: lanes that follow each other, from where one comes in to where one leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.synth.street.network import Lane, Network, Use
+
+TURN_RAD: Final = math.radians(40.0)
+_LONGEST: Final = 40
+
+
+@dataclass(frozen=True)
+class Path:
+    """Lanes, each of which follows the one before.
+
+    Attributes:
+        lanes: in order.
+    """
+
+    lanes: tuple[Lane, ...]
+
+    @property
+    def lane_ids(self) -> tuple[str, ...]:
+        """Their ids."""
+        return tuple(lane.lane_id for lane in self.lanes)
+
+    @property
+    def line(self) -> Float64:
+        """(N, 2) points of all lanes."""
+        return np.vstack([lane.line[:, :2] for lane in self.lanes])
+
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """Angles of the turns at crossings, left positive, radians."""
+        found = [turn_rad(lane) for lane in self.lanes if lane.use == "turn"]
+        return tuple(angle for angle in found if abs(angle) > TURN_RAD)
+
+    def inside_m(self, radius_m: float) -> float:
+        """Length within a circle round the origin."""
+        line = self.line
+        step = np.hypot(*np.diff(line, axis=0).T)
+        middle = 0.5 * (line[1:] + line[:-1])
+        return float(step[np.hypot(*middle.T) < radius_m].sum())
+
+    @property
+    def closest_m(self) -> float:
+        """Least distance from the origin."""
+        return float(np.hypot(*self.line.T).min())
+
+    @property
+    def chord(self) -> Float64:
+        """(2,) unit vector from its beginning to its end."""
+        line = self.line
+        step = line[-1] - line[0]
+        return step / np.hypot(*step)
+
+
+def turn_rad(lane: Lane) -> float:
+    """By how much a lane turns, left positive."""
+    step = np.diff(lane.line[:, :2], axis=0)
+    step = step[np.hypot(*step.T) > 1e-6]
+    heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    return float(heading[-1] - heading[0])
+
+
+def lanes_of(network: Network, *uses: Use) -> dict[str, Lane]:
+    """The lanes of some uses, by id."""
+    return {lane_id: lane for lane_id, lane in network.lanes.items() if lane.use in uses}
+
+
+def sources(lanes: dict[str, Lane]) -> list[Lane]:
+    """Lanes that nothing leads to, in the order of their ids: where one comes in."""
+    reached = {name for lane in lanes.values() for name in lane.successors}
+    return [lanes[lane_id] for lane_id in sorted(lanes) if lane_id not in reached]
+
+
+def paths_from(lanes: dict[str, Lane], start: Lane) -> Iterator[Path]:
+    """All paths from a lane on to the network's ends; no lane comes twice."""
+
+    def onward(so_far: tuple[Lane, ...]) -> Iterator[Path]:
+        following = [
+            name for name in so_far[-1].successors if name in lanes and all(lanes[name] is not lane for lane in so_far)
+        ]
+        if not following or len(so_far) >= _LONGEST:
+            yield Path(so_far)
+        for name in following:
+            yield from onward((*so_far, lanes[name]))
+
+    return onward((start,))
+
+
+def wandering(
+    lanes: dict[str, Lane], start: Lane, rng: np.random.Generator, straight: float, least_bend_m: float = 0.0
+) -> Path:
+    """A path that somebody takes by chance.
+
+    Args:
+        lanes: that may be used.
+        start: the first.
+        rng: decides.
+        straight: how much likelier than a turn it is to go straight on.
+        least_bend_m: tighter turns are not taken while there is another way.
+    """
+    path = [start]
+    while len(path) < _LONGEST:
+        following = [
+            lanes[name]
+            for name in path[-1].successors
+            if name in lanes and all(lanes[name] is not lane for lane in path)
+        ]
+        wide = [lane for lane in following if _radius_m(lane) >= least_bend_m]
+        following = wide or following
+        if not following:
+            break
+        weights = np.array([straight if abs(turn_rad(lane)) < TURN_RAD else 1.0 for lane in following])
+        path.append(following[int(rng.choice(len(following), p=weights / weights.sum()))])
+    return Path(tuple(path))
+
+
+def beside_m(lane: Lane, point: Sequence[float] | Float64) -> float:
+    """The length along a lane at which it passes a point most closely."""
+    return float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - np.asarray(point)[:2]) ** 2, axis=1))])
+
+
+def _radius_m(lane: Lane) -> float:
+    return lane.length_m / max(abs(turn_rad(lane)), 1e-3)

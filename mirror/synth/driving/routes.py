@@ -1,0 +1,417 @@
+"""The routes that vehicles are driven along: through the scene, and those that meet each branch of the trigger."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.errors import UsageError
+from mirror.synth.driving.paths import Path, beside_m, lanes_of, paths_from, sources, turn_rad
+from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, lane_piece
+from mirror.synth.street.network import Lane, Network
+
+LEAD_M: Final = 24.0
+_EDGE: Final = 0.85
+_PASS_S: Final = 8.0
+_SWING_M: Final = 4.9
+_SWING_LEAD_M: Final = 18.0
+_CLEAR_M: Final = 26.0
+_BESIDE_M: Final = 40.0
+_OUTSIDE_S: Final = 2.5
+_CHANGE_M: Final = 75.0
+_VISIT_S: Final = 13.0
+_QUIET_MPS: Final = 9.0
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """What the recording vehicle is to drive.
+
+    Attributes:
+        way: that it follows.
+        begin_m: length along it at which the drive begins.
+        end_m: length at which it ends.
+        comes_from_m: length from which it drives, before the drive begins.
+        fastest_mps: it goes no faster.
+        stands_s: so long it stands where it begins.
+        first: it goes first wherever ways meet, so that its times are kept.
+    """
+
+    way: Way
+    begin_m: float
+    end_m: float
+    comes_from_m: float = 0.0
+    fastest_mps: float = math.inf
+    stands_s: float = 0.0
+    first: bool = False
+
+
+class Streets:
+    """The paths of a network, sorted by what they are good for.
+
+    Args:
+        network: of the scene.
+        radius_m: of its ROI, which lies round the origin.
+    """
+
+    def __init__(self, network: Network, radius_m: float) -> None:
+        self.network = network
+        self.radius_m = radius_m
+        lanes = lanes_of(network, "drive", "turn")
+        every = [path for start in sources(lanes) for path in paths_from(lanes, start)]
+        ends = [(np.hypot(*path.line[0]), np.hypot(*path.line[-1])) for path in every]
+        self.paths = [path for path, near in zip(every, ends) if min(near) > radius_m]
+        through = [path for path in self.paths if not path.turns and path.inside_m(radius_m) > radius_m]
+        if not through:
+            raise UsageError("no street leads through the scene", expected="lanes from one side of it to the other")
+        # Lanes of one carriageway are about as long: the rightmost is the one to keep to.
+        main = min(through, key=lambda path: (-round(self._worth(path) / 40.0), path.lane_ids))
+        first, last = main.line[0], main.line[-1]
+        self.along = self._from_right([path for path in through if _joins(path, first, last)])
+        self.back = self._from_right([path for path in through if _joins(path, last, first)])
+
+    def _worth(self, path: Path) -> float:
+        return path.inside_m(self.radius_m) - 3.0 * path.closest_m
+
+    def _from_right(self, paths: Sequence[Path]) -> list[Path]:
+        """Paths beside each other, the rightmost first."""
+        return sorted(paths, key=lambda path: (float(_cross(path.chord, path.line[0])), path.lane_ids))
+
+    def across(self) -> list[Path]:
+        """Straight paths that cross the main street, the longest within the ROI first."""
+        chord = self.along[0].chord
+        found = [
+            path
+            for path in self.paths
+            if not path.turns and abs(_cross(chord, path.chord)) > 0.7 and path.closest_m < _EDGE * self.radius_m
+        ]
+        return sorted(found, key=lambda path: (-round(path.inside_m(self.radius_m)), path.lane_ids))
+
+    def turning(self, sign: float) -> list[Path]:
+        """Paths from the main street that turn once, to the left (1) or the right (-1), deep in the ROI first."""
+        starts = {path.lane_ids[0] for path in self.along}
+        found = [
+            path
+            for path in self.paths
+            if path.lane_ids[0] in starts and len(path.turns) == 1 and sign * path.turns[0] > 0.0
+        ]
+        wanted = 0.8 * self.radius_m
+        return sorted(
+            (path for path in found if path.inside_m(self.radius_m) > wanted),
+            key=lambda path: (self._turns_at_m(path), path.lane_ids),
+        )
+
+    def _turns_at_m(self, path: Path) -> float:
+        lane = max((lane for lane in path.lanes if lane.use == "turn"), key=lambda lane: abs(turn_rad(lane)))
+        return round(float(np.hypot(*lane.line[0, :2])))
+
+    def edge(self) -> list[Path]:
+        """Straight paths that only touch the ROI."""
+        found = [
+            path
+            for path in self.paths
+            if not path.turns and _EDGE * self.radius_m < path.closest_m < self.radius_m - 1.0
+        ]
+        return sorted(found, key=lambda path: (path.inside_m(self.radius_m), path.lane_ids))
+
+    def skimming(self) -> list[Path]:
+        """Paths that turn away at the ROI's edge, having been inside for a few metres."""
+        found = [
+            path
+            for path in self.paths
+            if len(path.turns) == 1 and path.closest_m > _EDGE * self.radius_m and path.inside_m(self.radius_m) > 5.0
+        ]
+        return sorted(found, key=lambda path: (-path.inside_m(self.radius_m), path.lane_ids))
+
+    def out_and_home(self, at_m: float) -> tuple[Path, Path]:
+        """A path out of the ROI and one back beside it, with no crossing where one would turn round."""
+        for out, home in ((self.along, self.back), (self.back, self.along)):
+            if out and home:
+                place = _exit(out[0], at_m)
+                lane = min(out[0].lanes, key=lambda lane: float(np.hypot(*(lane.line[:, :2] - place).T).min()))
+                at = beside_m(lane, place)
+                if lane.use == "drive" and at > _CLEAR_M and (lane.length_m - at > _CLEAR_M or not lane.successors):
+                    return out[0], home[0]
+        raise UsageError(
+            f"no room to turn round {at_m:.0f} m from the scene's middle",
+            expected="a street with a lane in either direction, clear of crossings",
+            remedy="take another route, or another kind of scene",
+        )
+
+    def slip(self, leaving: bool) -> list[Path]:
+        """Paths off the main carriageway, or onto it, without a turn."""
+        main = [*self.along, *self.back]
+        own, other = (0, -1) if leaving else (-1, 0)
+        own_ids, other_ids = {path.lane_ids[own] for path in main}, {path.lane_ids[other] for path in main}
+        found = [
+            path
+            for path in self.paths
+            if not path.turns and path.lane_ids[own] in own_ids and path.lane_ids[other] not in other_ids
+        ]
+        return sorted(found, key=lambda path: path.lane_ids)
+
+
+def _exit(path: Path, distance_m: float) -> Float64:
+    """(2,) where a path, on its way out, is so far from the origin."""
+    line = path.line
+    distance = np.hypot(*line.T)
+    last = int(np.argmin(distance))
+    return line[last + int(np.argmax(distance[last:] > distance_m))]
+
+
+def _joins(path: Path, begin: Float64, end: Float64) -> bool:
+    """Whether a path leads from near one place to near another."""
+    return bool(np.hypot(*(path.line[0] - begin)) < _BESIDE_M and np.hypot(*(path.line[-1] - end)) < _BESIDE_M)
+
+
+def _point(lane: Lane, along_m: float) -> Float64:
+    return np.array([np.interp(along_m, lane.along_m, lane.line[:, axis]) for axis in (0, 1)])
+
+
+def _cross(a: Float64, b: Float64) -> float:
+    return float(a[0] * b[1] - a[1] * b[0])
+
+
+def _picked(paths: Sequence[Path], variant: int, route: str) -> Path:
+    if not paths:
+        raise UsageError(
+            f"no route {route!r} in this scene",
+            expected="streets that allow it",
+            remedy="take 'along', 'back' or 'still', which every scene has, or another kind of scene",
+        )
+    return paths[variant % len(paths)]
+
+
+def _whole(path: Path, streets: Streets, speed_mps: float | None = None) -> Route:
+    """From before the ROI to behind it."""
+    pieces = [lane_piece(lane) for lane in path.lanes]
+    if speed_mps is not None:
+        pieces = [replace(piece, speed_mps=speed_mps) for piece in pieces]
+    return _through(build_way(pieces), streets)
+
+
+def _through(way: Way, streets: Streets) -> Route:
+    inside = STEP_M * np.flatnonzero(np.hypot(*way.points.T) < streets.radius_m)
+    return Route(way, max(float(inside[0]) - LEAD_M, 0.0), min(float(inside[-1]) + LEAD_M + 6.0, way.length_m))
+
+
+def _along(streets: Streets, variant: int) -> Route:
+    """The whole main street."""
+    return _whole(_picked(streets.along, variant, "along"), streets)
+
+
+def _back(streets: Streets, variant: int) -> Route:
+    """The whole main street, in the other direction."""
+    return _whole(_picked(streets.back, variant, "back"), streets)
+
+
+def _turn(streets: Streets, variant: int) -> Route:
+    """In on the main street, right at a crossing."""
+    return _whole(_picked(streets.turning(-1.0), variant, "turn"), streets)
+
+
+def _left(streets: Streets, variant: int) -> Route:
+    """In on the main street, left at a crossing."""
+    return _whole(_picked(streets.turning(1.0), variant, "left"), streets)
+
+
+def _across(streets: Streets, variant: int) -> Route:
+    """Straight across the main street."""
+    return _whole(_picked(streets.across(), variant, "across"), streets)
+
+
+def _other(streets: Streets, variant: int) -> Route:
+    """The main street on another lane than the rightmost."""
+    return _whole(_picked(streets.along[1:], variant, "other"), streets)
+
+
+def _change(streets: Streets, variant: int) -> Route:
+    """The main street, with a change to the lane on the left and, later, back."""
+    path = _picked([path for path in streets.along if path.lanes[0].left], variant, "change")
+    lanes = streets.network.lanes
+    usable = [n for n, lane in enumerate(path.lanes) if lane.left and lane.length_m > 2.0 * _CHANGE_M]
+    if not usable:
+        _picked([], 0, "change")
+    out, home = usable[0], usable[-1]
+    pieces: list[Piece] = []
+    for number, lane in enumerate(path.lanes):
+        left = None if lane.left is None else lanes[lane.left]
+        begin_m = 0.3 * lane.length_m
+        if number == out and left is not None:
+            beside = beside_m(left, _point(lane, begin_m))
+            pieces += [lane_piece(lane, 0.0, begin_m + _CHANGE_M), lane_piece(left, beside, change_m=_CHANGE_M)]
+        elif out < number < home and left is not None:
+            pieces.append(lane_piece(left))
+        elif number == home and left is not None:
+            beside = beside_m(lane, _point(left, begin_m))
+            pieces += [lane_piece(left, 0.0, begin_m + _CHANGE_M), lane_piece(lane, beside, change_m=_CHANGE_M)]
+        else:
+            pieces.append(lane_piece(lane))
+    return _through(build_way(pieces), streets)
+
+
+def _leave(streets: Streets, variant: int) -> Route:
+    """Off the main carriageway by a slip road."""
+    return _whole(_picked(streets.slip(leaving=True), variant, "leave"), streets)
+
+
+def _join(streets: Streets, variant: int) -> Route:
+    """Onto the main carriageway by a slip road."""
+    return _whole(_picked(streets.slip(leaving=False), variant, "join"), streets)
+
+
+def _edge(streets: Streets, variant: int) -> Route:
+    """The street at the edge of the ROI: inside for 8 s."""
+    path = _picked(streets.edge(), variant, "edge")
+    speed = path.inside_m(streets.radius_m) / _PASS_S
+    route = _whole(path, streets, speed)
+    lead = 3.0 * speed + LEAD_M
+    return replace(
+        route, begin_m=max(route.begin_m + LEAD_M - lead, 0.0),
+        end_m=min(route.end_m - LEAD_M + lead, route.way.length_m), first=True,
+    )  # fmt: skip
+
+
+def _corner(streets: Streets, variant: int) -> Route:
+    """Skims the ROI: along the street at its edge, then away from it."""
+    return replace(_whole(_picked(streets.skimming(), variant, "corner"), streets), first=True)
+
+
+def _still(streets: Streets, variant: int) -> Route:
+    """Stands in the ROI, and then moves up by 14 m."""
+    path = _picked(streets.along, variant, "still")
+    way = build_way([lane_piece(lane) for lane in path.lanes])
+    free = [halt.at_m for halt in way.halts]
+    middle = way.nearest_m(np.zeros(2))
+    # Clear of stop lines, where it would have to wait once more.
+    places = [middle + sign * 5.0 * k for k in range(30) for sign in (-1.0, 1.0)]
+    begin = next(place for place in places if all(not place - 6.0 < at < place + 40.0 for at in free))
+    return Route(way, begin, begin + 14.0, begin, fastest_mps=2.0, stands_s=35.0, first=True)
+
+
+def _twice(streets: Streets, variant: int) -> Route:
+    """Out of the ROI, round, and in again."""
+    out, home = streets.out_and_home(streets.radius_m + 34.0)
+    way, swing = _turned_round(out, home, streets.radius_m + 34.0)
+    inside = np.hypot(*way.points.T) < streets.radius_m
+    middle = int(swing / STEP_M)
+    leaves = STEP_M * float(np.flatnonzero(inside[:middle])[-1])
+    comes = STEP_M * float(middle + np.argmax(inside[middle:]))
+    begin, end = max(leaves - _VISIT_S * _QUIET_MPS, 0.0), min(comes + _VISIT_S * _QUIET_MPS, way.length_m)
+    return Route(way, begin, end, max(begin - 40.0, 0.0), fastest_mps=_QUIET_MPS, first=True)
+
+
+def _uturn(streets: Streets, variant: int) -> Route:
+    """Turns round on the edge of the ROI: less than 3 s outside between two short visits."""
+    out, home = streets.out_and_home(streets.radius_m)
+    low, high = streets.radius_m - 6.0, streets.radius_m + 8.0
+    # The further out it turns, the longer it is outside.
+    for _ in range(20):
+        apex = 0.5 * (low + high)
+        way, swing = _turned_round(out, home, apex)
+        outside = np.hypot(*way.points.T) > streets.radius_m
+        near = np.abs(np.arange(len(way.points)) * STEP_M - swing) < 30.0
+        seconds = float((STEP_M / np.minimum(way.pace_mps, 5.0))[outside & near].sum())
+        low, high = (apex, high) if seconds < _OUTSIDE_S else (low, apex)
+    return Route(way, swing - 32.0, swing + 32.0, swing - 45.0, fastest_mps=5.0, first=True)
+
+
+ROUTES: Final[dict[str, Callable[[Streets, int], Route]]] = {
+    "along": _along,
+    "back": _back,
+    "turn": _turn,
+    "left": _left,
+    "across": _across,
+    "other": _other,
+    "change": _change,
+    "leave": _leave,
+    "join": _join,
+    "edge": _edge,
+    "corner": _corner,
+    "still": _still,
+    "twice": _twice,
+    "uturn": _uturn,
+}
+
+
+def route_of(name: str, network: Network, radius_m: float, variant: int = 0) -> Route:
+    """A named route.
+
+    Args:
+        name: one of `ROUTES`.
+        network: of the scene.
+        radius_m: of its ROI, which lies round the origin.
+        variant: where there are several such (lanes beside each other, crossings to turn at): the one.
+
+    Raises:
+        UsageError: there is no such name, or the network has no such route.
+    """
+    if name not in ROUTES:
+        raise UsageError(f"no route {name!r}", expected=f"one of {', '.join(ROUTES)}")
+    return ROUTES[name](Streets(network, radius_m), variant)
+
+
+def routes_in(network: Network, radius_m: float) -> tuple[str, ...]:
+    """The names of the routes that a network has."""
+    streets = Streets(network, radius_m)
+    found = []
+    for name, make in ROUTES.items():
+        try:
+            make(streets, 0)
+        except UsageError:
+            continue
+        found.append(name)
+    return tuple(found)
+
+
+def _turned_round(out: Path, home: Path, apex_m: float) -> tuple[Way, float]:
+    """A way out on one path and home on the other, which turns round so far from the origin; and where it does."""
+    line, other = out.line, home.line
+    distance = np.hypot(*line.T)
+    last = int(np.argmin(np.hypot(*line.T)))
+    turn = last + int(np.argmax(distance[last:] > apex_m - _SWING_M))
+    place = line[turn]
+    ahead = line[turn] - line[turn - 3]
+    ahead = ahead / np.hypot(*ahead)
+    left = np.array([-ahead[1], ahead[0]])
+    gap = float(np.min(np.abs((other - place) @ left)[np.abs((other - place) @ ahead) < 3.0], initial=np.inf))
+    if not gap < 2.0 * _SWING_M:
+        raise UsageError(
+            f"no room to turn round {apex_m:.0f} m from the scene's middle",
+            expected="a lane in the other direction beside the own",
+            remedy="take another route, or another kind of scene",
+        )
+    aside = _SWING_M - 0.5 * gap
+    angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 40)
+    share = np.linspace(0.0, 1.0, 24)
+    ease = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    swing = np.column_stack([-_SWING_LEAD_M * (1.0 - share), -aside * ease])
+    arc = np.column_stack([_SWING_M * np.cos(angle), 0.5 * gap + _SWING_M * np.sin(angle)])
+    local = np.vstack([swing[1:], arc[1:-1], (swing * (1.0, -1.0) + (0.0, gap))[:0:-1]])
+    round_line = place + local[:, :1] * ahead + local[:, 1:] * left
+    pieces = [
+        *_until(out, place - _SWING_LEAD_M * ahead),
+        Piece(round_line, out.lanes[0].speed_mps),
+        *_since(home, round_line[-1] - 0.5 * ahead),
+    ]
+    way = build_way(pieces)
+    return way, way.nearest_m(place + ahead * _SWING_M + left * 0.5 * gap)
+
+
+def _until(path: Path, point: Float64) -> list[Piece]:
+    """A path up to where it passes a point."""
+    last = int(np.argmin([np.hypot(*(lane.line[:, :2] - point).T).min() for lane in path.lanes]))
+    pieces = [lane_piece(lane) for lane in path.lanes[:last]]
+    return [*pieces, lane_piece(path.lanes[last], 0.0, max(beside_m(path.lanes[last], point), STEP_M))]
+
+
+def _since(path: Path, point: Float64) -> list[Piece]:
+    """A path from where it passes a point on."""
+    first = int(np.argmin([np.hypot(*(lane.line[:, :2] - point).T).min() for lane in path.lanes]))
+    lane = path.lanes[first]
+    return [lane_piece(lane, beside_m(lane, point)), *(lane_piece(lane) for lane in path.lanes[first + 1 :])]

@@ -46,7 +46,7 @@ def city_bus(rng: np.random.Generator) -> Body:
     """Low floor, three doors on the right, large windows, a route's display."""
     upper, lower = _LIVERIES[int(rng.integers(len(_LIVERIES)))]
     length = float(rng.choice((10.6, 12.0)))
-    shape = _shape(length, 3.0, waist=1.10, overhangs=(2.7, 3.1))
+    shape = bus_shape(length, 3.0, waist=1.10, overhangs=(2.7, 3.1))
     sheets = Sheets(Label.BUS, int(rng.integers(1 << 30)))
     _dressed(rng, sheets, shape, Finish(upper, Material.PAINT), Finish(lower, Material.PAINT), pitch_m=1.42)
     end, front = shape.front.reach_m, shape.axles_m[0]
@@ -63,7 +63,7 @@ def city_bus(rng: np.random.Generator) -> Body:
 
 def coach(rng: np.random.Generator) -> Body:
     """High, with luggage under dark windows."""
-    shape = _shape(12.4, 3.65, waist=1.72, overhangs=(2.6, 3.4))
+    shape = bus_shape(12.4, 3.65, waist=1.72, overhangs=(2.6, 3.4))
     sheets = Sheets(Label.BUS, int(rng.integers(1 << 30)))
     coat = car_paint(rng)
     _dressed(rng, sheets, shape, coat, coat, pitch_m=1.7)
@@ -74,11 +74,14 @@ def coach(rng: np.random.Generator) -> Body:
 _ROOF_SIDES: Final = (Side.FRONT, Side.BACK, Side.LEFT, Side.RIGHT, Side.TOP)
 
 
-def _shape(length: float, height: float, *, waist: float, overhangs: tuple[float, float]) -> Shape:
+def bus_shape(
+    length: float, height: float, *, waist: float, overhangs: tuple[float, float], width: float = 2.53
+) -> Shape:
+    """A box on two axles, from a few measures in metres: overhangs are in front and behind."""
     end = 0.5 * length
     axles = end - overhangs[0], overhangs[1] - end
     return Shape(
-        width_m=2.53,
+        width_m=width,
         clearance_m=0.33,
         waist_m=waist,
         wheel_m=0.48,
@@ -100,10 +103,8 @@ def _shape(length: float, height: float, *, waist: float, overhangs: tuple[float
     )  # fmt: skip
 
 
-def _dressed(
-    rng: np.random.Generator, sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, pitch_m: float
-) -> None:
-    """Body, windows, lamps, plates, wheels and mirrors."""
+def bus_body(sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, pitch_m: float) -> None:
+    """Add the body with its rows of windows, a pillar every ``pitch_m``."""
     shell(sheets, shape, upper, sill=lower, deck=upper, screen=DARK_PANE)
     low, high = shape.waist_m + 0.05, shape.rail_m - 0.14
     ahead = shape.screen(low) - 0.22
@@ -119,6 +120,13 @@ def _dressed(
     )  # fmt: skip
     rear = pane(shape, shape.rear_window, shape.waist_m + 0.35, shape.roof[-2][1] - 0.3, 0.22)
     sheets.sheet(rear, Side.BACK, DARK_PANE, lift_m=0.004)
+
+
+def _dressed(
+    rng: np.random.Generator, sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, pitch_m: float
+) -> None:
+    """Body, lamps, plates, wheels and mirrors."""
+    bus_body(sheets, shape, upper, lower, pitch_m=pitch_m)
     middle = shape.levels_m[1]
     lamp(sheets, shape, shape.front, HEADLIGHT, (middle + 0.03, middle + 0.22), inner=0.66, wrap=0.5)
     lamp(sheets, shape, shape.back, TAIL_LIGHT, (middle + 0.06, middle + 0.36), inner=0.86, wrap=0.2)
@@ -128,7 +136,7 @@ def _dressed(
     number_plate(sheets, (-shape.back.reach_m - 0.012, 0.0, middle + 0.02), Side.BACK, number)
     for x in shape.axles_m:
         wheel(sheets, x, 0.5 * shape.width_m - 0.03, shape.wheel_m, 0.29, rim=STEEL_RIM)
-    x, y, z = shape.screen(high) + 0.30, 0.5 * shape.width_m + 0.06, high - 0.30
+    x, y, z = shape.screen(shape.rail_m) + 0.30, 0.5 * shape.width_m + 0.06, shape.rail_m - 0.44
     sheets.block((x, y, z - 0.22), (x + 0.12, y + 0.20, z + 0.22), BLACK, _ROOF_SIDES, both=True)
     sheets.block((x - 0.35, y + 0.02, z + 0.14), (x, y + 0.07, z + 0.20), BLACK, (Side.RIGHT, Side.LEFT), both=True)
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from mirror.synth.model import Label, Material, Side
 from mirror.synth.textures.catalogue import LIVERIES
 from mirror.synth.users.body import Body, boxed
+from mirror.synth.users.coachwork.cab import Cab, cab_body, cab_fittings, spoiler
 from mirror.synth.users.coachwork.fittings import (
     BLACK,
-    HEADLIGHT,
     STEEL_RIM,
     TAIL_LIGHT,
     car_paint,
@@ -21,12 +20,8 @@ from mirror.synth.users.coachwork.fittings import (
     wheel,
 )
 from mirror.synth.users.coachwork.sheets import Colour, Finish, Panel, Sheets
-from mirror.synth.users.coachwork.shell import DARK, DARK_PANE, PANE
+from mirror.synth.users.coachwork.shell import DARK
 
-_WIDTH_M: Final = 2.44
-_CORNER_M: Final = 0.20
-_FLOOR_M: Final = 1.08
-_WALLS: Final = (Side.LEFT, Side.RIGHT, Side.FRONT, Side.BACK)
 _BODY_COLOURS: Final[tuple[Colour, ...]] = (
     (0.70, 0.70, 0.69),
     (0.70, 0.70, 0.69),
@@ -36,19 +31,6 @@ _BODY_COLOURS: Final[tuple[Colour, ...]] = (
     (0.50, 0.30, 0.02),
     (0.04, 0.17, 0.10),
 )
-
-
-class _Cab(NamedTuple):
-    """Measures of a cab, in metres: where its back and its front are, how high it is, and the wheels below it."""
-
-    back: float
-    front: float
-    high: float
-    wheel: float
-
-    @property
-    def axle(self) -> float:
-        return self.front - 1.36
 
 
 def truck(rng: np.random.Generator) -> Body:
@@ -61,7 +43,7 @@ def box_truck(rng: np.random.Generator) -> Body:
     """Two axles and a closed body, often with its firm's picture."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
     long, high = rng.uniform(5.4, 6.6), rng.uniform(3.3, 3.6)
-    _cab(sheets, _Cab(long, long + 1.85, 2.72, 0.46), car_paint(rng), rng)
+    _cab(rng, sheets, Cab(long, long + 1.85, 2.72, 0.46))
     _frame(sheets, 0.1, long + 1.2)
     wheel(sheets, 1.75, 1.22, 0.46, 0.50, rim=STEEL_RIM, open_deg=124.0, treads=3)
     _box(sheets, (0.0, long - 0.12), (1.02, high), _colour(rng), rng)
@@ -72,7 +54,7 @@ def box_truck(rng: np.random.Generator) -> Body:
 def tipper(rng: np.random.Generator) -> Body:
     """Three axles and an open skip."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
-    _cab(sheets, _Cab(5.35, 7.25, 2.86, 0.50), car_paint(rng), rng)
+    _cab(rng, sheets, Cab(5.35, 7.25, 2.86, 0.50))
     _frame(sheets, 0.2, 6.4)
     for x in (1.15, 2.50):
         wheel(sheets, x, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
@@ -104,10 +86,8 @@ def tipper(rng: np.random.Generator) -> Body:
 def articulated_truck(rng: np.random.Generator) -> Body:
     """A tractor with a trailer of three axles, in line."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
-    cab = _Cab(14.15, 16.2, 3.05, 0.50)
-    coat = car_paint(rng)
-    _cab(sheets, cab, coat, rng)
-    _spoiler(sheets, cab, coat)
+    cab = Cab(14.15, 16.2, 3.05, 0.50)
+    spoiler(sheets, cab, _cab(rng, sheets, cab))
     _frame(sheets, 10.1, 15.4)
     _frame(sheets, 0.1, 9.9)
     wheel(sheets, 11.15, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
@@ -124,84 +104,12 @@ def _colour(rng: np.random.Generator) -> Colour:
     return _BODY_COLOURS[int(rng.integers(len(_BODY_COLOURS)))]
 
 
-def _cab(sheets: Sheets, cab: _Cab, coat: Finish, rng: np.random.Generator) -> None:
-    """Front, corners, flanks, windows, lamps, steps, wheels, mirrors and a plate."""
-    half, inner = 0.5 * _WIDTH_M, 0.5 * _WIDTH_M - _CORNER_M
-    waist, brow = 1.72, cab.high - 0.32
-    # Heights, and how far the front stands back there.
-    levels = ((0.38, 0.05), (_FLOOR_M, 0.0), (waist, 0.02), (brow, 0.14), (cab.high, 0.34))
-    bumper = coat if rng.random() < 0.6 else BLACK
-    for (low, back), (high, other) in pairwise(levels):
-        finish = bumper if low < _FLOOR_M else DARK_PANE if low == waist else coat
-        ahead, above = cab.front - back, cab.front - other
-        front = [(ahead, inner, low), (ahead, -inner, low), (above, -inner, high), (above, inner, high)]
-        sheets.sheet(front, Side.FRONT, finish)
-        corner = [
-            (ahead, inner, low), (ahead - _CORNER_M, half, low),
-            (above - _CORNER_M, half, high), (above, inner, high),
-        ]  # fmt: skip
-        sheets.sheet(corner, Side.FRONT, bumper if low < _FLOOR_M else coat, both=True)
-    edge = cab.front - _CORNER_M
-    flank = [
-        (cab.back, half, _FLOOR_M), (edge, half, _FLOOR_M), (edge - 0.02, half, waist), (edge - 0.14, half, brow),
-        (edge - 0.34, half, cab.high), (cab.back, half, cab.high),
-    ]  # fmt: skip
-    door = coat._replace(panel=Panel.TWO_DOORS)
-    sheets.sheet(
-        flank, Side.LEFT, door,
-        texture=lambda places: np.c_[(places[:, 0] - cab.front + 1.5) / 1.12, (places[:, 2] - waist) * 0.95], both=True,
-    )  # fmt: skip
-    glass = [
-        (cab.front - 1.42, half, waist + 0.06), (cab.front - 0.46, half, waist - 0.04),
-        (cab.front - 0.56, half, brow), (cab.front - 1.42, half, brow),
-    ]  # fmt: skip
-    sheets.sheet(glass, Side.LEFT, PANE, lift_m=0.004, both=True)
-    step = [
-        (cab.axle + 0.60, half - 0.02, 0.38), (edge - 0.05, half, 0.38), (edge, half, _FLOOR_M),
-        (cab.axle + 0.62, half, _FLOOR_M),
-    ]  # fmt: skip
-    step = [(x, half, z) for x, _, z in step]
-    sheets.sheet(step, Side.LEFT, bumper, both=True)
-    top = edge - 0.34
-    roof = [(cab.back, half), (top, half), (cab.front - 0.34, inner), (cab.front - 0.34, -inner), (top, -half)]
-    sheets.sheet([(x, y, cab.high) for x, y in [*roof, (cab.back, -half)]], Side.TOP, coat)
-    sheets.block((cab.back, -half, _FLOOR_M), (cab.back + 0.1, half, cab.high), coat, (Side.BACK,))
-    sheets.block((cab.back + 0.1, -0.92, 0.45), (cab.front - 0.4, 0.92, _FLOOR_M), DARK, (Side.LEFT,), both=True)
-    grille = [(cab.front, y, z) for y, z in ((0.78, 1.14), (-0.78, 1.14), (-0.78, 1.60), (0.78, 1.60))]
-    grille = [(x - 0.02 * (z - _FLOOR_M) / (waist - _FLOOR_M), y, z) for x, y, z in grille]
-    sheets.sheet(grille, Side.FRONT, BLACK, lift_m=0.004)
-    lamps = [
-        (cab.front - 0.05 * (_FLOOR_M - z) / 0.7, y, z)
-        for y, z in ((0.60, 0.62), (0.98, 0.62), (0.98, 0.84), (0.60, 0.84))
-    ]
-    sheets.sheet(lamps, Side.FRONT, HEADLIGHT, lift_m=0.004, both=True)
-    number_plate(sheets, (cab.front + 0.012, 0.0, 0.72), Side.FRONT, plates(rng))
-    wheel(sheets, cab.axle, half - 0.03, cab.wheel, 0.32, rim=STEEL_RIM, open_deg=124.0, treads=3)
-    x, y = cab.front - 0.42, half + 0.10
-    sheets.block((x, y, 2.02), (x + 0.12, y + 0.20, 2.62), BLACK, (*_WALLS, Side.TOP), both=True)
-
-
-def _spoiler(sheets: Sheets, cab: _Cab, coat: Finish) -> None:
-    """A roof that rises to the trailer's height."""
-    half, low, high = 0.5 * _WIDTH_M - 0.06, cab.high, 3.82
-    foot, top = cab.front - 0.50, cab.back + 0.45
-    sheets.sheet(
-        [(foot, half, low), (foot, -half, low), (top, -half + 0.1, high), (top, half - 0.1, high)], Side.FRONT, coat
-    )
-    sheets.sheet(
-        [(cab.back, half, low), (foot, half, low), (top, half - 0.1, high), (cab.back, half - 0.1, high)],
-        Side.LEFT,
-        coat,
-        both=True,
-    )
-    sheets.sheet(
-        [
-            (x, y, high)
-            for x, y in ((cab.back, half - 0.1), (top, half - 0.1), (top, 0.1 - half), (cab.back, 0.1 - half))
-        ],
-        Side.TOP,
-        coat,
-    )
+def _cab(rng: np.random.Generator, sheets: Sheets, cab: Cab) -> Finish:
+    """Add a cab with all that belongs to it; its paint is returned."""
+    coat = car_paint(rng)
+    cab_body(sheets, cab, coat, coat if rng.random() < 0.6 else BLACK)
+    cab_fittings(sheets, cab, plates(rng))
+    return coat
 
 
 def _frame(sheets: Sheets, back: float, front: float) -> None:

@@ -29,7 +29,7 @@ def van(rng: np.random.Generator) -> Body:
 def delivery_van(rng: np.random.Generator) -> Body:
     """A high-roofed van, mostly white, often with its firm's picture on the sides."""
     length, height = rng.uniform(5.4, 6.1), rng.uniform(2.42, 2.65)
-    design = _drawn(
+    design = drawn_van(
         length, 2.0, height, waist=1.22, wheel=0.345, overhangs=(1.0, 1.02), cowl=0.12, screen_deg=44.0, nose=1.02
     )
     return _van(rng, design, _WHITE if rng.random() < 0.65 else car_paint(rng), livery_m=(1.9, 0.55))
@@ -38,7 +38,7 @@ def delivery_van(rng: np.random.Generator) -> Body:
 def compact_van(rng: np.random.Generator) -> Body:
     """A van on a car's wheels."""
     length, height = rng.uniform(4.3, 4.6), rng.uniform(1.80, 1.90)
-    design = _drawn(
+    design = drawn_van(
         length, 1.82, height, waist=1.06, wheel=0.315, overhangs=(0.90, 0.75), cowl=-0.10, screen_deg=36.0, nose=0.86
     )
     return _van(rng, design, _WHITE if rng.random() < 0.5 else car_paint(rng), livery_m=(1.1, 0.5))
@@ -46,7 +46,7 @@ def compact_van(rng: np.random.Generator) -> Body:
 
 def minibus(rng: np.random.Generator) -> Body:
     """A van with seats and windows all along."""
-    design = _drawn(
+    design = drawn_van(
         rng.uniform(4.9, 5.3), 1.93, rng.uniform(1.94, 2.02),
         waist=1.10, wheel=0.335, overhangs=(0.92, 0.98), cowl=-0.02, screen_deg=38.0, nose=0.90,
     )  # fmt: skip
@@ -93,7 +93,7 @@ def livery(sheets: Sheets, shape: Shape, ends_m: Point, heights_m: Point, image:
     sheets.sheet(left * (1.0, -1.0, 1.0), Side.RIGHT, finish, lift_m=0.004)
 
 
-def _drawn(
+def drawn_van(
     length: float,
     width: float,
     height: float,

@@ -60,8 +60,7 @@ def dressed(rng: np.random.Generator, design: Design, coat: Finish, label: Label
     """A whole vehicle in its paint."""
     shape = design.shape
     sheets = Sheets(label, int(rng.integers(1 << 30)))
-    shell(sheets, shape, coat, sill=design.sill or coat, deck=design.deck or coat)
-    _windows(sheets, design)
+    bodied(sheets, design, coat)
     _face(sheets, design)
     metal = rim(rng)
     for x in shape.axles_m:
@@ -80,8 +79,10 @@ def dressed(rng: np.random.Generator, design: Design, coat: Finish, label: Label
     return sheets
 
 
-def _windows(sheets: Sheets, design: Design) -> None:
+def bodied(sheets: Sheets, design: Design, coat: Finish) -> None:
+    """Add the body with its windows."""
     shape = design.shape
+    shell(sheets, shape, coat, sill=design.sill or coat, deck=design.deck or coat)
     corners = [shape.side(*point) for point in design.windows]
     sheets.sheet(corners, Side.LEFT, PANE._replace(panel=shape.doors), texture=shape.shown, lift_m=0.004, both=True)
     foot, top = shape.waist_m, shape.roof[-2][1]

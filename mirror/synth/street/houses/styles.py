@@ -87,20 +87,20 @@ class Style:
 
 STYLES: Final[dict[HouseStyle, Style]] = {
     "stucco": Style(
-        (3, 5), (10.0, 13.0), (Windows.TALL, Windows.TALL, Windows.SASH), Windows.SIDE, Material.PLASTER, _STUCCO,
+        (2, 4), (10.0, 13.0), (Windows.TALL, Windows.TALL, Windows.SASH), Windows.SIDE, Material.PLASTER, _STUCCO,
         ("mansard", "gable", "flat"), ("shops", "flats"), 4.1, balconies=0.55, bays=0.35, cornice=True,
     ),
     "brick": Style(
-        (2, 4), (9.0, 12.0), (Windows.SASH_BRICK, Windows.TALL_BRICK, Windows.LOFT), Windows.SIDE_BRICK,
+        (2, 3), (9.0, 12.0), (Windows.SASH_BRICK, Windows.TALL_BRICK, Windows.LOFT), Windows.SIDE_BRICK,
         Material.BRICK, _BRICK, ("gable", "flat", "mansard"), ("shops", "flats"), 3.9, balconies=0.3, bays=0.25,
         cornice=True,
     ),
     "modern": Style(
-        (3, 6), (11.0, 14.0), (Windows.MODERN, Windows.MODERN_BRICK, Windows.RIBBON), Windows.SIDE,
+        (2, 5), (11.0, 14.0), (Windows.MODERN, Windows.MODERN_BRICK, Windows.RIBBON), Windows.SIDE,
         Material.PLASTER, _MODERN, ("flat",), ("shops", "flats"), 4.0, balconies=0.75,
     ),
     "panel": Style(
-        (5, 8), (11.0, 12.0), (Windows.PANEL,), Windows.PANEL, Material.CONCRETE, _CONCRETE, ("flat",), ("flats",),
+        (4, 6), (11.0, 12.0), (Windows.PANEL,), Windows.PANEL, Material.CONCRETE, _CONCRETE, ("flat",), ("flats",),
         3.0, balconies=1.0,
     ),
     "shophouse": Style(

@@ -2,48 +2,68 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
 import numpy as np
 
 from mirror.arrays import UInt8
-from mirror.synth.textures.catalogue import (
-    BILLBOARDS,
-    COUNT,
-    DIRECTION_SIGNS,
-    DOORS,
-    FACES,
-    GRAFFITI,
-    LIVERIES,
-    PLATES,
-    POSTERS,
-    SHOP_SIGNS,
-    SHOP_WINDOWS,
-    TRAFFIC_SIGNS,
-)
+from mirror.synth.textures import catalogue
+from mirror.synth.textures.faces import face_image
+from mirror.synth.textures.pictures.adverts import billboard, livery, poster
+from mirror.synth.textures.pictures.shops import shop_sign
+from mirror.synth.textures.pictures.signs import direction_sign, traffic_sign
+from mirror.synth.textures.pictures.walls import door, graffiti
+from mirror.synth.textures.pictures.windows import shop_window
+from mirror.synth.textures.plates import plate_image
 
-SIZES = {
-    SHOP_SIGNS: (512, 128),
-    BILLBOARDS: (512, 256),
-    POSTERS: (256, 256),
-    TRAFFIC_SIGNS: (128, 128),
-    DIRECTION_SIGNS: (512, 256),
-    SHOP_WINDOWS: (512, 256),
-    DOORS: (128, 256),
-    GRAFFITI: (256, 128),
-    LIVERIES: (512, 256),
-    FACES: (128, 128),
-    PLATES: (256, 64),
-}
-"""Texels across and down."""
+
+class _Kind(NamedTuple):
+    """Pictures of one kind.
+
+    Attributes:
+        numbers: of the catalogue.
+        wide: texels across.
+        high: texels down.
+        drawn: draws one: from a generator, its size, and how many of its kind come before it.
+    """
+
+    numbers: range
+    wide: int
+    high: int
+    drawn: Callable[[np.random.Generator, int, int, int], UInt8]
+
+
+_KINDS: Final = (
+    _Kind(catalogue.SHOP_SIGNS, 640, 128, shop_sign),
+    _Kind(catalogue.BILLBOARDS, 384, 256, billboard),
+    _Kind(catalogue.POSTERS, 256, 384, poster),
+    _Kind(catalogue.TRAFFIC_SIGNS, 128, 128, traffic_sign),
+    _Kind(catalogue.DIRECTION_SIGNS, 512, 256, direction_sign),
+    _Kind(catalogue.SHOP_WINDOWS, 384, 256, shop_window),
+    _Kind(catalogue.DOORS, 128, 256, door),
+    _Kind(catalogue.GRAFFITI, 512, 256, graffiti),
+    _Kind(catalogue.LIVERIES, 512, 256, livery),
+)
+_FACE_PX: Final = 128
+
+
+def draw_picture(number: int) -> UInt8:
+    """A picture of the catalogue.
+
+    Returns:
+        (H, W, 3) red, green and blue, 255 times the square root of linear reflectance; row 0 is at the top.
+    """
+    if number in catalogue.PLATES:
+        return plate_image(number)
+    if number in catalogue.FACES:
+        root = np.sqrt(np.clip(face_image(number, _FACE_PX), 0.0, 1.0))
+        return (255.0 * root + 0.5).astype(np.uint8)
+    kind = next(kind for kind in _KINDS if number in kind.numbers)
+    rng = np.random.default_rng([number, 3141])
+    return kind.drawn(rng, kind.wide, kind.high, number - kind.numbers.start)
 
 
 def draw_pictures() -> list[UInt8]:
-    """All pictures by number: (H, W, 3) red, green and blue, the square root of linear reflectance times 255."""
-    pictures: list[UInt8] = [np.zeros((1, 1, 3), np.uint8)] * COUNT
-    for numbers, (wide, high) in SIZES.items():
-        for number in numbers:
-            rng = np.random.default_rng([number, 3141])
-            picture = np.empty((high, wide, 3), np.uint8)
-            picture[:] = rng.integers(90, 230, 3)
-            picture[high // 4 : high // 2, wide // 8 : wide // 2] = rng.integers(30, 240, 3)
-            pictures[number] = picture
-    return pictures
+    """All pictures by number, as `draw_picture` gives them."""
+    return [draw_picture(number) for number in range(catalogue.COUNT)]

@@ -43,6 +43,12 @@ def test_winter_leaves_the_wood_alone(deciduous: Model) -> None:
         )
 
 
+def test_twigs_are_hidden_while_in_full_leaf(deciduous: Model) -> None:
+    wood = [int((foliage(deciduous, season, 0).faces["material"] == Material.BARK).sum()) for season in (0.05, 0.55)]
+    assert wood[0] == (deciduous.faces["material"] == Material.BARK).sum()
+    assert 12 <= wood[1] < wood[0]
+
+
 def test_leaves_that_are_there_match_the_share_that_is_expected(deciduous: Model) -> None:
     seeds = deciduous.faces["seed"][deciduous.faces["material"] == Material.LEAVES]
     for season in (0.29, 0.5, 0.82, 0.86):

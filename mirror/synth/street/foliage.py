@@ -57,9 +57,9 @@ class Year:
 
 _FRESH: Final = (1.5, 1.3, 0.9)
 _YEARS: Final[dict[Species, Year]] = {
-    Species.LIME: Year(0.27, 0.06, _FRESH, 0.12, 0.73, 0.09, ((4.2, 2.1, 0.9), (3.2, 1.9, 0.9)), 0.05),
+    Species.LIME: Year(0.27, 0.06, _FRESH, 0.12, 0.73, 0.09, ((3.8, 1.95, 0.85), (2.9, 1.75, 0.85)), 0.05),
     Species.PLANE: Year(0.29, 0.06, _FRESH, 0.12, 0.75, 0.10, ((3.2, 1.5, 0.8), (3.4, 1.1, 0.7)), 0.06),
-    Species.BIRCH: Year(0.26, 0.05, _FRESH, 0.12, 0.72, 0.08, ((4.6, 2.5, 0.8), (4.2, 2.3, 0.8)), 0.05),
+    Species.BIRCH: Year(0.26, 0.05, _FRESH, 0.12, 0.72, 0.08, ((3.8, 2.05, 0.7), (3.5, 1.9, 0.75)), 0.05),
     Species.POPLAR: Year(0.27, 0.05, _FRESH, 0.12, 0.73, 0.08, ((4.0, 2.3, 0.8), (3.4, 2.2, 0.9)), 0.05),
     Species.CHERRY: Year(0.26, 0.03, (10.5, 3.6, 15.0), 0.07, 0.71, 0.08, ((4.6, 0.9, 0.8), (4.4, 0.5, 0.7)), 0.05),
     Species.OAK: Year(0.31, 0.05, _FRESH, 0.12, 0.78, 0.09, ((2.9, 1.2, 0.8), (2.4, 1.0, 0.9)), 0.08),
@@ -71,6 +71,8 @@ _MOST_GONE: Final = 0.035
 """Share of the leaves that are missing on any one visit, others on each."""
 _THIN: Final = 0.3
 """With less than this share of its leaves a crown has no dark inside."""
+_DENSE: Final = 0.85
+"""With more than this share of its leaves a crown hides its twigs."""
 
 
 def leaf_seeds(rng: np.random.Generator, species: Species, number: int) -> Int64:
@@ -82,7 +84,8 @@ def foliage(model: Model, season: float, visit: int) -> Model:
     """A model as its leaves are at a time of the year.
 
     Args:
-        model: of anything; its LEAVES change, all else stays.
+        model: of anything; its LEAVES change, BARK with the seed of a species is hidden while that is in full leaf,
+            all else stays.
         season: part of the year in [0, 1), 0 the 1st of January in the north and the 1st of July in the south.
         visit: each has a few leaves less, others than the next.
 
@@ -97,6 +100,8 @@ def foliage(model: Model, season: float, visit: int) -> Model:
     seeds = faces["seed"][leaves]
     shown[leaves] = _dressed(faces, leaves, season, _draw(seeds, 0), _draw(seeds, 1))
     shown[leaves] &= _draw(seeds, 2 + visit) >= _MOST_GONE
+    twigs = np.flatnonzero((faces["material"] == Material.BARK) & (faces["seed"] >= 1 << 24))
+    shown[twigs] = crown_share(faces["seed"][twigs], season) < _DENSE
     stays = np.ones(len(rounds), np.bool_)
     inner = np.flatnonzero(rounds["material"] == Material.LEAVES)
     middling = np.full(len(inner), 0.5)

@@ -65,19 +65,19 @@ class _Habit:
 _BROWN: Final = (0.11, 0.085, 0.06)
 _HABITS: Final[dict[Kind, _Habit]] = {
     "lime": _Habit(
-        Species.LIME, (8.0, 11.5), 0.58, 2.7, 17, 0.46, (0.70, 1.0, 0.40), 220, 0.45, 0.3,
+        Species.LIME, (8.0, 11.5), 0.58, 2.7, 17, 0.46, (0.70, 1.0, 0.40), 270, 0.45, 0.3,
         (0.060, 0.115, 0.028), _BROWN, 0.016,
     ),
     "plane": _Habit(
-        Species.PLANE, (8.5, 11.5), 0.62, 3.0, 20, 0.42, (0.65, 1.0, 0.55), 230, 0.45, 0.2,
+        Species.PLANE, (8.5, 11.5), 0.62, 3.0, 20, 0.42, (0.65, 1.0, 0.55), 290, 0.45, 0.2,
         (0.075, 0.130, 0.034), (0.34, 0.31, 0.24), 0.019,
     ),
     "birch": _Habit(
-        Species.BIRCH, (8.0, 12.0), 0.42, 2.5, 15, 0.50, (0.80, 1.0, 0.30), 210, 0.45, 0.8,
+        Species.BIRCH, (8.0, 12.0), 0.42, 2.5, 15, 0.50, (0.80, 1.0, 0.30), 260, 0.45, 0.8,
         (0.080, 0.140, 0.036), (0.58, 0.57, 0.53), 0.011,
     ),
     "poplar": _Habit(
-        Species.POPLAR, (11.0, 16.0), 0.19, 1.6, 13, 0.75, (0.75, 1.0, 0.35), 200, 0.50, -0.4,
+        Species.POPLAR, (11.0, 16.0), 0.19, 1.6, 13, 0.75, (0.75, 1.0, 0.35), 230, 0.50, -0.4,
         (0.060, 0.115, 0.034), (0.16, 0.145, 0.115), 0.013,
     ),
     "cypress": _Habit(
@@ -85,19 +85,19 @@ _HABITS: Final[dict[Kind, _Habit]] = {
         (0.028, 0.055, 0.024), _BROWN, 0.012,
     ),
     "spruce": _Habit(
-        Species.EVERGREEN, (7.0, 14.0), 0.42, 0.7, 11, 1.0, (1.0, 0.62, 0.10), 220, 0.40, 0.9,
+        Species.EVERGREEN, (7.0, 14.0), 0.42, 0.7, 11, 1.0, (1.0, 0.62, 0.10), 250, 0.40, 0.9,
         (0.026, 0.052, 0.028), (0.10, 0.07, 0.05), 0.014,
     ),
     "pine": _Habit(
-        Species.EVERGREEN, (9.0, 13.0), 0.42, 5.0, 13, 0.45, (0.60, 1.0, 0.70), 170, 0.50, -0.3,
+        Species.EVERGREEN, (9.0, 13.0), 0.42, 5.0, 13, 0.45, (0.60, 1.0, 0.70), 220, 0.50, -0.3,
         (0.036, 0.066, 0.032), (0.24, 0.13, 0.07), 0.014,
     ),
     "cherry": _Habit(
-        Species.CHERRY, (4.2, 6.0), 0.80, 2.3, 12, 0.48, (0.75, 1.0, 0.65), 170, 0.45, 0.2,
+        Species.CHERRY, (4.2, 6.0), 0.80, 2.3, 12, 0.48, (0.75, 1.0, 0.65), 210, 0.45, 0.2,
         (0.062, 0.112, 0.030), (0.12, 0.07, 0.05), 0.018,
     ),
     "oak": _Habit(
-        Species.OAK, (7.0, 10.0), 0.90, 2.3, 20, 0.40, (0.75, 1.0, 0.55), 230, 0.45, 0.0,
+        Species.OAK, (7.0, 10.0), 0.90, 2.3, 20, 0.40, (0.75, 1.0, 0.55), 290, 0.45, 0.0,
         (0.055, 0.100, 0.026), (0.12, 0.10, 0.075), 0.024,
     ),
 }  # fmt: skip
@@ -324,15 +324,15 @@ def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float
         starts[away], centres[away], np.full(branches, 0.38 * thick), np.full(branches, 0.08 * thick), habit.bark,
         Material.BARK, Label.VEGETATION, corners=3,
     )  # fmt: skip
-    return merged([trunk, limbs, _twigs(rng, habit.bark, centres, halves, starts)])
+    if habit.species == Species.EVERGREEN:
+        return merged([trunk, limbs])
+    return merged([trunk, limbs, _twigs(rng, habit, centres, halves, starts)])
 
 
-def _twigs(
-    rng: np.random.Generator, bark: tuple[float, float, float], centres: Float64, halves: Float64, starts: Float64
-) -> Model:
+def _twigs(rng: np.random.Generator, habit: _Habit, centres: Float64, halves: Float64, starts: Float64) -> Model:
     """Thin triangles from the limbs to the outside of the lobes: what is left to see in winter."""
-    number = 2 * len(centres)
-    lobe = np.repeat(np.arange(len(centres)), 2)
+    number = 4 * len(centres)
+    lobe = np.repeat(np.arange(len(centres)), 4)
     ray = rng.normal(size=(number, 3))
     ray[:, 2] = np.abs(ray[:, 2])
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
@@ -341,4 +341,8 @@ def _twigs(
     across = np.cross(ends - roots, rng.normal(size=(number, 3)))
     across *= 0.03 / np.linalg.norm(across, axis=1, keepdims=True)
     corners = np.stack([roots - across, roots + across, ends], axis=1)
-    return polygons(corners, 0.8 * np.array(bark), Material.BARK, Label.VEGETATION, two_sided=True)
+    # The species in their seeds says when leaves hide them.
+    seeds = leaf_seeds(rng, habit.species, number)
+    return polygons(
+        corners, 0.8 * np.array(habit.bark), Material.BARK, Label.VEGETATION, seeds=seeds, two_sided=True
+    )  # fmt: skip

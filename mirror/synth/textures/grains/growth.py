@@ -40,7 +40,10 @@ def bark(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Leaves of 5 to 9 cm on top of each other: dark ones deep inside, light ones outside, with their ribs."""
+    """Leaves of 5 to 9 cm on top of each other: dark ones deep inside, light ones outside, with their ribs.
+
+    They hang in clumps, with dark gaps between: what is left of them from afar.
+    """
     tone = np.full((size, size), 34, np.uint8)
     texel = period_m / size
     outline = _leaf()
@@ -58,7 +61,8 @@ def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
             cv2.fillPoly(tone, [points], shade * 0.86, cv2.LINE_AA, _SHIFT)
             cv2.fillPoly(tone, [points[: half + 1]], shade * 1.10, cv2.LINE_AA, _SHIFT)
             cv2.line(tone, points[0], points[half], shade * 1.32, 1, cv2.LINE_AA, _SHIFT)
-    return tone.astype(np.float32) / 110.0
+    clumps = np.clip(1.0 + 0.30 * waves(rng, size, 0.40, 0.14, 0.3), 0.3, 1.8)
+    return tone.astype(np.float32) / 110.0 * clumps
 
 
 def _leaf() -> Float64:

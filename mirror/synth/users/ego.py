@@ -10,7 +10,11 @@ from mirror.synth.users.buses import bus_body, bus_shape
 from mirror.synth.users.coachwork.cab import FLOOR_M, Cab, cab_body
 from mirror.synth.users.coachwork.design import Design, bodied, drawn
 from mirror.synth.users.coachwork.sheets import Finish, Sheets
+from mirror.synth.users.coachwork.shell import Shape
 from mirror.synth.users.vans import drawn_van
+
+_COWL_M: Final = 0.6
+_COWL_RISE: Final = 0.07
 
 EgoKind = Literal["saloon", "hatchback", "estate", "suv", "van", "truck", "bus"]
 
@@ -50,7 +54,7 @@ _PAINTS: Final[Mapping[EgoKind, tuple[float, float, float]]] = {
 
 
 def own_body(kind: EgoKind, measures: Measures) -> Model:
-    """A vehicle without wheels and mirrors, in its ego frame.
+    """A vehicle without wheels, mirrors and windscreen, in its ego frame.
 
     Cameras may be inside of it: from there its sheets are not seen.
 
@@ -68,8 +72,21 @@ def own_body(kind: EgoKind, measures: Measures) -> Model:
     elif kind == "truck":
         _truck(sheets, measures, paint)
     else:
-        bodied(sheets, _DESIGNS[kind](measures), paint)
-    return sheets.model().standing(0.5 * measures.length - measures.rear, 0.0)
+        design = _DESIGNS[kind](measures)
+        bodied(sheets, design, paint)
+        _cowl(sheets, design.shape, paint)
+    model = sheets.model()
+    screen = (model.faces["material"] == Material.GLASS) & (model.faces["side"] == Side.FRONT)
+    bare = Model(model.faces[~screen], model.corners, model.rounds)
+    return bare.standing(0.5 * measures.length - measures.rear, 0.0)
+
+
+def _cowl(sheets: Sheets, shape: Shape, paint: Finish) -> None:
+    """Carry the bonnet on below the cameras: they look over it, not over a dashboard."""
+    (x, z), rise = shape.roof[0], _COWL_RISE * _COWL_M
+    half = shape.side_m(z) - 0.01
+    corners = [(x, half, z), (x, -half, z), (x - _COWL_M, -half, z + rise), (x - _COWL_M, half, z + rise)]
+    sheets.sheet(corners, Side.TOP, paint)
 
 
 def _truck(sheets: Sheets, measures: Measures, paint: Finish) -> None:

@@ -43,18 +43,20 @@ def box_truck(rng: np.random.Generator) -> Body:
     """Two axles and a closed body, often with its firm's picture."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
     long, high = rng.uniform(5.4, 6.6), rng.uniform(3.3, 3.6)
-    _cab(rng, sheets, Cab(long, long + 1.85, 2.72, 0.46))
+    number = plates(rng)
+    _cab(rng, sheets, Cab(long, long + 1.85, 2.72, 0.46), number)
     _frame(sheets, 0.1, long + 1.2)
     wheel(sheets, 1.75, 1.22, 0.46, 0.50, rim=STEEL_RIM, open_deg=124.0, treads=3)
     _box(sheets, (0.0, long - 0.12), (1.02, high), _colour(rng), rng)
-    _tail(sheets, 0.0, 0.62, plates(rng))
+    _tail(sheets, 0.0, 0.62, number)
     return boxed("truck", sheets.model())
 
 
 def tipper(rng: np.random.Generator) -> Body:
     """Three axles and an open skip."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
-    _cab(rng, sheets, Cab(5.35, 7.25, 2.86, 0.50))
+    number = plates(rng)
+    _cab(rng, sheets, Cab(5.35, 7.25, 2.86, 0.50), number)
     _frame(sheets, 0.2, 6.4)
     for x in (1.15, 2.50):
         wheel(sheets, x, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
@@ -79,15 +81,15 @@ def tipper(rng: np.random.Generator) -> Body:
     )
     # A board over the cab.
     sheets.block((ends[1], -top, high), (5.9, top, high + 0.55), skip, (Side.FRONT, Side.LEFT, Side.RIGHT, Side.TOP))
-    _tail(sheets, 0.05, 0.72, plates(rng))
+    _tail(sheets, 0.05, 0.72, number)
     return boxed("truck", sheets.model())
 
 
 def articulated_truck(rng: np.random.Generator) -> Body:
     """A tractor with a trailer of three axles, in line."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
-    cab = Cab(14.15, 16.2, 3.05, 0.50)
-    spoiler(sheets, cab, _cab(rng, sheets, cab))
+    cab, number = Cab(14.15, 16.2, 3.05, 0.50), plates(rng)
+    spoiler(sheets, cab, _cab(rng, sheets, cab, number))
     _frame(sheets, 10.1, 15.4)
     _frame(sheets, 0.1, 9.9)
     wheel(sheets, 11.15, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
@@ -96,7 +98,7 @@ def articulated_truck(rng: np.random.Generator) -> Body:
     _box(sheets, (0.0, 13.6), (1.16, 3.95), _colour(rng), rng)
     for x in (5.4, 7.6):
         sheets.block((x, 1.0, 0.45), (x + 2.0, 1.24, 1.0), DARK, (Side.LEFT,), both=True)
-    _tail(sheets, 0.0, 0.66, plates(rng))
+    _tail(sheets, 0.0, 0.66, number)
     return boxed("truck", sheets.model())
 
 
@@ -104,11 +106,11 @@ def _colour(rng: np.random.Generator) -> Colour:
     return _BODY_COLOURS[int(rng.integers(len(_BODY_COLOURS)))]
 
 
-def _cab(rng: np.random.Generator, sheets: Sheets, cab: Cab) -> Finish:
+def _cab(rng: np.random.Generator, sheets: Sheets, cab: Cab, number: int) -> Finish:
     """Add a cab with all that belongs to it; its paint is returned."""
     coat = car_paint(rng)
     cab_body(sheets, cab, coat, coat if rng.random() < 0.6 else BLACK)
-    cab_fittings(sheets, cab, plates(rng))
+    cab_fittings(sheets, cab, number)
     return coat
 
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.synth.driving.bodies import Kind
 from mirror.synth.driving.simulation import TICK_S, Meetings, Users, Ways, simulate
 from mirror.synth.driving.trace import Aside, Chassis, Schedule
 from mirror.synth.driving.ways import Way
 from mirror.synth.driving.zones import Zone, zones
 from mirror.synth.street.network import Network
-
-Kind = Literal["car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian"]
 
 _NEVER: Final = 1e9
 _ROOM_M: Final = 0.35
@@ -74,7 +73,12 @@ class Participant:
 
 
 def simulated(
-    network: Network, participants: Sequence[Participant], clock_s: float, longest_s: float
+    network: Network,
+    participants: Sequence[Participant],
+    clock_s: float,
+    longest_s: float,
+    *,
+    first_goes_first: bool = False,
 ) -> list[Schedule | None]:
     """Move all participants until the first of them has left.
 
@@ -83,6 +87,7 @@ def simulated(
         participants: the recording vehicle first.
         clock_s: of the signals, when it begins.
         longest_s: it ends then at the latest.
+        first_goes_first: all others wait for the first of them wherever ways meet.
 
     Returns:
         Their schedules, times from the first tick on; None: somebody never found room to come in.
@@ -94,6 +99,9 @@ def simulated(
     number = {id(way): place for place, way in enumerate(ways)}
     users = _users(participants, number)
     meetings = _meetings(participants, ways, number)
+    if first_goes_first:
+        own = np.argmax(meetings.users == 0, axis=1)
+        meetings = meetings._replace(major=np.where((meetings.users == 0).any(axis=1), own, meetings.major))
     green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
     ticks = int(longest_s / TICK_S)
     lengths, speeds, _ = simulate(_ways(ways), users, meetings, green, network.cycle_s, clock_s, ticks)

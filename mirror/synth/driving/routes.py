@@ -12,8 +12,8 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.synth.driving.paths import Path, beside_m, lanes_of, paths_from, sources, turn_rad
-from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, lane_piece
-from mirror.synth.street.network import Lane, Network
+from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, changed, lane_piece
+from mirror.synth.street.network import Network
 
 LEAD_M: Final = 24.0
 _EDGE: Final = 0.85
@@ -169,10 +169,6 @@ def _joins(path: Path, begin: Float64, end: Float64) -> bool:
     return bool(np.hypot(*(path.line[0] - begin)) < _BESIDE_M and np.hypot(*(path.line[-1] - end)) < _BESIDE_M)
 
 
-def _point(lane: Lane, along_m: float) -> Float64:
-    return np.array([np.interp(along_m, lane.along_m, lane.line[:, axis]) for axis in (0, 1)])
-
-
 def _cross(a: Float64, b: Float64) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
@@ -243,13 +239,11 @@ def _change(streets: Streets, variant: int) -> Route:
         left = None if lane.left is None else lanes[lane.left]
         begin_m = 0.3 * lane.length_m
         if number == out and left is not None:
-            beside = beside_m(left, _point(lane, begin_m))
-            pieces += [lane_piece(lane, 0.0, begin_m + _CHANGE_M), lane_piece(left, beside, change_m=_CHANGE_M)]
+            pieces += changed(lane, left, begin_m, _CHANGE_M)
         elif out < number < home and left is not None:
             pieces.append(lane_piece(left))
         elif number == home and left is not None:
-            beside = beside_m(lane, _point(left, begin_m))
-            pieces += [lane_piece(left, 0.0, begin_m + _CHANGE_M), lane_piece(lane, beside, change_m=_CHANGE_M)]
+            pieces += changed(left, lane, begin_m, _CHANGE_M)
         else:
             pieces.append(lane_piece(lane))
     return _through(build_way(pieces), streets)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -115,6 +115,24 @@ class Schedule:
     step_s: float
     along_m: Float64
     speed_mps: Float64
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last knot."""
+        return self.begin_s + self.step_s * (len(self.along_m) - 1)
+
+    def since(self, start_s: float) -> Schedule:
+        """The same, with times from ``start_s`` on."""
+        return replace(self, begin_s=self.begin_s - start_s)
+
+    def time_of(self, along_m: float) -> float:
+        """When it first comes to a length, to a nanosecond."""
+        last = int(np.argmax(self.along_m >= along_m))
+        low, high = self.begin_s + self.step_s * max(last - 1, 0), self.begin_s + self.step_s * last
+        while high - low > 1e-9:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if self.at(np.array([middle]))[0][0] >= along_m else (middle, high)
+        return high
 
     def at(self, time_s: Float64) -> tuple[Float64, Float64]:
         """Lengths (N,) and speeds (N,) at times (N,)."""

@@ -101,6 +101,10 @@ class Way:
         place = STEP_M * np.arange(len(self.points))
         return np.array([np.interp(along_m, place, self.points[:, axis]) for axis in (0, 1)])
 
+    def gap_m(self, point: Float64) -> float:
+        """How closely the way passes a point (2,)."""
+        return float(np.sqrt(np.min(np.sum((self.points - point) ** 2, axis=1))))
+
     def nearest_m(self, point: Float64) -> float:
         """The length at which the way passes a point (2,) most closely."""
         return STEP_M * float(np.argmin(np.sum((self.points - point) ** 2, axis=1)))
@@ -237,6 +241,20 @@ def _points_at(line: Float64, along_m: Float64) -> Float64:
 
 def _cut(line: Float64, end_m: float) -> Float64:
     return _points_at(line, np.linspace(0.0, end_m, max(int(end_m / STEP_M), 2)))
+
+
+def changed(lane: Lane, other: Lane, begin_m: float, length_m: float) -> list[Piece]:
+    """A lane up to a change to the one beside it, and that one from there to its end.
+
+    Args:
+        lane: the way is on.
+        other: it changes to.
+        begin_m: where on ``lane`` the change begins.
+        length_m: of the change.
+    """
+    place = np.array([np.interp(begin_m, lane.along_m, lane.line[:, axis]) for axis in (0, 1)])
+    beside = float(other.along_m[np.argmin(np.sum((other.line[:, :2] - place) ** 2, axis=1))])
+    return [lane_piece(lane, 0.0, begin_m + length_m), lane_piece(other, beside, change_m=length_m)]
 
 
 def followed(network: Network, lane_ids: Sequence[str], *, aside_m: float = 0.0) -> Way:

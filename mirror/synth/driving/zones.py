@@ -95,12 +95,15 @@ def _limits(hit: Bool, start: int) -> Float64:
 
 
 def _first(p: Way, q: Way, begin_m: tuple[float, float], end_m: tuple[float, float], along: bool) -> int:
-    """Who goes first: as the lanes say; people who cross; those that go straight on."""
+    """Who goes first: as the lanes say; not who pulls out; people who cross; those that go straight on."""
     own, other = _lanes(p, begin_m[0], end_m[0]), _lanes(q, begin_m[1], end_m[1])
     p_yields = any(set(lane.yields_to) & {o.lane_id for o in other} for lane in own)
     q_yields = any(set(lane.yields_to) & {o.lane_id for o in own} for lane in other)
     if p_yields != q_yields:
         return 1 if p_yields else 0
+    p_parks, q_parks = (way.lanes[0].use == "park" if way.lanes else False for way in (p, q))
+    if p_parks != q_parks:
+        return 1 if p_parks else 0
     p_walks, q_walks = (any(lane.use in ("walk", "cross") for lane in lanes) for lanes in (own, other))
     if p_walks != q_walks:
         return 0 if p_walks else 1

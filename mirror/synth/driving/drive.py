@@ -1,0 +1,96 @@
+"""The motion of the recording vehicle: exact at any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.geometry import Poses, quaternion_from_heading_pitch_roll
+from mirror.synth.driving.trace import Schedule, Trace
+from mirror.synth.driving.ways import STEP_M
+
+_DIVE_DEG: Final = 0.22
+_LEAN_DEG: Final = 0.32
+"""Per m/s2: what a car's springs yield to braking and to bends."""
+_SETTLES: Final = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One drive of the recording vehicle: exact truth at any time from 0 to ``duration_s``.
+
+    Attributes:
+        route: name of the route.
+        trace: the placements of the ego frame (rear axle, on the ground) along the way.
+        schedule: how far the front end has come, from the drive's start on.
+        duration_s: of the drive.
+        clock_s: of the signals, at the drive's start.
+        sway: phase of the small motions of the body.
+    """
+
+    route: str
+    trace: Trace
+    schedule: Schedule
+    duration_s: float
+    clock_s: float
+    sway: float = 0.0
+
+    @cached_property
+    def _springs(self) -> Float64:
+        """(T, 2) pitch and roll, degrees, at the knots of the schedule and two beyond either end."""
+        schedule = self.schedule
+        knots = schedule.begin_s + schedule.step_s * np.arange(-2, len(schedule.along_m) + 2)
+        along, speed = schedule.at(knots)
+        ahead, _ = self.trace.at(along + 0.5 * STEP_M)
+        behind, _ = self.trace.at(along - 0.5 * STEP_M)
+        bend = (ahead[:, 3] - behind[:, 3]) / STEP_M
+        pull = np.gradient(speed, schedule.step_s)
+        time = knots + self.sway
+        rough = np.minimum(speed / 6.0, 1.0)
+        pitch = _DIVE_DEG * pull + rough * (0.05 * np.sin(8.3 * time) + 0.07 * np.sin(5.1 * time + 1.0))
+        roll = _LEAN_DEG * speed**2 * bend + rough * (0.06 * np.sin(6.7 * time) + 0.08 * np.sin(4.3 * time + 2.0))
+        window = np.hanning(2 * _SETTLES + 3)[1:-1]
+        window /= window.sum()
+        padded = np.pad(np.column_stack([pitch, roll]), ((_SETTLES, _SETTLES), (0, 0)), "edge")
+        return np.column_stack([np.convolve(padded[:, axis], window, "valid") for axis in (0, 1)])
+
+    def driven_m(self, time_s: Float64) -> Float64:
+        """Lengths (N,) along the way by times (N,), from the drive's start on."""
+        start, _ = self.schedule.at(np.zeros(1))
+        return self.schedule.at(np.asarray(time_s, np.float64))[0] - start[0]
+
+    def speeds_mps(self, time_s: Float64) -> Float64:
+        """Forward speeds (N,) of the ego frame at times (N,)."""
+        along, speed = self.schedule.at(np.asarray(time_s, np.float64))
+        return speed * self.trace.at(along)[1]
+
+    def poses(self, time_s: Float64) -> Poses:
+        """``world_SE3_ego`` at times (N,): on the ground, the body yielding to bends, brakes and bumps."""
+        time = np.asarray(time_s, np.float64)
+        along, _ = self.schedule.at(time)
+        placed, _ = self.trace.at(along)
+        pitch, roll = self._sway(time).T
+        rotation = quaternion_from_heading_pitch_roll(
+            90.0 - np.degrees(placed[:, 3]), np.degrees(placed[:, 4]) + pitch, np.degrees(placed[:, 5]) + roll
+        )
+        return Poses(rotation, placed[:, :3])
+
+    def _sway(self, time_s: Float64) -> Float64:
+        """(N, 2) pitch and roll of the body on its springs, degrees: a cubic B-spline in time."""
+        springs = self._springs
+        place = (time_s - self.schedule.begin_s) / self.schedule.step_s + 2.0
+        inside = np.clip(place, 1.0, len(springs) - 3.0)
+        i = np.minimum(inside.astype(np.int64), len(springs) - 3)
+        f = (inside - i)[:, None]
+        g = 1.0 - f
+        weights = (
+            g**3 / 6.0,
+            (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0,
+            (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0,
+            f**3 / 6.0,
+        )
+        return sum((w * springs[i + k - 1] for k, w in enumerate(weights)), start=np.zeros((len(i), 2)))

@@ -1,0 +1,232 @@
+"""A journey: one drive of the recording vehicle through a scene, and everybody it meets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.errors import MirrorError
+from mirror.synth.driving.bodies import body_of
+from mirror.synth.driving.drive import Drive
+from mirror.synth.driving.overlaps import apart
+from mirror.synth.driving.parking import Parked, parked
+from mirror.synth.driving.participants import Manner, Participant, simulated
+from mirror.synth.driving.routes import Route, route_of
+from mirror.synth.driving.simulation import TICK_S
+from mirror.synth.driving.site import Bustle, Site
+from mirror.synth.driving.trace import Aside, Chassis, Moving, Schedule, trace_of
+from mirror.synth.driving.vehicles import Ways, cyclists, leaving, vehicles
+from mirror.synth.driving.walkers import standing, walkers
+from mirror.synth.driving.zones import zones
+from mirror.synth.users.body import Body, Motion, RoadUser
+
+_WARM_UP_S: Final = 60.0
+_LONGEST_S: Final = 240.0
+_SEEN_M: Final = 60.0
+_LEAVE: Final = 3
+_CLEARANCE_M: Final = 0.04
+_BESIDE_M: Final = 2.6
+_BEYOND_M: Final = 12.0
+_SETTLED_S: Final = 1.0
+_ATTEMPTS: Final = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Journey:
+    """One drive and whom it meets.
+
+    Attributes:
+        drive: of the recording vehicle.
+        users: everybody else that moves or may be gone the next time; nobody overlaps anybody.
+    """
+
+    drive: Drive
+    users: tuple[RoadUser, ...]
+
+
+def journey(
+    site: Site,
+    route: str,
+    chassis: Chassis,
+    seed: int,
+    *,
+    scene_seed: int = 0,
+    variant: int = 0,
+    fastest_mps: float = 20.0,
+    aside_m: float = 0.0,
+    bustle: Bustle | None = None,
+) -> Journey:
+    """Drive a route through a scene and its traffic.
+
+    All are simulated together from a minute before the drive on: the recording vehicle keeps its distance, waits at
+    signals and for people who cross, and the others do so for it. Routes that meet a branch of the ROI trigger keep
+    their times, and the others wait. If the recording vehicle does not get through in four minutes, it is tried again
+    with two thirds of the traffic.
+
+    Args:
+        site: the scene.
+        route: a name of `mirror.synth.driving.routes.ROUTES`.
+        chassis: of the recording vehicle; the ego frame is where its origin is.
+        seed: of the traversal: who is there, when, and how they move.
+        scene_seed: of the scene: who is always parked there.
+        variant: of the route.
+        fastest_mps: the recording vehicle goes no faster.
+        aside_m: how far right of its lane's middle it keeps.
+        bustle: how much is going on.
+
+    Raises:
+        UsageError: there is no such route.
+        MirrorError: the vehicle does not get through.
+    """
+    chosen = route_of(route, site.network, site.radius_m, variant)
+    bustle = Bustle() if bustle is None else bustle
+    for attempt in range(_ATTEMPTS):
+        share = (2.0 / 3.0) ** attempt
+        less = replace(bustle, vehicles=bustle.vehicles * share, people=bustle.people * share)
+        found = _attempt(site, route, chosen, chassis, np.random.default_rng([seed, attempt]), scene_seed,
+                         fastest_mps, aside_m, less)  # fmt: skip
+        if found is not None:
+            return found
+    raise MirrorError(
+        f"route {route!r} cannot be driven through within {_LONGEST_S:.0f} s",
+        place=f"seed {seed}",
+        remedy="take another seed or less traffic",
+    )
+
+
+def _attempt(
+    site: Site,
+    name: str,
+    route: Route,
+    chassis: Chassis,
+    rng: np.random.Generator,
+    scene_seed: int,
+    fastest_mps: float,
+    aside_m: float,
+    bustle: Bustle,
+) -> Journey | None:
+    own = _recorder(route, chassis, rng, fastest_mps, aside_m)
+    ways = Ways()
+    cars = list(parked(site, scene_seed, rng))
+    off = _leaving(cars, rng)
+    others = [
+        *vehicles(site, bustle, _WARM_UP_S + _LONGEST_S, ways, rng),
+        *leaving(site, [car.leaves for car in off if car.leaves], ways, (_WARM_UP_S, _WARM_UP_S + 50.0), rng),
+        *cyclists(site, bustle, _WARM_UP_S + _LONGEST_S, ways, rng),
+    ]
+    if route.first:
+        others = _out_of_the_way(route, others)
+    on_foot = list(walkers(site, bustle, ways, rng))
+    clock = float(rng.uniform(0.0, site.network.cycle_s))
+    schedules = simulated(
+        site.network, [own, *others, *on_foot], clock, _WARM_UP_S + _LONGEST_S, first_goes_first=route.first
+    )
+    ego = schedules[0]
+    if ego is None or ego.along_m[-1] < route.end_m:
+        return None
+    start = ego.begin_s + _SETTLED_S if route.stands_s else ego.time_of(route.begin_m)
+    duration = ego.time_of(route.end_m) - start
+    trace = trace_of(route.way, chassis, site.height_m, own.aside)
+    drive = Drive(name, trace, ego.since(start), duration, clock + start, own.manner.phase)
+    moving = [
+        (one, schedule.since(start))
+        for one, schedule in zip([*others, *on_foot], schedules[1:])
+        if schedule is not None and schedule.end_s > start and schedule.begin_s < start + duration
+    ]
+    gone = {id(car) for car in off}
+    stays: list[tuple[Body, Motion]] = [(car.body, car.motion) for car in cars if id(car) not in gone]
+    return Journey(drive, _users(site, chassis, drive, moving, stays, list(standing(site, bustle, rng)), bustle))
+
+
+def _recorder(
+    route: Route, chassis: Chassis, rng: np.random.Generator, fastest_mps: float, aside_m: float
+) -> Participant:
+    """The recording vehicle."""
+    manner = Manner(
+        eager=rng.uniform(0.93, 1.03),
+        fastest_mps=min(fastest_mps, route.fastest_mps),
+        pick_up_mps2=rng.uniform(1.4, 1.9),
+        brake_mps2=rng.uniform(1.6, 2.0),
+        headway_s=rng.uniform(1.2, 1.6),
+        phase=rng.uniform(0.0, 6.3),
+    )
+    aside = Aside(aside_m, rng.uniform(0.03, 0.07), rng.uniform(0.0, 6.3))
+    stands = route.stands_s > 0.0
+    return Participant(
+        "car", 0, route.way, chassis, manner, aside,
+        enter_s=_WARM_UP_S,
+        enter_m=route.comes_from_m,
+        end_m=min(route.end_m + _BEYOND_M, route.way.length_m),
+        pause_m=route.begin_m if stands else -1.0,
+        pause_s=route.stands_s,
+    )  # fmt: skip
+
+
+def _leaving(cars: Sequence[Parked], rng: np.random.Generator) -> list[Parked]:
+    movable = [car for car in cars if car.leaves is not None]
+    return [movable[int(place)] for place in rng.permutation(len(movable))[:_LEAVE]]
+
+
+def _out_of_the_way(route: Route, others: Sequence[Participant]) -> list[Participant]:
+    """Those who never drive ahead of somebody on a route that has to keep its times."""
+    follows: dict[int, bool] = {}
+    for other in others:
+        if id(other.way) not in follows:
+            follows[id(other.way)] = any(
+                zone.along and zone.begin_m[0] < route.end_m and zone.end_m[0] > route.comes_from_m
+                for zone in zones(route.way, other.way, _BESIDE_M)
+            )
+    return [other for other in others if not follows[id(other.way)]]
+
+
+def _users(
+    site: Site,
+    chassis: Chassis,
+    drive: Drive,
+    moving: Sequence[tuple[Participant, Schedule]],
+    parked_cars: Sequence[tuple[Body, Motion]],
+    standing_people: Sequence[tuple[Body, Motion]],
+    bustle: Bustle,
+) -> tuple[RoadUser, ...]:
+    """Everybody, but those who would overlap somebody more important."""
+    driven: list[tuple[Body, Motion]] = []
+    walking: list[tuple[Body, Motion]] = []
+    for one, schedule in moving:
+        on_foot = one.kind == "pedestrian"
+        body = body_of(one.kind, one.number, bustle.umbrellas and on_foot, bustle.warm and on_foot)
+        motion = Moving(trace_of(one.way, one.chassis, site.height_m, one.aside), schedule)
+        (walking if on_foot else driven).append((body, motion))
+    everybody = [*driven, *parked_cars, *walking, *standing_people]
+    times = np.arange(0.0, drive.duration_s + TICK_S, TICK_S)
+    places = np.empty((len(everybody) + 1, len(times), 3))
+    places[0] = _middles(drive, chassis, times)
+    for number, (_, motion) in enumerate(everybody, start=1):
+        if isinstance(motion, Moving):
+            placed, _ = motion.trace.at(motion.schedule.at(times)[0])
+            places[number] = placed[:, (0, 1, 3)]
+        else:
+            at = motion.at(0.0)
+            places[number] = (at.x_m, at.y_m, at.yaw_rad)
+    sizes = np.array([(chassis.length_m, chassis.width_m), *(body.size_m[:2] for body, _ in everybody)])
+    fixed = np.zeros(len(places), np.bool_)
+    fixed[0] = True
+    kept = apart(places, 0.5 * sizes + _CLEARANCE_M, fixed, site.radius_m + _SEEN_M)
+    counts: dict[str, int] = {}
+    users = []
+    for (body, motion), stays in zip(everybody, kept[1:]):
+        if stays:
+            counts[body.category] = counts.get(body.category, 0) + 1
+            users.append(RoadUser(f"{body.category}-{counts[body.category]:03d}", body, motion))
+    return tuple(users)
+
+
+def _middles(drive: Drive, chassis: Chassis, times: Float64) -> Float64:
+    """(T, 3) x, y and yaw of the middle of the recording vehicle."""
+    placed, _ = drive.trace.at(drive.schedule.at(times)[0])
+    ahead = 0.5 * chassis.length_m - chassis.rear_overhang_m - chassis.origin_m
+    yaw = placed[:, 3]
+    return np.column_stack([placed[:, 0] + ahead * np.cos(yaw), placed[:, 1] + ahead * np.sin(yaw), yaw])

@@ -1,0 +1,92 @@
+"""Parked cars: some stand there whenever one comes by, others come and go."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.synth.driving.bodies import POPULATION, Kind, body_of
+from mirror.synth.driving.paths import lanes_of
+from mirror.synth.driving.site import Site
+from mirror.synth.street.network import Lane
+from mirror.synth.users.body import Body, Placement, Still
+
+_PITCH_M: Final = 6.2
+_STAYS: Final = 0.42
+_CHANGES: Final = 0.40
+_TAKEN: Final = 0.6
+_LONGEST_M: Final = 5.5
+
+
+@dataclass(frozen=True, eq=False)
+class Parked:
+    """A parked car.
+
+    Attributes:
+        body: what it looks like.
+        motion: where it stands.
+        leaves: lane, length along it and number of the car, if it may drive off.
+    """
+
+    body: Body
+    motion: Still
+    leaves: tuple[Lane, float, int] | None
+
+
+def parked(site: Site, seed: int, rng: np.random.Generator) -> Iterator[Parked]:
+    """Parked cars.
+
+    Args:
+        site: the scene.
+        seed: of the scene: who always stands there.
+        rng: decides who stands there this time.
+    """
+    always = np.random.default_rng([seed, 23])
+    lanes = lanes_of(site.network, "park")
+    for name in sorted(lanes):
+        lane = lanes[name]
+        for place in np.arange(0.5 * _PITCH_M, lane.length_m - 0.5 * _PITCH_M + 1e-6, _PITCH_M):
+            stays, changes = _choice(always)
+            once, aside, skew, number, kind = _car(always)
+            if not stays:
+                taken, aside, skew, number, kind = _car(rng)
+                if not changes or taken > _TAKEN:
+                    continue
+            at = place + once * 0.5
+            body = body_of(kind, number)
+            if body.size_m[0] > _LONGEST_M:
+                continue
+            leaves = None if stays or kind != "car" else (lane, at, number)
+            yield Parked(body, Still(_placed(site, lane, at, aside, skew, body)), leaves)
+
+
+def _choice(rng: np.random.Generator) -> tuple[bool, bool]:
+    share = rng.random()
+    return share < _STAYS, share < _STAYS + _CHANGES
+
+
+def _car(rng: np.random.Generator) -> tuple[float, float, float, int, Kind]:
+    kind: Kind = "car" if rng.random() < 0.9 else "van"
+    return (
+        float(rng.random()), float(rng.uniform(-0.08, 0.08)), float(rng.normal(0.0, 0.012)),
+        int(rng.integers(POPULATION[kind])), kind,
+    )  # fmt: skip
+
+
+def _placed(site: Site, lane: Lane, at: float, aside: float, skew: float, body: Body) -> Placement:
+    half = 0.3 * body.size_m[0]
+    along = np.array([at - half, at, at + half])
+    x, y = (np.interp(along, lane.along_m, lane.line[:, axis]) for axis in (0, 1))
+    yaw = float(np.arctan2(y[2] - y[0], x[2] - x[0])) + skew
+    left = np.array([-np.sin(yaw), np.cos(yaw)])
+    track = 0.4 * body.size_m[1]
+    wheels_x = np.array([x[0], x[2], x[1] + track * left[0], x[1] - track * left[0]]) - aside * left[0]
+    wheels_y = np.array([y[0], y[2], y[1] + track * left[1], y[1] - track * left[1]]) - aside * left[1]
+    back, front, port, starboard = site.height_m(wheels_x, wheels_y)
+    return Placement(
+        float(x[1] - aside * left[0]), float(y[1] - aside * left[1]), float(0.5 * (back + front)), yaw,
+        float(np.arctan2(front - back, 2.0 * half)), float(np.arctan2(port - starboard, 2.0 * track)),
+    )  # fmt: skip

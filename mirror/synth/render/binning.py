@@ -184,6 +184,7 @@ def _quadric(one: Records, x: float, y: float, z: float, rows: Float32) -> None:
 @njit(cache=True, nogil=True, error_model="numpy")
 def lists_of(
     order: Int64,
+    nearest: Float32,
     number: int,
     spheres: Float64,
     starts: Int64,
@@ -195,13 +196,14 @@ def lists_of(
     y: float,
     z: float,
 ) -> tuple[Int64, Int32]:
-    """Surfaces that each of the finest tiles may see, in the order given.
+    """Surfaces that each of the finest tiles may see, nearest first.
 
     A tile is in a cone of directions, a surface in a sphere, and a face within its edges' planes: nothing that a tile
-    sees is left out, whatever the lens.
+    sees is left out, whatever the lens. What lies behind a face that covers a whole tile, of any size, is.
 
     Args:
-        order: (N,) surfaces.
+        order: (N,) surfaces, nearest first.
+        nearest: (N,) their least distances.
         number: of faces: surfaces below it are faces.
         spheres: of all surfaces.
         starts: from `planes_of`.
@@ -222,8 +224,10 @@ def lists_of(
     used = 0
     stack = np.empty((_STACK, 3), np.int64)
     top = LEVELS - 1
+    # Beyond these distances, tiles are covered.
+    limits = np.full(len(cones), np.inf)
     for place in range(len(order)):
-        index = order[place]
+        index, near = order[place], nearest[place]
         dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
         far = math.sqrt(dx * dx + dy * dy + dz * dz)
         sine, cosine = 1.0, -2.0
@@ -241,8 +245,10 @@ def lists_of(
                 depth -= 1
                 level, row, column = stack[depth, 0], stack[depth, 1], stack[depth, 2]
                 at = levels[level, 0] + row * levels[level, 2] + column
-                if not _may_meet(turned[at], dx, dy, dz, cosine, sine, rows, first, last):
+                if near > limits[at] or not _may_meet(turned[at], dx, dy, dz, cosine, sine, rows, first, last):
                     continue
+                if index < number and sine > turned[at, 4]:
+                    limits[at] = min(limits[at], _covered_from(turned[at], rows, first, last))
                 if level == 0:
                     if used == len(pairs):
                         longer = np.empty((2 * used, 2), np.int32)
@@ -252,8 +258,11 @@ def lists_of(
                     used += 1
                     continue
                 finer = level - 1
+                limit = limits[at]
                 for i in range(row * FANOUT, min((row + 1) * FANOUT, levels[finer, 1])):
                     for j in range(column * FANOUT, min((column + 1) * FANOUT, levels[finer, 2])):
+                        child = levels[finer, 0] + i * levels[finer, 2] + j
+                        limits[child] = min(limits[child], limit)
                         stack[depth, 0], stack[depth, 1], stack[depth, 2] = finer, i, j
                         depth += 1
     begins = np.zeros(tiles + 1, np.int64)
@@ -267,6 +276,22 @@ def lists_of(
         lists[fill[tile]] = pairs[pair, 1]
         fill[tile] += 1
     return begins, lists
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _covered_from(cone: Float64, rows: Float32, first: int, last: int) -> float:
+    """The distance beyond which a face hides all else in a cone; infinite where it does not cover the cone."""
+    if cone[3] <= 0.0:
+        return np.inf
+    for row in range(first, last):
+        if rows[row, 0] * cone[0] + rows[row, 1] * cone[1] + rows[row, 2] * cone[2] < cone[4]:
+            return np.inf
+    a, b, c = rows[first - 1, 0], rows[first - 1, 1], rows[first - 1, 2]
+    # The least of the inverse distances in the cone.
+    size = math.sqrt(a * a + b * b + c * c)
+    along = (a * cone[0] + b * cone[1] + c * cone[2]) / size
+    least = along * cone[3] - math.sqrt(max(1.0 - along * along, 0.0)) * cone[4]
+    return 1.0 / (size * least) if least > 1e-6 else np.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -80,11 +80,11 @@ def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float
     fu, fv = max(fu, 1e-4), max(fv, 1e-4)
     tone = rough * _worn_tone(one.seed, u, v, fu, fv)
     r, g, b = one.colour_0 * tone, one.colour_1 * tone, one.colour_2 * tone
-    row = layouts[one.layout]
+    layout = one.layout
     # Stones stand out of the paint.
     paint = 0.35 + 0.65 * rough
-    for place in range(len(row)):
-        mark = row[place]
+    for place in range(layouts.shape[1]):
+        mark = layouts[layout, place]
         if mark.strength <= 0.0:
             break
         part = covered(mark, u, v, fu, fv)

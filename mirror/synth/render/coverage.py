@@ -103,7 +103,7 @@ def cover(
                 _try_face(rows, first, last, cx, cy, cz, sine, sx, sy, sz, inside, inverse, found, place)
             else:
                 _try_round(rows, first, sx, sy, sz, inverse, found, place)
-            if (at - begins[tile]) & 3 == 3:
+            if (at - begins[tile]) & 3 == 0:
                 # Positive floats are ordered as their bits are, and only integers' least is found in vectors.
                 least = bits[0]
                 for i in range(many):

@@ -78,9 +78,9 @@ def facade(
     pitch, storey = wide / columns, high / storeys
     left, right = max(u + one.half_0 - 0.5 * fu, 0.0), min(u + one.half_0 + 0.5 * fu, wide)
     low, top = max(v + one.half_1 - 0.5 * fv, 0.0), min(v + one.half_1 + 0.5 * fv, high)
-    # A footprint of nothing, or beyond the face: a millimetre at its edge.
-    left, low = min(left, wide - 1e-3), min(low, high - 1e-3)
-    right, top = max(right, left + 1e-3), max(top, low + 1e-3)
+    # A footprint of nothing, or beyond the face: a micrometre at its edge.
+    left, low = min(left, wide - 1e-6), min(low, high - 1e-6)
+    right, top = max(right, left + 1e-6), max(top, low + 1e-6)
     r, g, b, er, eg, eb, gloss = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(int(left / pitch), min(int(right / pitch), columns - 1) + 1):
         x0, x1 = max(left - i * pitch, 0.0), min(right - i * pitch, pitch)
@@ -122,7 +122,7 @@ def _cell(
     half = 0.5 * row.width_m
     middle, foot, head = 0.5 * pitch, row.sill_m, row.sill_m + row.height_m
     edge = max(row.surround_m, 0.05)
-    beside = max(row.shutter_m, edge)
+    beside = edge + row.shutter_m
     if row.width_m <= 0.0 or x1 <= middle - half - beside or x0 >= middle + half + beside:
         return cr * plain + tr * trim, cg * plain + tg * trim, cb * plain + tb * trim, 0.0, 0.0, 0.0, 0.0
     if y1 <= foot - edge or y0 >= head + edge:
@@ -236,8 +236,8 @@ def shopfront(
     wide, high = 2.0 * one.half_0, 2.0 * one.half_1
     left, right = max(u + one.half_0 - 0.5 * fu, 0.0), min(u + one.half_0 + 0.5 * fu, wide)
     low, top = max(v + one.half_1 - 0.5 * fv, 0.0), min(v + one.half_1 + 0.5 * fv, high)
-    left, low = min(left, wide - 1e-3), min(low, high - 1e-3)
-    right, top = max(right, left + 1e-3), max(top, low + 1e-3)
+    left, low = min(left, wide - 1e-6), min(low, high - 1e-6)
+    right, top = max(right, left + 1e-6), max(top, low + 1e-6)
     # The door takes a place of its own, at either end or in the middle; panes fill the rest.
     door_wide = 1.05
     place = int(3.0 * chance(one.seed, 21, 0))

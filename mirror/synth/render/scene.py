@@ -64,7 +64,7 @@ class Place(Protocol):
         ...
 
     def burning(self, time_s: float) -> Int64:
-        """Faces of traffic lights that burn at an instant."""
+        """Faces of traffic lights that burn at a time of the signals' cycle."""
         ...
 
 
@@ -116,11 +116,15 @@ class Scene:
         condition: light and weather.
         users: everybody else, parked ones too; objects are numbered in this order.
         own: model of the recording vehicle in its ego frame.
+        clock_s: of the signals, at the start.
     """
 
-    def __init__(self, world: Place, condition: Condition, users: Sequence[RoadUser], own: Model) -> None:
+    def __init__(
+        self, world: Place, condition: Condition, users: Sequence[RoadUser], own: Model, *, clock_s: float = 0.0
+    ) -> None:
         roi = world.roi
         self.world, self.condition, self.users, self.own = world, condition, tuple(users), own
+        self.clock_s = clock_s
         self.light: Lighting = lighting(condition, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
 
     @cached_property
@@ -214,7 +218,7 @@ class Scene:
         still, record = self._still, self.light.at(time_s)
         model = merged([still.model, there])
         faces = model.faces
-        faces["lights"][self.world.burning(time_s)] = 1
+        faces["lights"][self.world.burning(self.clock_s + time_s)] = 1
         # Ellipsoids come after all faces: the spheres of both models are interleaved.
         spheres = spheres_of(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
         split, first = len(still.model.faces), len(there.faces)

@@ -12,11 +12,13 @@ from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Material
 from mirror.synth.render.bodywork import bodywork
+from mirror.synth.render.carriageway import carriageway
 from mirror.synth.render.coverage import SKY
 from mirror.synth.render.facades import facade, shopfront, skyline, wall_grain
 from mirror.synth.render.lens import TILE_PX
 from mirror.synth.render.light_at import lit
 from mirror.synth.render.looks import lamp, picture, plain
+from mirror.synth.textures.catalogue import Grain
 from mirror.synth.textures.sampling import grain_at, image_at
 
 _BRIGHTEST: Final = 4.0
@@ -33,6 +35,7 @@ def shade(
     ground: Float32,
     dome: Float32,
     clouds: Float32,
+    layouts: Records,
     setting: Records,
     maps: Records,
     grains: Float32,
@@ -68,6 +71,7 @@ def shade(
         ground: heights of the ground.
         dome: of the clear sky.
         clouds: their field.
+        layouts: (L, K) MARK, flat: markings of carriageways.
         setting: LIGHTING, flat.
         maps: MAPS, flat.
         grains: of the atlas.
@@ -112,7 +116,10 @@ def shade(
         u2 = one.u_axis_0 * bx + one.u_axis_1 * by + one.u_axis_2 * bz
         v2 = one.v_axis_0 * bx + one.v_axis_1 * by + one.v_axis_2 * bz
         material, label = one.material, one.label
-        if (material == Material.IMAGE or material == Material.LIT_IMAGE) and one.image >= 0:
+        if material == Material.ASPHALT:
+            rough = grain_at(grains, grain_index, Grain.ASPHALT, u, v, u1, v1, u2, v2)
+            fr, fg, fb, er, eg, eb, gloss = carriageway(one, layouts, rough, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2))
+        elif (material == Material.IMAGE or material == Material.LIT_IMAGE) and one.image >= 0:
             fr, fg, fb, er, eg, eb, gloss = picture(images, image_index, one, u, v, u1, v1, u2, v2, setting)
         elif (
             material >= Material.GLASS
@@ -194,6 +201,7 @@ def radiance_of(
     ground: Float32,
     dome: Float32,
     clouds: Float32,
+    layouts: Records,
     setting: Records,
     maps: Records,
     grains: Float32,
@@ -224,6 +232,7 @@ def radiance_of(
         ground: heights of the ground.
         dome: of the clear sky.
         clouds: their field.
+        layouts: (L, K) MARK, flat: markings of carriageways.
         setting: LIGHTING, flat.
         maps: MAPS, flat.
         grains: of the atlas.
@@ -275,7 +284,7 @@ def radiance_of(
                             index, weight, u, v = which[piece, 1], share[piece, 0], share[piece, 1], share[piece, 2]
                         dx, dy, dz = x + u * ax + v * bx, y + u * ay + v * by, z + u * az + v * bz
                         pr, pg, pb, pm = shade(
-                            faces, rounds, still, moving, lamps, below, ground, dome, clouds, setting, maps,
+                            faces, rounds, still, moving, lamps, below, ground, dome, clouds, layouts, setting, maps,
                             grains, grain_index, images, image_index, patterns, index, ox, oy, oz, dx, dy, dz,
                             scale * ax, scale * ay, scale * az, scale * bx, scale * by, scale * bz,
                         )  # fmt: skip

@@ -64,7 +64,7 @@ class View:
         scene, pictures = self.scene, atlas()
         return radiance_of(
             scene.faces, scene.rounds, scene.still, scene.moving, scene.lamps, scene.below, scene.ground,
-            scene.dome, scene.clouds, scene.setting, scene.maps,
+            scene.dome, scene.clouds, scene.layouts, scene.setting, scene.maps,
             pictures.grains, pictures.grain_index, pictures.images, pictures.image_index, _PATTERNS,
             self.lens.rays, self.rotation, self.origin, self.offsets[0], footprint_px,
             self.surface, self.mixed, self.which, self.share, self.wanted,
@@ -140,7 +140,7 @@ def see(
     order, nearest = chosen[by_distance], near[by_distance]
     starts, rows = planes_of(scene.faces, scene.corners, scene.rounds, order, x, y, z)
     begins, lists = lists_of(
-        order, len(scene.faces), scene.spheres, starts, rows, lens.cones, lens.levels, rotation, x, y, z
+        order, nearest, len(scene.faces), scene.spheres, starts, rows, lens.cones, lens.levels, rotation, x, y, z
     )
     surface, mixed, which, share, counts = cover(
         lens.rays, rotation, offsets, lens.cones, begins, lists, order, len(scene.faces), nearest, starts, rows, wanted

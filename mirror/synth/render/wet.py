@@ -13,7 +13,7 @@ from mirror.synth.render.lens import Lens
 from mirror.synth.render.surroundings import GROUND_CELL_M, Surroundings
 from mirror.synth.render.view import see
 
-_DRAWN_OUT_PX: Final = 5
+_DRAWN_OUT_PX: Final = 12
 _LEAST_SHARE: Final = 0.03
 _REACH_M: Final = 24.0
 _ONE_RAY: Final = np.zeros((1, 2), np.float32)
@@ -37,14 +37,14 @@ def with_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotatio
         (H, W, 4) radiance.
     """
     share = radiance[..., 3]
-    wanted = _reached(np.ascontiguousarray(share))
+    wanted = _reached(share)
     if not wanted.any():
         return radiance
     normal, offset = ground_plane(scene, origin)
     flip = np.eye(3) - 2.0 * np.outer(normal, normal)
     below = origin - 2.0 * (normal @ origin - offset) * normal
     mirrored = see(scene, lens, flip @ rotation, below, offsets=_ONE_RAY, wanted=wanted, ground=False)
-    return _blended(radiance, mirrored.radiance(2.0))
+    return _blended(radiance, _drawn_out(mirrored.radiance(2.0)))
 
 
 def ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, float]:
@@ -67,17 +67,23 @@ def ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, float]:
     return normal, float(normal @ (place[0], place[1], height))
 
 
-@njit(cache=True, nogil=True)
 def _reached(share: Float32) -> Float32:
-    """Where a mirrored picture is asked for: pixels that mirror, and those that are drawn over them."""
-    height, width = share.shape
-    wanted = np.zeros((height, width), np.float32)
-    for row in range(height):
-        for column in range(width):
-            if share[row, column] > _LEAST_SHARE:
-                for step in range(-2, 3):
-                    wanted[min(max(row + _DRAWN_OUT_PX * step, 0), height - 1), column] = 1.0
+    """Where a mirrored picture is asked for: (H, W) 1 in pixels that mirror and those that are drawn over them."""
+    import cv2
+
+    rows = np.ones((2 * _DRAWN_OUT_PX + 1, 1), np.uint8)
+    wanted: Float32 = cv2.dilate((share > _LEAST_SHARE).astype(np.uint8), rows).astype(np.float32)
     return wanted
+
+
+def _drawn_out(mirrored: Float32) -> Float32:
+    """Ripples and the roughness of the road draw a reflection out lengthwise."""
+    import cv2
+
+    # Twice a box: nearly a bell.
+    once = cv2.blur(mirrored, (1, _DRAWN_OUT_PX + 1), borderType=cv2.BORDER_REPLICATE)
+    twice: Float32 = cv2.blur(once, (1, _DRAWN_OUT_PX + 1), borderType=cv2.BORDER_REPLICATE)
+    return twice
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -87,14 +93,8 @@ def _blended(radiance: Float32, mirrored: Float32) -> Float32:
     for row in range(height):
         for column in range(width):
             share = radiance[row, column, 3]
-            if share <= _LEAST_SHARE:
-                continue
-            for channel in range(3):
-                # Ripples and the roughness of the road draw a reflection out lengthwise.
-                drawn = 0.0
-                for step in range(-2, 3):
-                    drawn += mirrored[min(max(row + _DRAWN_OUT_PX * step, 0), height - 1), column, channel]
-                out[row, column, channel] = (
-                    radiance[row, column, channel] * (1.0 - _HIDDEN * share) + share * drawn / 5.0
-                )
+            if share > _LEAST_SHARE:
+                for channel in range(3):
+                    own = radiance[row, column, channel] * (1.0 - _HIDDEN * share)
+                    out[row, column, channel] = own + share * mirrored[row, column, channel]
     return out

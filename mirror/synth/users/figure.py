@@ -19,6 +19,13 @@ Garment = Literal["shirt", "jacket", "coat", "dress"]
 Hat = Literal["none", "beanie", "cap", "cycle helmet", "full helmet"]
 Bag = Literal["none", "backpack", "handbag"]
 
+_HEMS: Final[dict[Garment, tuple[float, float]]] = {
+    "shirt": (-0.015, 1.08),
+    "jacket": (-0.05, 1.14),
+    "coat": (-0.17, 1.34),
+    "dress": (-0.21, 1.45),
+}
+"""Height of the hem over the hips, as a share of that of the body; its width by that of the waist."""
 _BLACK: Final = (0.02, 0.02, 0.022)
 
 
@@ -111,9 +118,7 @@ def dressed(person: Person, skeleton: Skeleton, label: Label) -> Model:
     _limbs(rounds, person, skeleton)
     if person.umbrella is not None:
         rounds.limb(skeleton.wrists[0], _umbrella_top(person, skeleton), 0.010, _BLACK, Material.METAL, 1.0)
-    parts = [rounds.model(label, person.seed)]
-    if person.garment in ("coat", "dress"):
-        parts.append(_skirt(person, skeleton, label))
+    parts = [rounds.model(label, person.seed), _hem(person, skeleton, label)]
     if person.hat == "cap":
         parts.append(_brim(person, skeleton, label))
     if person.bag == "handbag":
@@ -175,6 +180,9 @@ def _trunk(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
     turned = np.array([np.cross(shoulder_line, axes[2]), shoulder_line, axes[2]])
     rounds.add(middle + 0.70 * way, (0.068 * wide * bulk, 0.106 * wide * bulk, 0.130 * size), turned, person.top)
     rounds.add(chest - 0.02 * way, (0.046 * wide, 0.128 * wide, 0.040 * size), turned, person.top)
+    if person.garment in ("jacket", "coat"):
+        collar = 0.5 * (chest + skeleton.neck) + [0.0, 0.0, 0.012 * size]
+        rounds.add(collar, (0.043 * size, 0.045 * size, 0.026 * size), axes, person.top)
     if person.bag == "backpack":
         behind = middle + 0.66 * way - 0.115 * wide * axes[0]
         rounds.add(behind, (0.062 * size, 0.088 * size, 0.135 * size), axes, person.bag_colour)
@@ -202,6 +210,8 @@ def _limbs(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
         elbow, wrist = skeleton.elbows[side], skeleton.wrists[side]
         rounds.limb(skeleton.hips[side], knee, 0.049 * wide, person.legs)
         rounds.limb(knee, ankle, 0.034 * wide, calf[0], calf[1])
+        if person.garment != "dress":
+            rounds.limb(0.45 * knee + 0.55 * ankle, 0.06 * knee + 0.94 * ankle, 0.030 * wide, person.legs, over=1.5)
         rounds.limb(skeleton.shoulders[side], elbow, 0.031 * wide, person.top)
         rounds.limb(elbow, wrist, 0.025 * wide, sleeve[0], sleeve[1])
         hand = wrist + 0.035 * size * ways[side]
@@ -210,14 +220,14 @@ def _limbs(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
         rounds.add(foot, (0.078 * size, 0.029 * size, 0.028 * size), shoes[side], person.shoes)
 
 
-def _skirt(person: Person, skeleton: Skeleton, label: Label) -> Model:
-    """The lower part of a coat or a dress, about the thighs."""
+def _hem(person: Person, skeleton: Skeleton, label: Label) -> Model:
+    """What of the garment hangs from the waist."""
     axes, size, wide = _trunk_axes(skeleton), person.height_m, person.height_m * person.stout
     middle = skeleton.hips.mean(axis=0)
-    low, flare = (-0.17, 1.32) if person.garment == "coat" else (-0.21, 1.45)
+    low, flare = _HEMS[person.garment]
     angle = 2.0 * math.pi * (np.arange(9) + 0.5) / 8
-    ring = 0.076 * wide * np.cos(angle)[:, None] * axes[0] + 0.098 * wide * np.sin(angle)[:, None] * axes[1]
-    top, foot = middle + 0.10 * size * axes[2] + ring, middle + [0.0, 0.0, low * size] + flare * ring
+    ring = 0.073 * wide * np.cos(angle)[:, None] * axes[0] + 0.097 * wide * np.sin(angle)[:, None] * axes[1]
+    top, foot = middle + 0.11 * size * axes[2] + ring, middle + low * size * axes[2] + flare * ring
     quads = np.stack([foot[:-1], foot[1:], top[1:], top[:-1]], axis=1)
     return polygons(quads, person.top, Material.CLOTH, label, seeds=person.seed, two_sided=True)
 

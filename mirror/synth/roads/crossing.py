@@ -20,6 +20,8 @@ Control = Literal["signal", "priority", "joint"]
 _STRAIGHT_RAD: Final = math.radians(150.0)
 _ARC_PIECES: Final = 6
 _TOUCHES: Final = 12
+_EXACT_M: Final = 1e-9
+_INSIDE_M: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ class Corner:
         second: number of the arm to its left.
         radius_m: of the kerb.
         centre: (2,) of its arc.
+        inner: (2,) a place within both carriageways, behind the corner.
         first_out_m: where the arc leaves the first arm's kerb.
         second_out_m: where it meets the second's.
     """
@@ -86,6 +89,7 @@ class Corner:
     second: int
     radius_m: float
     centre: Float64
+    inner: Float64
     first_out_m: float
     second_out_m: float
 
@@ -120,13 +124,11 @@ class Crossing:
         half, other = first.street.section.half_m, second.street.section.half_m
         start = first.at(corner.first_out_m, half + beside_m)
         end = second.at(corner.second_out_m, -other - beside_m)
-        inner_out, _ = _meeting(first, second, half - 1.0, other - 1.0)
-        inner = first.at(inner_out, half - 1.0)
         begin, stop = (math.atan2(*(place - corner.centre)[::-1]) for place in (start, end))
         sweep = (stop - begin + math.pi) % (2.0 * math.pi) - math.pi
         angles = begin + sweep * np.arange(1, _ARC_PIECES) / _ARC_PIECES
         arc = corner.centre + (corner.radius_m - beside_m) * np.c_[np.cos(angles), np.sin(angles)]
-        return np.vstack([inner, start, arc, end])
+        return np.vstack([corner.inner, start, arc, end])
 
 
 def crossing(name: str, arms: Sequence[Arm], control: Control, radius_m: float = 6.0) -> Crossing:
@@ -152,7 +154,9 @@ def crossing(name: str, arms: Sequence[Arm], control: Control, radius_m: float =
             continue
         half, beyond = arm.street.section.half_m, other.street.section.half_m
         out, far = _meeting(arm, other, half + radius_m, beyond + radius_m)
-        corners.append(Corner(number, after, radius_m, arm.at(out, half + radius_m), out, far))
+        inside, _ = _meeting(arm, other, half - _INSIDE_M, beyond - _INSIDE_M)
+        centre, inner = arm.at(out, half + radius_m), arm.at(inside, half - _INSIDE_M)
+        corners.append(Corner(number, after, radius_m, centre, inner, out, far))
         reach[number], reach[after] = max(reach[number], out), max(reach[after], far)
     return Crossing(name, ordered, control, arms[0].street.name, tuple(corners), tuple(reach))
 
@@ -176,5 +180,8 @@ def _meeting(arm: Arm, other: Arm, left_m: float, right_m: float) -> tuple[float
             ],
             axis=1,
         )
-        out = out - np.linalg.solve(slopes, gap)
+        step = np.linalg.solve(slopes, gap)
+        out = out - step
+        if np.abs(step).max() < _EXACT_M:
+            break
     return float(out[0]), float(out[1])

@@ -20,6 +20,7 @@ from mirror.arrays import AnyArray, Bool, Float64, Int64
 from mirror.synth.model import Label, Material, Model, merged, polygons
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.relief import Relief
+from mirror.synth.roads.section import Section
 
 _GRID_M: Final = 1e-3
 _KERB_TOP_M: Final = 0.16
@@ -101,7 +102,7 @@ def outlines(
             bands = [(-outer, outer)]
             if section.median_m and beside == "none":
                 bands = [(-outer, -section.median_m), (section.median_m, outer)]
-            parts += [_strip(street, at, low, high) for low, high in bands]
+            parts += [_strip(street, at, low, high, kerbs) for low, high in bands]
         for crossing in crossings:
             for corner in crossing.corners:
                 narrow = min(crossing.arms[arm].street.section.pavement_m for arm in (corner.first, corner.second))
@@ -115,9 +116,28 @@ def outlines(
     return Outlines(*grown)
 
 
-def _strip(street: Street, stations: Float64, low_m: float, high_m: float) -> shapely.Geometry:
-    right, left = street.line.at(stations, low_m), street.line.at(stations, high_m)
-    return shapely.Polygon(np.vstack([right, left[::-1]]))
+def _steps(section: Section, kerbs: bool) -> Float64:
+    """Offsets (N,) at which something else begins, from the right to the left."""
+    kerb = section.half_m + (_KERB_TOP_M if kerbs else 0.0)
+    half = np.array([section.median_m, section.half_m, kerb, section.half_m + section.pavement_m])
+    return np.unique(np.concatenate([-half, [0.0], half]))
+
+
+def _strip(street: Street, stations: Float64, low_m: float, high_m: float, kerbs: bool) -> shapely.Geometry:
+    """A band along a street; its ends have corners wherever something begins on them."""
+    steps = _steps(street.section, kerbs)
+    across = steps[(steps > low_m) & (steps < high_m)]
+    first, last = stations[0], stations[-1]
+    return shapely.Polygon(
+        np.vstack(
+            [
+                street.line.at(stations, low_m),
+                street.line.at(last, across),
+                street.line.at(stations[::-1], high_m),
+                street.line.at(first, across[::-1]),
+            ]
+        )
+    )
 
 
 def build_ground(
@@ -203,18 +223,16 @@ def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief:
     older: shapely.Geometry = shapely.Polygon()
     for number, (street, at) in enumerate(zip(streets, stations)):
         section, level = street.section, relief.level_at[number]
-        inside = ((at[:, None] > level[:, 0] + 1e-6) & (at[:, None] < level[:, 1] - 1e-6)).any(axis=1)
-        kerb = _KERB_TOP_M if relief.kerb_m > 0.0 else 0.0
-        half = section.half_m
-        outer = half + section.pavement_m
-        steps = np.unique([-outer, -half - kerb, -half, -section.median_m, section.median_m, half, half + kerb, outer])
+        inside: Bool = ((at[:, None] > level[:, 0] + 1e-6) & (at[:, None] < level[:, 1] - 1e-6)).any(axis=1)
+        inside[[0, -1]] = True
+        steps = _steps(section, relief.kerb_m > 0.0)
         lines = [shapely.LineString(street.line.at(station, steps)) for station in at[~inside]]
         between = 0.5 * (at[1:] + at[:-1])
         crowned = ~((between[:, None] > level[:, 0]) & (between[:, None] < level[:, 1])).any(axis=1)
         crown = street.line.at(at, 0.0)
         lines += [shapely.LineString(crown[i : i + 2]) for i in np.flatnonzero(crowned)]
         found.append(shapely.difference(shapely.MultiLineString(lines), older, grid_size=_GRID_M))
-        older = shapely.union(older, _strip(street, at, -outer, outer), grid_size=_GRID_M)
+        older = shapely.union(older, _strip(street, at, steps[0], steps[-1], relief.kerb_m > 0.0), grid_size=_GRID_M)
     return found
 
 

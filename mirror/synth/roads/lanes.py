@@ -105,8 +105,7 @@ def _lane(
     begin, end = (_trimmed(limit, track, sign) for limit, sign in ((low, 1), (high, -1)))
     if track.use == "park" and end - begin < _LEAST_M:
         end = begin + _LEAST_M
-    stations = np.linspace(begin, end, max(math.ceil((end - begin) / (0.95 * _STEP_M)), 1) + 1)
-    line = street.line.at(stations, track.offset_m)[:: track.way]
+    line = _stepped(street, begin, end, track.offset_m)[:: track.way]
     lane_id = f"{name}.{track.name}"
     ports = []
     for limit, station, arrives in ((low, begin, track.way < 0), (high, end, track.way > 0)):
@@ -126,6 +125,17 @@ def _lane(
         stop_m=None if stop is None else max(stop, 0.0),
     )  # fmt: skip
     return lane, tuple(ports)
+
+
+def _stepped(street: Street, begin: float, end: float, offset_m: float) -> Float64:
+    """A line (N, 2) beside a street's middle, in steps of at most ``_STEP_M`` of its own length."""
+    longest = _STEP_M
+    count = 0
+    while longest > 0.99 * _STEP_M:
+        count = max(count + 1, math.ceil((end - begin) / _STEP_M), math.ceil(count * longest / _STEP_M))
+        line = street.line.at(np.linspace(begin, end, count + 1), offset_m)
+        longest = float(np.hypot(*np.diff(line, axis=0).T).max())
+    return line
 
 
 def _trimmed(limit: _Limit, track: Track, inwards: int) -> float:

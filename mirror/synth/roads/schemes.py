@@ -161,8 +161,8 @@ def _campus(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
     side = float(rng.choice((-1.0, 1.0)))
     first, second = 0.66 * radius, 0.46 * radius
     bends = (
-        Bend(-0.30 * radius, first, side * _wound(first, 45.0, 0.65)),
-        Bend(0.64 * radius, second, -side * _wound(second, 45.0, 0.50)),
+        Bend(-0.30 * radius, first, side * _wound(first, 45.0, rng.uniform(0.30, 0.40))),
+        Bend(0.64 * radius, second, -side * _wound(second, 45.0, rng.uniform(0.35, 0.50))),
     )
     main = Street("main", curved(_away(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), CAMPUS_STREET)
     at = 0.28 * radius
@@ -240,9 +240,9 @@ def _highway(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
 
 
 def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Street, ...], tuple[Crossing, ...]]:
-    """The exit and the entry of the carriageway along the line: on its right."""
+    """The entry and, after it, the exit of the carriageway along the line: on its right."""
     lane = next(track.offset_m for track in MOTORWAY.tracks if track.name == "drive1+")
-    leave, join = -0.45 * radius, 0.40 * radius
+    join, leave = -0.32 * radius, 0.10 * radius
     out = curved(
         main.line.at(leave, lane), float(main.line.heading(leave)), 0.0, 2.0 * extent, (Bend(70.0, 110.0, -_SLIP_RAD),)
     )

@@ -11,14 +11,15 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
-from mirror.synth.roads.crossing import Crossing
+from mirror.synth.roads.crossing import Corner, Crossing
 from mirror.synth.roads.lanes import WALK_MPS, Port
 from mirror.synth.street.network import Lane
 
-_STEP_M: Final = 0.4
+_STEP_M: Final = 0.3
 _STRAIGHT_RAD: Final = math.radians(30.0)
 _TURN_MPS: Final = 6.5
 _SAME_M: Final = 0.01
+_FROM_KERB_M: Final = 1.2
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,19 @@ def _goes_first(crossing: Crossing, other: Turning, mine: Turning) -> bool:
     return mine.turn_rad > _STRAIGHT_RAD and other.turn_rad <= _STRAIGHT_RAD
 
 
+def _round(start: Port, goal: Port, corner: Corner | None) -> Float64:
+    """The way on foot round a corner, close to its kerb; or straight on where there is none."""
+    if corner is None:
+        return curve(start.place, start.heading_rad, goal.place, goal.heading_rad)
+    out = corner.inner - corner.centre
+    out = out / np.hypot(*out)
+    middle = corner.centre + (corner.radius_m - _FROM_KERB_M) * out
+    turn = _wrapped(goal.heading_rad - start.heading_rad)
+    heading = math.atan2(out[1], out[0]) - math.copysign(0.5 * math.pi, -turn)
+    before = curve(start.place, start.heading_rad, middle, heading)
+    return np.vstack([before, curve(middle, heading, goal.place, goal.heading_rad)[1:]])
+
+
 def footways(
     crossing: Crossing, ports: Sequence[Port], zebras: Sequence[bool]
 ) -> tuple[list[Lane], dict[int, tuple[str, ...]]]:
@@ -165,9 +179,9 @@ def footways(
     over: dict[int, tuple[str, ...]] = {}
     for number in range(len(crossing.arms)):
         after = (number + 1) % len(crossing.arms)
+        corner = next((corner for corner in crossing.corners if corner.first == number), None)
         for start, goal in (((number, True), (after, False)), ((after, False), (number, True))):
-            begin, end = at[(*start, True)], at[(*goal, False)]
-            line = curve(begin.place, begin.heading_rad, end.place, end.heading_rad)
+            line = _round(at[(*start, True)], at[(*goal, False)], corner)
             name = f"{crossing.name}.walk{start[0]}{'l' if start[1] else 'r'}>{goal[0]}{'l' if goal[1] else 'r'}"
             made.append((Lane(name, "walk", line, 1.5, WALK_MPS), start, goal))
         if zebras[number]:

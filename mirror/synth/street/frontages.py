@@ -15,10 +15,12 @@ from mirror.arrays import Float64
 from mirror.synth.roads.crossing import Street
 from mirror.synth.street.lots import Lot, LotKind
 
-_STEP_M: Final = 1.0
-_CLEAR_M: Final = 0.05
-_CORNER_M: Final = 4.0
-_SHARES: Final = np.linspace(0.0, 1.0, 9)
+_GRID_M: Final = 0.5
+_STEP: Final = 3
+_COARSE: Final = 4
+_CORNER: Final = 8
+_CLEAR_M: Final = 0.04
+_LEAST_SHARE: Final = 0.75
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def lay_lots(
             if building.streets and street.name not in building.streets:
                 continue
             for side in (1, -1):
-                for lot, outline in _row(street, side, building, taken, outlines, rng):
+                for lot, outline in _row(_side(street, side), building, taken, outlines, rng):
                     lots.append(lot)
                     outlines.append(outline)
     return tuple(_standing(lot, height_m) for lot in lots)
@@ -96,55 +98,83 @@ def _standing(lot: Lot, height_m: Callable[[npt.ArrayLike, npt.ArrayLike], Float
     return replace(lot, origin=np.array([x, y, float(height_m(x, y))]))
 
 
+@dataclass(frozen=True)
+class _Side:
+    """One side of a street, every ``_GRID_M`` of its stations.
+
+    Attributes:
+        middle: (N, 2) of the street.
+        away: (N, 2) directions away from it, to this side.
+        edge_m: where the pavement ends.
+        side: 1 on the left, -1 on the right.
+    """
+
+    middle: Float64
+    away: Float64
+    edge_m: float
+    side: int
+
+    def at(self, index: int, aside_m: float) -> Float64:
+        """A point (2,) beside the street."""
+        return self.middle[index] + aside_m * self.away[index]
+
+    def lot(self, first: int, last: int, depth: float, back: float, kind: LotKind) -> Lot:
+        """A lot whose front is a chord of the street's side, no point of it nearer than ``back`` to the pavement."""
+        front = self.middle[first : last + 1 : _COARSE] + (self.edge_m + back) * self.away[first : last + 1 : _COARSE]
+        length = math.dist(front[0], front[-1])
+        along = (front[-1] - front[0]) / length
+        away = self.side * np.array([-along[1], along[0]])
+        bulge = float(((front - front[0]) @ away).max())
+        yaw = math.atan2(along[1], along[0]) + (0.0 if self.side > 0 else math.pi)
+        return Lot(0.5 * (front[0] + front[-1]) + bulge * away, yaw, length - 2.0 * _CLEAR_M, depth, kind)
+
+
+def _side(street: Street, side: int) -> _Side:
+    stations = np.arange(street.line.first_m, street.line.last_m, _GRID_M)
+    middle, beside = street.line.at(stations), street.line.at(stations, float(side))
+    return _Side(middle, beside - middle, street.section.half_m + street.section.pavement_m, side)
+
+
 def _row(
-    street: Street,
-    side: int,
+    beside: _Side,
     building: Building,
     taken: shapely.Geometry,
     built: Sequence[shapely.Geometry],
     rng: np.random.Generator,
 ) -> Iterator[tuple[Lot, shapely.Geometry]]:
     """Lots of one side of a street; whoever takes one adds its outline to ``built``."""
-    at = street.line.first_m
-    wish = _wish(building, rng)
-    while at + wish[0] < street.line.last_m:
-        length, depth, back, gap = wish
+    at, (count, depth, back, gap) = 0, _wish(building, rng)
+    while at + count < len(beside.middle):
         for deep in (depth, 0.75 * depth):
-            lot, outline = _lot(street, side, at, length, deep, back, building.kind)
+            lot = beside.lot(at, at + count, deep, back, building.kind)
+            if lot.length_m < _LEAST_SHARE * building.length_m[0]:
+                continue
+            outline = lot.outline()
             if not shapely.intersects(taken, outline) and not shapely.intersects(built, outline).any():
-                corner = building.kind == "front" and _at_corner(street, side, at, length, taken)
-                yield (replace(lot, kind="corner") if corner else lot), outline
-                at += length + gap
-                wish = _wish(building, rng)
+                if building.kind == "front" and _at_corner(beside, at, at + count, taken):
+                    lot = replace(lot, kind="corner")
+                yield lot, outline
+                at += count + gap
+                count, depth, back, gap = _wish(building, rng)
                 break
         else:
-            at += _STEP_M
+            at += _STEP
 
 
-def _at_corner(street: Street, side: int, at: float, length: float, taken: shapely.Geometry) -> bool:
+def _at_corner(beside: _Side, first: int, last: int, taken: shapely.Geometry) -> bool:
     """Whether another street runs beside a lot."""
-    aside = street.section.half_m + street.section.pavement_m + 5.0
-    beside = street.line.at(np.array([at - _CORNER_M, at + length + _CORNER_M]), side * aside)
-    return bool(shapely.contains_xy(taken, beside[:, 0], beside[:, 1]).any())
+    places = np.array(
+        [
+            beside.at(max(first - _CORNER, 0), beside.edge_m + 5.0),
+            beside.at(min(last + _CORNER, len(beside.middle) - 1), beside.edge_m + 5.0),
+        ]
+    )
+    return bool(shapely.contains_xy(taken, places[:, 0], places[:, 1]).any())
 
 
-def _wish(building: Building, rng: np.random.Generator) -> tuple[float, float, float, float]:
-    """Length, depth, distance from the pavement and gap to the next of a lot."""
+def _wish(building: Building, rng: np.random.Generator) -> tuple[int, float, float, int]:
+    """Length, depth, distance from the pavement and gap to the next of a lot; lengths and gaps in steps."""
     length, depth = rng.uniform(*building.length_m), rng.uniform(*building.depth_m)
     back, gap = rng.uniform(*building.set_back_m), rng.uniform(*building.gap_m)
-    return length, depth, back, 2.0 * _CLEAR_M if rng.random() < building.touching else gap
-
-
-def _lot(
-    street: Street, side: int, at: float, length: float, depth: float, back: float, kind: LotKind
-) -> tuple[Lot, shapely.Geometry]:
-    """A lot whose front is a chord of the street's side, no point of it nearer than ``back`` to the pavement."""
-    edge = street.section.half_m + street.section.pavement_m + back
-    side_line = street.line.at(at + length * _SHARES, side * edge)
-    first, last = side_line[0], side_line[-1]
-    along = (last - first) / math.dist(first, last)
-    away = side * np.array([-along[1], along[0]])
-    middle = 0.5 * (first + last) + float(((side_line - first) @ away).max()) * away
-    yaw = math.atan2(along[1], along[0]) + (0.0 if side > 0 else math.pi)
-    lot = Lot(middle, yaw, length, depth, kind)
-    return lot, lot.outline()
+    gap = 0.0 if rng.random() < building.touching else gap
+    return _COARSE * round(length / (_COARSE * _GRID_M)), depth, back, round(gap / _GRID_M)

@@ -110,6 +110,8 @@ def lay_spots(
         if street is streets[0] and furnishing.poles_m:
             found += _regular(street, "pole", furnishing.poles_m, 1, _POLE_ASIDE_M)
         for place in found:
+            if not street.line.first_m < place.station_m < street.line.last_m:
+                continue
             if not ((place.station_m > level[:, 0] - _CLEAR_M) & (place.station_m < level[:, 1] + _CLEAR_M)).any():
                 places.append(place)
     points = np.array([place.street.line.at(place.station_m, place.offset_m) for place in places])

@@ -1,0 +1,19 @@
+"""Plans that several tests look at; each is made once."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from mirror.schema.documents import Roi
+from mirror.synth.street.plan import Plan, plan_scene
+
+KINDS = ("urban", "campus", "rural", "highway")
+
+
+def roi(kind: str, radius_m: float) -> Roi:
+    return Roi(scene_id="scene", frame="local", x_m=0.0, y_m=0.0, radius_m=radius_m, scene_type=kind)
+
+
+@cache
+def plan(kind: str, radius_m: float = 120.0, yaw_deg: float = 24.0, seed: int = 3) -> Plan:
+    return plan_scene(roi(kind, radius_m), yaw_deg, seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
 import cv2
@@ -20,8 +21,18 @@ _WHITE: Final = (226, 226, 221)
 _BLACK: Final = (26, 26, 28)
 _BLUE: Final = (22, 58, 140)
 _YELLOW: Final = (236, 196, 40)
+_SCALE: Final = 1.0
+"""Pixels a millimetre that plates are drawn with."""
 _WIDE_MM: Final = 520.0
 _HIGH_MM: Final = 110.0
+_FIRST_MM: Final = 58.0
+_TOP_MM: Final = 18.0
+_TALL_MM: Final = 74.0
+_LETTER_MM: Final = 45.0
+_DIGIT_MM: Final = 42.5
+_GAP_MM: Final = 8.0
+_SPACE_MM: Final = 30.0
+_STROKE_MM: Final = 10.0
 
 
 def plate_text(number: int) -> str:
@@ -60,22 +71,37 @@ def plate_image(number: int, wide: int = 256, high: int = 64) -> UInt8:
         UsageError: another picture.
     """
     text = plate_text(number)
-    # Drawn twice as large in the right proportion: letters keep their shape when the picture is squeezed.
-    scale = 2 * wide / _WIDE_MM
-    image = plain(2 * wide, round(_HIGH_MM * scale), _BLACK)
-    rounded(image, (3 * scale, 3 * scale, 517 * scale, 107 * scale), 7 * scale, _WHITE)
-    rounded(image, (4 * scale, 4 * scale, 43 * scale, 106 * scale), 6 * scale, _BLUE)
-    for angle in np.arange(12) * (np.pi / 6):
-        disc(image, (23.5 + 12 * np.sin(angle)) * scale, (32 + 12 * np.cos(angle)) * scale, 2.2 * scale, _YELLOW)
-    country = _COUNTRIES[number % len(_COUNTRIES)]
-    letter(image, country, (15 * scale, 62 * scale, 33 * scale, 92 * scale), _WHITE, 5.0 * scale)
-    at = 60.0
+    image = _blank(_COUNTRIES[number % len(_COUNTRIES)]).copy()
+    at = _FIRST_MM
     for sign in text:
         if sign == " ":
-            at += 27.0
+            at += _SPACE_MM
             continue
-        width = 45.0 if sign.isalpha() else 42.5
-        letter(image, sign, (at * scale, 18 * scale, (at + width) * scale, 92 * scale), _BLACK, 9.5 * scale)
-        at += width + 8.5
-    small: UInt8 = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA)
-    return small
+        stamp = _character(sign)
+        left, top = round(at * _SCALE), round(_TOP_MM * _SCALE)
+        image[top : top + stamp.shape[0], left : left + stamp.shape[1]] = stamp
+        at += (_LETTER_MM if sign.isalpha() else _DIGIT_MM) + _GAP_MM
+    # Means over areas: letters keep their edges smooth when the picture is squeezed.
+    return cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
+
+
+@cache
+def _blank(country: str) -> UInt8:
+    """A plate without its number."""
+    image = plain(round(_WIDE_MM * _SCALE), round(_HIGH_MM * _SCALE), _BLACK)
+    rounded(image, (3 * _SCALE, 3 * _SCALE, 517 * _SCALE, 107 * _SCALE), 7 * _SCALE, _WHITE)
+    rounded(image, (4 * _SCALE, 4 * _SCALE, 43 * _SCALE, 106 * _SCALE), 6 * _SCALE, _BLUE)
+    for angle in np.arange(12) * (np.pi / 6):
+        x, y = (23.5 + 12 * np.sin(angle)) * _SCALE, (32 + 12 * np.cos(angle)) * _SCALE
+        disc(image, x, y, 2.2 * _SCALE, _YELLOW)
+    letter(image, country, (15 * _SCALE, 62 * _SCALE, 33 * _SCALE, 92 * _SCALE), _WHITE, 5.0 * _SCALE)
+    return image
+
+
+@cache
+def _character(sign: str) -> UInt8:
+    """A letter or a digit on white."""
+    width = (_LETTER_MM if sign.isalpha() else _DIGIT_MM) * _SCALE
+    image = plain(round(width), round(_TALL_MM * _SCALE), _WHITE)
+    letter(image, sign, (0.0, 0.0, width, _TALL_MM * _SCALE), _BLACK, _STROKE_MM * _SCALE)
+    return image

@@ -15,6 +15,7 @@ from mirror.synth.textures.pictures.drawing import (
     gradient,
     mix,
     one_of,
+    part,
     plain,
     rectangle,
     rounded,
@@ -23,7 +24,7 @@ from mirror.synth.textures.pictures.drawing import (
     stroke,
     weather,
 )
-from mirror.synth.textures.pictures.lettering import write
+from mirror.synth.textures.pictures.lettering import Style, write
 from mirror.synth.textures.pictures.motifs import BRIGHT, DEEP, MOTIFS, PALE
 
 _SLOGANS: Final = (
@@ -37,16 +38,19 @@ _SLOGANS: Final = (
     ("TANZNACHT", "Halle 7 - Freitag"), ("HALLO ZUKUNFT", "UNIONA BANK"),
 )  # fmt: skip
 _EVENTS: Final = (
-    ("JAZZ", "IM HOF", "14. Juni"), ("FAUST", "Theater am Ring", "Premiere 3. 9."), ("FLOHMARKT", "Messplatz", "Sonntag"),
+    ("JAZZ", "IM HOF", "14. Juni"), ("FAUST", "Theater am Ring", "Premiere 3. 9."),
+    ("FLOHMARKT", "Messplatz", "Sonntag"),
     ("NACHTLICHT", "Ein Film von M. Orell", "ab Donnerstag"), ("ORGEL", "Dom St. Jorun", "Eintritt frei"),
-    ("WEINFEST", "Altstadt", "8.-12. August"), ("STADTLAUF", "21 km", "12. Mai"), ("EISDISCO", "Arena Nord", "jeden Sa"),
+    ("WEINFEST", "Altstadt", "8.-12. August"), ("STADTLAUF", "21 km", "12. Mai"),
+    ("EISDISCO", "Arena Nord", "jeden Sa"),
     ("ZIRKUS", "CORVINO", "nur bis 9. 11."), ("BÜCHERTAGE", "Lesungen", "im Mai"), ("ROCK", "AM WEHR", "3 Bühnen"),
     ("COMEDY", "Lachwerk", "20 Uhr"), ("BLÜTEN", "Gartenschau", "bis Oktober"), ("KINO", "IM PARK", "bei Dunkelheit"),
     ("YOGA", "Haus Lotos", "Probestunde"), ("CHOR", "Die Hohen Töne", "Stadthalle"),
 )  # fmt: skip
 _FIRMS: Final = (
     ("VOLANTIS", "Paketdienst", "volantis.example"), ("Maler Pinsler", "Meisterbetrieb", "Tel. 73 82 19"),
-    ("FRISCHKOMET", "Lebensmittel nach Hause", "frischkomet.example"), ("Elektro Funkel", "Installation", "Tel. 55 14 62"),
+    ("FRISCHKOMET", "Lebensmittel nach Hause", "frischkomet.example"),
+    ("Elektro Funkel", "Installation", "Tel. 55 14 62"),
     ("KRANTEC", "Hebebühnen & Gerüste", "krantec.example"), ("Bäckerei Mohnblatt", "täglich frisch", "seit 1927"),
     ("NORDFRACHT", "Spedition Lager Logistik", "nordfracht.example"), ("Sanitär Rohrmann", "Bad Heizung", "Notdienst"),
     ("AQUADOR", "Mineralwasser", "aus der Tiefe"), ("Umzüge Schulterblatt", "nah & fern", "Tel. 61 77 43"),
@@ -68,7 +72,7 @@ def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
     accent = one_of(rng, BRIGHT)
     layout = int(rng.integers(3))
     if layout == 0:
-        motif(image, rng, (0, 0, wide, high))
+        motif(image, rng)
         words: Box = (0.06 * wide, 0.06 * high, 0.94 * wide, 0.30 * high)
         write(image, slogan, words, (242, 240, 234), weight=800, outline=((24, 24, 30), 2))
         rectangle(image, (0, 0.85 * high, wide, high), accent)
@@ -76,7 +80,7 @@ def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
             image, name, (0.05 * wide, 0.875 * high, 0.95 * wide, 0.975 * high), (240, 238, 232), weight=600, align=0.95
         )
     elif layout == 1:
-        motif(image, rng, (0.5 * wide, 0, wide, high))
+        motif(part(image, (0.5 * wide, 0, wide, high)), rng)
         fill(image, [(0, 0), (0.56 * wide, 0), (0.48 * wide, high), (0, high)], accent)
         half = slogan.split(" ", 1) if " " in slogan else [slogan]
         for number, line in enumerate(half):
@@ -87,11 +91,13 @@ def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
             )
         write(image, name, (0.04 * wide, 0.80 * high, 0.44 * wide, 0.92 * high), (242, 240, 234), weight=500, align=0.0)
     else:
-        motif(image, rng, (0.04 * wide, 0.06 * high, 0.96 * wide, 0.68 * high))
+        motif(part(image, (0.04 * wide, 0.06 * high, 0.96 * wide, 0.68 * high)), rng)
         ink = one_of(rng, DEEP)
-        write(image, slogan, (0.05 * wide, 0.71 * high, 0.95 * wide, 0.86 * high), ink, weight=800, align=0.0)
+        new = rng.random() < 0.6
+        right = (0.74 if new else 0.95) * wide
+        write(image, slogan, (0.05 * wide, 0.71 * high, right, 0.86 * high), ink, weight=800, align=0.0)
         write(image, name, (0.05 * wide, 0.885 * high, 0.7 * wide, 0.96 * high), accent, weight=600, align=0.0)
-        if rng.random() < 0.6:
+        if new:
             fill(image, star(0.88 * wide, 0.80 * high, 0.13 * high, 12, 0.85), accent)
             write(image, "NEU", (0.835 * wide, 0.77 * high, 0.925 * wide, 0.83 * high), (242, 240, 234), weight=800)
     weather(image, rng, 0.02)
@@ -106,19 +112,25 @@ def poster(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     image = plain(wide, high, ground)
     layout = int(rng.integers(3))
     if layout == 0:
-        MOTIFS[(turn + 5) % len(MOTIFS)](image, rng, (0, 0, wide, 0.62 * high))
+        MOTIFS[(turn + 5) % len(MOTIFS)](part(image, (0, 0, wide, 0.62 * high)), rng)
         top = 0.64
     elif layout == 1:
-        gradient(image, mix(ground, accent, 0.8), ground)
+        gradient(image, mix(ground, accent, 0.5), ground)
         for number in range(9):
             share = number / 9
             disc(image, 0.5 * wide, 0.36 * high, (0.42 - 0.045 * number) * wide, mix(accent, ground, share % 0.5 * 2))
         top = 0.66
     else:
-        MOTIFS[(turn + 2) % len(MOTIFS)](image, rng, (0.08 * wide, 0.28 * high, 0.92 * wide, 0.86 * high))
+        MOTIFS[(turn + 2) % len(MOTIFS)](part(image, (0.08 * wide, 0.28 * high, 0.92 * wide, 0.86 * high)), rng)
         top = 0.04
     write(image, title, (0.06 * wide, top * high, 0.94 * wide, (top + 0.16) * high), ink, weight=900)
-    write(image, place, (0.08 * wide, (top + 0.18) * high, 0.92 * wide, (top + 0.235) * high), accent, weight=600)
+    write(
+        image,
+        place,
+        (0.08 * wide, (top + 0.18) * high, 0.92 * wide, (top + 0.235) * high),
+        mix(accent, ink, 0.45),
+        weight=600,
+    )
     write(image, day, (0.08 * wide, 0.89 * high, 0.92 * wide, 0.96 * high), ink, weight=500)
     stroke(
         image, [(2, 2), (wide - 2, 2), (wide - 2, high - 2), (2, high - 2)], mix(ground, (255, 255, 255), 0.3), 3, True
@@ -133,7 +145,7 @@ def livery(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     ground = _PAINTS[turn % len(_PAINTS)]
     light = sum(ground) > 480
     ink = one_of(rng, DEEP) if light else (236, 234, 228)
-    accent = one_of(rng, BRIGHT)
+    accent = BRIGHT[(turn * 3 + 1) % len(BRIGHT)]
     image = plain(wide, high, ground)
     gradient(image, ground, shade(ground, 0.94))
     layout = int(rng.integers(4))
@@ -146,13 +158,13 @@ def livery(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
         y = (0.72 + 0.08 * np.sin(2.2 * np.pi * x / wide + turn)) * high
         fill(image, [*zip(x, y), (wide, high), (0, high)], accent)
     elif layout == 2:
-        MOTIFS[(turn + 3) % len(MOTIFS)](image, rng, (0.62 * wide, 0, wide, high))
+        MOTIFS[(turn + 3) % len(MOTIFS)](part(image, (0.62 * wide, 0, wide, high)), rng)
     else:
         rounded(image, (0.03 * wide, 0.12 * high, 0.20 * wide, 0.46 * high), 0.05 * wide, accent)
         write(image, firm[0], (0.06 * wide, 0.18 * high, 0.17 * wide, 0.40 * high), (240, 238, 232), weight=900)
     left = 0.24 if layout == 3 else 0.05
     right = 0.58 if layout == 2 else 0.95
-    style = "italic" if rng.random() < 0.4 else "sans"
+    style: Style = "italic" if rng.random() < 0.4 else "sans"
     write(image, firm, (left * wide, 0.12 * high, right * wide, 0.44 * high), ink, weight=800, align=0.0, style=style)
     write(
         image,

@@ -1,17 +1,19 @@
 """Shapes on pictures, with smooth edges.
 
-Pictures are drawn as they are kept: (H, W, 3) red, green and blue, each 255 times the square root of linear reflectance.
+Pictures are drawn as they are kept: (H, W, 3) red, green and blue, each 255 times the square root of linear
+reflectance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mirror.arrays import UInt8
+from mirror.arrays import Float32, UInt8
 
 Colour = tuple[int, int, int]
 Box = tuple[float, float, float, float]
@@ -22,8 +24,14 @@ _SHIFT = 4
 def plain(wide: int, high: int, colour: Colour) -> UInt8:
     """A picture of one colour."""
     image = np.empty((high, wide, 3), np.uint8)
-    image[:] = colour
+    cv2.rectangle(image, (0, 0), (wide, high), colour, -1)
     return image
+
+
+def part(image: UInt8, box: Box) -> UInt8:
+    """A part of a picture as a picture of its own: what is drawn on it does not leave it."""
+    left, top, right, bottom = (round(edge) for edge in box)
+    return image[max(top, 0) : bottom, max(left, 0) : right]
 
 
 def fixed(points: npt.ArrayLike) -> npt.NDArray[np.int32]:
@@ -77,24 +85,23 @@ def star(x: float, y: float, radius: float, points: int, inner: float, turn: flo
     return np.c_[x + reach * np.sin(angle), y - reach * np.cos(angle)]
 
 
-def gradient(image: UInt8, top: Colour, bottom: Colour, box: Box | None = None) -> None:
+def gradient(image: UInt8, top: Colour, bottom: Colour) -> None:
     """One colour passing into another from above to below."""
-    left, high, right, low = (0, 0, image.shape[1], image.shape[0]) if box is None else (round(part) for part in box)
-    share = np.linspace(0.0, 1.0, max(low - high, 1))[:, None]
+    high, wide = image.shape[:2]
+    share = np.linspace(0.0, 1.0, high)[:, None, None]
     shades = np.asarray(top) * (1.0 - share) + np.asarray(bottom) * share
-    image[high:low, left:right] = shades.round().astype(np.uint8)[: low - high, None, :]
+    image[:] = cv2.resize(shades.round().astype(np.uint8), (wide, high), interpolation=cv2.INTER_NEAREST)
 
 
 def glow(image: UInt8, x: float, y: float, radius: float, strength: float, colour: Colour = (255, 240, 205)) -> None:
     """Light that falls off round a point."""
-    left, right = max(int(x - 2 * radius), 0), min(int(x + 2 * radius) + 1, image.shape[1])
-    top, bottom = max(int(y - 2 * radius), 0), min(int(y + 2 * radius) + 1, image.shape[0])
-    if left >= right or top >= bottom:
-        return
-    far = np.square(np.arange(top, bottom)[:, None] - y) + np.square(np.arange(left, right) - x)
-    share = (strength * np.exp(-2.0 * far / radius**2))[..., None]
-    part = image[top:bottom, left:right].astype(np.float32)
-    image[top:bottom, left:right] = (part + (np.asarray(colour) - part) * share).astype(np.uint8)
+    near = part(image, (x - 1.7 * radius, y - 1.7 * radius, x + 1.7 * radius, y + 1.7 * radius))
+    high, wide = near.shape[:2]
+    left, top = max(round(x - 1.7 * radius), 0), max(round(y - 1.7 * radius), 0)
+    across = np.exp(-2.0 * np.square((np.arange(wide) + left - x) / radius))
+    down = np.exp(-2.0 * np.square((np.arange(high) + top - y) / radius))
+    share = (strength * down[:, None] * across).astype(np.float32)
+    near[:] = cv2.blendLinear(np.ascontiguousarray(near), plain(wide, high, colour), 1.0 - share, share)
 
 
 def mix(one: Colour, other: Colour, share: float) -> Colour:
@@ -114,12 +121,19 @@ def one_of(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
     return colours[int(rng.integers(len(colours)))]
 
 
+@cache
+def _fine() -> Float32:
+    return np.random.default_rng(7).standard_normal((512, 768), np.float32)
+
+
 def weather(image: UInt8, rng: np.random.Generator, amount: float) -> None:
     """Unevenness: soft shades, a fine grain, and dirt that comes down from the upper edge."""
     high, wide = image.shape[:2]
-    soft = cv2.resize(rng.normal(0.0, 1.0, (high // 24 + 3, wide // 24 + 3)).astype(np.float32), (wide, high))
+    soft = cv2.resize(rng.normal(0.0, 0.5, (high // 24 + 3, wide // 24 + 3)).astype(np.float32), (wide, high))
     runs = cv2.resize(rng.normal(0.0, 1.0, (1, wide // 5 + 3)).astype(np.float32), (wide, 1))
-    down = np.linspace(1.0, 0.2, high, dtype=np.float32)[:, None]
-    fine = rng.standard_normal((high, wide), np.float32)
-    factor = 1.0 + amount * (0.5 * soft + 0.30 * fine - 0.8 * np.maximum(runs - 0.6, 0.0) * down)
-    image[:] = np.clip(image * factor[..., None], 0, 255).astype(np.uint8)
+    down = np.linspace(0.8, 0.16, high)[:, None]
+    row, column = rng.integers(513 - high), rng.integers(769 - wide)
+    fine = _fine()[row : row + high, column : column + wide]
+    dirt = soft + 0.3 * fine - (np.maximum(runs - 0.6, 0.0) * down).astype(np.float32)
+    factor = (1.0 + amount * dirt).astype(np.float32)
+    cv2.multiply(image, cv2.merge([factor] * 3), image, 1.0, cv2.CV_8U)

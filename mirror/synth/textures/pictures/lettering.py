@@ -111,7 +111,7 @@ def _rounded(corners: Float64, radius: float) -> Float64:
     points = [corners[:1]]
     for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:]):
         back, ahead = before - corner, after - corner
-        far, near = np.linalg.norm(back), np.linalg.norm(ahead)
+        far, near = float(np.linalg.norm(back)), float(np.linalg.norm(ahead))
         reach = min(radius, 0.5 * far, 0.5 * near) if len(corners) > 3 else min(radius, far, near)
         start, end = corner + back * (reach / far), corner + ahead * (reach / near)
         share = np.linspace(0.0, 1.0, 9)[:, None]

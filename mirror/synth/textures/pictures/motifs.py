@@ -9,7 +9,6 @@ import numpy as np
 
 from mirror.arrays import UInt8
 from mirror.synth.textures.pictures.drawing import (
-    Box,
     Colour,
     disc,
     fill,
@@ -35,74 +34,71 @@ PALE: Final[tuple[Colour, ...]] = (
     (226, 222, 212), (222, 212, 190), (206, 218, 224), (224, 206, 200), (208, 220, 204), (232, 230, 226),
 )  # fmt: skip
 
-Motif = Callable[[UInt8, np.random.Generator, Box], None]
+Motif = Callable[[UInt8, np.random.Generator], None]
 
 
-def hills(image: UInt8, rng: np.random.Generator, box: Box) -> None:
+def hills(image: UInt8, rng: np.random.Generator) -> None:
     """Ridges behind ridges under an evening or a midday sky."""
-    left, top, right, bottom = box
+    high, wide = image.shape[:2]
     warm = rng.random() < 0.5
     sky = ((92, 120, 176), (238, 176, 110)) if warm else ((88, 150, 206), (206, 226, 236))
-    gradient(image, *sky, box)
-    sun_x, sun_y = rng.uniform(left + 0.2 * (right - left), right), top + 0.45 * (bottom - top)
-    glow(image, sun_x, sun_y, 0.35 * (bottom - top), 0.8, (255, 236, 180))
-    disc(image, sun_x, sun_y, 0.06 * (bottom - top), (252, 240, 200))
+    gradient(image, *sky)
+    sun_x, sun_y = rng.uniform(0.2 * wide, wide), 0.45 * high
+    glow(image, sun_x, sun_y, 0.35 * high, 0.8, (255, 236, 180))
+    disc(image, sun_x, sun_y, 0.06 * high, (252, 240, 200))
     near, far = ((40, 52, 48), (140, 110, 124)) if warm else ((44, 92, 46), (130, 160, 170))
-    x = np.linspace(left, right, 40)
+    x = np.linspace(0, wide, 40)
     for step in range(4):
         share = step / 3
-        rough = sum(
-            rng.normal(0, 1 / k) * np.sin(k * (x - left) / (right - left) * 2.6 + rng.uniform(0, 6))
-            for k in (1, 2, 4, 9)
-        )
-        y = top + (bottom - top) * (0.46 + 0.15 * step - 0.05 * (1.4 - share) * rough)
-        fill(image, [*zip(x, y), (right, bottom), (left, bottom)], mix(far, near, share))
+        rough = sum(rng.normal(0, 1 / k) * np.sin(k * x / wide * 2.6 + rng.uniform(0, 6)) for k in (1, 2, 4, 9))
+        y = high * (0.46 + 0.15 * step - 0.05 * (1.4 - share) * rough)
+        fill(image, [*zip(x, y), (wide, high), (0, high)], mix(far, near, share))
 
 
-def skyline(image: UInt8, rng: np.random.Generator, box: Box) -> None:
+def skyline(image: UInt8, rng: np.random.Generator) -> None:
     """Towers with lit windows."""
-    left, top, right, bottom = box
-    gradient(image, (22, 28, 66), (196, 110, 120), box)
+    high, wide = image.shape[:2]
+    gradient(image, (22, 28, 66), (196, 110, 120))
     for depth, tone in ((0.45, (70, 58, 96)), (0.8, (30, 28, 52))):
-        at = left - 5.0
-        while at < right:
-            wide = rng.uniform(0.05, 0.12) * (right - left)
-            high = rng.uniform(0.25, 0.75) * (bottom - top) * (1.35 - depth)
-            rectangle(image, (at, bottom - high, min(at + wide, right), bottom), tone)
-            for x in np.arange(at + 3, min(at + wide, right) - 4, 6):
-                for y in np.arange(bottom - high + 4, bottom - 4, 8):
+        at = -5.0
+        while at < wide:
+            broad = rng.uniform(0.05, 0.12) * wide
+            tall = rng.uniform(0.25, 0.75) * high * (1.35 - depth)
+            rectangle(image, (at, high - tall, min(at + broad, wide), high), tone)
+            for x in np.arange(at + 3, min(at + broad, wide) - 4, 6):
+                for y in np.arange(high - tall + 4, high - 4, 8):
                     if rng.random() < 0.35:
                         rectangle(image, (x, y, x + 3, y + 4), (244, 206, 120))
-            at += wide + rng.uniform(0, 4)
+            at += broad + rng.uniform(0, 4)
 
 
-def bottle(image: UInt8, rng: np.random.Generator, box: Box) -> None:
+def bottle(image: UInt8, rng: np.random.Generator) -> None:
     """A bottle with a label, drops of water on it."""
-    left, top, right, bottom = box
+    high, wide = image.shape[:2]
     base = one_of(rng, BRIGHT)
-    gradient(image, mix(base, (255, 255, 255), 0.55), base, box)
-    x, high = 0.5 * (left + right), bottom - top
-    glow(image, x, top + 0.5 * high, 0.45 * high, 0.6)
+    gradient(image, mix(base, (255, 255, 255), 0.55), base)
+    x = 0.5 * wide
+    glow(image, x, 0.5 * high, 0.45 * high, 0.6)
     glass = one_of(rng, ((30, 84, 40), (94, 44, 18), (170, 30, 34), (34, 70, 120)))
     r = 0.13 * high
-    rounded(image, (x - r, top + 0.36 * high, x + r, bottom - 0.04 * high), 0.05 * high, glass)
+    rounded(image, (x - r, 0.36 * high, x + r, high - 0.04 * high), 0.05 * high, glass)
     fill(
         image,
         [
-            (x - r, top + 0.42 * high),
-            (x - 0.4 * r, top + 0.22 * high),
-            (x + 0.4 * r, top + 0.22 * high),
-            (x + r, top + 0.42 * high),
+            (x - r, 0.42 * high),
+            (x - 0.4 * r, 0.22 * high),
+            (x + 0.4 * r, 0.22 * high),
+            (x + r, 0.42 * high),
         ],
         glass,
     )
-    rectangle(image, (x - 0.38 * r, top + 0.1 * high, x + 0.38 * r, top + 0.25 * high), glass)
-    rectangle(image, (x - 0.46 * r, top + 0.06 * high, x + 0.46 * r, top + 0.11 * high), (206, 170, 70))
-    rounded(image, (x - r, top + 0.5 * high, x + r, top + 0.76 * high), 4, (228, 222, 204))
-    fill(image, star(x, top + 0.63 * high, 0.8 * r, 5, 0.45), base)
+    rectangle(image, (x - 0.38 * r, 0.1 * high, x + 0.38 * r, 0.25 * high), glass)
+    rectangle(image, (x - 0.46 * r, 0.06 * high, x + 0.46 * r, 0.11 * high), (206, 170, 70))
+    rounded(image, (x - r, 0.5 * high, x + r, 0.76 * high), 4, (228, 222, 204))
+    fill(image, star(x, 0.63 * high, 0.8 * r, 5, 0.45), base)
     stroke(
         image,
-        [(x - 0.7 * r, top + 0.44 * high), (x - 0.7 * r, bottom - 0.1 * high)],
+        [(x - 0.7 * r, 0.44 * high), (x - 0.7 * r, high - 0.1 * high)],
         mix(glass, (255, 255, 255), 0.5),
         0.12 * r,
     )
@@ -110,21 +106,20 @@ def bottle(image: UInt8, rng: np.random.Generator, box: Box) -> None:
         disc(
             image,
             x + rng.uniform(-0.9, 0.9) * r,
-            rng.uniform(top + 0.42 * high, bottom - 0.06 * high),
+            rng.uniform(0.42 * high, high - 0.06 * high),
             rng.uniform(0.6, 2.0),
             mix(glass, (255, 255, 255), 0.6),
         )
 
 
-def car(image: UInt8, rng: np.random.Generator, box: Box) -> None:
+def car(image: UInt8, rng: np.random.Generator) -> None:
     """A car from its side on a road at dusk."""
-    left, top, right, bottom = box
-    gradient(image, (44, 50, 80), (226, 160, 110), box)
-    wide, high = right - left, bottom - top
-    road = top + 0.74 * high
-    rectangle(image, (left, road, right, bottom), (48, 48, 52))
+    high, wide = image.shape[:2]
+    gradient(image, (44, 50, 80), (226, 160, 110))
+    road = 0.74 * high
+    rectangle(image, (0, road, wide, high), (48, 48, 52))
     length = min(0.78 * wide, 1.9 * high)
-    x, y, unit = 0.5 * (left + right) - 0.5 * length, top + 0.84 * high, length / 4.4
+    x, y, unit = 0.5 * wide - 0.5 * length, 0.84 * high, length / 4.4
     paint = one_of(rng, BRIGHT)
     body = [
         (0, 0.35),
@@ -154,14 +149,13 @@ def car(image: UInt8, rng: np.random.Generator, box: Box) -> None:
     glow(image, x + 4.3 * unit, y - 0.7 * unit, 0.5 * unit, 0.9)
 
 
-def cup(image: UInt8, rng: np.random.Generator, box: Box) -> None:
+def cup(image: UInt8, rng: np.random.Generator) -> None:
     """A cup of coffee that steams, with beans round it."""
-    left, top, right, bottom = box
-    gradient(image, (104, 66, 42), (46, 28, 20), box)
-    wide, high = right - left, bottom - top
-    x, y, r = 0.5 * (left + right), top + 0.62 * high, min(0.26 * wide, 0.30 * high)
+    high, wide = image.shape[:2]
+    gradient(image, (104, 66, 42), (46, 28, 20))
+    x, y, r = 0.5 * wide, 0.62 * high, min(0.26 * wide, 0.30 * high)
     for _ in range(26):
-        bx, by = rng.uniform(left, right), rng.uniform(top + 0.8 * high, bottom)
+        bx, by = rng.uniform(0, wide), rng.uniform(0.8 * high, high)
         disc(image, bx, by, 0.09 * r, (64, 36, 20), 0.7)
     disc(image, x, y + 0.95 * r, 1.5 * r, (206, 202, 196), 0.28)
     disc(image, x + 1.05 * r, y + 0.2 * r, 0.42 * r, (222, 218, 210))
@@ -183,13 +177,13 @@ def cup(image: UInt8, rng: np.random.Generator, box: Box) -> None:
         )
 
 
-def fruit(image: UInt8, rng: np.random.Generator, box: Box) -> None:
+def fruit(image: UInt8, rng: np.random.Generator) -> None:
     """Apples, oranges and leaves in a heap."""
-    left, top, right, bottom = box
-    gradient(image, (210, 226, 196), (120, 168, 96), box)
-    high = bottom - top
-    for y in np.linspace(top + 0.45 * high, bottom - 0.08 * high, 5):
-        for x in np.arange(left + rng.uniform(0, 20), right, 0.19 * high):
+    high, wide = image.shape[:2]
+    gradient(image, (210, 226, 196), (120, 168, 96))
+    high = high
+    for y in np.linspace(0.45 * high, high - 0.08 * high, 5):
+        for x in np.arange(rng.uniform(0, 20), wide, 0.19 * high):
             r = rng.uniform(0.09, 0.13) * high
             tone = one_of(rng, ((196, 42, 36), (230, 134, 34), (206, 186, 50), (110, 160, 50), (150, 30, 60)))
             disc(image, x + 1.5, y + 2, r, shade(tone, 0.5))
@@ -197,19 +191,17 @@ def fruit(image: UInt8, rng: np.random.Generator, box: Box) -> None:
             disc(image, x - 0.3 * r, y - 0.35 * r, 0.3 * r, mix(tone, (255, 255, 255), 0.5))
 
 
-def figure(image: UInt8, rng: np.random.Generator, box: Box) -> None:
+def figure(image: UInt8, rng: np.random.Generator) -> None:
     """Somebody who leaps, as a shape against rays of colour."""
-    left, top, right, bottom = box
-    wide, high = right - left, bottom - top
-    x, y = 0.5 * (left + right), top + 0.52 * high
+    high, wide = image.shape[:2]
+    x, y = 0.5 * wide, 0.52 * high
     one, other = one_of(rng, BRIGHT), one_of(rng, PALE)
-    gradient(image, other, other, box)
+    gradient(image, other, other)
     rays = 14
     for number in range(rays):
         a, b = 2 * np.pi * number / rays, 2 * np.pi * (number + 0.5) / rays
         ends = [
-            (np.clip(x + 2 * wide * np.cos(t), left, right), np.clip(y + 2 * wide * np.sin(t), top, bottom))
-            for t in (a, b)
+            (np.clip(x + 2 * wide * np.cos(t), 0, wide), np.clip(y + 2 * wide * np.sin(t), 0, high)) for t in (a, b)
         ]
         fill(image, [(x, y), *ends], one)
     ink, unit = one_of(rng, DEEP), 0.09 * high
@@ -228,7 +220,7 @@ def figure(image: UInt8, rng: np.random.Generator, box: Box) -> None:
         ]
     )
     joints = joints * (swing * unit, unit) + (x, y)
-    disc(image, *joints[0], 0.62 * unit, ink)
+    disc(image, joints[0, 0], joints[0, 1], 0.62 * unit, ink)
     stroke(image, joints[[1, 2]], ink, 1.1 * unit)
     for limb in ((2, 3, 4), (2, 5, 6)):
         stroke(image, joints[list(limb)], ink, 0.62 * unit)
@@ -236,15 +228,15 @@ def figure(image: UInt8, rng: np.random.Generator, box: Box) -> None:
         stroke(image, joints[[1, hand]], ink, 0.42 * unit)
 
 
-def shapes(image: UInt8, rng: np.random.Generator, box: Box) -> None:
+def shapes(image: UInt8, rng: np.random.Generator) -> None:
     """Circles, bars and triangles of a few colours."""
-    left, top, right, bottom = box
+    high, wide = image.shape[:2]
     ground = one_of(rng, PALE)
-    gradient(image, ground, shade(ground, 0.92), box)
-    size = min(right - left, bottom - top)
+    gradient(image, ground, shade(ground, 0.92))
+    size = min(wide, high)
     for _ in range(9):
-        x, y = rng.uniform(left, right), rng.uniform(top, bottom)
-        r = min(rng.uniform(0.06, 0.24) * size, x - left, right - x, y - top, bottom - y)
+        x, y = rng.uniform(0, wide), rng.uniform(0, high)
+        r = min(rng.uniform(0.06, 0.24) * size, x, wide - x, y, high - y)
         tone = one_of(rng, BRIGHT)
         kind = rng.integers(3)
         if r < 3:
@@ -256,7 +248,7 @@ def shapes(image: UInt8, rng: np.random.Generator, box: Box) -> None:
         else:
             rectangle(image, (x - r, y - 0.3 * r, x + r, y + 0.3 * r), tone)
     for _ in range(3):
-        x, y = rng.uniform(left, right - 0.4 * size), rng.uniform(top, bottom - 0.4 * size)
+        x, y = rng.uniform(0, wide - 0.4 * size), rng.uniform(0, high - 0.4 * size)
         stroke(image, [(x, y), (x + 0.4 * size, y + 0.4 * size)], one_of(rng, DEEP), 0.02 * size)
 
 

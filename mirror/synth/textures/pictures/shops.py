@@ -50,7 +50,7 @@ def shop_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
     chinese = ord(name[0]) > 0x2E80
     style: Style = "uni" if chinese else "italic" if rng.random() < 0.25 else "sans"
     weight = int(rng.choice([400, 500, 700, 900]))
-    layout = int(rng.integers(5))
+    layout = int(rng.choice(5, p=(0.22, 0.30, 0.22, 0.10, 0.16)))
     ground, ink = _board(rng, layout)
     image = plain(wide, high, ground)
     gradient(image, mix(ground, (255, 255, 255), 0.06), shade(ground, 0.9))
@@ -71,7 +71,7 @@ def shop_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
     write(image, name, (left, 0.12 * high, right, low * high), ink, style=style, weight=weight, outline=outline)
     if low < 0.8:
         tone = ground if layout == 4 else mix(ink, ground, 0.25)
-        box = (left, 0.83 * high, right, 0.97 * high) if layout == 4 else (left, 0.77 * high, right, 0.92 * high)
+        box = (left, 0.815 * high, right, 0.945 * high) if layout == 4 else (left, 0.77 * high, right, 0.92 * high)
         write(image, trade, box, tone, weight=500, align=float(rng.choice([0.0, 0.5, 1.0])))
     weather(image, rng, 0.035)
     return image
@@ -80,7 +80,8 @@ def shop_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
 def _board(rng: np.random.Generator, layout: int) -> tuple[Colour, Colour]:
     """Colours of the board and of the letters."""
     if layout in (0, 4):
-        return one_of(rng, PALE), one_of(rng, _INKS)
+        ground = shade(one_of(rng, PALE), rng.uniform(0.82, 1.0))
+        return ground, one_of(rng, _INKS)
     if layout == 1:
         return one_of(rng, BRIGHT), (236, 232, 222)
     if layout == 2:

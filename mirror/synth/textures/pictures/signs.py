@@ -197,9 +197,9 @@ def direction_sign(rng: np.random.Generator, wide: int, high: int, turn: int) ->
         top = (0.10 + 0.225 * line) * high
         left = 0.18 * wide
         write(image, _TOWNS[int(town)], (left, top, 0.72 * wide, top + 0.155 * high), ink, weight=600, align=0.0)
-        far = str(int(rng.integers(2, 90)) * (1 if line else 1))
+        far = str(rng.integers(2, 90))
         box = (0.76 * wide, top + 0.015 * high, 0.95 * wide, top + 0.145 * high)
-        number(image, far, box, ink, slim=0.55, bold=0.15)
+        number(image, far, box, ink, slim=0.58, bold=0.13)
         side = int(rng.integers(3))
         x, y = 0.10, (top + 0.08 * high) / high
         tips = ((-0.035, 0.0), (0.0, -0.07), (0.035, 0.0))
@@ -215,6 +215,8 @@ def direction_sign(rng: np.random.Generator, wide: int, high: int, turn: int) ->
         rectangle(image, shield, _BLACK)
         rectangle(image, (shield[0] + 2, shield[1] + 2, shield[2] - 2, shield[3] - 2), _YELLOW)
     road = ("A" if blue else "B") + str(int(rng.integers(2, 99)))
-    number(image, road, (shield[0] + 8, shield[1] + 6, shield[2] - 8, shield[3] - 6), _WHITE if blue else _BLACK)
+    number(
+        image, road, (shield[0] + 8, shield[1] + 6, shield[2] - 8, shield[3] - 6), _WHITE if blue else _BLACK, bold=0.13
+    )
     weather(image, rng, 0.015)
     return image

@@ -11,10 +11,10 @@ from mirror.synth.textures.pictures.drawing import (
     Box,
     Colour,
     disc,
-    fixed,
     gradient,
     mix,
     one_of,
+    part,
     plain,
     rectangle,
     rounded,
@@ -52,8 +52,7 @@ def door(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
         inner = (box[0] + 3, box[1] + 3, box[2] - 2, box[3] - 2)
         glass = kind == 3 or (kind == 1 and place == 0) or kind == 2
         if glass:
-            gradient(image, (96, 108, 116), (40, 44, 48), inner)
-            stroke(image, [(inner[0] + 2, inner[3] - 8), (inner[2] - 2, inner[1] + 10)], (126, 136, 142), 3)
+            gradient(part(image, inner), (96, 108, 116), (40, 44, 48))
         else:
             rectangle(image, inner, mix(leaf, (255, 255, 255), 0.06))
             rectangle(image, (inner[0] + 6, inner[1] + 6, inner[2] - 5, inner[3] - 5), shade(leaf, 0.9))
@@ -87,10 +86,10 @@ def graffiti(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8
             lines.append(turned * size + (0.09 * wide + place * step, 0.24 * high + drop))
     for colour, width, shift in ((shade(edge, 0.35), 0.34, 0.05), ((20, 20, 24), 0.31, 0.0), (body, 0.23, 0.0)):
         for line in lines:
-            stroke(image, line + (shift * size, shift * size), colour, width * size)
+            stroke(image, line + shift * size, colour, width * size)
     light = mix(body, (255, 255, 255), 0.55)
     for line in lines:
-        stroke(image, line - (0.05 * size, 0.06 * size), light, 0.045 * size)
+        stroke(image, line - 0.055 * size, light, 0.045 * size)
     for _ in range(4):
         _tag(image, rng, rng.uniform(0.05, 0.8) * wide, rng.uniform(0.1, 0.9) * high, 0.12 * high)
     for _ in range(6):

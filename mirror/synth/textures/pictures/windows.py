@@ -16,6 +16,7 @@ from mirror.synth.textures.pictures.drawing import (
     gradient,
     mix,
     one_of,
+    part,
     plain,
     rectangle,
     rounded,
@@ -28,6 +29,7 @@ from mirror.synth.textures.pictures.lettering import write
 from mirror.synth.textures.pictures.motifs import BRIGHT, DEEP, PALE
 
 _Goods = Callable[[UInt8, np.random.Generator], None]
+_FLOORS: Final[tuple[Colour, ...]] = ((112, 84, 60), (92, 90, 88), (128, 122, 114), (70, 56, 46), (100, 76, 70))
 _WORDS: Final = ("SALE", "NEU", "-30 %", "OFFEN", "Mo-Fr 9-18", "Angebot", "Mittagstisch", "Herbst")
 
 
@@ -54,7 +56,7 @@ def _room(image: UInt8, rng: np.random.Generator, wall: Colour) -> None:
     left, right, top, floor = 0.14 * wide, 0.86 * wide, 0.16 * high, 0.80 * high
     gradient(image, shade(wall, 1.1), shade(wall, 0.8))
     fill(image, [(0, 0), (wide, 0), (right, top), (left, top)], shade(wall, 1.12))
-    fill(image, [(0, high), (wide, high), (right, floor), (left, floor)], shade(one_of(rng, DEEP), 1.5))
+    fill(image, [(0, high), (wide, high), (right, floor), (left, floor)], one_of(rng, _FLOORS))
     fill(image, [(0, 0), (left, top), (left, floor), (0, high)], shade(wall, 0.72))
     fill(image, [(wide, 0), (right, top), (right, floor), (wide, high)], shade(wall, 0.66))
     for x in np.linspace(0.2, 0.8, int(rng.integers(2, 5))) * wide:
@@ -171,7 +173,7 @@ def _keeper(image: UInt8, rng: np.random.Generator) -> None:
 def _bakery(image: UInt8, rng: np.random.Generator) -> None:
     high, wide = image.shape[:2]
     _shelves(image, rng, 2, None, 0.52)
-    for row, y in enumerate((0.36, 0.50)):
+    for y in (0.36, 0.50):
         for x in np.arange(0.17, 0.83, 0.065) * wide:
             disc(image, x, y * high - 6, 0.026 * wide, shade((178, 116, 58), rng.uniform(0.7, 1.1)), 0.6)
     rectangle(image, (0.06 * wide, 0.62 * high, 0.94 * wide, high), (196, 190, 180))
@@ -261,7 +263,7 @@ def _screens(image: UInt8, rng: np.random.Generator) -> None:
             box = (x * wide, y * high, (x + 0.2) * wide, (y + 0.22) * high)
             rectangle(image, box, (22, 22, 24))
             inner = (box[0] + 4, box[1] + 4, box[2] - 4, box[3] - 4)
-            gradient(image, one_of(rng, BRIGHT), one_of(rng, DEEP), inner)
+            gradient(part(image, inner), one_of(rng, BRIGHT), one_of(rng, DEEP))
             disc(image, rng.uniform(inner[0] + 12, inner[2] - 12), 0.5 * (inner[1] + inner[3]), 10.0, one_of(rng, PALE))
     for x in np.linspace(0.08, 0.85, 6) * wide:
         rounded(image, (x, 0.86 * high, x + 0.07 * wide, 0.95 * high), 5, one_of(rng, ((40, 40, 44), (200, 200, 204))))
@@ -287,7 +289,9 @@ def _furniture(image: UInt8, rng: np.random.Generator) -> None:
         (236, 214, 160),
     )
     rectangle(image, (0.30 * wide, 0.24 * high, 0.50 * wide, 0.42 * high), (60, 50, 40))
-    gradient(image, one_of(rng, BRIGHT), one_of(rng, PALE), (0.31 * wide, 0.255 * high, 0.49 * wide, 0.405 * high))
+    gradient(
+        part(image, (0.31 * wide, 0.255 * high, 0.49 * wide, 0.405 * high)), one_of(rng, BRIGHT), one_of(rng, PALE)
+    )
 
 
 _GOODS: Final[tuple[_Goods, ...]] = (

@@ -223,10 +223,10 @@ def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief:
     older: shapely.Geometry = shapely.Polygon()
     for number, (street, at) in enumerate(zip(streets, stations)):
         section, level = street.section, relief.level_at[number]
-        inside: Bool = ((at[:, None] > level[:, 0] + 1e-6) & (at[:, None] < level[:, 1] - 1e-6)).any(axis=1)
-        inside[[0, -1]] = True
+        inside = np.any((at[:, None] > level[:, 0] + 1e-6) & (at[:, None] < level[:, 1] - 1e-6), axis=1)
+        ends = (at == at[0]) | (at == at[-1])
         steps = _steps(section, relief.kerb_m > 0.0)
-        lines = [shapely.LineString(street.line.at(station, steps)) for station in at[~inside]]
+        lines = [shapely.LineString(street.line.at(station, steps)) for station in at[~(inside | ends)]]
         between = 0.5 * (at[1:] + at[:-1])
         crowned = ~((between[:, None] > level[:, 0]) & (between[:, None] < level[:, 1])).any(axis=1)
         crown = street.line.at(at, 0.0)

@@ -20,10 +20,10 @@ Hat = Literal["none", "beanie", "cap", "cycle helmet", "full helmet"]
 Bag = Literal["none", "backpack", "handbag"]
 
 _HEMS: Final[dict[Garment, tuple[float, float]]] = {
-    "shirt": (-0.015, 1.08),
-    "jacket": (-0.05, 1.14),
-    "coat": (-0.17, 1.34),
-    "dress": (-0.21, 1.45),
+    "shirt": (-0.015, 1.22),
+    "jacket": (-0.05, 1.32),
+    "coat": (-0.17, 1.58),
+    "dress": (-0.21, 1.68),
 }
 """Height of the hem over the hips, as a share of that of the body; its width by that of the waist."""
 _BLACK: Final = (0.02, 0.02, 0.022)
@@ -226,7 +226,7 @@ def _hem(person: Person, skeleton: Skeleton, label: Label) -> Model:
     middle = skeleton.hips.mean(axis=0)
     low, flare = _HEMS[person.garment]
     angle = 2.0 * math.pi * (np.arange(9) + 0.5) / 8
-    ring = 0.073 * wide * np.cos(angle)[:, None] * axes[0] + 0.097 * wide * np.sin(angle)[:, None] * axes[1]
+    ring = 0.061 * wide * np.cos(angle)[:, None] * axes[0] + 0.089 * wide * np.sin(angle)[:, None] * axes[1]
     top, foot = middle + 0.11 * size * axes[2] + ring, middle + low * size * axes[2] + flare * ring
     quads = np.stack([foot[:-1], foot[1:], top[1:], top[:-1]], axis=1)
     return polygons(quads, person.top, Material.CLOTH, label, seeds=person.seed, two_sided=True)

@@ -14,6 +14,7 @@ from mirror.synth.model import Label, Material, Model
 from mirror.synth.textures.catalogue import PLATES
 from mirror.synth.users import buses, cars, trucks, two_wheelers, vans
 from mirror.synth.users.body import Body
+from mirror.synth.users.coachwork.fittings import car_paint
 from mirror.synth.users.ego import EgoKind, Measures, own_body
 
 Maker = Callable[[np.random.Generator], Body]
@@ -203,12 +204,12 @@ def test_two_wheelers_are_ridden_or_parked() -> None:
 
 
 def test_colours_are_as_often_as_on_streets() -> None:
-    grey = 0
-    for seed in range(200):
-        faces = cars.city_car(np.random.default_rng(seed)).model.faces
-        colour = faces["colour"][faces["material"] == Material.PAINT][0]
-        grey += bool(colour.max() - colour.min() < 0.05)
-    assert 0.70 < grey / 200 < 0.95
+    rng = np.random.default_rng(0)
+    colours = np.array([car_paint(rng).colour for _ in range(600)])
+    grey = colours.max(axis=1) - colours.min(axis=1) < 0.05
+    assert 0.72 < grey.mean() < 0.92
+    assert (colours > 0.0).all()
+    assert (colours < 0.8).all()
 
 
 @pytest.mark.parametrize("kind", ["saloon", "hatchback", "estate", "suv", "van", "truck", "bus"])

@@ -62,12 +62,12 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
         seam = _line(u, 0.0, 0.008, fu)
     elif panel >= Panel.TWO_DOORS:
         tall = band(v, -0.62, 0.0, fv)
-        seam = _line(u, 0.0, 0.005, fu) + _line(u, 1.0, 0.005, fu)
+        seam = _line(u, 0.0, 0.004, fu) + _line(u, 1.0, 0.004, fu)
         handle = band(u, 0.05, 0.22, fu) * band(v, -0.125, -0.095, fv)
         back = 0.0
         if panel == Panel.FOUR_DOORS:
             back = -1.0
-            seam += _line(u, -1.0, 0.005, fu)
+            seam += _line(u, -1.0, 0.004, fu)
             handle += band(u, -0.94, -0.77, fu) * band(v, -0.125, -0.095, fv)
         elif panel == Panel.SLIDING_DOOR:
             back = -1.25
@@ -118,7 +118,7 @@ def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Reco
     clear = max(1.0 - pillar - min(hidden, 1.0), 0.0)
     seen = 0.03 * clear
     r, g, b = one.colour_0, one.colour_1, one.colour_2
-    inside = 0.010 * min(hidden, 1.0)
+    inside = 0.006 * min(hidden, 1.0)
     return (
         r + inside,
         g + inside,
@@ -144,7 +144,7 @@ def _rim(one: Records, u: float, v: float, footprint: float) -> Look:
     """A tyre about a wheel of one of four kinds."""
     step = max(footprint / one.half_0, 1e-4)
     away = math.sqrt(u * u + v * v) / one.half_0
-    wheel = band(away, -1.0, 0.70, step)
+    wheel = band(away, -1.0, 0.74, step)
     if wheel <= 0.0:
         return 0.024, 0.024, 0.025, 0.0, 0.0, 0.0, 0.01
     kind = int(4.0 * chance(one.seed, 7, 3))
@@ -158,7 +158,7 @@ def _rim(one: Records, u: float, v: float, footprint: float) -> Look:
     # Spokes get narrower towards the hub: half of that is the angle's doing.
     turn = math.atan2(v, u) / (2.0 * math.pi) * count
     spokes = stripes(turn + 0.5 * duty, 1.0, duty, min(step * count / (2.0 * math.pi * max(away, 0.05)), 50.0))
-    gap = (1.0 - spokes) * band(away, 0.20, 0.62, step)
+    gap = (1.0 - spokes) * band(away, 0.20, 0.66, step)
     # Behind the spokes the brake's disc.
     disc = gap * band(away, 0.20, 0.45, step)
     metal = max(wheel - gap, 0.0) * (1.0 - 0.7 * band(away, 0.045, 0.085, step))
@@ -189,8 +189,8 @@ def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: 
 def _tail_light(one: Records, v: float, fv: float, setting: Records) -> Look:
     """Red, with a strip that burns."""
     strip = band(v / one.half_1, -0.1, 0.6, fv / one.half_1)
-    tone = 0.55 + 0.45 * strip
-    burn = float(one.lights) * setting.vehicle_lights * (0.7 + 1.6 * strip)
+    tone = 0.40 + 0.60 * strip
+    burn = float(one.lights) * setting.vehicle_lights * (0.45 + 1.3 * strip)
     return (
         tone * one.colour_0, tone * one.colour_1, tone * one.colour_2, burn, 0.035 * burn, 0.025 * burn, 0.06,
     )  # fmt: skip

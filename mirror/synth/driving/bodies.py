@@ -13,7 +13,7 @@ Kind = Literal["car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestria
 KINDS: Final[tuple[Kind, ...]] = ("car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian")
 
 POPULATION: Final[dict[Kind, int]] = {
-    "car": 160, "van": 32, "truck": 24, "bus": 12, "motorcycle": 12, "cyclist": 32, "pedestrian": 96,
+    "car": 96, "van": 24, "truck": 16, "bus": 8, "motorcycle": 8, "cyclist": 20, "pedestrian": 64,
 }  # fmt: skip
 """How many there are of each kind."""
 

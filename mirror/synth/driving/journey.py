@@ -21,6 +21,7 @@ from mirror.synth.driving.site import Bustle, Site
 from mirror.synth.driving.trace import Aside, Chassis, Moving, Schedule, trace_of
 from mirror.synth.driving.vehicles import Ways, cyclists, leaving, vehicles
 from mirror.synth.driving.walkers import standing, walkers
+from mirror.synth.driving.ways import STEP_M
 from mirror.synth.driving.zones import zones
 from mirror.synth.users.body import Body, Motion, RoadUser
 
@@ -110,20 +111,21 @@ def _attempt(
     bustle: Bustle,
 ) -> Journey | None:
     own = _recorder(route, chassis, rng, fastest_mps, aside_m)
+    until = _WARM_UP_S + min(_longest_s(own), _LONGEST_S)
     ways = Ways()
     cars = list(parked(site, scene_seed, rng))
     off = _leaving(cars, rng)
     others = [
-        *vehicles(site, bustle, _WARM_UP_S + _LONGEST_S, ways, rng),
+        *vehicles(site, bustle, until, ways, rng),
         *leaving(site, [car.leaves for car in off if car.leaves], ways, (_WARM_UP_S, _WARM_UP_S + 50.0), rng),
-        *cyclists(site, bustle, _WARM_UP_S + _LONGEST_S, ways, rng),
+        *cyclists(site, bustle, until, ways, rng),
     ]
     if route.first:
         others = _out_of_the_way(route, others)
     on_foot = list(walkers(site, bustle, ways, rng))
     clock = float(rng.uniform(0.0, site.network.cycle_s))
     schedules = simulated(
-        site.network, [own, *others, *on_foot], clock, _WARM_UP_S + _LONGEST_S, first_goes_first=route.first
+        site.network, [own, *others, *on_foot], clock, until, first_goes_first=route.first
     )
     ego = schedules[0]
     if ego is None or ego.along_m[-1] < route.end_m:
@@ -164,6 +166,12 @@ def _recorder(
         pause_m=route.begin_m if stands else -1.0,
         pause_s=route.stands_s,
     )  # fmt: skip
+
+
+def _longest_s(own: Participant) -> float:
+    """A time that is ample for the drive."""
+    stretch = own.way.pace_mps[int(own.enter_m / STEP_M) : int((own.end_m or own.way.length_m) / STEP_M)]
+    return 40.0 + own.pause_s + 3.0 * float((STEP_M / np.minimum(stretch, own.manner.fastest_mps)).sum())
 
 
 def _leaving(cars: Sequence[Parked], rng: np.random.Generator) -> list[Parked]:

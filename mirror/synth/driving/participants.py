@@ -18,6 +18,9 @@ from mirror.synth.street.network import Network
 
 _NEVER: Final = 1e9
 _ROOM_M: Final = 0.35
+_WIDTHS: Final[dict[Kind, float]] = {
+    "car": 2.1, "van": 2.1, "truck": 2.7, "bus": 2.7, "motorcycle": 0.9, "cyclist": 0.9, "pedestrian": 0.6,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -160,16 +163,21 @@ def _meetings(participants: Sequence[Participant], ways: Sequence[Way], number: 
     found: list[Zone] = []
     pairs: list[tuple[int, int]] = []
     chosen: list[int] = []
+    place = [number[id(one.way)] for one in participants]
+    crosses = [one.kind != "pedestrian" or any(lane.use == "cross" for lane in one.way.lanes) for one in participants]
     for i, one in enumerate(participants):
         for j in range(i):
             other = participants[j]
-            on_foot = one.kind == "pedestrian" and other.kind == "pedestrian"
-            # People step out of each other's way, but those in one file.
-            if on_foot and (one.way is not other.way or one.aside.right_m != other.aside.right_m):
+            if one.kind == "pedestrian" and other.kind == "pedestrian":
+                # People step out of each other's way, but those in one file.
+                if one.way is not other.way or one.aside.right_m != other.aside.right_m:
+                    continue
+            elif not (crosses[i] and crosses[j]):
                 continue
-            p, q = sorted((i, j), key=lambda place: number[id(participants[place].way)])
-            room = round(0.5 * (one.chassis.width_m + other.chassis.width_m) + _ROOM_M, 1)
-            key = (number[id(participants[p].way)], number[id(participants[q].way)], room)
+            # Few widths, so that the zones of two ways are found but a few times.
+            room = 0.5 * (_WIDTHS[one.kind] + _WIDTHS[other.kind]) + _ROOM_M
+            p, q = (i, j) if place[i] <= place[j] else (j, i)
+            key = (place[p], place[q], room)
             if key not in known:
                 new = zones(ways[key[0]], ways[key[1]], room)
                 known[key] = list(range(len(found), len(found) + len(new)))

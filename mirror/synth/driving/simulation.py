@@ -28,6 +28,7 @@ _NEVER: Final = 1e9
 _FAR: Final = 1e6
 # People set off on foot only while enough of their green is left.
 _LAST_CALL_S: Final = 4.0
+_SIFT: Final = 10
 
 
 class Ways(NamedTuple):
@@ -68,7 +69,7 @@ class Meetings(NamedTuple):
     """Pairs of users with a zone in common, a row each (E, 2): see `mirror.synth.driving.zones.Zone`.
 
     ``hold_m`` is where each waits when the other goes first; ``table`` where its limits begin within ``limits``;
-    ``count`` how many there are; ``major`` 0 or 1: that one of the two goes first, -1: whoever is there first.
+    ``counts`` how many there are; ``major`` 0 or 1: that one of the two goes first, -1: whoever is there first.
     """
 
     users: Int64
@@ -76,7 +77,7 @@ class Meetings(NamedTuple):
     end_m: Float64
     hold_m: Float64
     table: Int64
-    count: Int64
+    counts: Int64
     along: UInt8
     major: Int64
     limits: Float64
@@ -121,14 +122,16 @@ def simulate(
     count = len(users.way)
     lengths = np.full((ticks, count), np.nan)
     speeds = np.full((ticks, count), np.nan)
-    state = np.zeros(count, np.uint8)
+    state = np.zeros(count, np.int64)
     s, v, a = np.zeros(count), np.zeros(count), np.zeros(count)
     wish = np.zeros(count)
     stop, stop_before = np.full(count, _FAR), np.full(count, _FAR)
     shut, shut_before = np.full(count, _FAR), np.full(count, _FAR)
     lead, lead_speed = np.full(count, _FAR), np.zeros(count)
     waited, paused = np.zeros(count), np.zeros(count)
-    ahead = np.full(len(meetings.major), -1, np.int8)
+    ahead = np.full(len(meetings.major), -1, np.int64)
+    live, lives = np.empty(len(ahead), np.int64), 0
+    changed = True
     done = ticks
     for tick in range(ticks):
         clock = clock_s + tick * TICK_S
@@ -137,10 +140,15 @@ def simulate(
                 speed = _entry_speed(u, ways, users, meetings, state, s, v)
                 if speed >= 0.0:
                     state[u], s[u], v[u], a[u] = _THERE, users.enter_m[u], speed, 0.0
+                    changed = True
             if state[u] == _THERE:
                 wish[u] = _free(u, ways, users, s[u], v[u])
                 stop[u], shut[u], lead[u], lead_speed[u] = _FAR, _FAR, _FAR, 0.0
-        for e in range(len(ahead)):
+        if changed or tick % _SIFT == 0:
+            lives = _alive(users, meetings, state, s, live)
+            changed = False
+        for n in range(lives):
+            e = live[n]
             if state[meetings.users[e, 0]] == _THERE and state[meetings.users[e, 1]] == _THERE:
                 _meet(e, users, meetings, ahead, s, v, wish, stop, stop_before, shut_before, lead, lead_speed, waited)
         for u in range(count):
@@ -161,6 +169,21 @@ def simulate(
             done = tick + 1
             break
     return lengths[:done], speeds[:done], done
+
+
+@njit(cache=True, nogil=True)
+def _alive(users: Users, meetings: Meetings, state: Int64, s: Float64, live: Int64) -> int:
+    """Put the meetings that both have still to get through into ``live``; returns how many they are."""
+    count = 0
+    for e in range(len(meetings.major)):
+        p, q = meetings.users[e, 0], meetings.users[e, 1]
+        if state[p] != _THERE or state[q] != _THERE:
+            continue
+        if s[p] - users.length_m[p] > meetings.end_m[e, 0] or s[q] - users.length_m[q] > meetings.end_m[e, 1]:
+            continue
+        live[count] = e
+        count += 1
+    return count
 
 
 @njit(cache=True, nogil=True)
@@ -204,7 +227,7 @@ def _limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> floa
     other = meetings.users[e, 1 - k]
     place = (s[other] - users.length_m[other] - meetings.begin_m[e, 1 - k]) / GRID_M
     first = meetings.table[e, k]
-    last = meetings.count[e, k] - 1
+    last = meetings.counts[e, k] - 1
     if place <= 0.0:
         start = meetings.limits[first]
         return start + place * GRID_M if meetings.along[e] else start
@@ -216,7 +239,7 @@ def _limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> floa
 
 
 @njit(cache=True, nogil=True)
-def _entry_speed(u: int, ways: Ways, users: Users, meetings: Meetings, state: UInt8, s: Float64, v: Float64) -> float:
+def _entry_speed(u: int, ways: Ways, users: Users, meetings: Meetings, state: Int64, s: Float64, v: Float64) -> float:
     """The speed at which a user can come in, or -1 while there is no room."""
     at = users.enter_m[u]
     speed = min(_pace(ways, users.way[u], at) * users.eager[u], users.fastest_mps[u])
@@ -244,7 +267,7 @@ def _meet(
     e: int,
     users: Users,
     meetings: Meetings,
-    ahead: UInt8,
+    ahead: Int64,
     s: Float64,
     v: Float64,
     wish: Float64,

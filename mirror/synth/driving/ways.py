@@ -82,6 +82,11 @@ class Way:
         return STEP_M * (len(self.points) - 1)
 
     @cached_property
+    def bounds(self) -> tuple[Float64, Float64]:
+        """Its least and its greatest x and y."""
+        return self.points.min(axis=0), self.points.max(axis=0)
+
+    @cached_property
     def heading_rad(self) -> Float64:
         """(N,) unwrapped directions."""
         step = np.gradient(self.points, axis=0)

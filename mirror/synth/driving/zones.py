@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numba import njit
 
-from mirror.arrays import Bool, Float64, UInt8
+from mirror.arrays import Float64, Int64
 from mirror.synth.driving.ways import STEP_M, Way
 from mirror.synth.street.network import Lane
 
@@ -19,6 +20,7 @@ _BEFORE_M: Final = 12.0
 _ALONG_M: Final = 6.0
 _LINE_M: Final = 12.0
 _KEEP_M: Final = 0.4
+_NEAR: Final = 2
 _STRAIGHTER_RAD: Final = 0.5
 
 
@@ -52,33 +54,23 @@ def zones(p: Way, q: Way, clearance_m: float) -> list[Zone]:
         q: a way, or the same.
         clearance_m: lines closer than this are in conflict.
     """
-    a, b = (np.ascontiguousarray(way.points[::_STRIDE]) for way in (p, q))
-    if (a.max(0) + clearance_m < b.min(0)).any() or (b.max(0) + clearance_m < a.min(0)).any():
-        return []
     if p is q:
-        limit = np.maximum(GRID_M * np.arange(len(a)) - clearance_m, 0.0)
+        limit = np.maximum(GRID_M * np.arange(len(p.points[::_STRIDE])) - clearance_m, 0.0)
         return [Zone((0.0, 0.0), (p.length_m, p.length_m), (limit, limit), (0.0, 0.0), along=True, first=-1)]
-    close = _close(a, b, clearance_m)
-    if not close.any():
+    (p_low, p_high), (q_low, q_high) = p.bounds, q.bounds
+    if (p_high + clearance_m < q_low).any() or (q_high + clearance_m < p_low).any():
         return []
-    import cv2
-
-    # Bends bring lines together for a metre more or less: what is nearly connected is one zone.
-    count, label = cv2.connectedComponents(cv2.dilate(close, np.ones((5, 5), np.uint8)))
-    label[close == 0] = 0
-    return [_zone(p, q, label == number) for number in range(1, count)]
+    runs, owner = _runs(p.points[::_STRIDE], q.points[::_STRIDE], clearance_m)
+    return [_zone(p, q, runs[owner == number]) for number in np.unique(owner)]
 
 
-def _zone(p: Way, q: Way, hit: Bool) -> Zone:
-    rows, columns = np.flatnonzero(hit.any(axis=1)), np.flatnonzero(hit.any(axis=0))
-    (a0, a1), (b0, b1) = (rows[0], rows[-1]), (columns[0], columns[-1])
-    inner = hit[a0 : a1 + 1, b0 : b1 + 1]
-    limits = (_limits(inner, a0), _limits(inner.T, b0))
-    i, j = np.nonzero(inner)
-    turned = p.heading_rad[_STRIDE * (a0 + i)] - q.heading_rad[_STRIDE * (b0 + j)]
-    long = GRID_M * min(a1 - a0, b1 - b0) > _ALONG_M
-    along = bool(long and np.median(np.cos(turned)) > 0.7)
-    begin, end = (GRID_M * a0, GRID_M * b0), (GRID_M * a1, GRID_M * b1)
+def _zone(p: Way, q: Way, runs: Int64) -> Zone:
+    """The zone of runs (R, 3): a point of p, and the first and the last point of q that are too close to it."""
+    a0, a1, b0, b1 = runs[0, 0], runs[-1, 0], runs[:, 1].min(), runs[:, 2].max()
+    limits = _limits(runs, a0, a1, b0, b1)
+    turned = p.heading_rad[_STRIDE * runs[:, 0]] - q.heading_rad[_STRIDE * ((runs[:, 1] + runs[:, 2]) // 2)]
+    along = bool(GRID_M * min(a1 - a0, b1 - b0) > _ALONG_M and np.cos(turned).mean() > 0.7)
+    begin, end = (float(GRID_M * a0), float(GRID_M * b0)), (float(GRID_M * a1), float(GRID_M * b1))
     hold = (_hold(p, begin[0]), _hold(q, begin[1]))
     return Zone(begin, end, limits, hold, along, _first(p, q, begin, end, along))
 
@@ -86,12 +78,6 @@ def _zone(p: Way, q: Way, hit: Bool) -> Zone:
 def _hold(way: Way, begin_m: float) -> float:
     lines = [halt.at_m for halt in way.halts if begin_m - _LINE_M < halt.at_m < begin_m + 1.0]
     return min([begin_m - _KEEP_M, *lines])
-
-
-def _limits(hit: Bool, start: int) -> Float64:
-    """Of each column: the least row that is hit in it or any later one, as a length along the rows' way."""
-    least = np.where(hit.any(axis=0), hit.argmax(axis=0), len(hit))
-    return GRID_M * (start + np.minimum.accumulate(least[::-1])[::-1]).astype(np.float64)
 
 
 def _first(p: Way, q: Way, begin_m: tuple[float, float], end_m: tuple[float, float], along: bool) -> int:
@@ -125,17 +111,50 @@ def _turn(way: Way, begin_m: float, end_m: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _close(a: Float64, b: Float64, clearance: float) -> UInt8:
-    """(len(a), len(b)) whether points are closer than the clearance; points of a line lie `GRID_M` apart."""
-    found = np.zeros((len(a), len(b)), np.uint8)
+def _runs(a: Float64, b: Float64, clearance: float) -> tuple[Int64, Int64]:
+    """Where points of two lines, `GRID_M` apart along them, are closer than the clearance.
+
+    Returns:
+        Runs (R, 3): a point of a, and the first and the last of a row of points of b; and the zone (R,) of each: runs
+        of neighbouring points of a that are nearly in touch are one, since bends bring lines together for a moment.
+    """
+    runs = np.empty((4 * len(a) + 16, 3), np.int64)
+    owner = np.empty(len(runs), np.int64)
+    count = 0
     for i in range(len(a)):
         j = 0
-        while j < len(b):
-            distance = np.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1])
-            if distance < clearance:
-                found[i, j] = 1
-                j += 1
-            else:
+        while j < len(b) and count < len(runs):
+            distance = math.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1])
+            if distance >= clearance:
                 # No point nearer than the distance that is missing can be in reach.
                 j += max(int((distance - clearance) / GRID_M), 1)
-    return found
+                continue
+            start = j
+            while j < len(b) and math.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]) < clearance:
+                j += 1
+            runs[count, 0], runs[count, 1], runs[count, 2] = i, start, j - 1
+            owner[count] = count
+            for k in range(count - 1, -1, -1):
+                if runs[k, 0] < i - _NEAR:
+                    break
+                if runs[k, 1] <= j - 1 + _NEAR and runs[k, 2] >= start - _NEAR and owner[k] != owner[count]:
+                    old, new = max(owner[k], owner[count]), min(owner[k], owner[count])
+                    for n in range(count + 1):
+                        if owner[n] == old:
+                            owner[n] = new
+            count += 1
+    return runs[:count], owner[:count]
+
+
+@njit(cache=True, nogil=True)
+def _limits(runs: Int64, a0: int, a1: int, b0: int, b1: int) -> tuple[Float64, Float64]:
+    """How far one may come on either line while somebody is at, or has still to pass, a point of the other."""
+    p, q = np.full(b1 - b0 + 1, np.inf), np.full(a1 - a0 + 1, np.inf)
+    for i, low, high in runs:
+        q[i - a0] = min(q[i - a0], GRID_M * low)
+        for j in range(low, high + 1):
+            p[j - b0] = min(p[j - b0], GRID_M * i)
+    for limit in (p, q):
+        for n in range(len(limit) - 2, -1, -1):
+            limit[n] = min(limit[n], limit[n + 1])
+    return p, q

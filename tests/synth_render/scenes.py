@@ -87,7 +87,7 @@ def surroundings(
     spheres = spheres_of(faces, model.corners, rounds)
     marks = np.zeros((1, 2), MARK).view(flat(MARK))
     return Surroundings(
-        faces, model.corners, rounds, spheres, shadow.height, NOTHING, NOTHING, NOTHING, NOTHING,
+        faces, model.corners, rounds, spheres, shadow.height, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING,
         given.dome, given.clouds, marks, given.record.reshape(1).view(flat(LIGHTING))[0], maps.view(flat(MAPS))[0],
     )  # fmt: skip
 

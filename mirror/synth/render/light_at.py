@@ -11,7 +11,7 @@ from mirror.arrays import Float32, Records
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Label, Material
 from mirror.synth.render.shadows import CELL_M, sunlit
-from mirror.synth.render.surroundings import BELOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M
+from mirror.synth.render.surroundings import BELOW_CELL_M, GLOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M
 
 _ROUGH_RAD: Final = 0.03
 
@@ -46,6 +46,7 @@ def lit(
     still: Float32,
     moving: Float32,
     lamps: Float32,
+    glow: Float32,
     below: Float32,
     ground: Float32,
     dome: Float32,
@@ -78,6 +79,7 @@ def lit(
         still: shadow map of what stands still.
         moving: shadow map of what moves.
         lamps: light of the street lamps over the ground.
+        glow: light of other vehicles' headlights over the ground.
         below: what road users keep of the sky's light from the ground.
         ground: heights of the ground.
         dome: of the clear sky.
@@ -147,6 +149,8 @@ def lit(
         lamplight *= 0.45 + 0.55 * nz if nz > 0.0 else 0.35
     if setting.headlight > 0.0:
         beam = _beam_at(setting, maps, x, y, z, nx, ny, nz)
+        column, row = (x - maps.glow_origin_0) / GLOW_CELL_M, (y - maps.glow_origin_1) / GLOW_CELL_M
+        beam += 0.5 * setting.headlight * read(glow, column, row) * max(nz, 0.3)
     over, under = opening * (0.5 + 0.5 * nz), opening * (0.5 - 0.5 * nz)
     clear = math.exp(-t * setting.haze_per_m)
     r = er + fr * (

@@ -23,7 +23,7 @@ from mirror.synth.render.develop.look import CameraLook
 from mirror.synth.render.develop.motion import image_motion
 from mirror.synth.render.lens import Lens
 from mirror.synth.render.shadows import ShadowMap, shadow_map, sun_axes
-from mirror.synth.render.surroundings import BELOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M, MAPS, Surroundings
+from mirror.synth.render.surroundings import BELOW_CELL_M, GLOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M, MAPS, Surroundings
 from mirror.synth.render.view import View, see
 from mirror.synth.render.wet import with_reflections
 from mirror.synth.street.foliage import foliage
@@ -34,6 +34,10 @@ _DRAWN_WITHIN_M: Final = 220.0
 _SHADED_WITHIN_M: Final = 50.0
 _BEYOND_M: Final = 80.0
 _PLAIN: Final = CameraLook()
+_HEADLIGHTS_M: Final = np.array([3.4, 0.0, 0.7])
+_AHEAD: Final = np.array([0.998, 0.0, -0.06])
+_DRIVEN: Final = frozenset({"car", "van", "truck", "bus", "motorcycle"})
+_BEAM_M: Final = 26.0
 
 
 class Place(Protocol):
@@ -158,10 +162,22 @@ class Scene:
     def at(self, time_s: float, world_SE3_ego: Poses) -> Instant:
         """All that there is ``time_s`` after the start, round the recording vehicle at its pose."""
         ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
+        moving, placements = self._moving(time_s, ego)
+        own = self.own.placed(turn, ego, NO_OBJECT)
+        own.faces["label"], own.rounds["label"] = Label.EGO, Label.EGO
+        beam = np.concatenate([ego + turn @ _HEADLIGHTS_M, turn @ _AHEAD])
+        return self._instant(time_s, merged([moving, own]), moving, placements, ego, beam)
+
+    def around(self, time_s: float, place_m: Float64) -> Instant:
+        """All that there is ``time_s`` after the start round a place (3,), without a recording vehicle."""
+        moving, placements = self._moving(time_s, place_m)
+        return self._instant(time_s, moving, moving, placements, place_m, np.zeros(6))
+
+    def _moving(self, time_s: float, middle: Float64) -> tuple[Model, dict[int, Placement]]:
         placements = {}
         for number, user in enumerate(self.users):
             place = user.motion.at(time_s)
-            if math.hypot(place.x_m - ego[0], place.y_m - ego[1]) < _DRAWN_WITHIN_M:
+            if math.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _DRAWN_WITHIN_M:
                 placements[number] = place
         drawn = []
         for number, place in placements.items():
@@ -169,10 +185,7 @@ class Scene:
             model = user.body.posed(place).placed(place.rotation, place.translation, number)
             model.faces["lights"] = not isinstance(user.motion, Still)
             drawn.append(model)
-        moving = merged(drawn)
-        own = self.own.placed(turn, ego, NO_OBJECT)
-        own.faces["label"], own.rounds["label"] = Label.EGO, Label.EGO
-        return self._instant(time_s, merged([moving, own]), moving, placements, ego, turn)
+        return merged(drawn), placements
 
     def picture(
         self,
@@ -213,7 +226,7 @@ class Scene:
         return Picture(develop(light, self.light.record, look, effects, seed, motion=motion, drops=drops), view)
 
     def _instant(
-        self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, turn: Float64
+        self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, beam: Float64
     ) -> Instant:
         still, record = self._still, self.light.at(time_s)
         model = merged([still.model, there])
@@ -231,10 +244,15 @@ class Scene:
         below, maps["below_origin"] = _below(
             [(self.users[number].body, place) for number, place in placements.items()], ego
         )
-        maps["beam"] = *(ego + turn @ (3.4, 0.0, 0.7)), *(turn @ (0.998, 0.0, -0.06))
+        maps["beam"] = beam
+        glow, maps["glow_origin"] = _glow(
+            [(self.users[number].body, place) for number, place in placements.items()
+             if record["headlight"] > 0.0 and not isinstance(self.users[number].motion, Still)],
+            ego,
+        )  # fmt: skip
         surroundings = Surroundings(
             faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)), spheres,
-            still.shadow.height, shadow.height, still.lamps, below, still.ground,
+            still.shadow.height, shadow.height, still.lamps, glow, below, still.ground,
             self.light.dome, self.light.clouds, self.world.layouts.view(flat(self.world.layouts.dtype)),
             record.reshape(1).view(flat(LIGHTING))[0], maps.view(flat(MAPS))[0],
         )  # fmt: skip
@@ -286,3 +304,22 @@ def _below(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Floa
         )
         shade[rows, columns] = 1.0 - (1.0 - shade[rows, columns]) * (1.0 - 0.8 * np.exp(-beyond / 0.22))
     return shade, ego[:2] - _SHADED_WITHIN_M
+
+
+def _glow(vehicles: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
+    """Light of other vehicles' headlights on the ground: a bell ahead of each, wider and weaker with the distance."""
+    grid = np.arange(-_SHADED_WITHIN_M - 20.0, _SHADED_WITHIN_M + 20.0, GLOW_CELL_M)
+    light = np.zeros((len(grid), len(grid)), np.float32)
+    for body, place in vehicles:
+        if body.category not in _DRIVEN:
+            continue
+        cos, sin = math.cos(place.yaw_rad), math.sin(place.yaw_rad)
+        x, y = place.x_m + 0.5 * body.size_m[0] * cos - ego[0], place.y_m + 0.5 * body.size_m[0] * sin - ego[1]
+        columns = slice(*np.searchsorted(grid, (x - _BEAM_M, x + _BEAM_M)))
+        rows = slice(*np.searchsorted(grid, (y - _BEAM_M, y + _BEAM_M)))
+        dx, dy = grid[columns] - x, (grid[rows] - y)[:, None]
+        ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
+        width = 0.8 + 0.22 * np.maximum(ahead, 0.0)
+        near = np.clip(ahead / 3.0, 0.0, 1.0) * np.clip((_BEAM_M - ahead) / 12.0, 0.0, 1.0)
+        light[rows, columns] += near * np.exp(-((aside / width) ** 2)) / (1.0 + 0.012 * ahead * ahead)
+    return light, ego[:2] + grid[0]

@@ -31,6 +31,7 @@ def shade(
     still: Float32,
     moving: Float32,
     lamps: Float32,
+    glow: Float32,
     below: Float32,
     ground: Float32,
     dome: Float32,
@@ -50,12 +51,8 @@ def shade(
     dx: float,
     dy: float,
     dz: float,
-    ax: float,
-    ay: float,
-    az: float,
-    bx: float,
-    by: float,
-    bz: float,
+    right: tuple[float, float, float],
+    down: tuple[float, float, float],
 ) -> tuple[float, float, float, float]:
     """Radiance along a ray, and how much of a mirrored ray's it adds (wet ground).
 
@@ -67,6 +64,7 @@ def shade(
         still: shadow map of what stands still.
         moving: shadow map of what moves.
         lamps: light of the street lamps over the ground.
+        glow: light of other vehicles' headlights over the ground.
         below: what road users keep of the sky's light from the ground.
         ground: heights of the ground.
         dome: of the clear sky.
@@ -86,13 +84,11 @@ def shade(
         dx: the ray's unit direction.
         dy: the ray's direction.
         dz: the ray's direction.
-        ax: how much the ray changes across the footprint, rightwards.
-        ay: the same.
-        az: the same.
-        bx: the same downwards.
-        by: the same.
-        bz: the same.
+        right: how much the ray changes across the footprint, rightwards.
+        down: the same downwards.
     """
+    ax, ay, az = right
+    bx, by, bz = down
     if index == SKY:
         r, g, b = sky(dome, clouds, setting, dx, dy, dz, math.sqrt(ax * ax + ay * ay + az * az))
         return r, g, b, 0.0
@@ -185,7 +181,7 @@ def shade(
                 x + y, z + 0.5 * (x - y), wide, 0.0, 0.0, wide,
             )  # fmt: skip
     return lit(
-        still, moving, lamps, below, ground, dome, clouds, setting, maps, material, label,
+        still, moving, lamps, glow, below, ground, dome, clouds, setting, maps, material, label,
         t, x, y, z, nx, ny, nz, dx, dy, dz, fr, fg, fb, er, eg, eb, gloss,
     )  # fmt: skip
 
@@ -197,6 +193,7 @@ def radiance_of(
     still: Float32,
     moving: Float32,
     lamps: Float32,
+    glow: Float32,
     below: Float32,
     ground: Float32,
     dome: Float32,
@@ -228,6 +225,7 @@ def radiance_of(
         still: shadow map of what stands still.
         moving: shadow map of what moves.
         lamps: light of the street lamps over the ground.
+        glow: light of other vehicles' headlights over the ground.
         below: what road users keep of the sky's light from the ground.
         ground: heights of the ground.
         dome: of the clear sky.
@@ -284,9 +282,10 @@ def radiance_of(
                             index, weight, u, v = which[piece, 1], share[piece, 0], share[piece, 1], share[piece, 2]
                         dx, dy, dz = x + u * ax + v * bx, y + u * ay + v * by, z + u * az + v * bz
                         pr, pg, pb, pm = shade(
-                            faces, rounds, still, moving, lamps, below, ground, dome, clouds, layouts, setting, maps,
-                            grains, grain_index, images, image_index, patterns, index, ox, oy, oz, dx, dy, dz,
-                            scale * ax, scale * ay, scale * az, scale * bx, scale * by, scale * bz,
+                            faces, rounds, still, moving, lamps, glow, below, ground, dome, clouds, layouts,
+                            setting, maps, grains, grain_index, images, image_index, patterns,
+                            index, ox, oy, oz, dx, dy, dz,
+                            (scale * ax, scale * ay, scale * az), (scale * bx, scale * by, scale * bz),
                         )  # fmt: skip
                         # Lamps are clipped before they are averaged, or their edges stay hard.
                         r += weight * min(pr, _BRIGHTEST)

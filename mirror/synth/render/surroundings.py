@@ -10,6 +10,7 @@ from mirror.arrays import Float32, Float64, Records
 
 LAMP_CELL_M: Final = 1.0
 BELOW_CELL_M: Final = 0.2
+GLOW_CELL_M: Final = 0.5
 GROUND_CELL_M: Final = 2.0
 
 MAPS: Final = np.dtype(
@@ -18,6 +19,7 @@ MAPS: Final = np.dtype(
         ("still_origin", np.float64, 2),
         ("moving_origin", np.float64, 2),
         ("lamps_origin", np.float64, 2),
+        ("glow_origin", np.float64, 2),
         ("below_origin", np.float64, 2),
         ("ground_origin", np.float64, 2),
         ("beam", np.float64, 6),
@@ -38,6 +40,7 @@ class Surroundings(NamedTuple):
         still: shadow map of what stands still.
         moving: shadow map of what moves.
         lamps: (rows, columns) over the ground: light of the street lamps.
+        glow: (rows, columns) over the ground: light of other vehicles' headlights.
         below: (rows, columns) over the ground: share of the sky's light that road users keep from it.
         ground: (rows, columns) heights of the ground.
         dome: of the clear sky.
@@ -54,6 +57,7 @@ class Surroundings(NamedTuple):
     still: Float32
     moving: Float32
     lamps: Float32
+    glow: Float32
     below: Float32
     ground: Float32
     dome: Float32

@@ -63,7 +63,7 @@ class View:
         """
         scene, pictures = self.scene, atlas()
         return radiance_of(
-            scene.faces, scene.rounds, scene.still, scene.moving, scene.lamps, scene.below, scene.ground,
+            scene.faces, scene.rounds, scene.still, scene.moving, scene.lamps, scene.glow, scene.below, scene.ground,
             scene.dome, scene.clouds, scene.layouts, scene.setting, scene.maps,
             pictures.grains, pictures.grain_index, pictures.images, pictures.image_index, _PATTERNS,
             self.lens.rays, self.rotation, self.origin, self.offsets[0], footprint_px,

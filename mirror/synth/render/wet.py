@@ -82,8 +82,7 @@ def _drawn_out(mirrored: Float32) -> Float32:
 
     # Twice a box: nearly a bell.
     once = cv2.blur(mirrored, (1, _DRAWN_OUT_PX + 1), borderType=cv2.BORDER_REPLICATE)
-    twice: Float32 = cv2.blur(once, (1, _DRAWN_OUT_PX + 1), borderType=cv2.BORDER_REPLICATE)
-    return twice
+    return np.asarray(cv2.blur(once, (1, _DRAWN_OUT_PX + 1), borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -24,7 +24,7 @@ _CARS: list[Maker] = [
     vans.delivery_van, vans.compact_van, vans.minibus,
 ]  # fmt: skip
 _LARGE: list[Maker] = [buses.city_bus, buses.coach, trucks.box_truck, trucks.tipper, trucks.articulated_truck]
-_TWO: list[Maker] = [two_wheelers.motorcycle, two_wheelers.scooter, two_wheelers.bicycle, two_wheelers.cargo_bike]
+_TWO: list[Maker] = [two_wheelers.roadster, two_wheelers.scooter, two_wheelers.city_bicycle, two_wheelers.cargo_bike]
 _SEEDS = range(6)
 
 every = pytest.mark.parametrize("make", [*_CARS, *_LARGE, *_TWO], ids=lambda make: make.__name__)
@@ -195,7 +195,7 @@ def test_every_body_has_its_class() -> None:
 
 
 def test_two_wheelers_are_ridden_or_parked() -> None:
-    for make in (two_wheelers.bicycle, two_wheelers.cargo_bike):
+    for make in (two_wheelers.city_bicycle, two_wheelers.cargo_bike):
         ridden, parked = make(np.random.default_rng(1)), make(np.random.default_rng(1), ridden=False)
         assert (ridden.category, parked.category) == ("cyclist", "bicycle")
         assert Label.RIDER in ridden.model.rounds["label"]

@@ -37,13 +37,23 @@ _FRAMES: Final[tuple[Colour, ...]] = (
     (0.50, 0.32, 0.04),
 )
 _PLATE_SHARE: Final = 0.55
-_RING: Final = 12
+_CORNERS: Final = 16
 _SPOKE_M: Final = 0.17
 
 Point = tuple[float, float]
 
 
 def motorcycle(rng: np.random.Generator, *, ridden: bool = True) -> Body:
+    """Any with a motor."""
+    return (scooter if rng.random() < 0.4 else roadster)(rng, ridden=ridden)
+
+
+def bicycle(rng: np.random.Generator, *, ridden: bool = True) -> Body:
+    """Any without."""
+    return (cargo_bike if rng.random() < 0.1 else city_bicycle)(rng, ridden=ridden)
+
+
+def roadster(rng: np.random.Generator, *, ridden: bool = True) -> Body:
     """A motorcycle without fairing."""
     sheets = Sheets(Label.MOTORCYCLE, int(rng.integers(1 << 30)))
     coat = car_paint(rng)
@@ -105,7 +115,7 @@ def scooter(rng: np.random.Generator, *, ridden: bool = True) -> Body:
     return _mounted(rng, sheets, seat, "motorcycle", ridden, motorcycle=True)
 
 
-def bicycle(rng: np.random.Generator, *, ridden: bool = True) -> Body:
+def city_bicycle(rng: np.random.Generator, *, ridden: bool = True) -> Body:
     """A city or a sports bicycle."""
     sheets = Sheets(Label.BICYCLE, int(rng.integers(1 << 30)))
     frame = _FRAMES[int(rng.integers(len(_FRAMES)))]
@@ -191,24 +201,24 @@ def _box(
 
 def _solid_wheel(sheets: Sheets, x: float, radius: float, width: float) -> None:
     """A motorcycle's wheel."""
-    turn = 2.0 * math.pi * (np.arange(_RING) + 0.5) / _RING
-    reach = radius / math.cos(math.pi / _RING)
-    disc = np.c_[x + reach * np.sin(turn), np.full(_RING, 0.5 * width), radius - reach * np.cos(turn)]
+    turn = 2.0 * math.pi * (np.arange(_CORNERS) + 0.5) / _CORNERS
+    reach = radius / math.cos(math.pi / _CORNERS)
+    disc = np.c_[x + reach * np.sin(turn), np.full(_CORNERS, 0.5 * width), radius - reach * np.cos(turn)]
     sheets.sheet(disc, Side.LEFT, RIM._replace(two_sided=False), both=True)
     _tread(sheets, disc, width)
 
 
 def _ring(sheets: Sheets, x: float, radius: float) -> None:
     """A bicycle's wheel: a tyre that is seen through, and its hub."""
-    turn = 2.0 * math.pi * (np.arange(_RING) + 0.5) / _RING
-    reach = radius / math.cos(math.pi / _RING)
-    outer = np.c_[x + reach * np.sin(turn), np.zeros(_RING), radius - reach * np.cos(turn)]
+    turn = 2.0 * math.pi * (np.arange(_CORNERS) + 0.5) / _CORNERS
+    reach = radius / math.cos(math.pi / _CORNERS)
+    outer = np.c_[x + reach * np.sin(turn), np.zeros(_CORNERS), radius - reach * np.cos(turn)]
     middle = np.array([x, 0.0, radius])
-    inner = middle + (outer - middle) * (1.0 - 0.055 / radius)
-    for i in range(_RING):
-        j = (i + 1) % _RING
+    inner = middle + (outer - middle) * (1.0 - 0.042 / radius)
+    for i in range(_CORNERS):
+        j = (i + 1) % _CORNERS
         sheets.sheet([outer[i], outer[j], inner[j], inner[i]], Side.LEFT, _TYRE)
-    _tread(sheets, outer + np.array([0.0, 0.021, 0.0]), 0.042)
+    _tread(sheets, outer[::2] + np.array([0.0, 0.018, 0.0]), 0.036)
     sheets.add(ellipsoid((x, 0.0, radius), (0.06, 0.11, 0.06), _STEEL, Material.METAL, sheets.label))
 
 

@@ -100,13 +100,22 @@ class Pieces:
                 self.face([corners[k] for k in order], finish)
 
     def prism(
-        self, outline: npt.ArrayLike, low_m: float, high_m: float, finish: Finish, *, top: Finish | None = None
+        self,
+        outline: npt.ArrayLike,
+        low_m: float,
+        high_m: float,
+        finish: Finish,
+        *,
+        top: Finish | None = None,
+        bottom: bool = False,
     ) -> None:
         """A convex outline (N, 2), counter-clockwise, pulled up; its top may have another finish."""
         points = [(float(x), float(y)) for x, y in np.asarray(outline)]
         for left, right in zip(points, points[1:] + points[:1]):
             self.wall(left, right, low_m, high_m, finish)
         self.face([(x, y, high_m) for x, y in points], finish if top is None else top)
+        if bottom:
+            self.face([(x, y, low_m) for x, y in reversed(points)], finish)
 
     def tube(
         self,

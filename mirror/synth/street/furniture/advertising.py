@@ -66,12 +66,12 @@ def advertising_column(rng: np.random.Generator) -> Model:
     ring = np.c_[np.cos(angle), np.sin(angle)]
     stone = Finish((0.34, 0.33, 0.31), Material.CONCRETE, Label.BILLBOARD)
     pieces.prism((radius + 0.06) * ring, FOOT_M, 0.5, stone)
-    pieces.prism((radius - 0.02) * ring, 0.5, 3.0, stone._replace(colour=(0.42, 0.43, 0.40)))
+    pieces.prism((radius - 0.003) * ring, 0.5, 3.0, stone._replace(colour=(0.42, 0.43, 0.40)))
     for start in range(0, count, 2):
         left, right = radius * ring[start], radius * ring[start + 1]
         pieces.wall(tuple(left), tuple(right), 1.2, 1.83, _picture(rng, POSTERS, Label.BILLBOARD))
         pieces.wall(tuple(left), tuple(right), 2.0, 2.63, _picture(rng, POSTERS, Label.BILLBOARD))
-    pieces.prism((radius + 0.14) * ring, 3.0, 3.12, stone)
+    pieces.prism((radius + 0.14) * ring, 3.0, 3.12, stone, bottom=True)
     roof = Finish((0.07, 0.11, 0.09), Material.METAL, Label.BILLBOARD)
     pieces.tube((0, 0, 3.12), (0, 0, 3.55), radius + 0.1, roof, end_radius_m=0.08, corners=count, cap=True)
     return pieces.model()
@@ -97,7 +97,7 @@ def bus_shelter(rng: np.random.Generator) -> Model:
     for y in (-1.2, 0.6):
         pieces.block((back + 0.3, y - 0.03, -0.2), (back + 0.4, y + 0.03, 0.42), steel, without=("-z", "+z"))
     pole = Pieces()
-    pole.tube((0, 0, FOOT_M), (0, 0, 2.9), 0.04, _STEEL)
+    pole.tube((0, 0, FOOT_M), (0, 0, 2.9), 0.04, _STEEL, cap=True)
     plate(pole, Sign.BUS_STOP, 2.6, 0.28)
     pieces.add(pole.model().standing(front - 0.1, -half - 0.8, 0.0, -0.5 * np.pi))
     return pieces.model()

@@ -59,7 +59,7 @@ def plate(pieces: Pieces, sign: Sign, middle_m: float, half_m: float, *, x: floa
     front = np.c_[np.full(len(outline), x), half_m * outline[:, 0], middle_m + half_m * outline[:, 1]]
     # A shape of its own, whose u is level though none of its edges may be.
     pieces.add(polygon(front, (0.5, 0.5, 0.5), Material.IMAGE, Label.TRAFFIC_SIGN, image=int(sign)))
-    pieces.face((front - (0.012, 0.0, 0.0))[::-1], _BACK)
+    pieces.face(front[::-1], _BACK)
 
 
 def direction_sign(rng: np.random.Generator, *, width_m: float = 3.0, low_m: float = 2.3) -> Model:
@@ -67,7 +67,7 @@ def direction_sign(rng: np.random.Generator, *, width_m: float = 3.0, low_m: flo
     pieces = Pieces()
     high = 0.5 * width_m
     for y in (-0.32 * width_m, 0.32 * width_m):
-        pieces.tube((0, y, FOOT_M), (0, y, low_m + high), 0.055, _POLE)
+        pieces.tube((0, y, FOOT_M), (0, y, low_m + high), 0.055, _POLE, cap=True)
     _board(pieces, rng, 0.0, 0.5 * width_m, low_m)
     return pieces.model()
 
@@ -77,7 +77,7 @@ def _board(pieces: Pieces, rng: np.random.Generator, y: float, half_m: float, lo
     left, right, high = y - half_m, y + half_m, low_m + half_m
     picture = Finish((0.5, 0.5, 0.5), Material.IMAGE, Label.TRAFFIC_SIGN, image=int(rng.choice(DIRECTION_SIGNS)))
     pieces.wall((0.10, left), (0.10, right), low_m, high, picture)
-    pieces.wall((0.06, right), (0.06, left), low_m, high, _BACK)
+    pieces.wall((0.10, right), (0.10, left), low_m, high, _BACK)
 
 
 def gantry(rng: np.random.Generator, span_m: float, boards: int = 2) -> Model:

@@ -46,7 +46,7 @@ def bin_(rng: np.random.Generator) -> Model:
     colour = ((0.05, 0.055, 0.055), (0.05, 0.13, 0.08), (0.55, 0.20, 0.03), (0.25, 0.26, 0.26))[int(rng.integers(4))]
     coat = Finish(colour, Material.METAL, Label.FURNITURE)
     pieces.prism(_ring(8, 0.21), -0.2, 0.72, coat, top=_IRON)
-    pieces.prism(_ring(8, 0.23), 0.86, 0.91, coat)
+    pieces.prism(_ring(8, 0.23), 0.86, 0.91, coat, bottom=True)
     for x, y in _ring(8, 0.19)[::4]:
         pieces.block((x - 0.02, y - 0.02, 0.72), (x + 0.02, y + 0.02, 0.86), coat, without=("-z", "+z"))
     return pieces.model()
@@ -68,9 +68,10 @@ def hydrant(rng: np.random.Generator) -> Model:
     colour = ((0.50, 0.05, 0.03), (0.06, 0.12, 0.30), (0.52, 0.36, 0.04))[int(rng.integers(3))]
     coat = Finish(colour, Material.METAL, Label.FURNITURE)
     pieces.tube((0, 0, -0.3), (0, 0, 0.62), 0.10, coat, corners=8)
-    pieces.prism(_ring(8, 0.13), 0.62, 0.68, coat)
+    pieces.prism(_ring(8, 0.13), 0.62, 0.68, coat, bottom=True)
     pieces.tube((0, 0, 0.68), (0, 0, 0.82), 0.11, coat, end_radius_m=0.03, corners=8, cap=True)
-    pieces.tube((0, -0.2, 0.45), (0, 0.2, 0.45), 0.05, coat, cap=True)
+    for end in (-0.2, 0.2):
+        pieces.tube((0, 0, 0.45), (0, end, 0.45), 0.05, coat, cap=True)
     return pieces.model()
 
 
@@ -109,14 +110,14 @@ def bicycle_stands(rng: np.random.Generator) -> Model:
     for y in np.arange(int(rng.integers(2, 5))) * 0.9:
         ends = (-0.35, y, -0.2), (-0.35, y, 0.8), (0.35, y, 0.8), (0.35, y, -0.2)
         for start, end in pairwise(ends):
-            pieces.tube(start, end, 0.025, _GREY, corners=5)
+            pieces.tube(start, end, 0.025, _GREY._replace(two_sided=True), corners=5)
     return pieces.model()
 
 
 def cafe_table(rng: np.random.Generator) -> Model:
     """A small table with chairs, under a parasol now and then."""
     pieces = Pieces()
-    pieces.prism(_ring(10, 0.34), 0.72, 0.75, _WOOD if rng.random() < 0.5 else _GREY)
+    pieces.prism(_ring(10, 0.34), 0.72, 0.75, _WOOD if rng.random() < 0.5 else _GREY, bottom=True)
     pieces.tube((0, 0, -0.2), (0, 0, 0.72), 0.035, _IRON)
     colour = ((0.30, 0.05, 0.04), (0.05, 0.05, 0.055), (0.40, 0.32, 0.18))[int(rng.integers(3))]
     seat = Finish(colour, Material.WOOD, Label.FURNITURE)
@@ -135,7 +136,7 @@ def cafe_table(rng: np.random.Generator) -> Model:
         )
         pieces.tube((0, 0, 0.75), (0, 0, 2.5), 0.025, _WOOD, corners=5)
         cloth = cloth._replace(two_sided=True)
-        pieces.tube((0, 0, 2.15), (0, 0, 2.6), 1.35, cloth, end_radius_m=0.03, corners=8)
+        pieces.tube((0, 0, 2.15), (0, 0, 2.6), 1.1, cloth, end_radius_m=0.03, corners=8)
     return pieces.model()
 
 
@@ -183,6 +184,8 @@ def works_barrier(rng: np.random.Generator) -> Model:
     for number in range(int(rng.integers(1, 3))):
         start = 2.3 * number - 1.1
         for z in (0.45, 0.92):
+            low, high = (-0.02, start, z), (0.02, start + count * width, z + 0.2)
+            pieces.block(low, high, _WHITE, without=("-x", "+x"))
             for stripe in range(count):
                 left = start + stripe * width
                 coat = _RED if stripe % 2 == 0 else _WHITE

@@ -10,7 +10,7 @@ import numpy as np
 from mirror.synth.model import Finish, Label, Material, Pieces
 from mirror.synth.street.houses.styles import Colour
 from mirror.synth.street.houses.windows import Windows, grid
-from mirror.synth.textures.catalogue import GRAFFITI, POSTERS
+from mirror.synth.textures.catalogue import BILLBOARDS, GRAFFITI, POSTERS
 
 FOOT_M: Final = -1.5
 """Walls go down as far, since the ground slopes."""
@@ -93,19 +93,25 @@ def raise_walls(pieces: Pieces, body: Body, rng: np.random.Generator, *, sides_s
 
 
 def _paint(pieces: Pieces, start: tuple[float, float], end: tuple[float, float], rng: np.random.Generator) -> None:
-    """Graffiti or posters on a side wall, near the street."""
+    """Graffiti, posters or a billboard on a side wall, near the street."""
     x, ahead = start[0], 1.0 if end[1] > start[1] else -1.0
     out = x + 0.02 * ahead
     near = min(start[1], end[1]) + rng.uniform(0.4, 1.5)
-    if rng.random() < 0.5:
+    low, material, turns = rng.uniform(0.5, 0.8), Material.IMAGE, 1
+    kind = rng.random()
+    if kind < 0.4:
         pictures, width, height, count = GRAFFITI, 3.0, 1.5, 1
-    else:
+    elif kind < 0.65:
         pictures, width, height, count = POSTERS, 1.0, 1.5, 3
-    low = rng.uniform(0.5, 0.8)
+    else:
+        # A billboard, whose content differs from traversal to traversal.
+        turns, low, material = 4, rng.uniform(2.8, 3.6), Material.LIT_IMAGE
+        pictures, width, height, count = BILLBOARDS[: len(BILLBOARDS) - turns + 1], 5.4, 3.6, 1
     for number in range(count):
         a = near + number * (width + 0.12)
         ends = ((out, a), (out, a + width)) if ahead > 0 else ((out, a + width), (out, a))
-        picture = Finish((0.5, 0.5, 0.5), Material.IMAGE, Label.BUILDING, image=int(rng.choice(pictures)))
+        label = Label.BUILDING if turns == 1 else Label.BILLBOARD
+        picture = Finish((0.5, 0.5, 0.5), material, label, image=int(rng.choice(pictures)), images=turns)
         pieces.wall(*ends, low, low + height, picture)
 
 
@@ -114,6 +120,4 @@ def cornice(pieces: Pieces, body: Body, proud_m: float = 0.35, high_m: float = 0
     low = (body.left, body.front - proud_m, body.eaves_m - high_m)
     pieces.block(low, (body.right, body.front, body.eaves_m), body.plain(1.15), without=("+y",))
     low = (body.left, body.front - 0.5 * proud_m, body.eaves_m - 1.7 * high_m)
-    pieces.block(
-        low, (body.right, body.front, body.eaves_m - high_m), body.plain(1.1), without=("+y", "+z", "-x", "+x")
-    )
+    pieces.block(low, (body.right, body.front, body.eaves_m - high_m), body.plain(1.1), without=("+y", "+z"))

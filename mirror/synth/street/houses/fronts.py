@@ -19,7 +19,7 @@ _RAILINGS: Final[tuple[tuple[Colour, Material], ...]] = (
 )
 
 
-def add_balconies(pieces: Pieces, body: Body, rng: np.random.Generator, taken: set[int], most: int = 9) -> None:
+def add_balconies(pieces: Pieces, body: Body, rng: np.random.Generator, taken: set[int], most: int = 7) -> None:
     """Balconies one above the other at some columns of windows.
 
     Args:
@@ -69,8 +69,10 @@ def balcony(
     pieces.wall((left + 0.04, rim), (right - 0.04, rim), foot, head, railing)
     pieces.wall((left + 0.04, y), (left + 0.04, rim), foot, head, railing)
     pieces.wall((right - 0.04, rim), (right - 0.04, y), foot, head, railing)
-    rail = railing._replace(colour=(0.09, 0.09, 0.09), material=Material.METAL, two_sided=False)
-    pieces.block((left + 0.02, rim - 0.03, head), (right - 0.02, rim + 0.03, head + 0.05), rail, without=("-x", "+x"))
+    rail = railing._replace(colour=(0.09, 0.09, 0.09), material=Material.METAL)
+    pieces.block(
+        (left + 0.02, rim - 0.03, head), (right - 0.02, rim + 0.03, head + 0.05), rail, without=("-x", "+x", "+y", "-z")
+    )
 
 
 def add_bay(pieces: Pieces, body: Body, x: float, half_m: float, *, chamfered: bool) -> None:

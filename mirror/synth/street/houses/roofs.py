@@ -106,7 +106,7 @@ def _dormers(pieces: Pieces, body: Body, tiles: Finish, slope: float, above_m: f
         wall = Finish((0.5, 0.49, 0.46), Material.FACADE, Label.BUILDING, body.seed + int(10 * x), int(Windows.DORMER))
         cheek = tiles._replace(material=Material.METAL, colour=(0.16, 0.17, 0.17))
         pieces.wall((left, front), (right, front), foot, top, wall)
-        pieces.face(((left, back, top), (left, front, foot), (left, front, top))[::-1], cheek)
+        pieces.face(((left, back, top), (left, front, foot), (left, front, top)), cheek)
         pieces.face(((right, front, foot), (right, back, top), (right, front, top)), cheek)
         roof = (left - 0.12, front - 0.15, top), (right + 0.12, back + 0.05, top + 0.12)
         pieces.block(*roof, cheek, without=("+y",))
@@ -128,7 +128,7 @@ def _flat(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
     pieces.block((left, front, body.eaves_m), (right, back, top), body.plain(), without=("-z", "+z"))
     rim = Finish(_METAL, Material.METAL, Label.BUILDING)
     felt = Finish((0.20, 0.20, 0.19), Material.GRAVEL, Label.BUILDING, body.seed)
-    pieces.block((left, front - 0.05, top), (right, back + 0.05, top + 0.08), rim, without=("-z", "+z"))
+    pieces.block((left, front - 0.05, top), (right, back + 0.05, top + 0.08), rim, without=("+z",))
     pieces.level((left, front - 0.05), (right, back + 0.05), top + 0.08, felt)
     top += 0.08
     wide, deep = right - left, back - front

@@ -146,13 +146,16 @@ def petrol_station(rng: np.random.Generator, length_m: float, depth_m: float) ->
     half = min(0.5 * length_m - 1.0, 11.0)
     near, far = 0.18 * depth_m, 0.18 * depth_m + min(8.0, 0.4 * depth_m)
     white, colour = (Finish(c, Material.METAL, Label.BUILDING, seed) for c in ((0.62, 0.62, 0.61), accent))
-    pieces.block((-half, near, 4.9), (half, far, 5.7), white, without=())
-    pieces.block((-half - 0.02, near - 0.02, 5.05), (half + 0.02, far + 0.02, 5.35), colour, without=("-z", "+z"))
+    under = rng.uniform(4.6, 5.2)
+    pieces.block((-half, near, under), (half, far, under + 0.8), white, without=())
+    pieces.block(
+        (-half - 0.02, near - 0.02, under + 0.15), (half + 0.02, far + 0.02, under + 0.45), colour, without=("-z", "+z")
+    )
     lamp = Finish((0.7, 0.7, 0.68), Material.STREET_LAMP, Label.BUILDING)
-    _lights(pieces, half, near, far, lamp)
+    _lights(pieces, (-half, near), (half, far), under - 0.02, lamp)
     middle = 0.5 * (near + far)
     for x in np.linspace(-0.65 * half, 0.65 * half, 3):
-        pieces.block((x - 0.18, middle - 0.18, FOOT_M), (x + 0.18, middle + 0.18, 4.9), white, without=("-z", "+z"))
+        pieces.block((x - 0.18, middle - 0.18, FOOT_M), (x + 0.18, middle + 0.18, under), white, without=("-z", "+z"))
         kerb = Finish((0.45, 0.44, 0.42), Material.CONCRETE, Label.FURNITURE)
         pieces.block((x - 1.8, middle - 0.6, -0.5), (x + 1.8, middle + 0.6, 0.15), kerb)
         for pump in (x - 1.0, x + 1.0):
@@ -183,20 +186,12 @@ def petrol_station(rng: np.random.Generator, length_m: float, depth_m: float) ->
     return pieces.model()
 
 
-def _lights(pieces: Pieces, half: float, near: float, far: float, lamp: Finish) -> None:
+def _lights(pieces: Pieces, low: tuple[float, float], high: tuple[float, float], z_m: float, lamp: Finish) -> None:
     """Lamps under the canopy."""
-    for x in np.linspace(-0.8 * half, 0.8 * half, 4):
-        for y in (near + 1.5, far - 1.5):
-            low, high = (x - 0.35, y - 0.35), (x + 0.35, y + 0.35)
-            pieces.face(
-                (
-                    (low[0], high[1], 4.88),
-                    (high[0], high[1], 4.88),
-                    (high[0], low[1], 4.88),
-                    (low[0], low[1], 4.88),
-                ),
-                lamp,
-            )
+    for x in np.linspace(0.8 * low[0], 0.8 * high[0], 4):
+        for y in (low[1] + 1.5, high[1] - 1.5):
+            left, right, near, far = x - 0.35, x + 0.35, y - 0.35, y + 0.35
+            pieces.face(((left, far, z_m), (right, far, z_m), (right, near, z_m), (left, near, z_m)), lamp)
 
 
 def _mast(pieces: Pieces, x: float, y: float, image: int, finish: Finish) -> None:

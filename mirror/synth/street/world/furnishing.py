@@ -31,8 +31,8 @@ _SIGNS: Final[dict[str, tuple[tuple[Sign, ...], ...]]] = {
 _THINGS: Final[dict[str, tuple[Maker, ...]]] = {
     "urban": (
         *furniture.PAVEMENT, furniture.bench, furniture.bin_, furniture.bollards, furniture.planter,
-        furniture.bicycle_stands, furniture.cafe_table, furniture.city_light, furniture.advertising_column,
-        furniture.billboard,
+        furniture.bicycle_stands, furniture.cafe_table, furniture.cafe_table, furniture.city_light,
+        furniture.city_light, furniture.advertising_column,
     ),
     "campus": (*furniture.PARK, furniture.bench, furniture.bicycle_stands, furniture.city_light),
     "rural": (*furniture.ROADSIDE, furniture.billboard),
@@ -42,6 +42,13 @@ _THINGS: Final[dict[str, tuple[Maker, ...]]] = {
 
 _TO_TRAFFIC: Final = frozenset((furniture.billboard, furniture.high_billboard, furniture.city_light))
 """Look to the traffic that comes, not to the road."""
+_AWAY_M: Final[dict[Maker, float]] = {
+    furniture.billboard: 2.6,
+    furniture.high_billboard: 7.5,
+    furniture.cafe_table: 0.75,
+    furniture.advertising_column: 0.4,
+}
+"""How much farther from the road than the spot they stand, being wide."""
 _MAIN_REACH_M: Final = 3.0
 """Spots so far from the next lane are on main streets."""
 _SHELTERS: Final = 3
@@ -86,7 +93,7 @@ def furnish(plan: Plan, seed: int) -> Furniture:
             and rng.random() < 0.12
         ):  # fmt: skip
             shelters += 1
-            others.append(_at(spot, furniture.bus_shelter(rng), spot.yaw_rad, back_m=0.45))
+            others.append(_at(spot, furniture.bus_shelter(rng), spot.yaw_rad, away_m=0.45))
         elif spot.kind not in ("tree", "pole"):
             others.append(_thing(plan, spot, rng))
     poles = [spot.place for spot in plan.spots if spot.kind == "pole"]
@@ -100,8 +107,8 @@ def _thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
     if spot.kind == "furniture":
         makers = _THINGS[plan.kind]
         maker = makers[int(rng.integers(len(makers)))]
-        away = 5.0 if maker is furniture.high_billboard else 0.0
-        return _at(spot, maker(rng), spot.facing_rad if maker in _TO_TRAFFIC else spot.yaw_rad, away_m=away)
+        yaw = spot.facing_rad if maker in _TO_TRAFFIC else spot.yaw_rad
+        return _at(spot, maker(rng), yaw, away_m=_AWAY_M.get(maker, 0.0))
     if spot.kind == "gantry":
         return _at(spot, furniture.gantry(rng, _aside(spot) * spot.reach_m), spot.facing_rad)
     if spot.kind == "exit":
@@ -145,7 +152,7 @@ def _aside(spot: Spot) -> float:
     return math.copysign(1.0, math.sin(spot.yaw_rad - spot.facing_rad))
 
 
-def _at(spot: Spot, model: Model, yaw_rad: float, *, back_m: float = 0.0, away_m: float = 0.0) -> Model:
-    """A model at a spot; ``back_m`` and ``away_m`` are distances farther from the road."""
-    place: Float64 = spot.place - (back_m + away_m) * np.array([math.cos(spot.yaw_rad), math.sin(spot.yaw_rad), 0.0])
+def _at(spot: Spot, model: Model, yaw_rad: float, *, away_m: float = 0.0) -> Model:
+    """A model at a spot, or ``away_m`` farther from the road."""
+    place: Float64 = spot.place - away_m * np.array([math.cos(spot.yaw_rad), math.sin(spot.yaw_rad), 0.0])
     return model.standing(float(place[0]), float(place[1]), float(place[2]), yaw_rad)

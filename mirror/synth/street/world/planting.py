@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+import shapely
 
 from mirror.arrays import Float64
 from mirror.synth.model import Model
@@ -40,7 +41,7 @@ def plants_of(plan: Plan, seed: int) -> Iterator[Model]:
     )
     row = [tree(rng, kind, road_m=_ROAD_M[plan.kind]) for kind in kinds for _ in range(_GROWN)]
     for number, spot in enumerate(plan.spots):
-        if spot.kind == "tree":
+        if spot.kind == "tree" and plan.driven.distance(shapely.Point(spot.place[:2])) > 0.8 * _ROAD_M[plan.kind]:
             own = np.random.default_rng([seed, 25, number])
             yield _turned(row[int(own.integers(len(row)))], spot.place, own)
     loose = _FIELD_TREES if plan.kind in ("rural", "highway") else _GARDEN_TREES

@@ -68,7 +68,8 @@ def advertising_column(rng: np.random.Generator) -> Model:
     pieces.prism((radius + 0.06) * ring, FOOT_M, 0.5, stone)
     pieces.prism((radius - 0.003) * ring, 0.5, 3.0, stone._replace(colour=(0.42, 0.43, 0.40)))
     for start in range(0, count, 2):
-        left, right = radius * ring[start], radius * ring[start + 1]
+        # Narrower than the column's sides, or their edges would stand out from its corners.
+        left, right = (radius * (ring[start] + share * (ring[start + 1] - ring[start])) for share in (0.06, 0.94))
         pieces.wall(tuple(left), tuple(right), 1.2, 1.83, _picture(rng, POSTERS, Label.BILLBOARD))
         pieces.wall(tuple(left), tuple(right), 2.0, 2.63, _picture(rng, POSTERS, Label.BILLBOARD))
     pieces.prism((radius + 0.14) * ring, 3.0, 3.12, stone, bottom=True)

@@ -83,31 +83,34 @@ def _images(pictures: list[UInt8]) -> tuple[UInt8, Int64]:
             first += (high >> level) * (wide >> level)
     texels = np.empty((first, 3), np.uint8)
     for number, picture in enumerate(pictures):
+        high, wide, _ = picture.shape
+        texels[index[number, 3] : index[number, 3] + high * wide] = picture.reshape(-1, 3)
         _fill(texels, index[number], picture)
     return texels, index
 
 
 @njit(cache=True, nogil=True)
 def _fill(texels: UInt8, index: Int64, picture: UInt8) -> None:
-    """Writes a picture and its halvings, averaged in linear light."""
-    high, wide, _ = picture.shape
+    """Writes the halvings of a picture, averaged in linear light; each is rounded but once."""
+    high, wide = picture.shape[0] // 2, picture.shape[1] // 2
     light = np.empty((high, wide, 3), np.float32)
-    for i in range(high):
-        for j in range(wide):
-            for channel in range(3):
-                value = picture[i, j, channel]
-                texels[index[3] + i * wide + j, channel] = value
-                light[i, j, channel] = np.float32(value) * np.float32(value)
     for level in range(1, index[2]):
-        high, wide = high // 2, wide // 2
+        at = index[3 + level]
         for i in range(high):
             for j in range(wide):
                 for channel in range(3):
-                    mean = np.float32(0.25) * (
-                        light[2 * i, 2 * j, channel]
-                        + light[2 * i + 1, 2 * j, channel]
-                        + light[2 * i, 2 * j + 1, channel]
-                        + light[2 * i + 1, 2 * j + 1, channel]
-                    )
+                    if level == 1:
+                        a, b = (
+                            np.float32(picture[2 * i, 2 * j, channel]),
+                            np.float32(picture[2 * i, 2 * j + 1, channel]),
+                        )
+                        c = np.float32(picture[2 * i + 1, 2 * j, channel])
+                        d = np.float32(picture[2 * i + 1, 2 * j + 1, channel])
+                        mean = np.float32(0.25) * (a * a + b * b + c * c + d * d)
+                    else:
+                        near = light[2 * i, 2 * j, channel] + light[2 * i, 2 * j + 1, channel]
+                        far = light[2 * i + 1, 2 * j, channel] + light[2 * i + 1, 2 * j + 1, channel]
+                        mean = np.float32(0.25) * (near + far)
                     light[i, j, channel] = mean
-                    texels[index[3 + level] + i * wide + j, channel] = np.uint8(np.sqrt(mean) + np.float32(0.5))
+                    texels[at + i * wide + j, channel] = np.uint8(np.sqrt(mean) + np.float32(0.5))
+        high, wide = high // 2, wide // 2

@@ -15,7 +15,8 @@ from mirror.synth.textures.pictures.drawing import disc, plain, rounded
 from mirror.synth.textures.pictures.lettering import letter
 
 _LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ"
-_DIGITS: Final = "0123456789"
+_UNUSED: Final = ("SS", "SA", "NS", "HJ", "KZ", "HH", "AH")
+"""Pairs that no authority gives out."""
 _COUNTRIES: Final = "DFIABE"
 _WHITE: Final = (226, 226, 221)
 _BLACK: Final = (26, 26, 28)
@@ -50,7 +51,10 @@ def plate_text(number: int) -> str:
     if number not in PLATES:
         raise UsageError(f"plate {number}", expected=f"{PLATES.start} to {PLATES.stop - 1}")
     rng = np.random.default_rng([number, 520])
-    letters = "".join(rng.choice(list(_LETTERS), 4))
+    while True:
+        letters = "".join(rng.choice(list(_LETTERS), 4))
+        if letters[:2] not in _UNUSED and letters[2:] not in _UNUSED:
+            break
     # The number itself takes part, so that no two plates are alike.
     digits = f"{(number - PLATES.start) * 3 + 137:03d}"
     return f"{letters[:2]} {letters[2:]} {digits}"

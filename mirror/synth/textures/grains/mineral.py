@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import cv2
 import numpy as np
 
 from mirror.arrays import Float32, Float64, UInt8
 from mirror.synth.textures.grains.noise import joints, middles, waves, wrapped
 
-_SHIFT = 4
+_SHIFT: Final = 4
+_STONE: Final = ((1.2, 0.55, 0.25), (1.0, 1.0, 0.0), (0.6, 1.08, -0.2))
+_PEBBLE: Final = ((1.15, 0.7, 0.2), (0.9, 1.0, 0.0))
+"""Ellipses that a stone is painted with, its shade first: size, tone, how far to the side."""
 
 
 def asphalt(rng: np.random.Generator, size: int, period_m: float) -> Float32:
@@ -66,18 +71,16 @@ def gravel(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Stones of 1 to 5 cm, lit from one side, over dark gaps and sand."""
     tone = np.full((size, size), 70, np.uint8)
     texel = period_m / size
-    radii = np.sort(0.008 * rng.pareto(2.8, 5200) + 0.008).clip(None, 0.03)[::-1] / texel
+    radii = np.sort(0.008 * rng.pareto(2.8, 4000) + 0.008).clip(None, 0.03)[::-1] / texel
     places = rng.uniform(0, size, (len(radii), 2))
     shades = rng.normal(118, 20, len(radii)).clip(60, 205)
     turns, flats = rng.uniform(0, 180, len(radii)), rng.uniform(0.6, 1.0, len(radii))
     for (x, y), radius, shade, turn, flat in zip(places, radii, shades, turns, flats):
         for left, top in wrapped(x, y, radius + 2, size):
-            for grow, part, shift in ((1.2, 0.55, 0.25), (1.0, 1.0, 0.0), (0.6, 1.08, -0.2)):
+            for grow, part, shift in _STONE if radius > 2.4 else _PEBBLE:
                 centre = (round((left + shift * radius) * 2**_SHIFT), round((top - shift * radius) * 2**_SHIFT))
                 axes = (round(grow * radius * 2**_SHIFT), round(grow * flat * radius * 2**_SHIFT))
                 cv2.ellipse(tone, centre, axes, turn, 0, 360, shade * part, -1, cv2.LINE_AA, _SHIFT)
-                if radius < 2.0:
-                    break
     fine = waves(rng, size, 0.03, 0.004, 0.0)
     return tone.astype(np.float32) / 120.0 + 0.07 * fine + 0.05 * waves(rng, size, 0.4, 0.1, 0.5)
 

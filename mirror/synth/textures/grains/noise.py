@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 
@@ -25,17 +26,25 @@ def waves(
     Returns:
         (size, size), mean 0, standard deviation 1.
     """
-    across = np.fft.rfftfreq(size, 1.0 / size).astype(np.float32)
-    down = np.fft.fftfreq(size, 1.0 / size).astype(np.float32)[:, None]
-    frequency = np.hypot(across / np.sqrt(np.float32(stretch)), down * np.sqrt(np.float32(stretch)))
+    frequency = _frequencies(size, stretch)
     low, high = np.float32(1.0 / longest), np.float32(1.0 / shortest)
     # Soft ends of the band keep its ripples from ringing.
     gain = np.exp(-((frequency / high) ** 2)) * (1.0 - np.exp(-((frequency / low) ** 4)))
-    gain *= np.maximum(frequency, 1.0) ** np.float32(-power)
-    white = rng.standard_normal((size, size), np.float32)
-    made: Float32 = np.fft.irfft2(np.fft.rfft2(white) * gain, (size, size)).astype(np.float32)
+    if power != 0.0:
+        gain *= np.maximum(frequency, 1.0) ** np.float32(-power)
+    white = rng.standard_normal((*gain.shape, 2), np.float32).view(np.complex64)[..., 0]
+    made = np.fft.irfft2(white * gain, (size, size)).astype(np.float32)
     made -= made.mean()
-    return made / made.std()
+    made /= made.std()
+    return made
+
+
+@cache
+def _frequencies(size: int, stretch: float) -> Float32:
+    """(N, N / 2 + 1) waves a period, as `waves` stretches them."""
+    across = np.fft.rfftfreq(size, 1.0 / size) / np.sqrt(stretch)
+    down = np.fft.fftfreq(size, 1.0 / size)[:, None] * np.sqrt(stretch)
+    return np.hypot(across, down).astype(np.float32)
 
 
 def wrapped(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float, float]]:

@@ -8,7 +8,7 @@ import pytest
 from mirror.errors import UsageError
 from mirror.synth.model import Label, Material, Model, block, merged
 from mirror.synth.street.foliage import Species, crown_share, foliage, leaf_seeds
-from mirror.synth.street.plants import TREES, tree
+from mirror.synth.street.plants import TREES, hedge, tree
 
 _DECIDUOUS = ("lime", "plane", "birch", "poplar", "cherry", "oak")
 
@@ -88,6 +88,14 @@ def test_all_that_is_no_leaf_stays_as_it_is() -> None:
     assert after.faces.tobytes() == wall.faces.tobytes()
     assert after.corners.tobytes() == wall.corners.tobytes()
     assert len(foliage(Model.empty(), 0.5, 0)) == 0
+
+
+def test_the_inside_of_a_hedge_stays_on_every_visit() -> None:
+    model = hedge(np.random.default_rng(4), 6.0)
+    body = int((model.faces["two_sided"] == 0).sum())
+    assert body == 5
+    for visit in range(60):
+        assert (foliage(model, 0.04 + 0.015 * visit, visit).faces["two_sided"] == 0).sum() == body
 
 
 def test_plain_seeds_are_evergreen_and_seasons_outside_a_year_are_refused() -> None:

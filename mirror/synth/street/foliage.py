@@ -84,8 +84,8 @@ def foliage(model: Model, season: float, visit: int) -> Model:
     """A model as its leaves are at a time of the year.
 
     Args:
-        model: of anything; its LEAVES change, BARK with the seed of a species is hidden while that is in full leaf,
-            all else stays.
+        model: of anything. Two-sided faces of LEAVES change as sprays, all else of LEAVES as the inside of a crown;
+            BARK with the seed of a species is hidden while that is in full leaf; other materials stay.
         season: part of the year in [0, 1), 0 the 1st of January in the north and the 1st of July in the south.
         visit: each has a few leaves less, others than the next.
 
@@ -96,20 +96,28 @@ def foliage(model: Model, season: float, visit: int) -> Model:
         raise UsageError(f"season {season}", expected="a part of the year in [0, 1)")
     faces, rounds = model.faces.copy(), model.rounds.copy()
     shown = np.ones(len(faces), np.bool_)
-    leaves = np.flatnonzero(faces["material"] == Material.LEAVES)
+    leafy = faces["material"] == Material.LEAVES
+    leaves = np.flatnonzero(leafy & (faces["two_sided"] != 0))
     seeds = faces["seed"][leaves]
     shown[leaves] = _dressed(faces, leaves, season, _draw(seeds, 0), _draw(seeds, 1))
     shown[leaves] &= _draw(seeds, 2 + visit) >= _MOST_GONE
+    bodies = np.flatnonzero(leafy & (faces["two_sided"] == 0))
+    shown[bodies] = _filled(faces, bodies, season) >= _THIN
     twigs = np.flatnonzero((faces["material"] == Material.BARK) & (faces["seed"] >= 1 << 24))
     shown[twigs] = crown_share(faces["seed"][twigs], season) < _DENSE
     stays = np.ones(len(rounds), np.bool_)
     inner = np.flatnonzero(rounds["material"] == Material.LEAVES)
-    middling = np.full(len(inner), 0.5)
-    _dressed(rounds, inner, season, middling, middling)
-    share = crown_share(rounds["seed"][inner], season)
+    share = _filled(rounds, inner, season)
     rounds["half"][inner] *= (0.4 + 0.6 * share)[:, None]
     stays[inner] = share >= _THIN
     return _without(model, faces, shown, rounds[stays])
+
+
+def _filled(pieces: Records, bodies: Int64, season: float) -> Float64:
+    """Colour the insides of crowns and hedges; the shares of their leaves that are left."""
+    middling = np.full(len(bodies), 0.5)
+    _dressed(pieces, bodies, season, middling, middling)
+    return crown_share(pieces["seed"][bodies], season)
 
 
 def crown_share(seeds: Int64, season: float) -> Float64:

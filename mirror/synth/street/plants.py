@@ -12,7 +12,7 @@ from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.synth.model import Label, Material, Model, block, merged, polygons
 from mirror.synth.model.batches import ellipsoids, tubes
-from mirror.synth.street.foliage import Species, leaf_seeds
+from mirror.synth.street.foliage import Colour, Species, leaf_seeds
 
 Kind = Literal["lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", "cherry", "oak"]
 
@@ -57,8 +57,8 @@ class _Habit:
     leaves: int
     narrow: float
     hang: float
-    leaf: tuple[float, float, float]
-    bark: tuple[float, float, float]
+    leaf: Colour
+    bark: Colour
     trunk: float
 
 
@@ -129,29 +129,25 @@ def tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf) -> M
 def bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
     """A bush of about 1 to 2 m, its middle at the origin."""
     size = rng.uniform(0.5, 1.0)
-    spots = rng.normal(0.0, 0.35 * size, (3, 2))
-    halves = size * rng.uniform([0.7, 0.7, 0.75], [1.0, 1.0, 1.05], (3, 3))
+    spots = rng.normal(0.0, 0.35 * size, (4, 2))
+    halves = size * rng.uniform([0.6, 0.6, 0.65], [0.9, 0.9, 1.05], (4, 3))
     centres = np.c_[spots, 0.75 * halves[:, 2]]
     species = Species.EVERGREEN if evergreen else Species.SHRUB
     leaf = np.array((0.04, 0.08, 0.03) if evergreen else (0.07, 0.12, 0.03)) * rng.uniform(0.8, 1.2)
-    seeds = leaf_seeds(rng, species, 63)
-    crown = _leaves(rng, centres, halves, 60, 0.6, 0.0, leaf, seeds)
-    return merged([crown, _insides(centres, halves, leaf, seeds[60:])])
+    seeds = leaf_seeds(rng, species, 84)
+    crown = _leaves(rng, centres, halves, 80, 0.6, 0.0, leaf, seeds)
+    parts = [crown, _insides(centres, halves, leaf, seeds[80:])]
+    if not evergreen:
+        roots = np.c_[0.3 * spots, np.full(4, -0.1)]
+        parts.append(_twigs(rng, species, _BROWN, centres, halves, roots))
+    return merged(parts)
 
 
-def hedge(
-    rng: np.random.Generator,
-    length_m: float,
-    height_m: float = 1.3,
-    width_m: float = 0.7,
-    *,
-    evergreen: bool = True,
-) -> Model:
-    """A clipped hedge along x, its middle at the origin; it goes 0.4 m into the ground."""
-    species = Species.EVERGREEN if evergreen else Species.SHRUB
-    leaf = np.array((0.035, 0.072, 0.028) if evergreen else (0.065, 0.115, 0.03)) * rng.uniform(0.85, 1.2)
+def hedge(rng: np.random.Generator, length_m: float, height_m: float = 1.3, width_m: float = 0.7) -> Model:
+    """A clipped evergreen hedge along x, its middle at the origin; it goes 0.4 m into the ground."""
+    leaf = np.array((0.035, 0.072, 0.028)) * rng.uniform(0.85, 1.3)
     number = max(12, round(9.0 * length_m * (height_m + 0.5 * width_m)))
-    seeds = leaf_seeds(rng, species, number + 1)
+    seeds = leaf_seeds(rng, Species.EVERGREEN, number + 1)
     inside = block(
         (0.0, 0.0, 0.5 * (height_m - 0.47)), (length_m - 0.1, width_m - 0.14, height_m + 0.33), 0.6 * leaf,
         Material.LEAVES, Label.VEGETATION, seed=int(seeds[number]),
@@ -196,7 +192,7 @@ def _blades(
     turn: Float64,
     half_m: float,
     height_m: Float64,
-    colour: tuple[float, float, float],
+    colour: Colour,
     seeds: Int64,
 ) -> Model:
     """Upright tufts at places (N, 2), wider at the top."""
@@ -311,8 +307,10 @@ def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float
     fork = min(habit.crown_m + 0.5, 0.5 * height)
     lean = rng.normal(0.0, 0.012 * height, 2)
     knee, tip = np.array([*(0.5 * lean), fork]), np.array([*lean, float(centres[:, 2].max())])
+    # The upper part begins a little inside the lower one, so that no gap opens where it bends.
+    inside = knee - 0.1 * (tip - knee) / np.linalg.norm(tip - knee)
     trunk = tubes(
-        np.array([[0.0, 0.0, -_ROOT_M], knee]), np.array([knee, tip]), np.array([1.15, 0.8]) * thick,
+        np.array([[0.0, 0.0, -_ROOT_M], inside]), np.array([knee, tip]), np.array([1.15, 0.8]) * thick,
         np.array([0.8, 0.12]) * thick, habit.bark, Material.BARK, Label.VEGETATION,
     )  # fmt: skip
     share = rng.uniform(0.15, 0.6, len(centres))
@@ -326,10 +324,12 @@ def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float
     )  # fmt: skip
     if habit.species == Species.EVERGREEN:
         return merged([trunk, limbs])
-    return merged([trunk, limbs, _twigs(rng, habit, centres, halves, starts)])
+    return merged([trunk, limbs, _twigs(rng, habit.species, habit.bark, centres, halves, starts)])
 
 
-def _twigs(rng: np.random.Generator, habit: _Habit, centres: Float64, halves: Float64, starts: Float64) -> Model:
+def _twigs(
+    rng: np.random.Generator, species: Species, bark: Colour, centres: Float64, halves: Float64, starts: Float64
+) -> Model:
     """Thin triangles from the limbs to the outside of the lobes: what is left to see in winter."""
     number = 4 * len(centres)
     lobe = np.repeat(np.arange(len(centres)), 4)
@@ -339,10 +339,10 @@ def _twigs(rng: np.random.Generator, habit: _Habit, centres: Float64, halves: Fl
     ends = centres[lobe] + 0.9 * ray * halves[lobe]
     roots = centres[lobe] + rng.uniform(0.0, 0.6, (number, 1)) * (starts - centres)[lobe]
     across = np.cross(ends - roots, rng.normal(size=(number, 3)))
-    across *= 0.03 / np.linalg.norm(across, axis=1, keepdims=True)
+    across *= 0.025 / np.linalg.norm(across, axis=1, keepdims=True)
     corners = np.stack([roots - across, roots + across, ends], axis=1)
     # The species in their seeds says when leaves hide them.
-    seeds = leaf_seeds(rng, habit.species, number)
+    seeds = leaf_seeds(rng, species, number)
     return polygons(
-        corners, 0.8 * np.array(habit.bark), Material.BARK, Label.VEGETATION, seeds=seeds, two_sided=True
+        corners, 0.8 * np.array(bark), Material.BARK, Label.VEGETATION, seeds=seeds, two_sided=True
     )  # fmt: skip

@@ -15,7 +15,7 @@ from mirror.synth.users.coachwork.fittings import car_paint
 from mirror.synth.users.coachwork.sheets import Finish, Panel
 
 _CLADDING: Final = Finish((0.035, 0.035, 0.037), Material.PLAIN)
-_TAXI_PAINTS: Final = ((0.62, 0.56, 0.40), (0.55, 0.33, 0.015), (0.015, 0.015, 0.017), (0.70, 0.70, 0.69))
+_TAXI_PAINTS: Final = ((0.62, 0.56, 0.40), (0.55, 0.33, 0.015), (0.015, 0.015, 0.017), (0.60, 0.60, 0.59))
 
 
 def car(rng: np.random.Generator) -> Body:

@@ -23,8 +23,8 @@ from mirror.synth.users.coachwork.sheets import Colour, Finish, Panel, Sheets
 from mirror.synth.users.coachwork.shell import DARK
 
 _BODY_COLOURS: Final[tuple[Colour, ...]] = (
-    (0.70, 0.70, 0.69),
-    (0.70, 0.70, 0.69),
+    (0.60, 0.60, 0.59),
+    (0.60, 0.60, 0.59),
     (0.42, 0.43, 0.44),
     (0.05, 0.13, 0.32),
     (0.36, 0.03, 0.03),

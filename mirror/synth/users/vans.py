@@ -16,7 +16,7 @@ from mirror.synth.users.coachwork.fittings import car_paint
 from mirror.synth.users.coachwork.sheets import Finish, Panel, Sheets
 from mirror.synth.users.coachwork.shell import PANE, End, Point, Shape
 
-_WHITE = Finish((0.68, 0.68, 0.67), Material.PAINT)
+_WHITE = Finish((0.60, 0.60, 0.59), Material.PAINT)
 _BUMPER = Finish((0.05, 0.05, 0.052), Material.PLAIN)
 
 

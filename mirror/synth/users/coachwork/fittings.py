@@ -28,7 +28,7 @@ _TYRE_CORNERS: Final = 16
 
 # Shares of cars newly registered in Europe, rounded; tones vary from car to car.
 _PAINTS: Final[tuple[tuple[float, tuple[float, float, float]], ...]] = (
-    (0.24, (0.70, 0.70, 0.69)),
+    (0.24, (0.60, 0.60, 0.59)),
     (0.21, (0.014, 0.014, 0.016)),
     (0.17, (0.115, 0.12, 0.127)),
     (0.07, (0.045, 0.048, 0.054)),
@@ -46,7 +46,7 @@ def car_paint(rng: np.random.Generator) -> Finish:
     """Paint in one of the colours that cars have, as often as they have it."""
     shares = np.array([share for share, _ in _PAINTS])
     colour = np.array(_PAINTS[int(rng.choice(len(_PAINTS), p=shares / shares.sum()))][1])
-    return Finish(tuple(np.clip(colour * rng.uniform(0.85, 1.15), 0.0, 0.78)), Material.PAINT)
+    return Finish(tuple(np.clip(colour * rng.uniform(0.85, 1.15), 0.0, 0.68)), Material.PAINT)
 
 
 def wheel(

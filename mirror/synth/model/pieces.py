@@ -130,15 +130,19 @@ class Pieces:
     ) -> None:
         """A straight tube; u goes round, v along; ``cap`` closes its end."""
         first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
-        along = (last - first) / np.linalg.norm(last - first)
-        across = np.cross(along, (1.0, 0.0, 0.0) if abs(along[0]) < 0.7 else (0.0, 1.0, 0.0))
-        across /= np.linalg.norm(across)
+        x, y, z = ((last - first) / math.dist(first, last)).tolist()
+        # Across it: its cross product with the x axis, or with the y axis where it leads along x.
+        across = (0.0, z, -y) if abs(x) < 0.7 else (-z, 0.0, x)
+        size = math.hypot(*across)
+        a, b, c = (part / size for part in across)
         angle = 2.0 * math.pi * (np.arange(corners) + 0.5) / corners
-        ring = np.outer(np.cos(angle), across) + np.outer(np.sin(angle), np.cross(along, across))
+        ring = np.outer(np.cos(angle), (a, b, c)) + np.outer(
+            np.sin(angle), (y * c - z * b, z * a - x * c, x * b - y * a)
+        )
         low, high = first + radius_m * ring, last + (radius_m if end_radius_m is None else end_radius_m) * ring
         for i in range(corners):
             j = (i + 1) % corners
-            self.face(np.array([low[i], low[j], high[j], high[i]]), finish)
+            self.face(np.stack([low[i], low[j], high[j], high[i]]), finish)
         if cap:
             self.face(high, finish)
 

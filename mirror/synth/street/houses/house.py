@@ -10,7 +10,7 @@ from mirror.synth.street.houses.fronts import add_balconies, add_bay
 from mirror.synth.street.houses.roofs import add_roof
 from mirror.synth.street.houses.sheds import farm, petrol_station, warehouse
 from mirror.synth.street.houses.shops import add_flats, add_lobby, add_shops
-from mirror.synth.street.houses.styles import STYLES, HouseStyle, Style
+from mirror.synth.street.houses.styles import BRICKS, STYLES, HouseStyle, Style
 from mirror.synth.street.houses.windows import PATTERNS, Windows
 from mirror.synth.textures.catalogue import Grain
 
@@ -67,7 +67,7 @@ def _body(rng: np.random.Generator, style: Style, length_m: float, depth_m: floa
     half = 0.5 * length_m - (rng.uniform(0.8, 2.5) if style.free else 0.0)
     windows = style.fronts[int(rng.integers(len(style.fronts)))]
     brick = PATTERNS[windows].grain == Grain.BRICK
-    colours = style.colours
+    colours = BRICKS if brick else style.colours
     colour = colours[int(rng.integers(len(colours)))]
     tint = rng.uniform(0.88, 1.08)
     storeys = int(rng.integers(style.storeys[0], style.storeys[1] + 1))

@@ -26,13 +26,14 @@ _STUCCO: Final[tuple[Colour, ...]] = (
     (0.40, 0.45, 0.50),
     (0.58, 0.50, 0.44),
 )
-_BRICK: Final[tuple[Colour, ...]] = (
+BRICKS: Final[tuple[Colour, ...]] = (
     (0.30, 0.13, 0.085),
     (0.35, 0.18, 0.12),
     (0.24, 0.11, 0.08),
     (0.41, 0.29, 0.19),
     (0.20, 0.17, 0.15),
 )
+"""Colours of all walls of bricks."""
 _MODERN: Final[tuple[Colour, ...]] = (
     (0.55, 0.55, 0.53),
     (0.30, 0.30, 0.31),
@@ -58,7 +59,7 @@ class Style:
         fronts: walls towards the street, one of which is taken.
         sides: the other walls.
         wall: material of gables and other walls without windows.
-        colours: of the walls, one of which is taken.
+        colours: of walls that are not of bricks, one of which is taken.
         roofs: kinds, one of which is taken.
         ground: kinds of ground floor, one of which is taken.
         ground_m: its height.
@@ -92,7 +93,7 @@ STYLES: Final[dict[HouseStyle, Style]] = {
     ),
     "brick": Style(
         (2, 3), (9.0, 12.0), (Windows.SASH_BRICK, Windows.TALL_BRICK, Windows.LOFT), Windows.SIDE_BRICK,
-        Material.BRICK, _BRICK, ("gable", "flat", "mansard"), ("shops", "flats"), 3.9, balconies=0.3, bays=0.25,
+        Material.BRICK, (), ("gable", "flat", "mansard"), ("shops", "flats"), 3.9, balconies=0.3, bays=0.25,
         cornice=True,
     ),
     "modern": Style(
@@ -105,15 +106,15 @@ STYLES: Final[dict[HouseStyle, Style]] = {
     ),
     "shophouse": Style(
         (1, 3), (9.0, 12.0), (Windows.SASH, Windows.SASH_BRICK, Windows.MODERN), Windows.BLIND, Material.PLASTER,
-        _STUCCO + _BRICK, ("flat", "gable"), ("shops",), 3.8, bays=0.3, cornice=True,
+        _STUCCO, ("flat", "gable"), ("shops",), 3.8, bays=0.3, cornice=True,
     ),
     "detached": Style(
         (0, 1), (8.0, 10.0), (Windows.COTTAGE, Windows.COTTAGE_BRICK), Windows.COTTAGE, Material.PLASTER,
-        _LIGHT + _BRICK[:3], ("gable", "hip"), ("flats",), 2.9, free=True, set_back_m=(3.5, 5.5),
+        _LIGHT, ("gable", "hip"), ("flats",), 2.9, free=True, set_back_m=(3.5, 5.5),
     ),
     "hall": Style(
         (1, 3), (14.0, 20.0), (Windows.RIBBON, Windows.LOFT, Windows.MODERN_BRICK), Windows.RIBBON,
-        Material.CONCRETE, _CONCRETE + _BRICK[:3], ("flat", "flat", "hip"), ("lobby",), 4.2, free=True,
+        Material.CONCRETE, _CONCRETE, ("flat", "flat", "hip"), ("lobby",), 4.2, free=True,
     ),
     "tower": Style(
         (7, 14), (16.0, 24.0), (Windows.CURTAIN_WALL,), Windows.CURTAIN_WALL, Material.CONCRETE,

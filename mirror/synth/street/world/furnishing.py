@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.synth.model import Model
 from mirror.synth.street import furniture
-from mirror.synth.street.furniture import LampPost, SignalHead
+from mirror.synth.street.furniture import LampKind, LampPost, SignalHead
 from mirror.synth.street.furniture.small import Maker
 from mirror.synth.street.lots import Spot
 from mirror.synth.street.plan import Plan
@@ -117,9 +118,9 @@ def _thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
         if rng.random() < 0.12:
             return _at(spot, furniture.direction_sign(rng, width_m=1.6, low_m=2.2), spot.facing_rad)
         kinds = _SIGNS[plan.kind]
-        return _at(spot, furniture.traffic_sign(kinds[int(rng.integers(len(kinds)))]), spot.facing_rad)
+        return _at(spot, _signs(kinds[int(rng.integers(len(kinds)))]), spot.facing_rad)
     sign = {"yield": Sign.YIELD, "stop": Sign.STOP, "crosswalk": Sign.CROSSWALK}[spot.kind]
-    return _at(spot, furniture.traffic_sign((sign,)), spot.facing_rad)
+    return _at(spot, _signs((sign,)), spot.facing_rad)
 
 
 def _rail(plan: Plan, number: int, seed: int) -> Model:
@@ -133,14 +134,24 @@ def _rail(plan: Plan, number: int, seed: int) -> Model:
 
 def _lamp(plan: Plan, spot: Spot) -> LampPost:
     if plan.kind == "campus":
-        post = furniture.lamp_post("column", height_m=4.6)
+        post = _post("column", 4.6, 0.0)
     elif _is_main(spot):
-        post = furniture.lamp_post("arm", height_m=8.0, reach_m=min(0.7 * spot.reach_m, 2.4))
+        post = _post("arm", 8.0, round(min(0.7 * spot.reach_m, 2.4), 1))
     else:
-        post = furniture.lamp_post("lantern", height_m=4.4)
+        post = _post("lantern", 4.4, 0.0)
     cos, sin = math.cos(spot.yaw_rad), math.sin(spot.yaw_rad)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return LampPost(_at(spot, post.model, spot.yaw_rad), post.lights @ turn.T + spot.place)
+
+
+@cache
+def _post(kind: LampKind, height_m: float, reach_m: float) -> LampPost:
+    return furniture.lamp_post(kind, height_m=height_m, reach_m=reach_m)
+
+
+@cache
+def _signs(signs: tuple[Sign, ...]) -> Model:
+    return furniture.traffic_sign(signs)
 
 
 def _is_main(spot: Spot) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
-from mirror.synth.model import Model
+from mirror.synth.model import Material, Model
 from mirror.synth.street.plan import Plan
 from mirror.synth.street.plants import STREET_TREES, Kind, bush, hedge, tree
 
@@ -19,10 +19,11 @@ _FIELD_TREES: Final[tuple[Kind, ...]] = ("oak", "birch", "poplar", "spruce", "pi
 _GARDEN_TREES: Final[tuple[Kind, ...]] = ("oak", "plane", "birch", "cherry", "pine", "cypress")
 _GROWN: Final = 4
 """So many of each kind are grown; they stand turned in many places."""
-_LOOSE: Final = {"urban": (50, 30), "campus": (90, 70), "rural": (110, 60), "highway": (90, 50)}
+_LOOSE: Final = {"urban": (30, 30), "campus": (90, 70), "rural": (110, 60), "highway": (90, 50)}
 """Trees and bushes that stand on open land."""
 _CLEAR_M: Final = {"urban": 2.5, "campus": 4.0, "rural": 5.0, "highway": 12.0}
 """Distance of these from roads and houses."""
+_SEEN_WELL_M: Final = 25.0
 _ROAD_M: Final = {"urban": 0.9, "campus": 0.9, "rural": 3.0, "highway": 8.0}
 """Distance of the trees at spots from the carriageway."""
 
@@ -40,21 +41,40 @@ def plants_of(plan: Plan, seed: int) -> Iterator[Model]:
         _FIELD_TREES if plan.kind in ("rural", "highway") else tuple(kind for kind in STREET_TREES if kind in streets)
     )
     row = [tree(rng, kind, road_m=_ROAD_M[plan.kind]) for kind in kinds for _ in range(_GROWN)]
+    thin_row = [_thinned(model) for model in row]
     for number, spot in enumerate(plan.spots):
         if spot.kind == "tree" and plan.driven.distance(shapely.Point(spot.place[:2])) > 0.8 * _ROAD_M[plan.kind]:
             own = np.random.default_rng([seed, 25, number])
-            yield _turned(row[int(own.integers(len(row)))], spot.place, own)
+            kept = row if _is_near(plan, spot.place) else thin_row
+            yield _turned(kept[int(own.integers(len(kept)))], spot.place, own)
     loose = _FIELD_TREES if plan.kind in ("rural", "highway") else _GARDEN_TREES
     grown = [tree(rng, kind) for kind in loose for _ in range(_GROWN // 2)]
     bushes = [bush(rng, evergreen=bool(number % 2)) for number in range(6)]
     trees, shrubs = _LOOSE[plan.kind]
+    thin = [_thinned(model) for model in grown]
     for place in _open_places(plan, trees, rng):
-        yield _turned(grown[int(rng.integers(len(grown)))], place, rng)
+        yield _turned((grown if _is_near(plan, place) else thin)[int(rng.integers(len(grown)))], place, rng)
     for place in _open_places(plan, shrubs, rng):
         yield _turned(bushes[int(rng.integers(len(bushes)))], place, rng)
     for number, rail in enumerate(plan.rails):
         if rail.kind == "hedge":
             yield from _hedges(rail.line, np.random.default_rng([seed, 26, number]))
+
+
+def _is_near(plan: Plan, place: Float64) -> bool:
+    """Whether a place is ever seen from near: within the ROI or just beyond, and not far off the roads."""
+    within = float(np.hypot(place[0], place[1])) < plan.roi.radius_m + _SEEN_WELL_M
+    return within and plan.roads.distance(shapely.Point(place[:2])) < _SEEN_WELL_M
+
+
+def _thinned(model: Model) -> Model:
+    """A tree as it may be where it is never seen from near: a third of its leaves about a larger inside."""
+    leaves = np.flatnonzero(model.faces["material"] == Material.LEAVES)
+    kept = np.ones(len(model.faces), np.bool_)
+    kept[leaves] = np.arange(len(leaves)) % 3 == 0
+    rounds = model.rounds.copy()
+    rounds["half"] *= 1.12
+    return Model(model.faces[kept], model.corners, rounds)
 
 
 def _turned(model: Model, place: Float64, rng: np.random.Generator) -> Model:

@@ -153,7 +153,7 @@ def _backdrop(plan: Plan, seed: int) -> list[Model]:
     radius = plan.roi.radius_m
     if plan.kind == "urban":
         return [
-            far_houses(rng, radius + 115.0, radius + 230.0, (9.0, 34.0), plan.height_m),
+            far_houses(rng, radius + 100.0, radius + 225.0, (9.0, 34.0), plan.height_m),
             far_woods(rng, radius + 232.0, radius + 256.0, (10.0, 16.0), plan.height_m),
         ]
     if plan.kind == "campus":

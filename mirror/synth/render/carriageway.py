@@ -20,7 +20,8 @@ Look = tuple[float, float, float, float, float, float, float]
 _BED_U_M: Final = 13.0
 _BED_V_M: Final = 3.4
 _PATCHED: Final = 0.10
-_CRACK_M: Final = 3.1
+_CRACK_M: Final = 2.3
+_CRACK_HALF: Final = 0.005
 _COVER_U_M: Final = 23.0
 _COVER_RADIUS_M: Final = 0.33
 
@@ -56,7 +57,7 @@ def share(x: float, width: float, low: float, high: float, period: float, duty: 
 @njit(cache=True, nogil=True, error_model="numpy")
 def covered(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
     """Share of a footprint that a MARK covers."""
-    across = share(v, fv, mark.v_low, mark.v_high, mark.v_period, mark.v_duty, mark.v_phase)
+    across = share(v, fv + mark.soft, mark.v_low, mark.v_high, mark.v_period, mark.v_duty, mark.v_phase)
     if across <= 0.0:
         return 0.0
     # Over the footprint's height a slanted stripe shifts along u.
@@ -108,9 +109,7 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     if wide < 0.5 * _BED_V_M:
         tone *= _repaired(seed, u, v, fu, fv)
     if wide < 0.25:
-        away = abs(noise(u / _CRACK_M, v / _CRACK_M, seed + 5) - 0.33)
-        half = 0.006 + 0.35 * wide / _CRACK_M
-        tone *= 1.0 - 0.45 * max(1.0 - away / half, 0.0) * 0.006 / half
+        tone *= _cracked(seed, u, v, wide)
     if wide < _COVER_RADIUS_M:
         cell = math.floor(u / _COVER_U_M)
         if chance(cell, 3, seed) < 0.5:
@@ -121,6 +120,19 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
             ring = min(max(1.0 - abs(away - _COVER_RADIUS_M) / (0.03 + wide), 0.0), 1.0) * 0.03 / (0.03 + wide)
             tone *= (1.0 - 0.3 * disc) * (1.0 - 0.6 * ring)
     return tone
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cracked(seed: int, u: float, v: float, wide: float) -> float:
+    """Jagged cracks, here and there: contours of a noise over places that another noise shifts."""
+    strength = noise(u / 17.0, v / 6.0, seed + 8) - 0.15
+    if strength <= 0.0:
+        return 1.0
+    du = 0.20 * noise(u / 0.37, v / 0.37, seed + 6) + 0.07 * noise(u / 0.11, v / 0.11, seed + 7)
+    dv = 0.20 * noise(u / 0.41, v / 0.41, seed + 9) + 0.07 * noise(u / 0.12, v / 0.12, seed + 10)
+    away = abs(noise((u + du) / _CRACK_M, (v + dv) / _CRACK_M, seed + 5) - 0.25)
+    half = _CRACK_HALF + 0.45 * wide / _CRACK_M
+    return 1.0 - min(2.0 * strength, 0.6) * max(1.0 - away / half, 0.0) * _CRACK_HALF / half
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

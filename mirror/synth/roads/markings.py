@@ -40,13 +40,15 @@ MARK: Final = np.dtype(
         ("blue", np.float64),
         ("strength", np.float64),
         ("worn", np.float64),
+        ("soft", np.float64),
     ]
 )
 """A patch [u_low, u_high] x [v_low, v_high] of stripes.
 
 Along u the stripes start at ``u_phase + slant v`` and repeat after ``u_period`` metres (0: no stripes), of which they
 fill the share ``u_duty``; the same along v. ``strength`` is 0 where a row has no more marks; below 1 the carriageway
-shows through: traces of wheels. ``worn`` is how much of the paint has gone in places."""
+shows through: traces of wheels. ``worn`` is how much of the paint has gone in places, ``soft`` over how many metres the
+edges along the street fade."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ class Mark:
     colour: tuple[float, float, float] = WHITE
     strength: float = 1.0
     worn: float = 0.25
+    soft_m: float = 0.0
 
 
 _ALONG: Final = (-FAR_M, FAR_M)
@@ -96,14 +99,17 @@ def cycle_lane(low_m: float, high_m: float) -> tuple[Mark, ...]:
 def tracks_of_wheels(v_m: float) -> tuple[Mark, ...]:
     """Where wheels have polished a lane with its middle at v."""
     return tuple(
-        Mark(_ALONG, (v_m + side - 0.28, v_m + side + 0.28), colour=(0.15, 0.15, 0.15), strength=0.16, worn=0.6)
+        Mark(
+            _ALONG, (v_m + side - 0.28, v_m + side + 0.28), colour=(0.15, 0.15, 0.15), strength=0.20, worn=0.6,
+            soft_m=0.35,
+        )
         for side in (-0.82, 0.82)
-    )
+    )  # fmt: skip
 
 
 def oil(v_m: float) -> Mark:
     """What drips on the middle of a lane."""
-    return Mark(_ALONG, (v_m - 0.3, v_m + 0.3), colour=(0.05, 0.05, 0.05), strength=0.22, worn=0.7)
+    return Mark(_ALONG, (v_m - 0.3, v_m + 0.3), colour=(0.05, 0.05, 0.05), strength=0.24, worn=0.7, soft_m=0.4)
 
 
 def zebra(u_m: tuple[float, float], half_m: float) -> Mark:
@@ -139,6 +145,6 @@ def layout_table(rows: Sequence[Sequence[Mark]]) -> Records:
         for place, mark in enumerate(marks):
             table[number, place] = (
                 *mark.u_m, *mark.v_m, *mark.u_stripes, *mark.v_stripes, mark.slant, *mark.colour, mark.strength,
-                mark.worn,
+                mark.worn, mark.soft_m,
             )  # fmt: skip
     return table

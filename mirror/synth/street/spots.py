@@ -105,19 +105,28 @@ def lay_spots(
         places += _over_motorway(streets[0])
     furnishing = FURNISHINGS[kind]
     for street in streets:
-        level = level_stretches(street, crossings)
         found = _lined(street, furnishing, rng)
         if street is streets[0] and furnishing.poles_m:
             found += _regular(street, "pole", furnishing.poles_m, 1, _POLE_ASIDE_M)
-        for place in found:
-            if not street.line.first_m < place.station_m < street.line.last_m:
-                continue
-            if not ((place.station_m > level[:, 0] - _CLEAR_M) & (place.station_m < level[:, 1] + _CLEAR_M)).any():
-                places.append(place)
+        others = [other for other in streets if other is not street]
+        places += _off_streets(found, street, level_stretches(street, crossings), others)
     points = np.array([place.street.line.at(place.station_m, place.offset_m) for place in places])
     free = shapely.distance(driven, shapely.points(points)) > _LEAST_M
     heights = standing.height_m(points[:, 0], points[:, 1])
     return tuple(place.spot(float(height)) for place, height, kept in zip(places, heights, free) if kept)
+
+
+def _off_streets(found: Sequence[_Place], street: Street, level: Float64, others: Sequence[Street]) -> list[_Place]:
+    """Places beside a street that are neither in its crossings nor on other streets, pavements and medians."""
+    at = np.array([place.station_m for place in found])
+    points = street.line.at(at, np.array([place.offset_m for place in found]))
+    free = (at > street.line.first_m) & (at < street.line.last_m)
+    free &= ~((at[:, None] > level[:, 0] - _CLEAR_M) & (at[:, None] < level[:, 1] + _CLEAR_M)).any(axis=1)
+    for other in others:
+        station, offset = other.line.locate(points)
+        along = (station > other.line.first_m) & (station < other.line.last_m)
+        free &= ~(along & (np.abs(offset) < other.section.half_m + other.section.pavement_m))
+    return [place for place, kept in zip(found, free) if kept]
 
 
 def _at_crossing(crossing: Crossing) -> Iterator[_Place]:

@@ -176,9 +176,17 @@ def shade(
             )
             er, eg, eb, gloss = 0.0, 0.0, 0.0, 0.01
         else:
+            # The grain is laid on from the side that the surface faces most, and moves with the body.
+            ix, iy, iz = abs(px * hx), abs(py * hy), abs(pz * hz)
+            if iz > ix and iz > iy:
+                u, v = px * ball.half_0, py * ball.half_1
+            elif ix > iy:
+                u, v = py * ball.half_1, pz * ball.half_2
+            else:
+                u, v = px * ball.half_0, pz * ball.half_2
             fr, fg, fb, er, eg, eb, gloss = plain(
                 grains, grain_index, material, ball.seed, (ball.colour_0, ball.colour_1, ball.colour_2),
-                x + y, z + 0.5 * (x - y), wide, 0.0, 0.0, wide,
+                u, v, wide, 0.0, 0.0, wide,
             )  # fmt: skip
     return lit(
         still, moving, lamps, glow, below, ground, dome, clouds, setting, maps, material, label,

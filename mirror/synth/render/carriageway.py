@@ -33,7 +33,7 @@ def _filled(x: float, period: float, duty: float) -> float:
     return period * (whole * duty + min(x / period - whole, duty))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def share(x: float, width: float, low: float, high: float, period: float, duty: float, phase: float) -> float:
     """Share of the interval of ``width`` about x that lies on stripes between ``low`` and ``high``.
 
@@ -81,20 +81,21 @@ def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float
     fu, fv = max(fu, 1e-4), max(fv, 1e-4)
     tone = rough * _worn_tone(one.seed, u, v, fu, fv)
     r, g, b = one.colour_0 * tone, one.colour_1 * tone, one.colour_2 * tone
-    layout = one.layout
+    layout, wide = one.layout, max(fu, fv)
     # Stones stand out of the paint.
-    paint = 0.35 + 0.65 * rough
+    paint, rubbed = 0.35 + 0.65 * rough, -1.0
     for place in range(layouts.shape[1]):
         mark = layouts[layout, place]
         if mark.strength <= 0.0:
             break
         part = covered(mark, u, v, fu, fv)
         if part > 0.0:
-            wide = max(fu, fv)
-            left = 1.0 - mark.worn * (
-                0.5 + 0.45 * grain(u, v, 0.31, wide, one.seed + 11) + 0.45 * grain(u, v, 2.3, wide, one.seed + 12)
-            )
-            part *= mark.strength * min(max(left, 0.0), 1.0)
+            if rubbed < 0.0:
+                rubbed = (
+                    0.5 + 0.45 * grain(u, v, 0.31, wide, one.seed + 11) + 0.45 * grain(u, v, 2.3, wide, one.seed + 12)
+                )
+                rubbed = min(max(rubbed, 0.0), 1.0)
+            part *= mark.strength * (1.0 - mark.worn * rubbed)
             r += part * (mark.red * paint - r)
             g += part * (mark.green * paint - g)
             b += part * (mark.blue * paint - b)
@@ -112,9 +113,11 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
         tone *= _cracked(seed, u, v, wide)
     if wide < _COVER_RADIUS_M:
         cell = math.floor(u / _COVER_U_M)
-        if chance(cell, 3, seed) < 0.5:
-            du = u - (cell + 0.1 + 0.8 * chance(cell, 4, seed)) * _COVER_U_M
-            dv = v - 4.4 * (chance(cell, 5, seed) - 0.5)
+        luck = chance(cell, 3, seed)
+        if luck < 0.5:
+            # The number's finer digits say where the cover lies.
+            du = u - (cell + 0.1 + 0.8 * (64.0 * luck - math.floor(64.0 * luck))) * _COVER_U_M
+            dv = v - 4.4 * (4096.0 * luck - math.floor(4096.0 * luck) - 0.5)
             away = math.sqrt(du * du + dv * dv)
             disc = min(max((_COVER_RADIUS_M - away) / wide + 0.5, 0.0), 1.0)
             ring = min(max(1.0 - abs(away - _COVER_RADIUS_M) / (0.03 + wide), 0.0), 1.0) * 0.03 / (0.03 + wide)
@@ -128,9 +131,8 @@ def _cracked(seed: int, u: float, v: float, wide: float) -> float:
     strength = noise(u / 17.0, v / 6.0, seed + 8) - 0.15
     if strength <= 0.0:
         return 1.0
-    du = 0.20 * noise(u / 0.37, v / 0.37, seed + 6) + 0.07 * noise(u / 0.11, v / 0.11, seed + 7)
-    dv = 0.20 * noise(u / 0.41, v / 0.41, seed + 9) + 0.07 * noise(u / 0.12, v / 0.12, seed + 10)
-    away = abs(noise((u + du) / _CRACK_M, (v + dv) / _CRACK_M, seed + 5) - 0.25)
+    jag = 0.20 * noise(u / 0.37, v / 0.37, seed + 6) + 0.07 * noise(u / 0.11, v / 0.11, seed + 7)
+    away = abs(noise((u + jag) / _CRACK_M, (v - jag) / _CRACK_M, seed + 5) - 0.25)
     half = _CRACK_HALF + 0.45 * wide / _CRACK_M
     return 1.0 - min(2.0 * strength, 0.6) * max(1.0 - away / half, 0.0) * _CRACK_HALF / half
 

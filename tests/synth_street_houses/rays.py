@@ -8,6 +8,14 @@ from mirror.arrays import Float64, Int64
 from mirror.synth.model import Model
 
 
+def corners_of(model: Model) -> Float64:
+    """Corners (C, 3) face by face, in the faces' order."""
+    first, count = model.faces["first"], model.faces["count"]
+    begins = np.cumsum(count) - count
+    corners: Float64 = model.corners[np.repeat(first - begins, count) + np.arange(count.sum())]
+    return corners
+
+
 def nearest(model: Model, origins: Float64, directions: Float64, *, fronts_only: bool = False) -> tuple[Int64, Float64]:
     """Face (N,) that each ray meets first, from either side or from its front only; -1 for none; and its distance."""
     faces = model.faces

@@ -12,6 +12,7 @@ import shapely
 from mirror.schema.documents import Roi
 from mirror.synth.model import Label, Material
 from mirror.synth.street.world import World, build_world
+from tests.synth_street_houses.rays import corners_of
 
 Kind = Literal["urban", "highway", "rural", "campus"]
 KINDS: tuple[Kind, ...] = ("urban", "highway", "rural", "campus")
@@ -25,8 +26,8 @@ def world(kind: Kind) -> World:
 
 
 def middles(found: World) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    faces = found.model.faces
-    return np.add.reduceat(found.model.corners, faces["first"]) / faces["count"][:, None]
+    count = found.model.faces["count"]
+    return np.add.reduceat(corners_of(found.model), np.cumsum(count) - count) / count[:, None]
 
 
 def test_urban_has_thousands_of_primitives() -> None:
@@ -42,7 +43,7 @@ def test_urban_has_thousands_of_primitives() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_stands_on_carriageways(kind: Kind) -> None:
     found = world(kind)
-    corners, faces = found.model.corners, found.model.faces
+    corners, faces = corners_of(found.model), found.model.faces
     label = np.repeat(faces["label"], faces["count"])
     ground = np.isin(label, GROUND)
     near = np.hypot(corners[:, 0], corners[:, 1]) < 220.0

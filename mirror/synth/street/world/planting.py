@@ -74,7 +74,11 @@ def _thinned(model: Model) -> Model:
     kept[leaves] = np.arange(len(leaves)) % 3 == 0
     rounds = model.rounds.copy()
     rounds["half"] *= 1.12
-    return Model(model.faces[kept], model.corners, rounds)
+    faces = model.faces[kept]
+    begins = np.cumsum(faces["count"]) - faces["count"]
+    corners = model.corners[np.repeat(faces["first"] - begins, faces["count"]) + np.arange(faces["count"].sum())]
+    faces["first"] = begins
+    return Model(faces, corners, rounds)
 
 
 def _turned(model: Model, place: Float64, rng: np.random.Generator) -> Model:

@@ -43,7 +43,7 @@ class Drive:
     def _springs(self) -> Float64:
         """(T, 2) pitch and roll, degrees, at the knots of the schedule and two beyond either end."""
         schedule = self.schedule
-        knots = schedule.begin_s + schedule.step_s * np.arange(-2, len(schedule.along_m) + 2)
+        knots = schedule.begin_s + np.arange(-2, len(schedule.along_m) + 2, dtype=np.float64) * schedule.step_s
         along, speed = schedule.at(knots)
         ahead, _ = self.trace.at(along + 0.5 * STEP_M)
         behind, _ = self.trace.at(along - 0.5 * STEP_M)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -33,6 +34,7 @@ _CLEARANCE_M: Final = 0.04
 _BESIDE_M: Final = 2.6
 _BEYOND_M: Final = 12.0
 _SETTLED_S: Final = 1.0
+_PULL_OUT_M: Final = 12.0
 _ATTEMPTS: Final = 4
 
 
@@ -83,7 +85,7 @@ def journey(
         UsageError: there is no such route.
         MirrorError: the vehicle does not get through.
     """
-    chosen = route_of(route, site.network, site.radius_m, variant)
+    chosen = route_of(route, site.network, site.radius_m, variant, chassis.wheelbase_m)
     bustle = Bustle() if bustle is None else bustle
     for attempt in range(_ATTEMPTS):
         share = (2.0 / 3.0) ** attempt
@@ -124,9 +126,7 @@ def _attempt(
         others = _out_of_the_way(route, others)
     on_foot = list(walkers(site, bustle, ways, rng))
     clock = float(rng.uniform(0.0, site.network.cycle_s))
-    schedules = simulated(
-        site.network, [own, *others, *on_foot], clock, until, first_goes_first=route.first
-    )
+    schedules = simulated(site.network, [own, *others, *on_foot], clock, until, first_goes_first=route.first)
     ego = schedules[0]
     if ego is None or ego.along_m[-1] < route.end_m:
         return None
@@ -175,8 +175,17 @@ def _longest_s(own: Participant) -> float:
 
 
 def _leaving(cars: Sequence[Parked], rng: np.random.Generator) -> list[Parked]:
-    movable = [car for car in cars if car.leaves is not None]
+    """Some of the cars that may drive off and have room to pull out."""
+    movable = [car for car in cars if car.leaves is not None and not any(_boxes_in(car, other) for other in cars)]
     return [movable[int(place)] for place in rng.permutation(len(movable))[:_LEAVE]]
+
+
+def _boxes_in(car: Parked, other: Parked) -> bool:
+    """Whether another car is parked right in front of a car."""
+    own, there = car.motion.placement, other.motion.placement
+    dx, dy = there.x_m - own.x_m, there.y_m - own.y_m
+    cos, sin = math.cos(own.yaw_rad), math.sin(own.yaw_rad)
+    return 1.0 < cos * dx + sin * dy < _PULL_OUT_M and abs(cos * dy - sin * dx) < 1.5
 
 
 def _out_of_the_way(route: Route, others: Sequence[Participant]) -> list[Participant]:
@@ -206,8 +215,8 @@ def _users(
     for one, schedule in moving:
         on_foot = one.kind == "pedestrian"
         body = body_of(one.kind, one.number, bustle.umbrellas and on_foot, bustle.warm and on_foot)
-        motion = Moving(trace_of(one.way, one.chassis, site.height_m, one.aside), schedule)
-        (walking if on_foot else driven).append((body, motion))
+        moves = Moving(trace_of(one.way, one.chassis, site.height_m, one.aside), schedule)
+        (walking if on_foot else driven).append((body, moves))
     everybody = [*driven, *parked_cars, *walking, *standing_people]
     times = np.arange(0.0, drive.duration_s + TICK_S, TICK_S)
     places = np.empty((len(everybody) + 1, len(times), 3))

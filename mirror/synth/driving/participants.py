@@ -107,7 +107,7 @@ def simulated(
         meetings = meetings._replace(major=np.where((meetings.users == 0).any(axis=1), own, meetings.major))
     green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
     ticks = int(longest_s / TICK_S)
-    lengths, speeds, _ = simulate(_ways(ways), users, meetings, green, network.cycle_s, clock_s, ticks)
+    lengths, speeds = simulate(_ways(ways), users, meetings, green, network.cycle_s, clock_s, ticks)
     found: list[Schedule | None] = []
     for place in range(len(participants)):
         there = np.flatnonzero(np.isfinite(lengths[:, place]))

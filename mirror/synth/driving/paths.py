@@ -76,9 +76,9 @@ def lanes_of(network: Network, *uses: Use) -> dict[str, Lane]:
 
 
 def sources(lanes: dict[str, Lane]) -> list[Lane]:
-    """Lanes that nothing leads to, in the order of their ids: where one comes in."""
+    """Lanes along streets that nothing leads to, in the order of their ids: where one comes in."""
     reached = {name for lane in lanes.values() for name in lane.successors}
-    return [lanes[lane_id] for lane_id in sorted(lanes) if lane_id not in reached]
+    return [lanes[name] for name in sorted(lanes) if name not in reached and lanes[name].use not in ("turn", "cross")]
 
 
 def paths_from(lanes: dict[str, Lane], start: Lane) -> Iterator[Path]:

@@ -12,17 +12,21 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.synth.driving.paths import Path, beside_m, lanes_of, paths_from, sources, turn_rad
+from mirror.synth.driving.trace import trailing
 from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, changed, lane_piece
 from mirror.synth.street.network import Network
 
 LEAD_M: Final = 24.0
 _EDGE: Final = 0.85
 _PASS_S: Final = 8.0
+_SKIM_M: Final = 65.0
 _SWING_M: Final = 4.9
 _SWING_LEAD_M: Final = 18.0
 _CLEAR_M: Final = 26.0
 _BESIDE_M: Final = 40.0
-_OUTSIDE_S: Final = 2.5
+_OUTSIDE_S: Final = 2.6
+_UTURN_M: Final = 27.0
+_SLOW_MPS: Final = 5.0
 _CHANGE_M: Final = 75.0
 _VISIT_S: Final = 13.0
 _QUIET_MPS: Final = 9.0
@@ -57,11 +61,13 @@ class Streets:
     Args:
         network: of the scene.
         radius_m: of its ROI, which lies round the origin.
+        wheelbase_m: of the vehicle.
     """
 
-    def __init__(self, network: Network, radius_m: float) -> None:
+    def __init__(self, network: Network, radius_m: float, wheelbase_m: float) -> None:
         self.network = network
         self.radius_m = radius_m
+        self.wheelbase_m = wheelbase_m
         lanes = lanes_of(network, "drive", "turn")
         every = [path for start in sources(lanes) for path in paths_from(lanes, start)]
         ends = [(np.hypot(*path.line[0]), np.hypot(*path.line[-1])) for path in every]
@@ -124,7 +130,9 @@ class Streets:
         found = [
             path
             for path in self.paths
-            if len(path.turns) == 1 and path.closest_m > _EDGE * self.radius_m and path.inside_m(self.radius_m) > 5.0
+            if len(path.turns) == 1
+            and path.closest_m > _EDGE * self.radius_m
+            and 5.0 < path.inside_m(self.radius_m) < _SKIM_M
         ]
         return sorted(found, key=lambda path: (-path.inside_m(self.radius_m), path.lane_ids))
 
@@ -305,14 +313,15 @@ def _uturn(streets: Streets, variant: int) -> Route:
     out, home = streets.out_and_home(streets.radius_m)
     low, high = streets.radius_m - 6.0, streets.radius_m + 8.0
     # The further out it turns, the longer it is outside.
-    for _ in range(20):
+    for _ in range(16):
         apex = 0.5 * (low + high)
         way, swing = _turned_round(out, home, apex)
-        outside = np.hypot(*way.points.T) > streets.radius_m
-        near = np.abs(np.arange(len(way.points)) * STEP_M - swing) < 30.0
-        seconds = float((STEP_M / np.minimum(way.pace_mps, 5.0))[outside & near].sum())
+        outside = np.hypot(*trailing(way.points, streets.wheelbase_m).T) > streets.radius_m
+        near = np.abs(np.arange(len(way.points)) * STEP_M - swing) < _UTURN_M
+        seconds = float((STEP_M / np.minimum(way.pace_mps, _SLOW_MPS))[outside & near].sum())
         low, high = (apex, high) if seconds < _OUTSIDE_S else (low, apex)
-    return Route(way, swing - 32.0, swing + 32.0, swing - 45.0, fastest_mps=5.0, first=True)
+    begin, end = swing - _UTURN_M, swing + _UTURN_M
+    return Route(way, begin, end, begin - 13.0, fastest_mps=_SLOW_MPS, first=True)
 
 
 ROUTES: Final[dict[str, Callable[[Streets, int], Route]]] = {
@@ -333,7 +342,7 @@ ROUTES: Final[dict[str, Callable[[Streets, int], Route]]] = {
 }
 
 
-def route_of(name: str, network: Network, radius_m: float, variant: int = 0) -> Route:
+def route_of(name: str, network: Network, radius_m: float, variant: int = 0, wheelbase_m: float = 2.8) -> Route:
     """A named route.
 
     Args:
@@ -341,18 +350,19 @@ def route_of(name: str, network: Network, radius_m: float, variant: int = 0) -> 
         network: of the scene.
         radius_m: of its ROI, which lies round the origin.
         variant: where there are several such (lanes beside each other, crossings to turn at): the one.
+        wheelbase_m: of the vehicle, whose rear axle it is that enters and leaves the ROI.
 
     Raises:
         UsageError: there is no such name, or the network has no such route.
     """
     if name not in ROUTES:
         raise UsageError(f"no route {name!r}", expected=f"one of {', '.join(ROUTES)}")
-    return ROUTES[name](Streets(network, radius_m), variant)
+    return ROUTES[name](Streets(network, radius_m, wheelbase_m), variant)
 
 
 def routes_in(network: Network, radius_m: float) -> tuple[str, ...]:
     """The names of the routes that a network has."""
-    streets = Streets(network, radius_m)
+    streets = Streets(network, radius_m, 2.8)
     found = []
     for name, make in ROUTES.items():
         try:

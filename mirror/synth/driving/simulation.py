@@ -69,7 +69,7 @@ class Meetings(NamedTuple):
     """Pairs of users with a zone in common, a row each (E, 2): see `mirror.synth.driving.zones.Zone`.
 
     ``hold_m`` is where each waits when the other goes first; ``table`` where its limits begin within ``limits``;
-    ``counts`` how many there are; ``major`` 0 or 1: that one of the two goes first, -1: whoever is there first.
+    ``counts`` how many; ``major`` 0 or 1: that one of the two goes first, -1: whoever is there first.
     """
 
     users: Int64
@@ -104,7 +104,7 @@ def simulate(
     cycle_s: float,
     clock_s: float,
     ticks: int,
-) -> tuple[Float64, Float64, int]:
+) -> tuple[Float64, Float64]:
     """Let all users move.
 
     Args:
@@ -117,7 +117,7 @@ def simulate(
         ticks: how many ticks of `TICK_S` at most; it ends earlier when the first user has left.
 
     Returns:
-        Lengths (T, N) and speeds (T, N), NaN while a user is not there, and the number of ticks done.
+        Lengths (T, N) and speeds (T, N), NaN while a user is not there.
     """
     count = len(users.way)
     lengths = np.full((ticks, count), np.nan)
@@ -168,7 +168,7 @@ def simulate(
         if state[0] == _GONE:
             done = tick + 1
             break
-    return lengths[:done], speeds[:done], done
+    return lengths[:done], speeds[:done]
 
 
 @njit(cache=True, nogil=True)

@@ -207,13 +207,13 @@ def trace_of(way: Way, chassis: Chassis, height_m: HeightField, aside: Aside | N
         aside: how it keeps its lane.
     """
     begin = -STEP_M * _PAD
-    along = begin + STEP_M * np.arange(len(way.points) + 2 * _PAD) - chassis.front_overhang_m
+    along = begin - chassis.front_overhang_m + np.arange(len(way.points) + 2 * _PAD, dtype=np.float64) * STEP_M
     guide = _on_line(way.points, along)
     if aside is not None:
         step = np.gradient(guide, axis=0)
         step /= np.linalg.norm(step, axis=1, keepdims=True)
         guide = guide + aside.at(along)[:, None] * np.column_stack([step[:, 1], -step[:, 0]])
-    rear = _trailing(np.ascontiguousarray(guide), chassis.wheelbase_m)
+    rear = trailing(np.ascontiguousarray(guide), chassis.wheelbase_m)
     step = np.gradient(rear, axis=0)
     yaw = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
@@ -248,7 +248,7 @@ def _on_line(points: Float64, along_m: Float64) -> Float64:
 
 
 @njit(cache=True, nogil=True)
-def _trailing(guide: Float64, base: float) -> Float64:
+def trailing(guide: Float64, base: float) -> Float64:
     """Points (N, 2) of the rear axle when the front axle follows (N, 2)."""
     rear = np.empty_like(guide)
     dx, dy = guide[1, 0] - guide[0, 0], guide[1, 1] - guide[0, 1]

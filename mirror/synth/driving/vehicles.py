@@ -19,7 +19,7 @@ from mirror.synth.street.network import Lane, Network
 _MIX: Final[dict[Kind, float]] = {"car": 0.78, "van": 0.10, "truck": 0.05, "bus": 0.03, "motorcycle": 0.04}
 _MOTORWAY_MIX: Final[dict[Kind, float]] = {"car": 0.62, "van": 0.11, "truck": 0.22, "bus": 0.03, "motorcycle": 0.02}
 _MOTORWAY_MPS: Final = 25.0
-_PER_HOUR: Final = ((9.0, 110.0), (15.0, 330.0), (_MOTORWAY_MPS, 260.0), (math.inf, 950.0))
+_PER_HOUR: Final = ((9.0, 110.0), (15.0, 330.0), (_MOTORWAY_MPS, 260.0), (math.inf, 800.0))
 """Vehicles an hour and lane, by the speed allowed."""
 _LEAST_HEADWAY_S: Final = 1.8
 _FASTEST: Final[dict[Kind, float]] = {"car": 60.0, "van": 38.0, "truck": 23.5, "bus": 27.0, "motorcycle": 60.0}

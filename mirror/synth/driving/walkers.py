@@ -20,15 +20,17 @@ from mirror.synth.users.body import Body, Placement, Still
 
 _EVERY_M: Final = 100.0
 """Pavement a person, on a busy day; a group counts as one."""
-_FILES_M: Final = (0.35, 0.95)
+_FILES_M: Final = (0.32, 0.88)
 """People keep to the right of a pavement's middle, in files."""
 _FILE_ALONE_M: Final = 0.62
 _FAR_M: Final = 330.0
 _CROSSES: Final = 0.35
 _MARGIN_M: Final = 45.0
-_GROUPS: Final = 6
-_RING_M: Final = 0.62
-_WALL_M: Final = 1.45
+_PAIRS: Final = 7
+_TALK_M: Final = 1.3
+_WALL_M: Final = 1.42
+_SHELTER_M: Final = 2.8
+_QUEUE_M: Final = 1.3
 _LEAST_WIDTH_M: Final = 1.7
 
 
@@ -82,32 +84,39 @@ def standing(site: Site, bustle: Bustle, rng: np.random.Generator) -> Iterator[t
     if not lanes or not roads:
         return
     road = np.vstack([lane.line[:, :2] for lane in roads.values()])
-    wanted = [(lanes[int(rng.integers(len(lanes)))], None) for _ in range(round(bustle.people * _GROUPS))]
-    wanted += [(_nearest(lanes, stop), stop) for stop in site.bus_stops]
-    for lane, stop in wanted:
-        at = rng.uniform(8.0, lane.length_m - 8.0)
-        if stop is not None:
-            at = float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - stop) ** 2, axis=1))])
-        place = np.array([np.interp(at, lane.along_m, lane.line[:, axis]) for axis in (0, 1)])
-        if np.hypot(*place) > site.radius_m + _MARGIN_M:
-            continue
+    for _ in range(round(bustle.people * _PAIRS)):
+        lane = lanes[int(rng.integers(len(lanes)))]
+        at, turn, two = rng.uniform(8.0, lane.length_m - 8.0), rng.uniform(-0.2, 0.2), rng.random() < 0.8
+        place, ahead = _place(lane, at)
         kerb = road[np.argmin(np.sum((road - place) ** 2, axis=1))] - place
-        away = -kerb / np.hypot(*kerb)
-        middle = place + _WALL_M * away
-        count = int(rng.integers(2, 5))
-        turn = rng.uniform(0.0, 2.0 * math.pi)
-        for member in range(count):
-            angle = turn + 2.0 * math.pi * member / count
-            ring = _RING_M * (1.6 if bustle.umbrellas else 1.0)
-            spot = middle + ring * np.array([math.cos(angle), math.sin(angle)])
-            yaw = angle + math.pi + rng.uniform(-0.3, 0.3)
-            if stop is not None:
-                along = np.array([-away[1], away[0]])
-                spot = middle + (member - 0.5 * count) * 0.95 * along
-                yaw = math.atan2(-away[1], -away[0]) + rng.uniform(-0.6, 0.6)
-            height = float(site.height_m(spot[:1], spot[1:])[0])
-            body = _somebody(int(rng.integers(POPULATION["pedestrian"])), bustle)
-            yield body, Still(Placement(float(spot[0]), float(spot[1]), height, yaw))
+        by_wall = place - _WALL_M * kerb / np.hypot(*kerb)
+        yaw = math.atan2(ahead[1], ahead[0])
+        for side in (-1.0, 1.0) if two else (1.0,):
+            spot = by_wall + 0.5 * side * _TALK_M * ahead
+            yield from _stood(site, bustle, spot, yaw + turn + (math.pi if side > 0.0 else 0.0), rng)
+    for stop in site.bus_stops:
+        lane = _nearest(lanes, stop)
+        _, ahead = _place(lane, float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - stop) ** 2, axis=1))]))
+        for member in range(int(rng.integers(1, 5))):
+            spot = stop + (_SHELTER_M + _QUEUE_M * member) * ahead
+            yield from _stood(site, bustle, spot, math.atan2(-ahead[1], -ahead[0]) + rng.normal(0.0, 0.12), rng)
+
+
+def _place(lane: Lane, at: float) -> tuple[Float64, Float64]:
+    """The point (2,) at a length of a lane, and the direction (2,) there."""
+    low, high = (
+        np.array([np.interp(at + step, lane.along_m, lane.line[:, axis]) for axis in (0, 1)]) for step in (-0.5, 0.5)
+    )
+    return 0.5 * (low + high), (high - low) / np.hypot(*(high - low))
+
+
+def _stood(
+    site: Site, bustle: Bustle, spot: Float64, yaw: float, rng: np.random.Generator
+) -> Iterator[tuple[Body, Still]]:
+    body = _somebody(int(rng.integers(POPULATION["pedestrian"])), bustle)
+    if np.hypot(*spot) < site.radius_m + _MARGIN_M:
+        height = float(site.height_m(spot[:1], spot[1:])[0])
+        yield body, Still(Placement(float(spot[0]), float(spot[1]), height, yaw))
 
 
 def _somebody(number: int, bustle: Bustle) -> Body:

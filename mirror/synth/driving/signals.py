@@ -1,0 +1,39 @@
+"""What traffic lights show."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Int64
+from mirror.synth.driving.simulation import signal
+from mirror.synth.street.network import Network
+
+
+class Signal(IntEnum):
+    """What a signal group shows."""
+
+    GREEN = 0
+    AMBER = 1
+    RED = 2
+    RED_AMBER = 3
+
+
+def signal_state(network: Network, clock_s: npt.ArrayLike) -> Int64:
+    """What the signals show.
+
+    Args:
+        network: of the scene.
+        clock_s: (...,) times of the signals' clock: a drive's ``clock_s`` plus the time since its start.
+
+    Returns:
+        (..., groups) of `Signal`; without groups where the scene has no signals.
+    """
+    clocks = np.asarray(clock_s, np.float64)
+    green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
+    shown = [
+        signal(green, network.cycle_s, group, float(clock)) for clock in clocks.flat for group in range(len(green))
+    ]
+    return np.array(shown, np.int64).reshape(*clocks.shape, len(green))

@@ -1,3 +1,1 @@
 """Who moves in the street, and how: lines along lanes, traffic that is simulated ahead of time, signals."""
-
-from __future__ import annotations

@@ -104,7 +104,7 @@ class _Rounds:
         )
 
 
-def cross(one: Float64, other: Float64) -> Float64:
+def _cross(one: Float64, other: Float64) -> Float64:
     """Cross products of (..., 3): numpy's own are much slower on a few."""
     return one[..., _NEXT] * other[..., _AFTER] - one[..., _AFTER] * other[..., _NEXT]
 
@@ -112,9 +112,9 @@ def cross(one: Float64, other: Float64) -> Float64:
 def _along(way: Float64) -> Float64:
     """Axes (N, 3, 3) as rows, the third along each direction (N, 3)."""
     other = np.where(np.abs(way[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 0.0, -1.0]])
-    side = cross(way, other)
+    side = _cross(way, other)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return np.stack([cross(side, way), side, way], axis=1)
+    return np.stack([_cross(side, way), side, way], axis=1)
 
 
 def dressed(person: Person, skeleton: Skeleton, label: Label) -> Model:
@@ -190,7 +190,7 @@ def _trunk(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
     way = chest - middle
     rounds.add(middle + 0.02 * way, (0.064 * wide, 0.094 * wide, 0.078 * size), axes, below)
     rounds.add(middle + 0.36 * way, (0.062 * wide * bulk, 0.090 * wide * bulk, 0.125 * size), axes, person.top)
-    turned = np.array([cross(shoulder_line, axes[2]), shoulder_line, axes[2]])
+    turned = np.array([_cross(shoulder_line, axes[2]), shoulder_line, axes[2]])
     rounds.add(middle + 0.70 * way, (0.068 * wide * bulk, 0.106 * wide * bulk, 0.130 * size), turned, person.top)
     rounds.add(chest - 0.02 * way, (0.046 * wide, 0.128 * wide, 0.040 * size), turned, person.top)
     if person.garment in ("jacket", "coat"):
@@ -217,7 +217,7 @@ def _limbs(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
     ahead = skeleton.soles / np.linalg.norm(skeleton.soles, axis=1, keepdims=True)
     aside = ahead[:, [1, 0, 2]] * (-1.0, 1.0, 0.0)
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
-    shoes = np.stack([ahead, aside, cross(ahead, aside)], axis=1)
+    shoes = np.stack([ahead, aside, _cross(ahead, aside)], axis=1)
     for side in (0, 1):
         knee, ankle = skeleton.knees[side], skeleton.ankles[side]
         elbow, wrist = skeleton.elbows[side], skeleton.wrists[side]

@@ -259,15 +259,15 @@ def shopfront(
     area = (right - left) * (top - low)
     glass, grip = glass / area, grip / area
     frame = 1.0 - glass
-    burn = setting.dark * (1.0 if chance(one.seed, 23, 0) < 0.8 else 0.12)
+    burn = setting.lit_windows * (1.9 if chance(one.seed, 23, 0) < 0.8 else 0.25)
     seen = glass - grip
     return (
         one.colour_0 * frame + 0.5 * red * seen + 0.5 * grip,
         one.colour_1 * frame + 0.5 * green * seen + 0.5 * grip,
         one.colour_2 * frame + 0.5 * blue * seen + 0.5 * grip,
-        1.5 * burn * red * seen,
-        1.4 * burn * green * seen,
-        1.2 * burn * blue * seen,
+        burn * red * seen,
+        0.94 * burn * green * seen,
+        0.80 * burn * blue * seen,
         0.12 * glass,
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from mirror.synth.model import Finish, Label, Material, Pieces
 from mirror.synth.street.houses.body import FOOT_M, STONE, Body
 from mirror.synth.street.houses.styles import Colour
-from mirror.synth.street.houses.windows import Windows
+from mirror.synth.street.houses.windows import PATTERNS, Windows
 from mirror.synth.textures.catalogue import DOORS, POSTERS, SHOP_SIGNS, SHOP_WINDOWS
 
 _RECESS_M: Final = 0.24
@@ -120,19 +120,19 @@ def add_door(pieces: Pieces, body: Body, x: float, rng: np.random.Generator) -> 
 
 
 def add_flats(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
-    """Windows on the ground floor over a plinth, and a door."""
+    """Windows on the ground floor over a plinth, and a door in a piece of wall of its own."""
     left, right, front = body.left, body.right, body.front
-    pieces.wall((left, front), (right, front), 0.0, body.ground_m, body.finish(body.front_windows, 4))
     plinth = Finish(STONE, Material.CONCRETE, Label.BUILDING, body.seed)
     columns, _ = body.columns()
-    door = columns[int(rng.integers(len(columns)))]
-    for start, end in ((left, door - 0.85), (door + 0.85, right)):
-        if end - start > 0.05:
-            pieces.block((start, front - 0.05, FOOT_M), (end, front, 0.55), plinth, without=("+y", "-z"))
-    pieces.wall((door - 0.85, front), (door + 0.85, front), FOOT_M, 0.0, plinth)
-    behind = body.plain()
-    pieces.wall((door - 0.85, front - 0.02), (door + 0.85, front - 0.02), 0.0, 2.9, behind)
-    add_door(pieces, body, door, rng)
+    door = min(max(columns[int(rng.integers(len(columns)))], left + 1.1), right - 1.1)
+    _entrance_bay(pieces, body, rng, door - 1.1, door + 1.1)
+    for number, (start, end) in enumerate(((left, door - 1.1), (door + 1.1, right))):
+        if end - start < 0.01:
+            continue
+        windowed = end - start > PATTERNS[body.front_windows].width_m + 0.5
+        wall = body.finish(body.front_windows, 4 + number) if windowed else body.plain()
+        pieces.wall((start, front), (end, front), 0.0, body.ground_m, wall)
+        pieces.block((start, front - 0.05, FOOT_M), (end, front, 0.55), plinth, without=("+y", "-z"))
 
 
 def add_lobby(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mirror.errors import UsageError
-from mirror.synth.model import FACE
+from mirror.synth.model import FACE, flat
 from mirror.synth.render.carriageway import carriageway, covered, share
-from mirror.synth.render.primitives import flat
 from mirror.synth.roads.markings import (
     MOST_MARKS,
     Mark,

@@ -13,8 +13,9 @@ from mirror.arrays import Float64, Records
 from mirror.synth.model import Material
 from mirror.synth.roads.crossing import Arm, Crossing, Street
 from mirror.synth.roads.ground import Stretch
-from mirror.synth.roads.markings import Mark, layout_table, stop_line, yield_line, zebra
+from mirror.synth.roads.markings import Mark, dashes, layout_table, stop_line, yield_line, zebra
 from mirror.synth.roads.relief import Dip
+from mirror.synth.roads.section import MOTORWAY_EDGE_M, SLIP_EDGE_M, SLIP_ROAD
 
 _ZEBRA_M: Final = (0.5, 3.5)
 _STOP_M: Final = (4.6, 5.05)
@@ -25,6 +26,7 @@ _PIECE_M: Final = 6.0
 _PIECE_RAD: Final = 0.07
 _LEAST_PIECE_M: Final = 1.5
 _SAME_M: Final = 0.3
+_SLIP_LINE: Final = dashes(-MOTORWAY_EDGE_M, 0.15, 12.0, 6.0)
 
 
 @dataclass(frozen=True)
@@ -81,15 +83,20 @@ def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts
     dips: list[Dip] = []
     stations = []
     for number, street in enumerate(streets):
-        section = street.section
-        rows += [(*section.marks, *section.middle), (*section.marks, *section.strict)]
-        free, strict = len(rows) - 2, len(rows) - 1
-        first, last = street.line.first_m, street.line.last_m
-        cuts = [first, last]
-        if section.material == Material.ASPHALT:
-            stretches.append(Stretch(number, first, last, free))
+        section, line = street.section, street.line
+        paved = section.material == Material.ASPHALT
+        cuts = [line.first_m, line.last_m]
+        if paved:
+            rows += [(*section.marks, *section.middle), (*section.marks, *section.strict)]
+            stretches.append(Stretch(number, line.first_m, line.last_m, len(rows) - 2))
+        strict = len(rows) - 1
         for crossing in crossings:
             if crossing.control == "joint":
+                beside = _beside_slip_road(street, crossing)
+                if beside is not None:
+                    rows.append((*section.marks, *section.middle[:1], _SLIP_LINE))
+                    stretches.append(_stretch(number, *beside, len(rows) - 1))
+                    cuts += beside
                 continue
             for approach in approaches(crossing):
                 arm = approach.arm
@@ -98,7 +105,7 @@ def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts
                 begin, end = arm.station(approach.begin_m), arm.station(approach.end_m)
                 far = arm.station(approach.end_m + _STRICT_M)
                 cuts += [arm.station_m, begin, end, far]
-                if section.material == Material.ASPHALT:
+                if paved:
                     stretches.append(_stretch(number, end, far, strict))
                     if end != begin:
                         rows.append(_before_crossing(approach, crossing.control == "signal"))
@@ -110,6 +117,19 @@ def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts
                     cuts += [low - _RAMP_M, low, high, high + _RAMP_M]
         stations.append(_pieces(street, np.array(cuts)))
     return Layouts(layout_table(rows), tuple(stretches), tuple(dips), tuple(stations))
+
+
+def _beside_slip_road(street: Street, crossing: Crossing) -> tuple[float, float] | None:
+    """Stations between which one may cross a motorway's right edge line to or from a slip road."""
+    slip = next((arm for arm in crossing.arms if arm.street.section is SLIP_ROAD), None)
+    main = next((arm for arm in crossing.arms if arm.street is street), None)
+    if slip is None or main is None or slip.street is street:
+        return None
+    # The roads part where the slip road's left edge leaves the motorway's edge line.
+    places = slip.street.line.at(slip.station_m + slip.way * np.arange(0.0, 250.0), SLIP_EDGE_M)
+    station, offset = street.line.locate(places)
+    parted = int(np.argmax(np.abs(offset) > MOTORWAY_EDGE_M))
+    return main.station_m, float(station[parted])
 
 
 def _stretch(street: int, one_m: float, other_m: float, layout: int) -> Stretch:

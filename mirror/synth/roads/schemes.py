@@ -60,6 +60,7 @@ class Scheme:
         forecourt_m: by how much it goes on behind pavements, up to the houses.
         covers: outlined parts of the land.
         parcels: what the rest of the land is parcelled into, as often as named.
+        bridge_m: station of the main street at which a bridge leads over it; None: none does.
     """
 
     streets: tuple[Street, ...]
@@ -71,6 +72,7 @@ class Scheme:
     forecourt_m: float
     covers: tuple[Cover, ...]
     parcels: tuple[Cover, ...]
+    bridge_m: float | None = None
 
 
 def _wound(length_m: float, least_radius_m: float, most_rad: float) -> float:
@@ -236,7 +238,7 @@ def _highway(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
         _land(Material.GRASS, Label.TERRAIN, _CROP),
     )
     streets, crossings = _slip_roads(main, radius, extent)
-    return Scheme((main, *streets), crossings, 0.0, 0.006, 0.014, verge, 0.0, (), parcels)
+    return Scheme((main, *streets), crossings, 0.0, 0.006, 0.014, verge, 0.0, (), parcels, -0.08 * radius)
 
 
 def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Street, ...], tuple[Crossing, ...]]:

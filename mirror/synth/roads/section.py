@@ -141,6 +141,10 @@ FARM_TRACK: Final = Section(
     material=Material.GRAVEL,
     colour=(0.30, 0.26, 0.20),
 )
+MOTORWAY_EDGE_M: Final = 13.95
+"""Offset of the line between a motorway's lanes and its hard shoulder."""
+SLIP_EDGE_M: Final = 2.6
+"""Offset of the edge lines of a slip road."""
 MOTORWAY: Final = Section(
     16.6,
     tuple(
@@ -152,8 +156,8 @@ MOTORWAY: Final = Section(
         *(dashes(side * offset, 0.075, 18.0, 6.0) for offset in (6.375, 10.125) for side in (1, -1)),
         *(solid(side * 2.55, 0.075) for side in (1, -1)),
     ),
-    middle=tuple(solid(side * 13.95, 0.15) for side in (1, -1)),
-    strict=tuple(solid(side * 13.95, 0.15) for side in (1, -1)),
+    middle=tuple(solid(side * MOTORWAY_EDGE_M, 0.15) for side in (1, -1)),
+    strict=tuple(solid(side * MOTORWAY_EDGE_M, 0.15) for side in (1, -1)),
     median_m=2.1,
     pavement_m=2.0,
     colour=(0.120, 0.120, 0.120),
@@ -161,8 +165,8 @@ MOTORWAY: Final = Section(
 SLIP_ROAD: Final = Section(
     3.6,
     (Track("drive1+", "drive", 0.0, 4.0, 1, 16.7),),
-    marks=(*tracks_of_wheels(0.0), *(solid(side * 2.6, 0.1) for side in (1, -1))),
-    crossfall=0.02,
+    marks=(*tracks_of_wheels(0.0), *(solid(side * SLIP_EDGE_M, 0.1) for side in (1, -1))),
+    crossfall=0.0,
     pavement_m=1.5,
     colour=(0.118, 0.118, 0.118),
 )

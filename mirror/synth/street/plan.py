@@ -13,11 +13,12 @@ import shapely
 from mirror.arrays import Bool, Float64, Records
 from mirror.errors import UsageError
 from mirror.schema.documents import Roi
-from mirror.synth.model import Model
+from mirror.synth.model import Model, merged
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.ground import build_ground, outlines
 from mirror.synth.roads.layouts import lay_out
 from mirror.synth.roads.networks import build_network
+from mirror.synth.roads.overbridge import overbridge
 from mirror.synth.roads.relief import Relief, land, level_stretches
 from mirror.synth.roads.schemes import BEYOND_M, SCHEMES
 from mirror.synth.roads.standing import Standing, standing_on
@@ -42,7 +43,7 @@ class Plan:
         yaw_rad: direction of the main street at the ROI's centre, counter-clockwise from east.
         streets: the main street first.
         crossings: where they meet.
-        ground: carriageways, kerbs, pavements and land.
+        ground: carriageways, kerbs, pavements and land; and a bridge, where there is one.
         layouts: (L, MOST_MARKS) MARK, by the ``layout`` of the carriageways' faces.
         network: the lanes.
         lots: for houses.
@@ -50,7 +51,7 @@ class Plan:
         rails: beside the streets.
         standing: heights of the ground.
         driven: the carriageways, on the ground plane.
-        roads: these with their pavements or shoulders, and squares.
+        roads: these with their pavements or shoulders, squares, and what a bridge takes.
         built: the lots.
     """
 
@@ -125,15 +126,20 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
         streets, layouts.stations, roads, relief, layouts.stretches, covers, scheme.parcels, yaw, extent, seed
     )
     standing = standing_on(ground.triangles)
-    squares = [cover.outline for cover in scheme.covers]
+    surfaces, squares = [ground.model], [cover.outline for cover in scheme.covers]
+    if scheme.bridge_m is not None:
+        under = streets[0].line.at(scheme.bridge_m)
+        bridge = overbridge(streets[0], scheme.bridge_m, float(standing.height_m(*under)))
+        surfaces.append(bridge.model)
+        squares.append(bridge.outline)
     taken = shapely.union_all([roads.roads, *squares])
     lots = lay_lots(streets, taken, kind, standing.height_m, lot_rng)
     built = shapely.union_all([lot.outline() for lot in lots])
     for geometry in (taken, built):
         shapely.prepare(geometry)
     return Plan(
-        roi, kind, yaw, streets, crossings, ground.model, layouts.table,
+        roi, kind, yaw, streets, crossings, merged(surfaces), layouts.table,
         build_network(streets, crossings, feet, standing.height_m), lots,
-        lay_spots(streets, crossings, kind, roads.carriageway, standing, spot_rng),
+        lay_spots(streets, crossings, kind, shapely.union_all([roads.carriageway, *squares]), standing, spot_rng),
         lay_rails(streets, layouts.stations, kind, standing), standing, roads.carriageway, taken, built,
     )  # fmt: skip

@@ -86,7 +86,7 @@ def lay_spots(
     streets: Sequence[Street],
     crossings: Sequence[Crossing],
     kind: str,
-    driven: shapely.Geometry,
+    taken: shapely.Geometry,
     standing: Standing,
     rng: np.random.Generator,
 ) -> tuple[Spot, ...]:
@@ -96,7 +96,7 @@ def lay_spots(
         streets: the main street first.
         crossings: where they meet.
         kind: of scene.
-        driven: the carriageways.
+        taken: the carriageways, and what else is to be kept free.
         standing: the ground.
         rng: of what is left to chance.
     """
@@ -111,7 +111,7 @@ def lay_spots(
         others = [other for other in streets if other is not street]
         places += _off_streets(found, street, level_stretches(street, crossings), others)
     points = np.array([place.street.line.at(place.station_m, place.offset_m) for place in places])
-    free = shapely.distance(driven, shapely.points(points)) > _LEAST_M
+    free = shapely.distance(taken, shapely.points(points)) > _LEAST_M
     heights = standing.height_m(points[:, 0], points[:, 1])
     return tuple(place.spot(float(height)) for place, height, kept in zip(places, heights, free) if kept)
 

@@ -1,8 +1,8 @@
-"""Means of grains and pictures over a pixel: taps along its longer side, each as wide as the shorter one.
+"""Means of grains and pictures over a pixel: taps spread over its parallelogram, each on a level that fits its share.
 
-A tap reads a level of detail bilinearly; that is a bell about 1.7 texels wide. One or two taps mix two levels so that
-the bell has the width of the pixel; from three on, the nearest level does, and closer taps are the better use of time.
-Means over boxes are met to about a tenth of the pattern's contrast; ``python -m benchmarks synth`` has the figures.
+A tap reads the nearest level of detail bilinearly; that is a bell about 1.7 texels wide. Pixels up to about twice as
+long as wide get two rows of taps, longer ones a single row. Means over boxes are met to about a tenth of the contrast
+that is left in them, white noise to a fourth. ``python -m benchmarks textures`` has times and errors.
 """
 
 from __future__ import annotations
@@ -15,18 +15,17 @@ from numba import njit
 from mirror.arrays import Float32, Float64, Int64, UInt8
 
 _CLOSE: Final = 1.25
-"""Taps for as much length as the pixel is wide."""
+"""Taps in a single row for as much length as the pixel is wide."""
 _MOST_TAPS: Final = 10
 _STEEPEST: Final = 64.0
 """Square of the greatest ratio of sides; beyond it pixels are taken as wider than they are."""
-_GRAIN_BELL: Final = 0.45
-_PICTURE_BELL: Final = 1.0 / 3.0
-"""Square of a tap's texel by that of the pixel's width. A third gives the bell the variance of the box; noise, which
-has more power in fine waves than pictures of shapes, is met better by a wider one."""
-_SINGLE: Final = 3
-"""From as many taps on, one level is read."""
+_BELL: Final = 0.45
+"""Square of a tap's texel by that of the width that it stands for. A third gives the bell the variance of the box; a
+wider one leaves less of the fine waves that a bell lets through."""
 _NEAREST: Final = 2.5
 """The square of a tap's texel, in texels, from which the next level is the nearer one."""
+_SMALL: Final = 1.0
+"""Square of the width, in texels, below which a row is enough."""
 _SHARE: Final = np.array([0.0, *(1.0 / n for n in range(1, _MOST_TAPS + 1))])
 _WHOLE: Final = 65536
 _HALF: Final = 32768
@@ -56,11 +55,10 @@ def grain_at(
         A factor of the reflectance, 1 in the mean.
     """
     scale = index[grain, 2]
-    x1, y1, short, taps = _sides(u1 * scale, v1 * scale, u2 * scale, v2 * scale)
+    x1, y1, x2, y2, texel, taps, rows = _spread(u1 * scale, v1 * scale, u2 * scale, v2 * scale)
     first, log, flat = int(index[grain, 0]), int(index[grain, 1]), int(index[grain, 3])
-    texel, level, shrink = 1.0 + _GRAIN_BELL * short, 0, float(_WHOLE)
-    largest = 4.0 if taps < _SINGLE else _NEAREST
-    while texel >= largest and level < flat:
+    level, shrink = 0, float(_WHOLE)
+    while texel >= _NEAREST and level < flat:
         texel *= 0.25
         first += 1 << (2 * log)
         log -= 1
@@ -68,39 +66,40 @@ def grain_at(
         shrink *= 0.5
     if level >= flat:
         return 1.0
-    # In 65536ths of a texel: what is left of a period after a wrap is what the lower bits say.
-    dx, dy = int(x1 * shrink * _SHARE[taps]), int(y1 * shrink * _SHARE[taps])
-    x = int(u * scale * shrink) - _HALF - (((taps - 1) * dx) >> 1)
-    y = int(v * scale * shrink) - _HALF - (((taps - 1) * dy) >> 1)
-    total, coarse = np.float32(0.0), np.float32((texel - 1.0) * (1.0 / 3.0))
-    if taps >= _SINGLE or texel <= 1.01:
+    # In 65536ths of a texel, as integers: the lower bits are what is left of a period.
+    x1, y1, x2, y2 = int(x1 * shrink), int(y1 * shrink), int(x2 * shrink), int(y2 * shrink)
+    left = int(u * scale * shrink) - _HALF - (((taps - 1) * x1 + (rows - 1) * x2) >> 1)
+    top = int(v * scale * shrink) - _HALF - (((taps - 1) * y1 + (rows - 1) * y2) >> 1)
+    total = np.float32(0.0)
+    for row in range(rows):
+        x, y = left + row * x2, top + row * y2
         for _ in range(taps):
             total += _grain_tap(grains, first, log, x, y)
-            x, y = x + dx, y + dy
-    else:
-        above = first + (1 << (2 * log))
-        for _ in range(taps):
-            fine = _grain_tap(grains, first, log, x, y)
-            total += fine + (_grain_tap(grains, above, log - 1, (x - _HALF) >> 1, (y - _HALF) >> 1) - fine) * coarse
-            x, y = x + dx, y + dy
-    return total * _SHARE[taps]
+            x, y = x + x1, y + y1
+    return total * (_SHARE[taps] * _SHARE[rows])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sides(x1: float, y1: float, x2: float, y2: float) -> tuple[float, float, float, int]:
-    """The longer side of a parallelogram, the square of the width across it, and the taps along it."""
+def _spread(x1: float, y1: float, x2: float, y2: float) -> tuple[float, float, float, float, float, int, int]:
+    """Where the taps of a parallelogram lie.
+
+    Returns:
+        The step from tap to tap, the step from row to row, the square of the texel that a tap wants, taps in a row,
+        and rows.
+    """
     long, short = x1 * x1 + y1 * y1, x2 * x2 + y2 * y2
     area = x1 * y2 - x2 * y1
     if short > long:
-        x1, y1, long, short = x2, y2, short, long
+        x1, y1, x2, y2, long = x2, y2, x1, y1, short
     short = max(area * area / max(long, 1e-12), long * (1.0 / _STEEPEST))
     # A bilinear tap is never narrower than the square root of 3 texels.
-    wide, reach, taps = max(short, 3.0), long * (_CLOSE * _CLOSE), 1
+    wide, reach, taps, rows = max(short, 3.0), long * (_CLOSE * _CLOSE), 1, 1
     while (taps + 0.5) * (taps + 0.5) * wide < reach and taps < _MOST_TAPS:
         taps += 1
-    if taps == 1:
-        short = 0.5 * (short + long)
-    return x1, y1, short, taps
+    if taps <= 2 and short > _SMALL:
+        taps, rows, short = taps + 1, 2, 0.25 * short
+    along, across = _SHARE[taps], _SHARE[rows]
+    return along * x1, along * y1, across * x2, across * y2, 1.0 + _BELL * short, taps, rows
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, inline="always")
@@ -135,34 +134,25 @@ def image_at(
         Linear reflectance of red, green and blue, 0 to 1.
     """
     wide, high, levels = index[image, 0], index[image, 1], index[image, 2]
-    x1, y1, short, taps = _sides(s1 * wide, -t1 * high, s2 * wide, -t2 * high)
-    texel, level, shrink = 1.0 + _PICTURE_BELL * short, 0, float(_WHOLE)
-    largest = 4.0 if taps < _SINGLE else _NEAREST
-    while texel >= largest and level < levels - 1:
+    x1, y1, x2, y2, texel, taps, rows = _spread(s1 * wide, -t1 * high, s2 * wide, -t2 * high)
+    level, shrink = 0, float(_WHOLE)
+    while texel >= _NEAREST and level < levels - 1:
         texel *= 0.25
         level += 1
         shrink *= 0.5
-    dx, dy = int(x1 * shrink * _SHARE[taps]), int(y1 * shrink * _SHARE[taps])
-    x = int(s * wide * shrink) - _HALF - (((taps - 1) * dx) >> 1)
-    y = int((1.0 - t) * high * shrink) - _HALF - (((taps - 1) * dy) >> 1)
+    x1, y1, x2, y2 = int(x1 * shrink), int(y1 * shrink), int(x2 * shrink), int(y2 * shrink)
+    left = int(s * wide * shrink) - _HALF - (((taps - 1) * x1 + (rows - 1) * x2) >> 1)
+    top = int((1.0 - t) * high * shrink) - _HALF - (((taps - 1) * y1 + (rows - 1) * y2) >> 1)
     first, width, height = index[image, 3 + level], wide >> level, high >> level
     red, green, blue = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    scale = np.float32(_SHARE[taps] / 65025.0)
-    if taps >= _SINGLE or texel <= 1.01 or level == levels - 1:
+    for row in range(rows):
+        x, y = left + row * x2, top + row * y2
         for _ in range(taps):
             r, g, b = _image_tap(images, first, width, height, x, y)
             red, green, blue = red + r, green + g, blue + b
-            x, y = x + dx, y + dy
-        return float(red * scale), float(green * scale), float(blue * scale)
-    above, coarse = index[image, 4 + level], np.float32((texel - 1.0) * (1.0 / 3.0))
-    for _ in range(taps):
-        r, g, b = _image_tap(images, first, width, height, x, y)
-        far_r, far_g, far_b = _image_tap(images, above, width >> 1, height >> 1, (x - _HALF) >> 1, (y - _HALF) >> 1)
-        red += r + (far_r - r) * coarse
-        green += g + (far_g - g) * coarse
-        blue += b + (far_b - b) * coarse
-        x, y = x + dx, y + dy
-    return float(red * scale), float(green * scale), float(blue * scale)
+            x, y = x + x1, y + y1
+    scale = _SHARE[taps] * _SHARE[rows] / 65025.0
+    return red * scale, green * scale, blue * scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, inline="always")

@@ -30,8 +30,8 @@ def plain(wide: int, high: int, colour: Colour) -> UInt8:
 
 def part(image: UInt8, box: Box) -> UInt8:
     """A part of a picture as a picture of its own: what is drawn on it does not leave it."""
-    left, top, right, bottom = (round(edge) for edge in box)
-    return image[max(top, 0) : bottom, max(left, 0) : right]
+    left, top, right, bottom = (max(round(edge), 0) for edge in box)
+    return image[top:bottom, left:right]
 
 
 def fixed(points: npt.ArrayLike) -> npt.NDArray[np.int32]:
@@ -97,6 +97,8 @@ def glow(image: UInt8, x: float, y: float, radius: float, strength: float, colou
     """Light that falls off round a point."""
     near = part(image, (x - 1.7 * radius, y - 1.7 * radius, x + 1.7 * radius, y + 1.7 * radius))
     high, wide = near.shape[:2]
+    if high == 0 or wide == 0:
+        return
     left, top = max(round(x - 1.7 * radius), 0), max(round(y - 1.7 * radius), 0)
     across = np.exp(-2.0 * np.square((np.arange(wide) + left - x) / radius))
     down = np.exp(-2.0 * np.square((np.arange(high) + top - y) / radius))

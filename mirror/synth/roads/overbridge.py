@@ -25,6 +25,7 @@ _FRONT: Final = 1.5
 _SIDE: Final = 1.8
 _GREY: Final = (0.33, 0.33, 0.32)
 _PALE: Final = (0.40, 0.40, 0.39)
+_STEEL: Final = (0.20, 0.23, 0.23)
 _GRASS: Final = (0.090, 0.130, 0.042)
 
 
@@ -51,12 +52,17 @@ def overbridge(street: Street, station_m: float, height_m: float) -> Overbridge:
     """
     span = street.section.half_m + _CLEAR_M + _BACK_M
     parts = [
-        block((0.0, 0.0, _RISE_M - 0.5 * _DECK_M), (2.0 * span, 2.0 * _HALF_M, _DECK_M), _GREY, Material.CONCRETE,
+        block((0.0, 0.0, _RISE_M - 0.5 * _DECK_M), (2.0 * span, 2.0 * _HALF_M - 0.8, _DECK_M), _GREY, Material.CONCRETE,
               Label.WALL, without=()),
         *(
-            block((0.0, side * (_HALF_M - 0.15), _RISE_M + 0.5), (2.0 * span, 0.3, 1.0), _PALE, Material.CONCRETE,
-                  Label.WALL)
+            block((0.0, side * (_HALF_M - 0.2), _RISE_M), (2.0 * span, 0.5, 0.55), _PALE, Material.CONCRETE, Label.WALL,
+                  without=())
             for side in (1, -1)
+        ),
+        *(
+            block((0.0, side * (_HALF_M - 0.2), _RISE_M + 0.27 + up), (2.0 * span, 0.08, 0.10), _STEEL, Material.METAL,
+                  Label.FURNITURE, without=())
+            for side in (1, -1) for up in (0.3, 0.6, 0.9)
         ),
         *(
             block((x, 0.0, 0.5 * (_RISE_M - _DECK_M) - 0.5), (0.9, 5.4, _RISE_M - _DECK_M + 1.0), _PALE,

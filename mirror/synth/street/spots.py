@@ -36,6 +36,7 @@ class Furnishing:
         trees_m: between trees; 0: there are none.
         tree_aside_m: of trees from the edge of the carriageway.
         things_m: between signs and small things.
+        aside_m: of lamps, signs and small things from the edge of the carriageway.
         poles_m: between poles with wires, on one side of the main street; 0: there are none.
         rails: kinds and offsets from the carriageway's outer edge, negative ones from its inner edge.
     """
@@ -44,6 +45,7 @@ class Furnishing:
     trees_m: float
     tree_aside_m: float
     things_m: float
+    aside_m: float = 0.65
     poles_m: float = 0.0
     rails: tuple[tuple[RailKind, float], ...] = ()
 
@@ -52,7 +54,7 @@ FURNISHINGS: Final = {
     "urban": Furnishing(26.0, 12.0, 0.9, 9.0),
     "campus": Furnishing(24.0, 10.0, 0.9, 16.0),
     "rural": Furnishing(0.0, 19.0, 3.2, 120.0, poles_m=42.0),
-    "highway": Furnishing(0.0, 30.0, 9.0, 140.0, rails=(("guard", 0.8), ("guard", -0.7))),
+    "highway": Furnishing(0.0, 30.0, 9.0, 140.0, aside_m=2.6, rails=(("guard", 0.8), ("guard", -0.7))),
 }
 """By kind of scene."""
 
@@ -162,13 +164,13 @@ def _lined(street: Street, furnishing: Furnishing, rng: np.random.Generator) -> 
     for side in (1, -1):
         lamps = []
         if furnishing.lamps_m:
-            lamps = _regular(street, "lamp", furnishing.lamps_m, side, _KERB_SIDE_M)
+            lamps = _regular(street, "lamp", furnishing.lamps_m, side, furnishing.aside_m)
         if furnishing.trees_m:
             trees = _regular(street, "tree", furnishing.trees_m, side, furnishing.tree_aside_m, rng, 0.22)
             trees = [tree for tree in trees if _apart(tree, lamps, _TREE_APART_M) and rng.random() < _TREE_SHARE]
         else:
             trees = []
-        things = _regular(street, "furniture", furnishing.things_m, side, _KERB_SIDE_M, rng, 0.4)
+        things = _regular(street, "furniture", furnishing.things_m, side, furnishing.aside_m, rng, 0.4)
         things = [thing for thing in things if _apart(thing, [*lamps, *trees], _THING_APART_M)]
         kinds = rng.choice(["furniture", "sign"], len(things), p=[0.7, 0.3])
         found += [*lamps, *trees, *(replace(thing, kind=kind) for thing, kind in zip(things, kinds.tolist()))]

@@ -24,8 +24,6 @@ class Grain(IntEnum):
     METAL = 12
     STAINS = 13
     """Large, soft: dirt and weather, on top of all the others."""
-    ROAD = 14
-    """Cracks, mended trenches, oil and worn wheel tracks of a carriageway, u along it; on top of ASPHALT."""
 
 
 PERIOD_M: Final[dict[Grain, float]] = {
@@ -43,7 +41,6 @@ PERIOD_M: Final[dict[Grain, float]] = {
     Grain.CLOTH: 0.5,
     Grain.METAL: 2.0,
     Grain.STAINS: 23.0,
-    Grain.ROAD: 26.0,
 }
 """Metres after which each repeats."""
 

@@ -27,7 +27,6 @@ _DRAWN: Final[dict[Grain, tuple[_Drawn, int]]] = {
     Grain.CLOTH: (growth.cloth, 256),
     Grain.METAL: (growth.metal, 512),
     Grain.STAINS: (mineral.stains, 512),
-    Grain.ROAD: (mineral.road, 1024),
 }
 """How each is drawn, and its texels along either side: a power of two."""
 _DARKEST: Final = 0.08

@@ -9,7 +9,7 @@ a kerb stands.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -171,6 +171,38 @@ def build_ground(
     lines += _cross_lines(streets, stations, relief)
     grid = shapely.multilinestrings(shapely.linestrings(_grid_lines(yaw_rad, *extent_m)))
     lines.append(shapely.difference(grid, roads.roads, grid_size=_GRID_M))
+    plane, number = _triangulated(lines)
+    places = [street.line.locate(plane) for street in streets]
+    low, high = relief.heights_m(plane, places)
+    owner, along = _owned(streets, places, number)
+    middle = plane[number].mean(axis=1)
+    driven = _inside(roads.carriageway, middle)
+    height = np.where(driven[:, None], low[number], high[number])
+    triangles = np.concatenate([plane[number], height[:, :, None]], axis=2)
+    parts = [
+        *_carriageways(triangles[driven], along[driven], owner[driven], streets, stretches),
+        _kerb_faces(number, driven, plane, low, high),
+    ]
+    free = ~driven
+    kerb_top = free & _inside(roads.kerbs, middle)
+    if relief.kerb_m > 0.0:
+        parts.append(polygons(triangles[kerb_top], _KERB_GREY, Material.KERB, Label.PAVEMENT, texture=along[kerb_top]))
+        free &= ~kerb_top
+    for cover in covers:
+        here = free & _inside(cover.outline, middle)
+        free &= ~here
+        texture = along[here] if cover.label == Label.PAVEMENT else _turned(triangles[here], yaw_rad)
+        parts.append(_covered(cover, triangles[here], texture, 1.0, seed))
+    texture = _turned(triangles[free], yaw_rad)
+    dealt, shade = _dealt(texture.mean(axis=1), len(parcels), seed)
+    for which, cover in enumerate(parcels):
+        mine = dealt == which
+        parts.append(_covered(cover, triangles[free][mine], texture[mine], shade[mine, None], seed + which))
+    return Ground(merged(parts), triangles, roads)
+
+
+def _triangulated(lines: Sequence[shapely.Geometry]) -> tuple[Float64, Int64]:
+    """Corners (P, 2) and triangles (T, 3), counter-clockwise, of the arrangement of lines."""
     mesh = shapely.unary_union(np.array(lines), grid_size=_GRID_M)
     cells = shapely.get_parts(shapely.polygonize([mesh]))
     pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(cells))
@@ -179,37 +211,7 @@ def build_ground(
     clockwise = edge[:, 0] * other[:, 1] < edge[:, 1] * other[:, 0]
     corners[clockwise] = corners[clockwise][:, ::-1]
     points, number = np.unique(np.round(corners.reshape(-1, 2) / _GRID_M).astype(np.int64), axis=0, return_inverse=True)
-    number = number.reshape(-1, 3)
-    plane = points * _GRID_M
-    low, high = relief.heights_m(plane)
-    middle = plane[number].mean(axis=1)
-    driven = _inside(roads.carriageway, middle)
-    height = np.where(driven[:, None], low[number], high[number])
-    triangles = np.concatenate([plane[number], height[:, :, None]], axis=2)
-    place = [street.line.locate(plane) for street in streets]
-    parts = [
-        _carriageways(triangles[driven], number[driven], middle[driven], streets, place, stretches),
-        _kerb_faces(number, driven, plane, low, high),
-    ]
-    free = ~driven
-    kerb_top = free & _inside(roads.kerbs, middle)
-    if relief.kerb_m > 0.0:
-        parts.append(_kerb_tops(triangles[kerb_top], number[kerb_top], middle[kerb_top], streets, place))
-        free &= ~kerb_top
-    for cover in covers:
-        here = free & _inside(cover.outline, middle)
-        free &= ~here
-        if cover.label == Label.PAVEMENT:
-            texture = _street_texture(_owners(streets, middle[here]), number[here], place)
-        else:
-            texture = _turned(triangles[here], yaw_rad)
-        parts.append(_covered(cover, triangles[here], texture, 1.0, seed))
-    texture = _turned(triangles[free], yaw_rad)
-    dealt, shade = _dealt(texture.mean(axis=1), len(parcels), seed)
-    for which, cover in enumerate(parcels):
-        mine = dealt == which
-        parts.append(_covered(cover, triangles[free][mine], texture[mine], shade[mine, None], seed + which))
-    return Ground(merged(parts), triangles, roads)
+    return points * _GRID_M, number.reshape(-1, 3)
 
 
 def _inside(region: shapely.Geometry, points: Float64) -> Bool:
@@ -252,54 +254,46 @@ def _grid_lines(yaw_rad: float, fine_m: float, extent_m: float) -> AnyArray:
     return lines @ np.array([[cos, sin], [-sin, cos]])
 
 
-def _owners(streets: Sequence[Street], middle: Float64) -> Int64:
-    """Which street (N,) each place belongs to: the first that it lies within, else the nearest."""
-    beyond = np.empty((len(streets), len(middle)))
-    for number, street in enumerate(streets):
-        station, offset = street.line.locate(middle)
+def _owned(
+    streets: Sequence[Street], places: Sequence[tuple[Float64, Float64]], number: Int64
+) -> tuple[Int64, Float64]:
+    """Which street each triangle belongs to, and its corners' stations and offsets there.
+
+    It is the first street that the triangle's middle lies within, else the nearest.
+
+    Args:
+        streets: all of them.
+        places: by street, stations and offsets of all corners.
+        number: (T, 3) of the triangles' corners.
+
+    Returns:
+        (T,) streets; (T, 3, 2) stations and offsets.
+    """
+    table = np.stack([np.stack(place, axis=1) for place in places])
+    beyond = np.empty((len(streets), len(number)))
+    for which, street in enumerate(streets):
+        station, offset = table[which][number].mean(axis=1).T
         ends = np.maximum(street.line.first_m - station, station - street.line.last_m)
-        beyond[number] = np.maximum(np.maximum(np.abs(offset) - street.section.half_m, ends), 0.0)
-    return np.argmin(beyond, axis=0)
-
-
-def _street_texture(owner: Int64, number: Int64, place: Sequence[tuple[Float64, Float64]]) -> Float64:
-    """Stations and offsets (T, 3, 2) of triangles' corners along the streets that they belong to."""
-    table = np.stack([np.stack(pair, axis=1) for pair in place])
-    return table[owner[:, None], number]
+        beyond[which] = np.maximum(np.maximum(np.abs(offset) - street.section.half_m, ends), 0.0)
+    owner = np.argmin(beyond, axis=0)
+    return owner, table[owner[:, None], number]
 
 
 def _carriageways(
-    triangles: Float64,
-    number: Int64,
-    middle: Float64,
-    streets: Sequence[Street],
-    place: Sequence[tuple[Float64, Float64]],
-    stretches: Sequence[Stretch],
-) -> Model:
-    owner = _owners(streets, middle)
-    texture = _street_texture(owner, number, place)
+    triangles: Float64, texture: Float64, owner: Int64, streets: Sequence[Street], stretches: Sequence[Stretch]
+) -> Iterator[Model]:
     station = texture[:, :, 0].mean(axis=1)
     layout = np.zeros(len(triangles), np.int64)
     for stretch in stretches:
         on = (owner == stretch.street) & (station > stretch.low_m) & (station < stretch.high_m)
         layout[on] = stretch.layout
-    parts = []
     for which, street in enumerate(streets):
-        mine = owner == which
-        if mine.any():
-            section = street.section
-            parts.append(
-                polygons(
-                    triangles[mine],
-                    section.colour,
-                    section.material,
-                    Label.ROAD if section.material == Material.ASPHALT else Label.TERRAIN,
-                    texture=texture[mine],
-                    layouts=layout[mine],
-                    seeds=which,
-                )
-            )
-    return merged(parts)
+        mine, section = owner == which, street.section
+        label = Label.ROAD if section.material == Material.ASPHALT else Label.TERRAIN
+        yield polygons(
+            triangles[mine], section.colour, section.material, label,
+            texture=texture[mine], layouts=layout[mine], seeds=which,
+        )  # fmt: skip
 
 
 def _kerb_faces(number: Int64, driven: Bool, plane: Float64, low: Float64, high: Float64) -> Model:
@@ -327,17 +321,6 @@ def _kerb_faces(number: Int64, driven: Bool, plane: Float64, low: Float64, high:
         axis=1,
     )
     return polygons(corners, _KERB_GREY, Material.KERB, Label.PAVEMENT)
-
-
-def _kerb_tops(
-    triangles: Float64,
-    number: Int64,
-    middle: Float64,
-    streets: Sequence[Street],
-    place: Sequence[tuple[Float64, Float64]],
-) -> Model:
-    texture = _street_texture(_owners(streets, middle), number, place)
-    return polygons(triangles, _KERB_GREY, Material.KERB, Label.PAVEMENT, texture=texture)
 
 
 def _turned(triangles: Float64, yaw_rad: float) -> Float64:

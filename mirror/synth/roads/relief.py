@@ -85,12 +85,17 @@ class Relief:
     kerb_m: float
     dips: tuple[Dip, ...]
 
-    def heights_m(self, points: Float64) -> tuple[Float64, Float64]:
-        """Heights (N,) of the carriageway and of what stands a kerb above it, at (N, 2)."""
+    def heights_m(self, points: Float64, places: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:
+        """Heights (N,) of the carriageway and of what stands a kerb above it.
+
+        Args:
+            points: (N, 2) metres.
+            places: by street, their stations and offsets (N,).
+        """
         low = self.land.height_m(points)
         raised = np.ones(len(points))
         for number, street in enumerate(self.streets):
-            station, offset = street.line.locate(points)
+            station, offset = places[number]
             station = np.clip(station, street.line.first_m, street.line.last_m)
             low = low - self._drop(number, station, np.abs(offset))
             for dip in self.dips:

@@ -50,6 +50,7 @@ class Row:
         peers: other ways to the same.
         unit: of the error.
         bar: what ``ms`` must stay below; None: nothing is asked.
+        error_bar: what ``error`` must stay below; None: nothing is asked.
     """
 
     name: str
@@ -59,16 +60,19 @@ class Row:
     peers: tuple[Peer, ...] = ()
     unit: str = ""
     bar: float | None = None
+    error_bar: float | None = None
 
     @property
     def missed(self) -> bool:
-        """Whether the row is not below its bar."""
-        return self.bar is not None and not self.ms < self.bar
+        """Whether the row is not below its bars."""
+        slow = self.bar is not None and not self.ms < self.bar
+        return slow or (self.error_bar is not None and not (self.error is not None and self.error < self.error_bar))
 
     def cells(self) -> tuple[str, ...]:
         """The line's cells as text."""
         error = "-" if self.error is None else f"{_number(self.error)} {self.unit}".rstrip()
-        bar = "-" if self.bar is None else f"< {_number(self.bar)}{' MISSED' if self.missed else ''}"
+        bars = [_number(bar) for bar in (self.bar, self.error_bar) if bar is not None]
+        bar = f"< {', '.join(bars)}{' MISSED' if self.missed else ''}" if bars else "-"
         return self.name, self.size, _number(self.ms), error, bar, "; ".join(map(str, self.peers)) or "-"
 
 

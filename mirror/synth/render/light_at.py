@@ -123,17 +123,20 @@ def lit(
             share = gloss + (1.0 - gloss) * (1.0 - max(facing, 0.0)) ** 5 * polish
             rz = dz + 2.0 * facing * nz
             sr, sg, sb = sky(dome, clouds, setting, dx + 2.0 * facing * nx, dy + 2.0 * facing * ny, abs(rz), _ROUGH_RAD)
-            share *= 0.85 if rz > 0.0 else 0.25
+            # Below the horizon the dark street is mirrored; curved sheets blur where it begins.
+            share *= 0.25 + 0.60 * min(max(0.5 + 4.0 * rz, 0.0), 1.0)
             er, eg, eb = er + share * sr, eg + share * sg, eb + share * sb
     sun, lamplight, beam = 0.0, 0.0, 0.0
     if setting.sunlight_0 > 0.0:
-        sun = max(nx * setting.sun_0 + ny * setting.sun_1 + nz * setting.sun_2, 0.0)
+        facing_sun = max(nx * setting.sun_0 + ny * setting.sun_1 + nz * setting.sun_2, 0.0)
+        sun = facing_sun
         if material == Material.LEAVES:
             # Leaves let light through.
             sun = 0.35 + 0.5 * sun
         if sun > 0.0:
-            # A step off the surface keeps it out of its own shadow at the map's resolution.
-            sx, sy, sz = x + 0.07 * nx, y + 0.07 * ny, z + 0.07 * nz
+            # A step off the surface keeps it out of its own shadow at the map's resolution: more where the sun grazes.
+            step = 0.06 + 0.14 * (1.0 - min(facing_sun, 1.0))
+            sx, sy, sz = x + step * nx, y + step * ny, z + step * nz
             a = maps.sun_axes_00 * sx + maps.sun_axes_01 * sy + maps.sun_axes_02 * sz
             c = maps.sun_axes_10 * sx + maps.sun_axes_11 * sy + maps.sun_axes_12 * sz
             # The slant of a surface within a cell.

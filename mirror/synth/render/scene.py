@@ -138,6 +138,10 @@ class Scene:
             world.model, float(self.light.record["season"]), condition.visit if condition.effects.foliage else 0
         )
         _turn_pictures(model, condition.visit if condition.effects.billboards else 0)
+        # What stands as long as the drive lasts is placed once.
+        model = merged(
+            [model, *(self._standing(number, user) for number, user in enumerate(self.users) if _stands(user))]
+        )
         maps = np.zeros(1, MAPS)
         sun = np.array(self.light.record["sun"])
         maps["sun_axes"] = sun_axes(sun)
@@ -181,11 +185,16 @@ class Scene:
                 placements[number] = place
         drawn = []
         for number, place in placements.items():
-            user = self.users[number]
-            model = user.body.posed(place).placed(place.rotation, place.translation, number)
-            model.faces["lights"] = not isinstance(user.motion, Still)
-            drawn.append(model)
+            if not _stands(self.users[number]):
+                model = self.users[number].body.posed(place).placed(place.rotation, place.translation, number)
+                model.faces["lights"] = 1
+                drawn.append(model)
         return merged(drawn), placements
+
+    @staticmethod
+    def _standing(number: int, user: RoadUser) -> Model:
+        place = user.motion.at(0.0)
+        return user.body.posed(place).placed(place.rotation, place.translation, number)
 
     def picture(
         self,
@@ -247,7 +256,7 @@ class Scene:
         maps["beam"] = beam
         glow, maps["glow_origin"] = _glow(
             [(self.users[number].body, place) for number, place in placements.items()
-             if record["headlight"] > 0.0 and not isinstance(self.users[number].motion, Still)],
+             if record["headlight"] > 0.0 and not _stands(self.users[number])],
             ego,
         )  # fmt: skip
         surroundings = Surroundings(
@@ -267,6 +276,10 @@ class _Still:
     lamps: Float32
     ground: Float32
     maps: Records
+
+
+def _stands(user: RoadUser) -> bool:
+    return isinstance(user.motion, Still)
 
 
 def _turn_pictures(model: Model, visit: int) -> None:

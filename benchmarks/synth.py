@@ -1,0 +1,276 @@
+"""Pictures of the synthetic street: time on one core against the error to 64 rays a pixel.
+
+``python -m benchmarks synth [--views N]``. The error of a picture is the root mean square difference, in 8-bit steps,
+to the mean of 64 rays a pixel, each with its own shading and textures averaged over an eighth of the pixel, developed
+alike and without noise: 2.55 steps are 40 dB. Times are medians over views along the main street, warm; what compiling
+costs is a row of its own. Other numbers of rays a pixel stand beside the renderer's own as peers, and the figures of
+bounding-volume ray casting, measured on a similar machine, are quoted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmarks.report import Peer, Row, report
+from mirror.arrays import Float32, Float64, UInt8
+from mirror.geometry import Poses, matrix_from_quaternion, quaternion_from_matrix
+from mirror.geometry.cameras import Camera
+from mirror.schema.documents import Roi
+from mirror.synth.light.condition import Condition, Effects
+from mirror.synth.light.sun import instant_of
+from mirror.synth.model import Label, Material, Model
+from mirror.synth.render.coverage import OFFSETS
+from mirror.synth.render.develop.developing import develop
+from mirror.synth.render.develop.look import CameraLook
+from mirror.synth.render.lens import Lens, make_lens
+from mirror.synth.render.scene import Instant, Scene
+from mirror.synth.render.view import see
+from mirror.synth.render.wet import with_reflections
+from mirror.synth.street.world import World, build_world
+
+PLACE: Final = (8.41694, 49.01252)
+FORTY_DB: Final = 2.55
+FINE: Final = 8
+REPEATS: Final = 7
+_EYE_M: Final = 1.5
+_EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+_BARS: Final = {("day", 960): 150.0, ("night", 960): 250.0, ("day", 480): 50.0, ("night", 480): 250.0 / 3.0}
+# Plain ray casting of 300 to 5,000 boxes through a bounding-volume hierarchy, with shadow rays: 160-290 ms at 36 dB.
+_QUOTED: Final = Peer("BVH ray casting, quoted", 225.0, 255.0 * 10 ** (-36 / 20))
+
+_CHILD: Final = """
+import time
+start = time.perf_counter()
+import benchmarks.synth as bench
+imported = time.perf_counter()
+shot = next(bench.shots(bench.city(), "day", "clear", 1, 960))
+world = time.perf_counter()
+bench.picture(shot)
+print(imported - start, world - imported, time.perf_counter() - world)
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One view to be rendered.
+
+    Attributes:
+        scene: in a condition.
+        instant: of it.
+        lens: the camera.
+        pose: of the camera.
+    """
+
+    scene: Scene
+    instant: Instant
+    lens: Lens
+    pose: Poses
+
+    @property
+    def origin(self) -> Float64:
+        """(3,) place of the camera."""
+        return self.pose.translation[0]
+
+    @property
+    def rotation(self) -> Float64:
+        """(3, 3) world_R_camera."""
+        return matrix_from_quaternion(self.pose.rotation)[0]
+
+
+def city() -> World:
+    """The urban scene of 200 m."""
+    roi = Roi(
+        scene_id="benchmark", longitude_deg=PLACE[0], latitude_deg=PLACE[1], radius_m=200.0, city="Karlsruhe",
+        scene_type="urban", height_m=115.0,
+    )  # fmt: skip
+    return build_world(roi, 24.0, 1)
+
+
+def shots(world: World, light: str, weather: str, views: int, width: int) -> Iterator[Shot]:
+    """Views along the longest lane, forwards and to the sides; noise and the camera's own exposure are off."""
+    start = instant_of("2025-06-01", light, *PLACE)  # type: ignore[arg-type]
+    effects = Effects(noise=False, exposure=False)
+    scene = Scene(world, Condition(start, light, weather, effects=effects), world.parked, Model.empty())  # type: ignore[arg-type]
+    height = width * 9 // 16
+    focal = 0.5 * width
+    lens = make_lens(Camera("pinhole", width, height, focal, focal, 0.5 * width, 0.5 * height, ()))
+    lane = max((lane for lane in world.network.lanes.values() if lane.use == "drive"), key=lambda lane: lane.length_m)
+    for number in range(views):
+        at = int((0.15 + 0.7 * number / max(views - 1, 1)) * (len(lane.line) - 3))
+        ahead = lane.line[at + 2] - lane.line[at]
+        course = float(np.arctan2(ahead[1], ahead[0]))
+        yaw = course + (0.0, 0.0, 0.9, -0.9)[number % 4]
+        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+        place = lane.line[at] + (0.0, 0.0, _EYE_M)
+        pose = Poses(quaternion_from_matrix((turn @ _EGO_R_CAMERA)[None]), place[None])
+        ego = Poses(np.array([[np.cos(0.5 * course), 0.0, 0.0, np.sin(0.5 * course)]]), lane.line[at][None])
+        yield Shot(scene, scene.at(3.0, ego), lens, pose)
+
+
+def picture(shot: Shot) -> UInt8:
+    """What the renderer makes of a view."""
+    return shot.scene.picture(shot.instant, shot.lens, shot.pose).bgr
+
+
+def light_of(shot: Shot, offsets: Float32, footprint_px: float) -> Float32:
+    """Radiance (H, W, 3) of a view with other rays a pixel."""
+    surroundings = shot.instant.surroundings
+    radiance = see(surroundings, shot.lens, shot.rotation, shot.origin, offsets=offsets).radiance(footprint_px)
+    if shot.scene.light.record["wet"] > 0.0:
+        radiance = with_reflections(radiance, surroundings, shot.lens, shot.rotation, shot.origin)
+    return np.ascontiguousarray(radiance[..., :3])
+
+
+def developed(shot: Shot, light: Float32) -> UInt8:
+    """A picture of radiance, as the renderer develops it."""
+    return develop(light, shot.scene.light.record, CameraLook(), shot.scene.condition.effects, 0)
+
+
+def reference(shot: Shot) -> UInt8:
+    """The picture of 64 rays a pixel."""
+    total = np.zeros((*shot.lens.rays.shape[:2], 3))
+    for row in range(FINE):
+        for column in range(FINE):
+            offset = np.array([[(column + 0.5) / FINE - 0.5, (row + 0.5) / FINE - 0.5]], np.float32)
+            total += light_of(shot, offset, 1.0 / FINE)
+    return developed(shot, (total / FINE**2).astype(np.float32))
+
+
+def steps_off(picture: UInt8, truth: UInt8) -> float:
+    """Root mean square difference, in 8-bit steps."""
+    return float(np.sqrt(np.mean((picture.astype(np.float64) - truth) ** 2)))
+
+
+def grid(side: int) -> Float32:
+    """Rays (side^2, 2) of a pixel on an upright grid."""
+    at = (np.arange(side) + 0.5) / side - 0.5
+    return np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2).astype(np.float32)
+
+
+def pictures(world: World, views: int) -> Iterator[Row]:
+    """Time and error by light and size."""
+    for light, weather in (("day", "clear"), ("night", "rain")):
+        for width in (960, 480):
+            times, errors, others = [], [], {1: ([], []), 16: ([], [])}  # type: ignore[var-annotated]
+            for shot in shots(world, light, weather, views, width):
+                truth = reference(shot)
+                times.append(_median_ms(lambda shot=shot: picture(shot)))  # type: ignore[misc]
+                errors.append(steps_off(picture(shot), truth))
+                for rays, (spent, off) in others.items():
+                    start = time.perf_counter()
+                    other = developed(shot, light_of(shot, grid(round(rays**0.5)), 1.0))
+                    spent.append((time.perf_counter() - start) * 1e3)
+                    off.append(steps_off(other, truth))
+            peers = [
+                Peer(f"{rays} rays a pixel", float(np.median(spent)), float(np.max(off)))
+                for rays, (spent, off) in others.items()
+            ]
+            worst = max(errors)
+            yield Row(
+                f"{'wet ' if weather == 'rain' else ''}{light}, {len(OFFSETS)} rays a pixel",
+                f"{width}x{width * 9 // 16}",
+                float(np.median(times)),
+                worst,
+                (*peers, *([_QUOTED] if (light, width) == ("day", 960) else [])),
+                f"steps ({20 * np.log10(255 / worst):.1f} dB)",
+                _BARS[light, width],
+                FORTY_DB,
+            )
+
+
+def truths(world: World, views: int) -> Iterator[Row]:
+    """What depth, normals, classes and instances cost beside a picture."""
+    alone, beside = [], []
+    for shot in shots(world, "day", "clear", views, 960):
+        view = shot.scene.picture(shot.instant, shot.lens, shot.pose).view
+
+        def truth(shot: Shot = shot) -> None:
+            view = see(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
+            _ = view.distance_m, view.normal, view.label, view.object
+
+        def seen(shot: Shot = shot) -> None:
+            see(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
+
+        alone.append(_median_ms(lambda shot=shot: picture(shot)))  # type: ignore[misc]
+        beside.append(_median_ms(truth) - _median_ms(seen))
+        counts = view.counts
+    share = 100.0 * float(np.median(beside)) / float(np.median(alone))
+    yield Row("truth beside a picture, % of its time", "960x540", share, bar=30.0)
+    yield Row(
+        "pairs of tile and surface tried, % of all", f"{counts['surfaces']} surfaces",
+        100.0 * counts["tried"] / (counts["tiles"] * counts["surfaces"]),
+    )  # fmt: skip
+
+
+def preparations(world: World) -> Iterator[Row]:
+    """What is made once: worlds, shadows, instants, and machine code."""
+    inside = _within(world, 200.0)
+    yield Row(
+        "primitives within 200 m, no ground, no leaves", "urban", inside, 0.0 if inside >= 3000 else 1.0, error_bar=0.5
+    )
+    yield Row("a world", "urban", _median_ms(city, 3))
+    start = instant_of("2025-06-01", "day", *PLACE)
+    condition = Condition(start, "day", "clear")
+
+    def prepared() -> None:
+        Scene(world, condition, world.parked, Model.empty()).prepare()
+
+    yield Row("shadows and leaves of a condition", "urban", _median_ms(prepared, 3))
+    scene = Scene(world, condition, world.parked, Model.empty())
+    yield Row("an instant", f"{len(scene.users)} users", _median_ms(lambda: scene.around(1.0, np.zeros(3))))
+    with tempfile.TemporaryDirectory() as cache:
+        for name in ("first picture, compiling", "first picture, compiled before"):
+            took = _child(cache)
+            yield Row(name, "960x540", 1e3 * took[2])
+
+
+def _within(world: World, radius: float) -> int:
+    faces, rounds, corners = world.model.faces, world.model.rounds, world.model.corners
+    middle = np.add.reduceat(corners, faces["first"], axis=0) / faces["count"][:, None]
+    near = np.concatenate([np.hypot(*middle.T[:2]), np.hypot(*rounds["centre"].T[:2])]) < radius
+    label = np.concatenate([faces["label"], rounds["label"]])
+    leaf = np.concatenate([faces["material"], rounds["material"]]) == Material.LEAVES
+    return int((near & (label > Label.TERRAIN) & ~leaf).sum())
+
+
+def _child(cache: str) -> list[float]:
+    """Seconds for imports, world and first picture in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", _CHILD], capture_output=True, text=True, check=True,
+        env=dict(os.environ, NUMBA_CACHE_DIR=cache),
+    )  # fmt: skip
+    return [float(word) for word in done.stdout.split()]
+
+
+def _median_ms(call: object, repeats: int = REPEATS) -> float:
+    from benchmarks.report import median_ms
+
+    return median_ms(call, repeats)  # type: ignore[arg-type]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks synth", description=__doc__)
+    parser.add_argument("--views", type=int, default=6, help="views of each kind")
+    options = parser.parse_args(argv)
+
+    import cv2
+
+    cv2.setNumThreads(1)
+    world = city()
+    groups = {
+        "pictures": pictures(world, options.views),
+        "truth": truths(world, options.views),
+        "made once": preparations(world),
+    }
+    return report("synth", groups, errors="8-bit steps, root mean square")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -110,7 +111,11 @@ def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts
                     if end != begin:
                         rows.append(_before_crossing(approach, crossing.control == "signal"))
                         stretches.append(_stretch(number, begin, end, len(rows) - 1))
-                stretches.append(_stretch(number, arm.station_m, begin, 0))
+                within = 0
+                if paved and crossing.control == "priority" and not arm.minor:
+                    rows.append(_through(crossing, street))
+                    within = len(rows) - 1
+                stretches.append(_stretch(number, arm.station_m, begin, within))
                 if approach.zebra_m is not None:
                     low, high = sorted(arm.station(out) for out in approach.zebra_m)
                     dips.append(Dip(number, low, high))
@@ -134,6 +139,16 @@ def _beside_slip_road(street: Street, crossing: Crossing) -> tuple[float, float]
 
 def _stretch(street: int, one_m: float, other_m: float, layout: int) -> Stretch:
     return Stretch(street, min(one_m, other_m), max(one_m, other_m), layout)
+
+
+def _through(crossing: Crossing, street: Street) -> tuple[Mark, ...]:
+    """Marks of a street that goes first through a crossing: traces, the middle, and the edge where nobody comes in."""
+    heading = next(arm.heading_rad for arm in crossing.arms if arm.street is street and arm.way > 0)
+    comes_in = {math.sin(arm.heading_rad - heading) > 0.0 for arm in crossing.arms if arm.street is not street}
+    section = street.section
+    traces = [mark for mark in section.marks if mark.soft_m > 0.0]
+    edges = [mark for mark in section.marks if mark.strength == 1.0 and mark.u_stripes[0] == 0.0]
+    return (*traces, *section.middle, *(mark for mark in edges if (sum(mark.v_m) > 0.0) not in comes_in))
 
 
 def _before_crossing(approach: Approach, signal: bool) -> tuple[Mark, ...]:

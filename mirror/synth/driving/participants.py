@@ -90,7 +90,7 @@ def simulated(
         participants: the recording vehicle first.
         clock_s: of the signals, when it begins.
         longest_s: it ends then at the latest.
-        first_goes_first: all others wait for the first of them wherever ways meet.
+        first_goes_first: all others wait for the first of them wherever ways meet, and it heeds signals alone.
 
     Returns:
         Their schedules, times from the first tick on; None: somebody never found room to come in.
@@ -107,7 +107,7 @@ def simulated(
         meetings = meetings._replace(major=np.where((meetings.users == 0).any(axis=1), own, meetings.major))
     green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
     ticks = int(longest_s / TICK_S)
-    lengths, speeds = simulate(_ways(ways), users, meetings, green, network.cycle_s, clock_s, ticks)
+    lengths, speeds = simulate(_ways(ways), users, meetings, green, network.cycle_s, clock_s, ticks, first_goes_first)
     found: list[Schedule | None] = []
     for place in range(len(participants)):
         there = np.flatnonzero(np.isfinite(lengths[:, place]))

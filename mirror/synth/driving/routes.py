@@ -13,6 +13,7 @@ from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.synth.driving.paths import Path, beside_m, lanes_of, paths_from, sources, turn_rad
 from mirror.synth.driving.trace import trailing
+from mirror.synth.driving.turning import leaving_at, turned_round
 from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, changed, lane_piece
 from mirror.synth.street.network import Network
 
@@ -20,11 +21,9 @@ LEAD_M: Final = 24.0
 _EDGE: Final = 0.85
 _PASS_S: Final = 8.0
 _SKIM_M: Final = 65.0
-_SWING_M: Final = 4.9
-_SWING_LEAD_M: Final = 18.0
 _CLEAR_M: Final = 26.0
 _BESIDE_M: Final = 40.0
-_OUTSIDE_S: Final = 2.6
+_OUTSIDE_S: Final = 2.35
 _UTURN_M: Final = 27.0
 _SLOW_MPS: Final = 5.0
 _CHANGE_M: Final = 75.0
@@ -43,7 +42,7 @@ class Route:
         comes_from_m: length from which it drives, before the drive begins.
         fastest_mps: it goes no faster.
         stands_s: so long it stands where it begins.
-        first: it goes first wherever ways meet, so that its times are kept.
+        first: it heeds signals alone, so that its times are kept.
     """
 
     way: Way
@@ -140,7 +139,7 @@ class Streets:
         """A path out of the ROI and one back beside it, with no crossing where one would turn round."""
         for out, home in ((self.along, self.back), (self.back, self.along)):
             if out and home:
-                place = _exit(out[0], at_m)
+                place, _ = leaving_at(out[0], at_m)
                 lane = min(out[0].lanes, key=lambda lane: float(np.hypot(*(lane.line[:, :2] - place).T).min()))
                 at = beside_m(lane, place)
                 if lane.use == "drive" and at > _CLEAR_M and (lane.length_m - at > _CLEAR_M or not lane.successors):
@@ -162,14 +161,6 @@ class Streets:
             if not path.turns and path.lane_ids[own] in own_ids and path.lane_ids[other] not in other_ids
         ]
         return sorted(found, key=lambda path: path.lane_ids)
-
-
-def _exit(path: Path, distance_m: float) -> Float64:
-    """(2,) where a path, on its way out, is so far from the origin."""
-    line = path.line
-    distance = np.hypot(*line.T)
-    last = int(np.argmin(distance))
-    return line[last + int(np.argmax(distance[last:] > distance_m))]
 
 
 def _joins(path: Path, begin: Float64, end: Float64) -> bool:
@@ -299,7 +290,7 @@ def _still(streets: Streets, variant: int) -> Route:
 def _twice(streets: Streets, variant: int) -> Route:
     """Out of the ROI, round, and in again."""
     out, home = streets.out_and_home(streets.radius_m + 34.0)
-    way, swing = _turned_round(out, home, streets.radius_m + 34.0)
+    way, swing = turned_round(out, home, streets.radius_m + 34.0)
     inside = np.hypot(*way.points.T) < streets.radius_m
     middle = int(swing / STEP_M)
     leaves = STEP_M * float(np.flatnonzero(inside[:middle])[-1])
@@ -311,11 +302,11 @@ def _twice(streets: Streets, variant: int) -> Route:
 def _uturn(streets: Streets, variant: int) -> Route:
     """Turns round on the edge of the ROI: less than 3 s outside between two short visits."""
     out, home = streets.out_and_home(streets.radius_m)
-    low, high = streets.radius_m - 6.0, streets.radius_m + 8.0
+    low, high = streets.radius_m - 16.0, streets.radius_m + 8.0
     # The further out it turns, the longer it is outside.
     for _ in range(16):
         apex = 0.5 * (low + high)
-        way, swing = _turned_round(out, home, apex)
+        way, swing = turned_round(out, home, apex)
         outside = np.hypot(*trailing(way.points, streets.wheelbase_m).T) > streets.radius_m
         near = np.abs(np.arange(len(way.points)) * STEP_M - swing) < _UTURN_M
         seconds = float((STEP_M / np.minimum(way.pace_mps, _SLOW_MPS))[outside & near].sum())
@@ -371,51 +362,3 @@ def routes_in(network: Network, radius_m: float) -> tuple[str, ...]:
             continue
         found.append(name)
     return tuple(found)
-
-
-def _turned_round(out: Path, home: Path, apex_m: float) -> tuple[Way, float]:
-    """A way out on one path and home on the other, which turns round so far from the origin; and where it does."""
-    line, other = out.line, home.line
-    distance = np.hypot(*line.T)
-    last = int(np.argmin(np.hypot(*line.T)))
-    turn = last + int(np.argmax(distance[last:] > apex_m - _SWING_M))
-    place = line[turn]
-    ahead = line[turn] - line[turn - 3]
-    ahead = ahead / np.hypot(*ahead)
-    left = np.array([-ahead[1], ahead[0]])
-    gap = float(np.min(np.abs((other - place) @ left)[np.abs((other - place) @ ahead) < 3.0], initial=np.inf))
-    if not gap < 2.0 * _SWING_M:
-        raise UsageError(
-            f"no room to turn round {apex_m:.0f} m from the scene's middle",
-            expected="a lane in the other direction beside the own",
-            remedy="take another route, or another kind of scene",
-        )
-    aside = _SWING_M - 0.5 * gap
-    angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 40)
-    share = np.linspace(0.0, 1.0, 24)
-    ease = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    swing = np.column_stack([-_SWING_LEAD_M * (1.0 - share), -aside * ease])
-    arc = np.column_stack([_SWING_M * np.cos(angle), 0.5 * gap + _SWING_M * np.sin(angle)])
-    local = np.vstack([swing[1:], arc[1:-1], (swing * (1.0, -1.0) + (0.0, gap))[:0:-1]])
-    round_line = place + local[:, :1] * ahead + local[:, 1:] * left
-    pieces = [
-        *_until(out, place - _SWING_LEAD_M * ahead),
-        Piece(round_line, out.lanes[0].speed_mps),
-        *_since(home, round_line[-1] - 0.5 * ahead),
-    ]
-    way = build_way(pieces)
-    return way, way.nearest_m(place + ahead * _SWING_M + left * 0.5 * gap)
-
-
-def _until(path: Path, point: Float64) -> list[Piece]:
-    """A path up to where it passes a point."""
-    last = int(np.argmin([np.hypot(*(lane.line[:, :2] - point).T).min() for lane in path.lanes]))
-    pieces = [lane_piece(lane) for lane in path.lanes[:last]]
-    return [*pieces, lane_piece(path.lanes[last], 0.0, max(beside_m(path.lanes[last], point), STEP_M))]
-
-
-def _since(path: Path, point: Float64) -> list[Piece]:
-    """A path from where it passes a point on."""
-    first = int(np.argmin([np.hypot(*(lane.line[:, :2] - point).T).min() for lane in path.lanes]))
-    lane = path.lanes[first]
-    return [lane_piece(lane, beside_m(lane, point)), *(lane_piece(lane) for lane in path.lanes[first + 1 :])]

@@ -104,6 +104,7 @@ def simulate(
     cycle_s: float,
     clock_s: float,
     ticks: int,
+    heedless: bool,
 ) -> tuple[Float64, Float64]:
     """Let all users move.
 
@@ -115,6 +116,7 @@ def simulate(
         cycle_s: of the signals.
         clock_s: of the signals, at the first tick.
         ticks: how many ticks of `TICK_S` at most; it ends earlier when the first user has left.
+        heedless: the first user does not heed the others.
 
     Returns:
         Lengths (T, N) and speeds (T, N), NaN while a user is not there.
@@ -137,7 +139,7 @@ def simulate(
         clock = clock_s + tick * TICK_S
         for u in range(count):
             if state[u] == _WAITING and tick * TICK_S >= users.enter_s[u]:
-                speed = _entry_speed(u, ways, users, meetings, state, s, v)
+                speed = _entry_speed(u, ways, users, meetings, state, s, v, heedless and u == 0)
                 if speed >= 0.0:
                     state[u], s[u], v[u], a[u] = _THERE, users.enter_m[u], speed, 0.0
                     changed = True
@@ -151,6 +153,8 @@ def simulate(
             e = live[n]
             if state[meetings.users[e, 0]] == _THERE and state[meetings.users[e, 1]] == _THERE:
                 _meet(e, users, meetings, ahead, s, v, wish, stop, stop_before, shut_before, lead, lead_speed, waited)
+        if heedless and state[0] == _THERE:
+            wish[0], stop[0], lead[0] = _free(0, ways, users, s[0], v[0]), _FAR, _FAR
         for u in range(count):
             if state[u] == _THERE:
                 _wait(u, ways, users, s, v, wish, shut, lead, lead_speed, paused, green_s, cycle_s, clock)
@@ -239,12 +243,16 @@ def _limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> floa
 
 
 @njit(cache=True, nogil=True)
-def _entry_speed(u: int, ways: Ways, users: Users, meetings: Meetings, state: Int64, s: Float64, v: Float64) -> float:
+def _entry_speed(
+    u: int, ways: Ways, users: Users, meetings: Meetings, state: Int64, s: Float64, v: Float64, heedless: bool
+) -> float:
     """The speed at which a user can come in, or -1 while there is no room."""
     at = users.enter_m[u]
     speed = min(_pace(ways, users.way[u], at) * users.eager[u], users.fastest_mps[u])
     if users.pause_s[u] > 0.0 and users.pause_m[u] <= at:
         speed = 0.0
+    if heedless:
+        return speed
     for e in range(len(meetings.major)):
         for k in range(2):
             other = meetings.users[e, 1 - k]

@@ -23,14 +23,20 @@ class Arguments:
 
     out: Path
     """An empty folder, or one to be made."""
-    preset: Literal["demo", "quick", "tiny"] = "demo"
-    """demo: two scenes; quick: one small scene; tiny: two traversals, for tests."""
+    preset: Literal["demo", "quick", "tiny", "benchmark", "paper"] = "demo"
+    """demo: two scenes; quick: one small scene; tiny: two traversals, for tests; benchmark: four scenes of eight
+    traversals; paper: ten scenes in six cities, whose pictures are rendered when they are loaded."""
     scenes: int | None = None
     """How many scenes. Default: all that the preset has."""
     traversals: int | None = None
     """Drives with pictures through each scene. Default: the preset's."""
     seed: int = 0
     """Of everything that is left to chance."""
+    truth: str = ""
+    """Kinds of truth to be written beside each recording, such as depth,boxes: depth, normals, semantic, instance,
+    flow, boxes, poses."""
+    errors: Literal["default", "none"] = "default"
+    """Whether what is recorded differs from the truth, as a fleet's does."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Threads."""
     json: bool = False
@@ -42,21 +48,30 @@ def main(argv: Sequence[str]) -> int:
     arguments = tyro.cli(Arguments, args=list(argv), prog="mirror synth")
 
     from mirror.cli.progress import progress_bar
-    from mirror.synth import write_recordings
+    from mirror.synth import Errors, write_recordings
+    from mirror.synth.writing.truth import truth_kinds
 
     with progress_bar(quiet=arguments.json) as bar:
-        recordings = write_recordings(
+        written = write_recordings(
             arguments.out,
             arguments.preset,
             arguments.seed,
             scenes=arguments.scenes,
             traversals=arguments.traversals,
+            errors=Errors.none() if arguments.errors == "none" else None,
+            truth=truth_kinds(arguments.truth),
             workers=arguments.workers,
             progress=bar,
         )
     rois = arguments.out / "rois.geojson"
+    counts = {name: getattr(written, name) for name in ("pictures", "lost", "boxes", "unseen")}
     if arguments.json:
-        print(json.dumps({"recordings": [str(path) for path in recordings], "rois": str(rois)}))
+        paths = [str(path) for path in written.recordings]
+        print(json.dumps({"recordings": paths, "rois": str(rois), **counts}))
     else:
-        print(f"{len(recordings)} recordings in {arguments.out}, their regions of interest in {rois}")
+        print(f"{len(written.recordings)} recordings in {arguments.out}, their regions of interest in {rois}")
+        print(
+            f"{written.pictures} pictures ({written.lost} more were lost), {written.boxes} boxes"
+            f" ({written.unseen} more road users were near, and in no picture)"
+        )
     return ExitCode.DONE

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from mirror.synth.presets import PRESETS
-from mirror.synth.recordings import write_recordings
+from mirror.synth.errors import Errors
+from mirror.synth.fleet import PRESETS
+from mirror.synth.writing import Written, write_recordings
 
-__all__ = ["PRESETS", "write_recordings"]
+__all__ = ["PRESETS", "Errors", "Written", "write_recordings"]

@@ -1,4 +1,4 @@
-"""The renderer: solids in closed form, cast through any lens, with shadows, lamps and wet roads.
+"""The renderer: faces and ellipsoids seen through any lens, with shadows, lamps and wet roads.
 
 It is imported by those who draw: it takes numba with it.
 """

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from mirror.synth.rigs.mount import Mount, Optics, Raster
+from mirror.synth.users.ego import EgoKind
 
 Shutter = Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"]
 
@@ -49,18 +50,13 @@ class VehicleType:
         readout_ns: from the first row's to the last row's start of exposure.
     """
 
-    name: str
+    name: EgoKind
     size: Size
     mounts: tuple[Mount, ...]
     exposure_ns: int
     stagger_ns: int = 0
     shutter: Shutter = "global"
     readout_ns: int = 0
-
-    @property
-    def rig_id(self) -> str:
-        """Its rig."""
-        return f"{self.name}-7"
 
 
 @dataclass(frozen=True)

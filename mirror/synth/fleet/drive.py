@@ -1,0 +1,243 @@
+"""One drive as it truly was: vehicle, motion, traffic and light, and any picture of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mirror.arrays import Float64, Int64, Records, UInt8
+from mirror.geometry import Poses
+from mirror.geometry.geodesy import TangentFrame
+from mirror.schema.documents import CANONICAL_CAMERAS, Roi
+from mirror.synth.fleet.presets import PRESETS, Preset, Site
+from mirror.synth.fleet.recipe import Recipe
+from mirror.synth.light.condition import Condition
+from mirror.synth.light.sun import season_of
+from mirror.synth.model import Model
+from mirror.synth.rigs import Vehicle
+from mirror.synth.rigs.own import own_model
+
+if TYPE_CHECKING:
+    from mirror.synth.driving.drive import Drive
+    from mirror.synth.driving.journey import Journey
+    from mirror.synth.render.develop import CameraLook
+    from mirror.synth.render.lens import Lens
+    from mirror.synth.render.scene import Instant, Picture, Scene
+    from mirror.synth.street.world import World
+    from mirror.synth.users.body import RoadUser
+
+_WORLDS_HELD: Final = 2
+_BUSTLE: Final = {"day": (1.0, 1.0), "dusk": (0.9, 0.7), "night": (0.45, 0.3)}
+_WARM_MONTHS: Final = (0.36, 0.75)
+_STEP_S: Final = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class SynthDrive:
+    """One drive, exactly known. What costs time is made when it is first asked for.
+
+    Attributes:
+        drive_id: its id.
+        preset: that it belongs to.
+        scene: number of its scene in that.
+        recipe: what was wished for.
+        vehicle: that was driven.
+        condition: start, light and weather.
+        world_seed: of the scene.
+        seed: of the traffic, of measurement noise and of picture noise.
+    """
+
+    drive_id: str
+    preset: Preset
+    scene: int
+    recipe: Recipe
+    vehicle: Vehicle
+    condition: Condition
+    world_seed: int
+    seed: int
+
+    @property
+    def site(self) -> Site:
+        """Its scene."""
+        return self.preset.sites[self.scene]
+
+    @property
+    def roi(self) -> Roi:
+        """Where that is."""
+        return self.site.roi
+
+    @cached_property
+    def frame(self) -> TangentFrame:
+        """The scene's east-north-up frame."""
+        roi = self.roi
+        return TangentFrame(roi.longitude_deg or 0.0, roi.latitude_deg or 0.0, roi.height_m)
+
+    @property
+    def rig_id(self) -> str:
+        """Of the vehicle: cameras sit a little otherwise in each, and so do their masks."""
+        return f"{self.vehicle.kind.name}-{self.vehicle.vehicle_id.rpartition('-')[2]}"
+
+    @property
+    def world(self) -> World:
+        """All that stands still there; a few worlds are held for all drives."""
+        return _world(self.preset.name, self.scene, self.world_seed)
+
+    @cached_property
+    def _journey(self) -> Journey:
+        from mirror.synth.driving.journey import journey
+        from mirror.synth.driving.site import Bustle
+        from mirror.synth.driving.site import Site as Traffic
+        from mirror.synth.driving.trace import Chassis
+
+        world, size, condition = self.world, self.vehicle.kind.size, self.condition
+        rng = np.random.default_rng([self.seed, 0])
+        vehicles, people = _BUSTLE[condition.light]
+        wet = condition.weather == "rain"
+        season = season_of(condition.start_ns, self.roi.latitude_deg or 0.0)
+        bustle = Bustle(vehicles, people * (0.6 if wet else 1.0), wet, _WARM_MONTHS[0] < season < _WARM_MONTHS[1])
+        chassis = Chassis(size.length_m, size.width_m, size.wheelbase_m, size.rear_m, 0.0)
+        return journey(
+            Traffic(world.network, world.roi.radius_m, world.height_m),
+            self.recipe.route,
+            chassis,
+            self.seed,
+            scene_seed=self.world_seed,
+            variant=self.recipe.variant,
+            fastest_mps=self.site.fastest_mps * rng.uniform(0.92, 1.05),
+            aside_m=rng.uniform(-0.25, 0.25),
+            bustle=bustle,
+        )
+
+    @property
+    def truth(self) -> Drive:
+        """The vehicle's motion."""
+        return self._journey.drive
+
+    @property
+    def users(self) -> tuple[RoadUser, ...]:
+        """Everybody else, parked ones too."""
+        return self._journey.users
+
+    @cached_property
+    def own(self) -> Model:
+        """What the vehicle's cameras can see of it, in its ego frame."""
+        return own_model(self.vehicle.kind)
+
+    @cached_property
+    def own_masks(self) -> dict[str, UInt8]:
+        """Masks (H, W) of the vehicle itself, 255 where it is seen, of the cameras that see it."""
+        from mirror.synth.truth.casting import own_mask
+
+        cameras, mountings = self.vehicle.cameras, self.vehicle.ego_SE3_camera
+        masks = {name: own_mask(self.own, camera, mountings[name]) for name, camera in cameras.items()}
+        return {name: mask for name, mask in masks.items() if mask.any()}
+
+    @cached_property
+    def lenses(self) -> dict[str, Lens]:
+        """The vehicle's cameras as the renderer takes them."""
+        from mirror.synth.render.lens import make_lens
+
+        return {name: make_lens(camera) for name, camera in self.vehicle.cameras.items()}
+
+    @cached_property
+    def looks(self) -> dict[str, CameraLook]:
+        """How the vehicle's cameras develop."""
+        from mirror.synth.render.develop import camera_look
+
+        return {name: camera_look([self.vehicle.seed, place]) for place, name in enumerate(CANONICAL_CAMERAS)}
+
+    @cached_property
+    def drops(self) -> dict[str, Records]:
+        """Rain on the lenses, if there is any."""
+        from mirror.synth.render.develop import lens_drops
+
+        if self.condition.weather != "rain":
+            return {}
+        return {
+            name: lens_drops([self.seed, place], camera.height_px / camera.width_px)
+            for place, (name, camera) in enumerate(self.vehicle.cameras.items())
+        }
+
+    @cached_property
+    def stage(self) -> Scene:
+        """What makes its instants and pictures."""
+        from mirror.synth.render.scene import Scene
+
+        return Scene(self.world, self.condition, self.users, self.own, clock_s=self.truth.clock_s)
+
+    def prepare(self) -> None:
+        """Make now what several threads will share: each would make it for itself."""
+        self.stage.prepare()
+        _ = self.lenses, self.looks, self.drops
+
+    def forget(self) -> None:
+        """Let go of what takes memory; it is made again when it is asked for."""
+        for name in ("stage", "_journey", "lenses"):
+            vars(self).pop(name, None)
+
+    def seconds(self, timestamp_ns: Int64) -> Float64:
+        """Seconds (N,) since its start."""
+        return (np.asarray(timestamp_ns, np.int64) - self.condition.start_ns).astype(np.float64) * 1e-9
+
+    def world_SE3_ego(self, timestamp_ns: Int64) -> Poses:  # noqa: N802
+        """True poses at Unix times (N,), in the scene's frame."""
+        return self.truth.poses(self.seconds(timestamp_ns))
+
+    def world_SE3_camera(self, camera: str, timestamp_ns: Int64) -> Poses:  # noqa: N802
+        """True poses of a camera at Unix times (N,), in the scene's frame."""
+        return self.world_SE3_ego(timestamp_ns) @ self.vehicle.ego_SE3_camera[camera]
+
+    def placements(self, user: RoadUser, timestamp_ns: Int64) -> tuple[Float64, Float64]:
+        """Placements (N, 6) x, y, z, yaw, pitch, roll of a road user at Unix times (N,), and its speeds (N,)."""
+        from mirror.synth.driving.trace import Moving
+
+        motion = user.motion
+        if isinstance(motion, Moving):
+            along, speed = motion.schedule.at(self.seconds(timestamp_ns))
+            placed, forward = motion.trace.at(along)
+            return placed, forward * speed
+        at = motion.at(0.0)
+        row = (at.x_m, at.y_m, at.z_m, at.yaw_rad, at.pitch_rad, at.roll_rad)
+        return np.tile(row, (len(timestamp_ns), 1)), np.full(len(timestamp_ns), at.speed_mps)
+
+    def at(self, timestamp_ns: int) -> Instant:
+        """All that there is at an instant."""
+        stamps = np.array([timestamp_ns])
+        return self.stage.at(float(self.seconds(stamps)[0]), self.world_SE3_ego(stamps))
+
+    def picture(self, camera: str, timestamp_ns: int, instant: Instant | None = None) -> Picture:
+        """Render what a camera takes.
+
+        Args:
+            camera: its name.
+            timestamp_ns: true mid-exposure.
+            instant: made by `at` for that time; None: it is made.
+        """
+        from mirror.synth.render.scene import Twist
+
+        place = CANONICAL_CAMERAS.index(camera)
+        stamps = timestamp_ns + np.array([-1, 0, 1]) * round(_STEP_S * 1e9)
+        poses = self.world_SE3_camera(camera, stamps)
+        turn, velocity = ((poses[:1].inverse() @ poses[2:]).log()[0] / (2.0 * _STEP_S)).reshape(2, 3)
+        twist = Twist(tuple(velocity.tolist()), tuple(turn.tolist()), self.vehicle.kind.exposure_ns * 1e-9)
+        noise = np.random.SeedSequence([self.seed, place, timestamp_ns]).generate_state(1, np.uint64)[0]
+        return self.stage.picture(
+            self.at(timestamp_ns) if instant is None else instant,
+            self.lenses[camera],
+            poses[1:2],
+            look=self.looks[camera],
+            seed=int(noise >> np.uint64(1)),
+            drops=self.drops.get(camera),
+            twist=twist,
+        )
+
+
+@lru_cache(_WORLDS_HELD)
+def _world(preset: str, scene: int, seed: int) -> World:
+    from mirror.synth.street.world import build_world
+
+    site = PRESETS[preset].sites[scene]
+    return build_world(site.roi, site.yaw_deg, seed)

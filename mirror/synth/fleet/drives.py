@@ -1,0 +1,93 @@
+"""The drives of a preset."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from mirror.errors import UsageError
+from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.fleet.presets import Preset, planned, recipes_of
+from mirror.synth.fleet.recipe import Recipe
+from mirror.synth.light.condition import Condition
+from mirror.synth.light.sun import instant_of
+from mirror.synth.rigs import VEHICLE_TYPES, Vehicle
+
+_DAYS_LATER_NS: Final = 9 * 86_400_000_000_000
+_OTHERS: Final = 1000
+_TYPES: Final = tuple(VEHICLE_TYPES)
+
+
+def drives_of(
+    preset: str, seed: int, scenes: int | None = None, traversals: int | None = None
+) -> tuple[Preset, list[SynthDrive]]:
+    """All drives of a preset; none is simulated before it is asked for its motion.
+
+    Args:
+        preset: one of `mirror.synth.fleet.PRESETS`.
+        seed: of everything that is left to chance.
+        scenes: how many scenes; default: all that the preset has.
+        traversals: how many drives with pictures through each; default: the preset's.
+
+    Raises:
+        UsageError: there is no such preset, or it has no so many scenes.
+    """
+    wanted, count, many = planned(preset, scenes, traversals)
+    drives = []
+    for scene in range(count):
+        site = wanted.sites[scene]
+        drives += [
+            _traversal(wanted, scene, place, recipe, seed) for place, recipe in enumerate(recipes_of(site, many))
+        ]
+        drives += [_other(wanted, scene, place, recipe, seed) for place, recipe in enumerate(site.others)]
+    return wanted, drives
+
+
+def drive_named(preset: str, seed: int, drive_id: str) -> SynthDrive:
+    """One drive with pictures of a preset, however many of those are recorded.
+
+    Raises:
+        UsageError: there is no such preset, or no such drive.
+    """
+    wanted, _, _ = planned(preset)
+    scene_id, _, number = drive_id.rpartition("-")
+    scenes = [scene for scene, site in enumerate(wanted.sites) if site.roi.scene_id == scene_id]
+    if not scenes or not number.isdecimal() or not 1 <= int(number) < _OTHERS:
+        raise UsageError(f"no drive {drive_id!r} in preset {preset!r}", expected="<scene>-<number from 01>")
+    place = int(number) - 1
+    recipe = recipes_of(wanted.sites[scenes[0]], place + 1)[-1]
+    return _traversal(wanted, scenes[0], place, recipe, seed)
+
+
+def _traversal(preset: Preset, scene: int, place: int, recipe: Recipe, seed: int) -> SynthDrive:
+    site = preset.sites[scene]
+    later_ns = place // len(site.recipes) * _DAYS_LATER_NS
+    return _drive(preset, scene, f"{site.roi.scene_id}-{place + 1:02d}", recipe, seed, place, later_ns)
+
+
+def _other(preset: Preset, scene: int, place: int, recipe: Recipe, seed: int) -> SynthDrive:
+    return _drive(preset, scene, f"{preset.sites[scene].roi.scene_id}-{recipe.route}", recipe, seed, _OTHERS + place, 0)
+
+
+def _drive(
+    preset: Preset, scene: int, drive_id: str, recipe: Recipe, seed: int, position: int, later_ns: int
+) -> SynthDrive:
+    rng = np.random.default_rng([seed, scene, position])
+    roi = preset.sites[scene].roi
+    number = len(_TYPES) * scene + _TYPES.index(recipe.vehicle)
+    vehicle = Vehicle(f"vehicle-{number + 1}", VEHICLE_TYPES[recipe.vehicle], preset.width_px, 100 * seed + number)
+    start = later_ns + instant_of(
+        recipe.date, recipe.light, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0, morning=recipe.morning
+    )
+    start += int(rng.integers(20_000_000)) * 1000
+    return SynthDrive(
+        drive_id=drive_id,
+        preset=preset,
+        scene=scene,
+        recipe=recipe,
+        vehicle=vehicle,
+        condition=Condition(start, recipe.light, recipe.weather, visit=position),
+        world_seed=1000 * seed + scene,
+        seed=int(rng.integers(1 << 30)),
+    )

@@ -1,0 +1,185 @@
+"""What is recorded: scenes, and the drives through them by light, weather, route and vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import cycle, islice
+from typing import Final
+
+from mirror.errors import UsageError
+from mirror.schema.documents import Roi
+from mirror.synth.errors import Errors
+from mirror.synth.fleet import places
+from mirror.synth.fleet.recipe import Recipe, programme
+
+
+@dataclass(frozen=True)
+class Site:
+    """One scene, and who drives through it.
+
+    Attributes:
+        roi: where.
+        yaw_deg: direction of its main street, counter-clockwise from east.
+        fastest_mps: nobody who records drives faster.
+        recipes: drives with pictures, in this order, and from the first again.
+        others: drives besides: the branches of the trigger, each of another route.
+    """
+
+    roi: Roi
+    yaw_deg: float
+    fastest_mps: float
+    recipes: tuple[Recipe, ...]
+    others: tuple[Recipe, ...] = ()
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A set of recordings.
+
+    Attributes:
+        name: its name.
+        sites: the scenes, of which the first so many are recorded.
+        traversals: drives with pictures through each scene.
+        width_px: of a picture with share 1; `mirror.synth.rigs` says what the cameras make of that.
+        picture_hz: pictures a second and camera.
+        pose_hz: poses a second.
+        on_demand: pictures are not written; recordings refer to them, and they are rendered when somebody loads them.
+        errors: by which what is recorded differs from the truth.
+    """
+
+    name: str
+    sites: tuple[Site, ...]
+    traversals: int
+    width_px: int
+    picture_hz: float
+    pose_hz: float = 20.0
+    on_demand: bool = False
+    errors: Errors = field(default_factory=Errors)
+
+
+_SHOWN: Final = (
+    Recipe("along", "day", "clear", "2025-05-14", "saloon"),
+    Recipe("back", "night", "clear", "2025-11-19", "suv", poses="parquet", lost=("rear", 5)),
+    Recipe("along", "day", "rain", "2025-06-11", "hatchback", poses="parts"),
+    Recipe("back", "dusk", "clear", "2025-07-02", "saloon"),
+    Recipe("turn", "day", "clouds", "2025-10-22", "suv", poses="gps", morning=True),
+    Recipe("along", "night", "rain", "2025-12-03", "suv"),
+    Recipe("twice", "day", "clear", "2025-08-20", "estate", morning=True),
+)
+"""Traversals of the small presets: one of everything, early."""
+
+_SKIMS: Final = Recipe("corner", "day", "clear", "2025-05-15", "saloon")
+_SKIMS_UNSEEN: Final = Recipe("corner", "day", "clear", "2025-05-15", "saloon", pictures=False)
+_PASSES_FAST: Final = Recipe("edge", "dusk", "clear", "2025-05-16", "van", poses="heading", pictures=False)
+_STANDS: Final = Recipe("still", "day", "clear", "2025-05-17", "hatchback", poses="parquet", pictures=False)
+_TURNS_ROUND: Final = Recipe("uturn", "night", "clear", "2025-05-18", "suv", pictures=False)
+_POSES_ONLY: Final = Recipe("back", "day", "clouds", "2025-09-09", "bus", poses="heading", pictures=False)
+
+_URBAN: Final = (("along", 0), ("back", 0), ("turn", 0), ("across", 0), ("left", 0))
+_CAMPUS: Final = (("along", 0), ("back", 0), ("left", 0), ("turn", 0), ("across", 0))
+_RURAL: Final = (("along", 0), ("back", 0), ("turn", 0), ("along", 0), ("back", 0))
+_HIGHWAY: Final = (("along", 0), ("back", 0), ("change", 0), ("other", 0), ("back", 1), ("leave", 0), ("other", 1))
+_SEVEN: Final = ("saloon", "truck", "suv", "hatchback", "bus", "estate", "van")
+
+
+def _turned(recipes: tuple[Recipe, ...], by: int) -> tuple[Recipe, ...]:
+    """The same in the same order, begun elsewhere, so that scenes differ in what they have."""
+    return (*recipes[by:], *recipes[:by])
+
+
+def _benchmark() -> Preset:
+    def site(number: int, roi: Roi, yaw_deg: float, fastest_mps: float, routes: tuple[tuple[str, int], ...]) -> Site:
+        return Site(roi, yaw_deg, fastest_mps, programme(routes, _SEVEN, 8, 5 * number))
+
+    return Preset(
+        "benchmark",
+        (
+            site(0, places.GUANGZHOU_URBAN, 24.0, 12.0, _URBAN),
+            site(1, places.LYON_HIGHWAY, 71.0, 25.0, _HIGHWAY),
+            site(2, places.KARLSRUHE_RURAL, -38.0, 16.0, _RURAL),
+            site(3, places.KARLSRUHE_CAMPUS, -61.0, 9.0, _CAMPUS),
+        ),
+        traversals=8,
+        width_px=960,
+        picture_hz=2.0,
+    )
+
+
+def _paper() -> Preset:
+    scenes = (
+        (places.GUANGZHOU_URBAN, 24.0, 9.0, _URBAN),
+        (places.KARLSRUHE_CAMPUS, -61.0, 8.0, _CAMPUS),
+        (places.LYON_HIGHWAY, 71.0, 22.0, _HIGHWAY),
+        (places.KARLSRUHE_RURAL, -38.0, 12.0, _RURAL),
+        (places.LYON_URBAN, 102.0, 9.0, _URBAN),
+        (places.TORONTO_URBAN, -16.0, 9.0, _URBAN),
+        (places.TORONTO_RURAL, 55.0, 12.0, _RURAL),
+        (places.SANTIAGO_URBAN, 8.0, 9.0, _URBAN),
+        (places.WUHAN_CAMPUS, 140.0, 8.0, _CAMPUS),
+        (places.GUANGZHOU_HIGHWAY, -22.0, 22.0, _HIGHWAY),
+    )
+    sites = tuple(
+        Site(roi, yaw_deg, fastest_mps, programme(routes, _SEVEN, 17, 3 * number))
+        for number, (roi, yaw_deg, fastest_mps, routes) in enumerate(scenes)
+    )
+    return Preset("paper", sites, traversals=17, width_px=960, picture_hz=10.0, pose_hz=100.0, on_demand=True)
+
+
+_TINY: Final = places.small(places.GUANGZHOU_URBAN, 62.0)
+
+PRESETS: Final = {
+    preset.name: preset
+    for preset in (
+        Preset("tiny", (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN,)),), 2, 160, picture_hz=0.5),
+        Preset(
+            "quick",
+            (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN, _PASSES_FAST, _STANDS, _POSES_ONLY)),),
+            traversals=5,
+            width_px=320,
+            picture_hz=0.3,
+        ),
+        Preset(
+            "demo",
+            (
+                Site(places.GUANGZHOU_URBAN, 24.0, 14.0, _SHOWN, (_SKIMS, _PASSES_FAST, _STANDS, _TURNS_ROUND)),
+                Site(places.small(places.KARLSRUHE_CAMPUS, 120.0), -61.0, 10.0, _turned(_SHOWN, 3), (_POSES_ONLY,)),
+            ),
+            traversals=5,
+            width_px=400,
+            picture_hz=0.4,
+        ),
+        _benchmark(),
+        _paper(),
+    )
+}
+"""By name. ``tiny`` for tests, ``quick`` and ``demo`` to look at, ``benchmark`` with four kinds of scene in six
+conditions, ``paper`` as large as the paper's dataset: ten scenes in six cities, seven types of vehicle; pictures
+on demand."""
+
+
+def planned(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:
+    """A preset, and how many scenes and traversals of it are meant.
+
+    Args:
+        preset: one of `PRESETS`.
+        scenes: how many scenes; default: all that the preset has.
+        traversals: how many drives with pictures through each; default: the preset's.
+
+    Raises:
+        UsageError: there is no such preset, or it has no so many scenes.
+    """
+    if preset not in PRESETS:
+        raise UsageError(f"no preset {preset!r}", expected=f"one of {', '.join(PRESETS)}")
+    wanted = PRESETS[preset]
+    count = len(wanted.sites) if scenes is None else scenes
+    if not 1 <= count <= len(wanted.sites):
+        raise UsageError(f"{count} scenes of preset {preset!r}", expected=f"1 to {len(wanted.sites)}")
+    many = wanted.traversals if traversals is None else traversals
+    if many < 1:
+        raise UsageError(f"{many} traversals a scene", expected="at least 1")
+    return wanted, count, many
+
+
+def recipes_of(site: Site, traversals: int) -> list[Recipe]:
+    """The drives with pictures through a scene, in order; after the last the first comes again."""
+    return list(islice(cycle(site.recipes), traversals))

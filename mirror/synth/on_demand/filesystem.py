@@ -1,0 +1,123 @@
+"""The pictures as a file system of fsspec: reading one renders it."""
+
+from __future__ import annotations
+
+import io
+import threading
+from collections import OrderedDict
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Final
+
+from fsspec import AbstractFileSystem
+
+from mirror.errors import UsageError
+from mirror.synth.on_demand.png import TAIL, stored_length, stored_png
+from mirror.synth.on_demand.uri import SCHEME, PictureName, parsed
+
+if TYPE_CHECKING:
+    from mirror.synth.fleet.drive import SynthDrive
+    from mirror.synth.render.scene import Instant
+
+_DRIVES_HELD: Final = 3
+_INSTANTS_HELD: Final = 2
+
+
+class SynthFileSystem(AbstractFileSystem):
+    """Read only. Sizes and the last bytes of pictures are had without rendering."""
+
+    protocol = SCHEME
+    root_marker = ""
+
+    @classmethod
+    def _strip_protocol(cls, path: str) -> str:
+        return str(path).removeprefix(f"{SCHEME}://").rstrip("/")
+
+    def info(self, path: str, **kwargs: Any) -> dict[str, Any]:
+        """Name, size and type of a picture.
+
+        Raises:
+            DatasetError: the name is none, or of another version of the street.
+            FileNotFoundError: there is no such drive or camera.
+        """
+        name = self._strip_protocol(path)
+        return {"name": name, "size": _length(parsed(name)), "type": "file"}
+
+    def ls(self, path: str, detail: bool = True, **kwargs: Any) -> list[Any]:
+        """The picture alone; there are no folders to look into."""
+        info = self.info(path)
+        return [info if detail else info["name"]]
+
+    def cat_file(self, path: str, start: int | None = None, end: int | None = None, **kwargs: Any) -> bytes:
+        """Some bytes of a picture; it is rendered unless they are its last ones.
+
+        Raises:
+            DatasetError: the name is none, or of another version of the street.
+            FileNotFoundError: there is no such drive or camera, or the drive has no such instant.
+        """
+        name = parsed(self._strip_protocol(path))
+        length = _length(name)
+        first, last, _ = slice(start, end).indices(length)
+        before = length - len(TAIL)
+        if first >= before:
+            return TAIL[first - before : max(last, first) - before]
+        return _drive(name.preset, name.seed, name.drive_id).encoded(name)[first:last]
+
+    def _open(self, path: str, mode: str = "rb", **kwargs: Any) -> io.BytesIO:
+        if mode != "rb":
+            raise UsageError(f"mode {mode!r}", file=path, expected="rb: pictures on demand are read only")
+        return io.BytesIO(self.cat_file(path))
+
+
+class _Open:
+    """A drive that pictures are asked of, from several threads."""
+
+    def __init__(self, drive: SynthDrive) -> None:
+        self.drive = drive
+        self._instants: OrderedDict[int, Instant] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def encoded(self, name: PictureName) -> bytes:
+        # One builds the scene and the instant, which all cameras share; the others wait. They render side by side.
+        with self._lock:
+            drive = self.drive
+            seconds = 1e-9 * (name.true_ns - drive.condition.start_ns)
+            if not 0.0 <= seconds <= drive.truth.duration_s:
+                raise FileNotFoundError(f"{name.uri()}: {seconds:.3f} s after the drive's start")
+            if name.true_ns not in self._instants:
+                self._instants[name.true_ns] = drive.at(name.true_ns)
+                if len(self._instants) > _INSTANTS_HELD:
+                    self._instants.popitem(last=False)
+            instant = self._instants[name.true_ns]
+            drive.prepare()
+        return stored_png(drive.picture(name.camera, name.true_ns, instant).bgr)
+
+
+_OPENING = threading.Lock()
+
+
+def _drive(preset: str, seed: int, drive_id: str) -> _Open:
+    with _OPENING:
+        return _opened(preset, seed, drive_id)
+
+
+@lru_cache(_DRIVES_HELD)
+def _opened(preset: str, seed: int, drive_id: str) -> _Open:
+    from mirror.synth.fleet.drives import drive_named
+
+    try:
+        return _Open(drive_named(preset, seed, drive_id))
+    except UsageError as error:
+        raise FileNotFoundError(str(error)) from error
+
+
+@lru_cache(4096)
+def _raster(preset: str, seed: int, drive_id: str) -> dict[str, tuple[int, int]]:
+    cameras = _drive(preset, seed, drive_id).drive.vehicle.cameras
+    return {name: (camera.width_px, camera.height_px) for name, camera in cameras.items()}
+
+
+def _length(name: PictureName) -> int:
+    rasters = _raster(name.preset, name.seed, name.drive_id)
+    if name.camera not in rasters:
+        raise FileNotFoundError(f"{name.uri()}: no camera {name.camera!r}")
+    return stored_length(*rasters[name.camera])

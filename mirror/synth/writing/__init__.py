@@ -1,0 +1,7 @@
+"""Drives as recordings in the `folder` layout (docs/recordings.md), with chosen errors, and the truth beside them."""
+
+from __future__ import annotations
+
+from mirror.synth.writing.recordings import Written, write_recordings
+
+__all__ = ["Written", "write_recordings"]

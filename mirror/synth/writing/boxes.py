@@ -1,0 +1,116 @@
+"""3D boxes of road users, as a recording states them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import Bool, Float64, Int64
+from mirror.geometry import Poses, matrix_from_quaternion, project_boxes, quaternion_from_heading_pitch_roll
+from mirror.schema.tables import BOXES
+from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.users.body import Placement, RoadUser
+from mirror.synth.writing.shots import Shots
+from mirror.version import __version__
+
+SOURCE: Final = "synth"
+LEAST_SHARE: Final = 8e-5
+"""A road user that no picture shows in so large a share of a picture's pixels has no box."""
+_FARTHEST_M: Final = 60.0
+
+
+def world_SE3_boxes(users: Sequence[RoadUser], placements: Sequence[Placement]) -> Poses:  # noqa: N802
+    """Poses (N,) of road users' boxes: their middles, with the bodies' axes."""
+    rows = [(one.x_m, one.y_m, one.z_m, one.yaw_rad, one.pitch_rad, one.roll_rad) for one in placements]
+    return _boxes(np.array(rows).reshape(-1, 6), np.array([user.body.size_m[2] for user in users]))
+
+
+def _boxes(placed: Float64, height_m: Float64) -> Poses:
+    """Of placements (N, 6) x, y, z, yaw, pitch, roll."""
+    yaw, pitch, roll = np.degrees(placed[:, 3:]).T
+    body = Poses(quaternion_from_heading_pitch_roll(90.0 - yaw, pitch, roll), placed[:, :3])
+    up = np.zeros((len(placed), 3))
+    up[:, 2] = 0.5 * height_m
+    return body @ Poses(np.tile((1.0, 0.0, 0.0, 0.0), (len(placed), 1)), up)
+
+
+def box_rows(
+    users: Sequence[RoadUser], placements: Sequence[Placement], world_SE3_ego: Poses, timestamp_ns: int
+) -> pa.Table:
+    """Rows of the ``boxes`` table of some road users at one instant.
+
+    Args:
+        users: who.
+        placements: where each is.
+        world_SE3_ego: one pose.
+        timestamp_ns: of the rows.
+    """
+    speed = np.array([one.speed_mps for one in placements])
+    return _table(
+        users, np.full(len(users), timestamp_ns), world_SE3_ego[np.zeros(len(users), np.int64)],
+        world_SE3_boxes(users, placements), speed,
+    )  # fmt: skip
+
+
+def boxes_in_view(drive: SynthDrive, shots: Shots) -> pa.Table:
+    """Rows of the ``boxes`` table of a drive whose pictures are not rendered.
+
+    They are those of road users nearby whose box some camera has in view, large enough; whether something hides them is
+    not asked.
+    """
+    camera = next(iter(shots.true_ns))
+    true, recorded = shots.true_ns[camera], shots.recorded_ns[camera]
+    ego = drive.world_SE3_ego(true)
+    parts = [BOXES.schema.empty_table()]
+    for user in drive.users:
+        placed, speed = drive.placements(user, true)
+        rows = np.flatnonzero(np.linalg.norm(placed[:, :2] - ego.translation[:, :2], axis=1) < _FARTHEST_M)
+        boxes = _boxes(placed[rows], np.full(len(rows), user.body.size_m[2]))
+        seen = _in_view(drive, ego[rows].inverse() @ boxes, user.body.size_m)
+        kept = rows[seen]
+        parts.append(_table([user] * len(kept), recorded[kept], ego[kept], boxes[seen], speed[kept]))
+    return pa.concat_tables(parts)
+
+
+def _in_view(drive: SynthDrive, ego_SE3_box: Poses, size_m: tuple[float, float, float]) -> Bool:
+    """Which of N boxes some camera has in view, large enough."""
+    seen = np.zeros(len(ego_SE3_box), np.bool_)
+    for name, camera in drive.vehicle.cameras.items():
+        rows = np.flatnonzero(~seen)
+        camera_SE3_box = drive.vehicle.ego_SE3_camera[name].inverse() @ ego_SE3_box[rows]
+        found = project_boxes(camera, camera_SE3_box, np.tile(size_m, (len(rows), 1)))
+        area = np.prod(found.bounds_px[:, 2:] - found.bounds_px[:, :2], axis=1)
+        seen[rows] = found.visible & (np.nan_to_num(area) >= least_px(drive))
+    return seen
+
+
+def least_px(drive: SynthDrive) -> float:
+    """So many pixels of a picture show a road user that has a box."""
+    camera = next(iter(drive.vehicle.cameras.values()))
+    return max(4.0, LEAST_SHARE * camera.width_px * camera.height_px)
+
+
+def _table(
+    users: Sequence[RoadUser], timestamp_ns: Int64, world_SE3_ego: Poses, world_SE3_box: Poses, speed_mps: Float64
+) -> pa.Table:
+    count = len(users)
+    if not count:
+        return BOXES.schema.empty_table()
+    ahead = matrix_from_quaternion(world_SE3_box.rotation)[:, :, 0] * speed_mps[:, None]
+    velocity = np.einsum("nij,ni->nj", matrix_from_quaternion(world_SE3_ego.rotation), ahead)
+    columns: Mapping[str, Any] = {
+        "timestamp_ns": timestamp_ns,
+        "track_id": [user.track_id for user in users],
+        "category": [user.body.category for user in users],
+        **(world_SE3_ego.inverse() @ world_SE3_box).to_columns(),
+        **dict(zip(("length_m", "width_m", "height_m"), np.array([user.body.size_m for user in users]).T)),
+        **dict(zip(("vx_mps", "vy_mps", "vz_mps"), velocity.T)),
+        "score": pa.nulls(count, pa.float64()),
+        "source": [SOURCE] * count,
+        "source_version": [__version__] * count,
+    }
+    arrays = [pa.array(columns[field.name], field.type) for field in BOXES.schema]
+    return pa.Table.from_arrays(arrays, schema=BOXES.schema)

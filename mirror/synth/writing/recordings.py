@@ -1,0 +1,168 @@
+"""Writes the recordings of a preset."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from mirror.errors import UsageError
+from mirror.ingest.request import Progress, Silent
+from mirror.schema.documents import CANONICAL_CAMERAS, Roi
+from mirror.schema.files import write_json
+from mirror.synth.errors import Errors
+from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.fleet.drives import drives_of
+from mirror.synth.writing.pictures import Frame, refer_to_pictures, write_cameras, write_frames
+from mirror.synth.writing.poses import pose_stamps, write_poses
+from mirror.synth.writing.shots import Shots, shots_of
+from mirror.synth.writing.truth import RENDERED, TruthKind, write_truth
+
+LICENCE: Final = "CC0-1.0"
+
+
+@dataclass
+class Written:
+    """What writing recordings came to.
+
+    Attributes:
+        recordings: their folders.
+        pictures: written or referred to.
+        lost: pictures that were taken, and lost as the errors ask.
+        boxes: in all.
+        unseen: road users nearby that pictures of an instant were looked through for, and that have no box.
+    """
+
+    recordings: list[Path] = field(default_factory=list)
+    pictures: int = 0
+    lost: int = 0
+    boxes: int = 0
+    unseen: int = 0
+
+    def count(self, frame: Frame) -> None:
+        """Add pictures of one instant."""
+        self.pictures += frame.pictures
+        self.boxes += frame.boxes.num_rows
+        self.unseen += frame.unseen
+
+
+def write_recordings(
+    out: Path,
+    preset: str = "tiny",
+    seed: int = 0,
+    *,
+    scenes: int | None = None,
+    traversals: int | None = None,
+    errors: Errors | None = None,
+    truth: Sequence[TruthKind] = (),
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Written:
+    """Write the recordings of a preset, and ``rois.geojson`` beside them.
+
+    The files depend on the arguments alone, not on the number of workers. ``recording.json`` is written last.
+
+    Args:
+        out: an empty folder, or one to be made.
+        preset: one of `mirror.synth.PRESETS`.
+        seed: of everything that is left to chance.
+        scenes: how many scenes; default: all that the preset has.
+        traversals: how many drives with pictures through each; default: the preset's.
+        errors: by which what is recorded differs from the truth; default: the preset's.
+        truth: kinds of truth to be written beside each recording.
+        workers: threads; default: as many as there are processors.
+        progress: is told of every picture; None: nobody is.
+
+    Raises:
+        UsageError: no such preset, the folder is not empty, or truth of pictures that are not rendered.
+        DatasetError: the folder is not writable, or the disk is full.
+    """
+    settings, drives = drives_of(preset, seed, scenes, traversals)
+    errors = settings.errors if errors is None else errors
+    if settings.on_demand and RENDERED & set(truth):
+        raise UsageError(
+            f"truth of kinds {', '.join(sorted(RENDERED & set(truth)))} with preset {preset!r}",
+            expected="poses alone: its pictures are rendered when they are loaded",
+            remedy="take another preset",
+        )
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError("not an empty folder", file=out, remedy="name another folder, or remove this one")
+    progress = Silent() if progress is None else progress
+    progress.start("recordings", len(drives))
+    write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
+    written = Written()
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        for drive in drives:
+            folder = out / drive.drive_id
+            _write(folder, drive, seed, errors, truth, pool, written)
+            written.recordings.append(folder)
+            drive.forget()
+            progress.advance(1)
+    return written
+
+
+def _write(
+    folder: Path,
+    drive: SynthDrive,
+    seed: int,
+    errors: Errors,
+    truth: Sequence[TruthKind],
+    pool: ThreadPoolExecutor,
+    written: Written,
+) -> None:
+    write_poses(folder, drive, errors)
+    shots: Shots | None = None
+    truth_boxes: list[dict[str, Any]] = []
+    if drive.recipe.pictures:
+        shots = shots_of(drive, errors)
+        written.lost += sum(int((~kept).sum()) for kept in shots.kept.values())
+        write_cameras(folder, drive, shots, errors)
+        if drive.preset.on_demand:
+            written.count(refer_to_pictures(folder, drive, shots, seed))
+        else:
+            for frame in write_frames(folder, drive, shots, truth, pool):
+                written.count(frame)
+                truth_boxes += frame.truth_boxes
+    if truth:
+        write_truth(folder, drive, truth, pose_stamps(drive), shots, truth_boxes)
+    write_json(folder / "recording.json", _document(drive))
+
+
+def _geojson(rois: Sequence[Roi]) -> dict[str, object]:
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": [roi.longitude_deg, roi.latitude_deg]},
+            "properties": roi.model_dump(mode="json", exclude_none=True),
+        }
+        for roi in {roi.scene_id: roi for roi in rois}.values()
+    ]
+    return {"type": "FeatureCollection", "features": features}
+
+
+def _document(drive: SynthDrive) -> dict[str, object]:
+    pictures = drive.recipe.pictures
+    document: dict[str, object] = {
+        "format": "mirror-folder",
+        "version": "1.0",
+        "drive_id": drive.drive_id,
+        "vehicle_id": drive.vehicle.vehicle_id,
+        "vehicle_type": drive.vehicle.kind.name,
+        "rig_id": drive.rig_id if pictures else None,
+        "time_base": "gps_us" if drive.recipe.poses == "gps" else "unix_ns",
+        "frame": {"kind": "wgs84"},
+        "body_frame": "ego",
+        "city": drive.roi.city,
+        "weather": drive.recipe.weather,
+        "licence": LICENCE,
+    }
+    if pictures:
+        document["reference_camera"] = CANONICAL_CAMERAS[0]
+        document["cameras"] = {
+            name: {"static_mask": f"masks/{name}.png" if name in drive.own_masks else None}
+            for name in CANONICAL_CAMERAS
+        }
+    return document

@@ -1,0 +1,176 @@
+"""The truth of a recording, written beside it (docs/truth.md)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import AnyArray, Int64
+from mirror.errors import UsageError
+from mirror.geometry import Poses
+from mirror.schema.files import write_bytes, write_table
+from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.truth.files import FOLDER, TruthObject, write_document
+from mirror.synth.truth.flow import static_flow
+from mirror.synth.truth.pictures import KINDS, Kind, truth_file
+from mirror.synth.truth.tables import BOXES, POSES
+from mirror.synth.writing.boxes import world_SE3_boxes
+from mirror.synth.writing.shots import Shots
+
+if TYPE_CHECKING:
+    from mirror.synth.render.scene import Instant, Picture
+
+TruthKind = Literal["depth", "normals", "semantic", "instance", "flow", "boxes", "poses"]
+TRUTH_KINDS: Final[tuple[TruthKind, ...]] = get_args(TruthKind)
+RENDERED: Final[frozenset[TruthKind]] = frozenset(TRUTH_KINDS) - {"poses"}
+"""Kinds that only pictures that are rendered have."""
+
+
+def truth_kinds(text: str) -> tuple[TruthKind, ...]:
+    """The kinds that a list separated by commas names.
+
+    Raises:
+        UsageError: one of them is none.
+    """
+    named = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = sorted(set(named) - set(TRUTH_KINDS))
+    if unknown:
+        raise UsageError(f"no truth of kind {unknown[0]!r}", expected=f"some of {','.join(TRUTH_KINDS)}")
+    return tuple(kind for kind in TRUTH_KINDS if kind in named)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One picture whose truth is written.
+
+    Attributes:
+        camera: that took it.
+        true_ns: mid-exposure.
+        recorded_ns: the same, as recorded.
+        next_ns: true mid-exposure of the camera's next picture; None: there is none.
+    """
+
+    camera: str
+    true_ns: int
+    recorded_ns: int
+    next_ns: int | None
+
+
+def write_picture_truth(
+    recording: Path, drive: SynthDrive, kinds: Sequence[TruthKind], asked: Asked, instant: Instant, picture: Picture
+) -> list[dict[str, Any]]:
+    """Write the truth of one picture.
+
+    Args:
+        recording: its folder.
+        drive: that it is of.
+        kinds: which truth.
+        asked: which picture.
+        instant: that the picture shows.
+        picture: as rendered.
+
+    Returns:
+        Rows of the table of boxes.
+    """
+    view, camera = picture.view, drive.vehicle.cameras[asked.camera]
+    pose = drive.world_SE3_camera(asked.camera, np.array([asked.true_ns]))
+    found: dict[Kind, AnyArray] = {}
+    if "depth" in kinds:
+        found["depth"] = view.distance_m
+    if "normals" in kinds:
+        normals = (view.normal @ view.rotation).astype(np.float32)
+        normals[np.isinf(view.distance_m)] = np.nan
+        found["normals"] = normals
+    if "semantic" in kinds:
+        found["semantic"] = view.label
+    if "instance" in kinds:
+        found["instance"] = view.object + 1
+    if "flow" in kinds and asked.next_ns is not None:
+        later = drive.world_SE3_camera(asked.camera, np.array([asked.next_ns]))
+        found["flow"] = static_flow(view.distance_m, camera, pose, camera, later)
+    for kind, values in found.items():
+        file = truth_file(recording / FOLDER, kind, asked.camera, asked.recorded_ns)
+        write_bytes(file, KINDS[kind].encode(values))
+    return _box_rows(drive, asked, instant, picture, pose) if "boxes" in kinds else []
+
+
+def _box_rows(
+    drive: SynthDrive, asked: Asked, instant: Instant, picture: Picture, world_SE3_camera: Poses
+) -> list[dict[str, Any]]:
+    from mirror.synth.truth.boxes import Standing, shown
+
+    numbers, places = list(instant.placements), list(instant.placements.values())
+    users = [drive.users[number] for number in numbers]
+    boxes = world_SE3_boxes(users, places)
+    standing = {
+        number: Standing(
+            user.body.posed(place).placed(place.rotation, place.translation, number), boxes[row], user.body.size_m
+        )
+        for row, (number, user, place) in enumerate(zip(numbers, users, places))
+    }
+    camera = drive.vehicle.cameras[asked.camera]
+    found = shown(picture.view.object, camera, world_SE3_camera, standing)
+    columns = boxes.to_columns()
+    rows = []
+    for index, number in enumerate(found.number.tolist()):
+        row = numbers.index(number)
+        bounds: Sequence[float | None] = found.bounds_px[index].tolist() if found.pixels[index] else (None,) * 4
+        rows.append(
+            {
+                "camera": asked.camera,
+                "timestamp_ns": asked.recorded_ns,
+                "track_id": users[row].track_id,
+                "category": users[row].body.category,
+                **{name: float(column[row]) for name, column in columns.items()},
+                **dict(zip(("length_m", "width_m", "height_m"), users[row].body.size_m)),
+                "speed_mps": places[row].speed_mps,
+                "visibility": float(found.visibility[index]),
+                "pixels": int(found.pixels[index]),
+                **dict(zip(("u_min_px", "v_min_px", "u_max_px", "v_max_px"), bounds)),
+            }
+        )
+    return rows
+
+
+def write_truth(
+    recording: Path,
+    drive: SynthDrive,
+    kinds: Sequence[TruthKind],
+    pose_ns: Int64,
+    shots: Shots | None,
+    boxes: Sequence[Mapping[str, Any]],
+) -> None:
+    """Write what there is once a recording: poses, calibrations, boxes, and ``truth.json``, last.
+
+    Args:
+        recording: its folder.
+        drive: that it is of.
+        kinds: which truth was asked for.
+        pose_ns: (N,) of the recorded poses.
+        shots: its pictures; None: it has none.
+        boxes: rows of `write_picture_truth`.
+    """
+    folder = recording / FOLDER
+    bodies = {"ego": (drive.world_SE3_ego(pose_ns), pose_ns, pose_ns)}
+    if shots is not None:
+        for name, kept in shots.kept.items():
+            true = shots.true_ns[name][kept]
+            bodies[name] = drive.world_SE3_camera(name, true), shots.recorded_ns[name][kept], true
+        write_bytes(folder / "calibrations.json", json.dumps(drive.vehicle.true_calibration(), indent=1).encode())
+    parts = [
+        pa.table({"body": [name] * len(true), "timestamp_ns": recorded, "true_ns": true, **poses.to_columns()})
+        for name, (poses, recorded, true) in sorted(bodies.items())
+    ]
+    write_table(folder / "poses.parquet", pa.concat_tables(parts), POSES)
+    if "boxes" in kinds:
+        rows = sorted(boxes, key=lambda row: tuple(row[key] for key in BOXES.sorted_by))
+        write_table(folder / "boxes.parquet", pa.Table.from_pylist(rows, schema=BOXES.schema), BOXES)
+    objects = tuple(TruthObject(track_id=user.track_id, category=user.body.category) for user in drive.users)
+    pictures: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind in kinds)
+    write_document(recording, drive.roi, pictures, objects)

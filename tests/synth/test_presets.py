@@ -1,0 +1,92 @@
+"""Presets as data: as large, as varied and as possible as they are said to be."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mirror.errors import UsageError
+from mirror.synth.driving.routes import ROUTES
+from mirror.synth.fleet import PRESETS
+from mirror.synth.fleet.drives import drive_named, drives_of
+from mirror.synth.fleet.presets import recipes_of
+from mirror.synth.rigs import VEHICLE_TYPES
+
+
+def recipes(name: str):
+    preset = PRESETS[name]
+    return [recipe for site in preset.sites for recipe in recipes_of(site, preset.traversals)]
+
+
+def test_the_paper_has_ten_scenes_in_six_cities_and_seven_types_of_vehicle() -> None:
+    rois = [site.roi for site in PRESETS["paper"].sites]
+    assert len({roi.scene_id for roi in rois}) == 10
+    assert len({roi.city for roi in rois}) == 6
+    assert {roi.scene_type for roi in rois} == {"urban", "highway", "rural", "campus"}
+    assert {recipe.vehicle for recipe in recipes("paper")} == set(VEHICLE_TYPES)
+    area = sum(math.pi * roi.radius_m**2 for roi in rois) * 1e-6
+    assert round(area, 3) == 1.257 and round(area / len(rois), 3) == 0.126
+    assert PRESETS["paper"].on_demand
+
+
+def test_the_benchmark_has_four_kinds_of_scene_and_six_conditions_of_each() -> None:
+    preset = PRESETS["benchmark"]
+    assert [site.roi.scene_type for site in preset.sites] == ["urban", "highway", "rural", "campus"]
+    assert len(recipes("benchmark")) == 32
+    for site in preset.sites:
+        mine = recipes_of(site, preset.traversals)
+        assert len({(one.light, one.weather) for one in mine}) == 6
+        assert {one.route for one in mine} >= {"along", "back"}
+        assert len({one.vehicle for one in mine}) == 7
+        assert len({one.date for one in mine}) >= 6
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_recipe_is_of_a_known_route_and_vehicle(name: str) -> None:
+    preset = PRESETS[name]
+    for site in preset.sites:
+        for recipe in (*site.recipes, *site.others):
+            assert recipe.route in ROUTES
+            assert recipe.vehicle in VEHICLE_TYPES
+        others = [one.route for one in site.others]
+        assert len(set(others)) == len(others)
+    scenes = [site.roi for site in preset.sites]
+    places = np.array([(roi.longitude_deg, roi.latitude_deg) for roi in scenes])
+    apart = np.abs(places[:, None] - places).max(axis=2)[~np.eye(len(places), dtype=bool)]
+    assert not len(apart) or apart.min() > 0.01
+
+
+def test_a_drive_is_the_same_however_many_are_recorded() -> None:
+    few, many = drives_of("demo", 3, traversals=2)[1], drives_of("demo", 3, traversals=9)[1]
+    by_id = {drive.drive_id: drive for drive in many}
+    assert len(by_id) == len(many)
+    for drive in few:
+        again = by_id[drive.drive_id]
+        assert (again.condition, again.seed, again.recipe) == (drive.condition, drive.seed, drive.recipe)
+        assert again.vehicle == drive.vehicle
+    named = drive_named("demo", 3, "guangzhou-urban-09")
+    assert (named.condition, named.seed) == (by_id[named.drive_id].condition, by_id[named.drive_id].seed)
+
+
+def test_recipes_that_come_again_come_on_another_day() -> None:
+    drives = drives_of("demo", 0, scenes=1, traversals=16)[1][:16]
+    days = (drives[7].condition.start_ns - drives[0].condition.start_ns) / 86.4e12
+    assert drives[7].recipe == drives[0].recipe
+    assert days == pytest.approx(9.0, abs=0.01)
+    assert len({drive.seed for drive in drives}) == 16
+
+
+def test_vehicles_of_a_scene_have_ids_of_their_own() -> None:
+    seen = {}
+    for drive in drives_of("benchmark", 0)[1]:
+        assert seen.setdefault(drive.vehicle.vehicle_id, (drive.vehicle.kind.name, drive.roi.scene_id)) == (
+            drive.vehicle.kind.name,
+            drive.roi.scene_id,
+        )
+    assert len(seen) == 28
+
+
+@pytest.mark.parametrize("drive_id", ["nowhere-01", "guangzhou-urban-corner", "guangzhou-urban-00", "guangzhou-urban"])
+def test_drives_that_are_none_are_refused(drive_id: str) -> None:
+    with pytest.raises(UsageError, match="no drive"):
+        drive_named("demo", 0, drive_id)

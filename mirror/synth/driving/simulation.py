@@ -23,6 +23,7 @@ AMBER_S: Final = 3.0
 _WAITING, _THERE, _GONE = 0, 1, 2
 _STANDSTILL_M: Final = 0.5
 _HARDEST_MPS2: Final = 7.0
+_GENTLE_MPS2: Final = 2.5
 _PATIENCE_S: Final = 8.0
 _NEVER: Final = 1e9
 _FAR: Final = 1e6
@@ -212,11 +213,13 @@ def _free(u: int, ways: Ways, users: Users, s: float, v: float) -> float:
 @njit(cache=True, nogil=True)
 def _follow(u: int, users: Users, v: float, gap: float, speed: float) -> float:
     """Acceleration behind somebody at a gap who goes at a speed."""
-    if gap <= 0.05:
-        return -_HARDEST_MPS2 if v > 0.0 else -1.0
+    room = max(gap, 0.3)
     ease = 2.0 * math.sqrt(users.pick_up_mps2[u] * users.brake_mps2[u])
     wanted = _STANDSTILL_M + max(0.0, v * users.headway_s[u] + v * (v - speed) / ease)
-    return max(users.pick_up_mps2[u] * (1.0 - (wanted / gap) ** 2), -_HARDEST_MPS2)
+    # The model brakes as hard at a short gap whether or not it closes: no harder than the closing asks for.
+    closing = max(v - speed, 0.0)
+    hardest = min(max(1.4 * closing * closing / (2.0 * room), _GENTLE_MPS2), _HARDEST_MPS2)
+    return max(users.pick_up_mps2[u] * (1.0 - (wanted / room) ** 2), -hardest)
 
 
 @njit(cache=True, nogil=True)

@@ -34,6 +34,20 @@ def heights(x, y):
     return 0.02 * x + 0.01 * y + 0.4 * np.sin(x / 60.0)
 
 
+def motorway() -> Network:
+    """Two lanes one way, along x."""
+    lanes = {}
+    for number in range(2):
+        ends = [-EXTENT, 0.0, EXTENT]
+        for part, (low, high) in enumerate(itertools.pairwise(ends)):
+            lanes[f"m{part}.{number}"] = Lane(
+                f"m{part}.{number}", "drive", straight((low, 3.6 * number), (high, 3.6 * number)), 3.6, 30.0,
+                successors=(f"m1.{number}",) if part == 0 else (),
+                left=f"m{part}.1" if number == 0 else None, right=f"m{part}.0" if number == 1 else None,
+            )  # fmt: skip
+    return Network(lanes, np.zeros((0, 2)), 60.0)
+
+
 def network() -> Network:
     lanes: dict[str, Lane] = {}
 
@@ -77,7 +91,8 @@ def network() -> Network:
             turns.append((turn, way_in, way_out))
         for turn, way_in, way_out in turns:
             left = way_in[0] * way_out[1] - way_in[1] * way_out[0] > 0.5
-            first = [o for o, i, u in turns if left and np.dot(i, way_in) < -0.5 and not np.cross([*i, 0], [*u, 0])[2] > 0.5]
+            met = [(o, i, u) for o, i, u in turns if left and np.dot(i, way_in) < -0.5]
+            first = [o for o, i, u in met if i[0] * u[1] - i[1] * u[0] < 0.5]
             if crossing == "corner" and abs(way_in[1]) > 0.5:
                 first += [o for o, i, _ in turns if abs(i[0]) > 0.5]
             lanes[turn] = Lane(**{**vars(lanes[turn]), "yields_to": tuple(first)})

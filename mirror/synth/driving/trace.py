@@ -19,6 +19,8 @@ HeightField = Callable[[Float64, Float64], Float64]
 
 # Controls beyond the ends of the way, so that the longest vehicle stands on them.
 _PAD: Final = 44
+# Pulled in small steps, or the rear axle would cut bends.
+_PULLS: Final = 10
 
 
 @dataclass(frozen=True)
@@ -255,8 +257,12 @@ def trailing(guide: Float64, base: float) -> Float64:
     long = math.hypot(dx, dy)
     x, y = guide[0, 0] - base * dx / long, guide[0, 1] - base * dy / long
     for i in range(len(guide)):
-        dx, dy = guide[i, 0] - x, guide[i, 1] - y
-        pull = 1.0 - base / math.hypot(dx, dy)
-        x, y = x + pull * dx, y + pull * dy
+        before = max(i - 1, 0)
+        for part in range(1, _PULLS + 1):
+            share = part / _PULLS
+            dx = guide[before, 0] + share * (guide[i, 0] - guide[before, 0]) - x
+            dy = guide[before, 1] + share * (guide[i, 1] - guide[before, 1]) - y
+            pull = 1.0 - base / math.hypot(dx, dy)
+            x, y = x + pull * dx, y + pull * dy
         rear[i, 0], rear[i, 1] = x, y
     return rear

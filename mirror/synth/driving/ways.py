@@ -168,7 +168,8 @@ def _joined(pieces: Sequence[Piece]) -> tuple[Float64, Int32]:
         lines.append(line)
     points = np.vstack(lines)
     owner = np.repeat(np.arange(len(lines), dtype=np.int32), [len(line) for line in lines])
-    new = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-3])
+    # Where two pieces join, the point is the second one's.
+    new = np.concatenate([np.hypot(*np.diff(points, axis=0).T) > 1e-3, [True]])
     return points[new], owner[new]
 
 

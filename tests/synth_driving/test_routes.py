@@ -1,0 +1,76 @@
+"""Routes by name, on streets made by hand and on planned ones."""
+
+import numpy as np
+import pytest
+
+from mirror.errors import UsageError
+from mirror.schema.documents import Roi
+from mirror.synth.driving.routes import ROUTES, route_of, routes_in
+from mirror.synth.street.plan import plan_scene
+from tests.synth_driving import street
+
+NETWORK = street.network()
+
+
+def driven(route) -> np.ndarray:
+    return route.way.points[int(2 * route.begin_m) : int(2 * route.end_m) + 1]
+
+
+def turned_deg(route) -> float:
+    heading = route.way.heading_rad[int(2 * route.begin_m) : int(2 * route.end_m) + 1]
+    return float(np.degrees(heading[-1] - heading[0]))
+
+
+def test_the_names_make_sense() -> None:
+    found = {name: route_of(name, NETWORK, street.RADIUS) for name in routes_in(NETWORK, street.RADIUS)}
+    assert set(found) == set(ROUTES) - {"other", "change", "leave", "join"}
+    assert turned_deg(found["along"]) == pytest.approx(0.0, abs=1.0)
+    assert turned_deg(found["turn"]) == pytest.approx(-90.0, abs=2.0)
+    assert turned_deg(found["left"]) == pytest.approx(90.0, abs=2.0)
+    assert turned_deg(found["twice"]) == pytest.approx(180.0, abs=2.0)
+    along, back, across = (driven(found[name]) for name in ("along", "back", "across"))
+    assert np.dot(along[-1] - along[0], back[-1] - back[0]) < 0.0
+    assert abs(np.dot(along[-1] - along[0], across[-1] - across[0])) < 1e-6
+    for name in ("along", "back", "turn", "left", "across"):
+        radius = np.hypot(*driven(found[name]).T)
+        assert min(radius[0], radius[-1]) > street.RADIUS + 20.0
+        assert radius.min() < 0.5 * street.RADIUS
+
+
+def test_lanes_beside_each_other() -> None:
+    network = street.motorway()
+    first, second = (driven(route_of("along", network, street.RADIUS, variant)) for variant in (0, 1))
+    assert first[:, 1] == pytest.approx(0.0)
+    assert second[:, 1] == pytest.approx(3.6)
+    change = driven(route_of("change", network, street.RADIUS))
+    assert change[0, 1] == pytest.approx(0.0)
+    assert change[:, 1].max() == pytest.approx(3.6, abs=1e-6)
+
+
+def test_what_a_scene_has_not() -> None:
+    with pytest.raises(UsageError, match="no route 'turn' in this scene"):
+        route_of("turn", street.motorway(), street.RADIUS)
+    with pytest.raises(UsageError, match="no route 'sideways'"):
+        route_of("sideways", NETWORK, street.RADIUS)
+    with pytest.raises(UsageError, match="no room to turn round"):
+        route_of("uturn", street.motorway(), street.RADIUS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "radius", "missing"),
+    [
+        ("urban", 62.0, {"other", "change", "leave", "join"}),
+        ("campus", 120.0, {"other", "change", "leave", "join"}),
+        ("rural", 200.0, {"across", "other", "change", "leave", "join"}),
+        ("highway", 200.0, {"turn", "left", "across", "edge", "corner", "twice", "uturn"}),
+    ],
+)
+def test_planned_scenes_have_their_routes(kind, radius, missing) -> None:
+    plan = plan_scene(
+        Roi(scene_id="a", longitude_deg=8.0, latitude_deg=49.0, radius_m=radius, scene_type=kind), 24.0, 3
+    )
+    assert set(routes_in(plan.network, radius)) >= set(ROUTES) - missing
+    for name in sorted(set(ROUTES) - missing):
+        way = route_of(name, plan.network, radius).way
+        bend = np.abs(np.diff(way.heading_rad)) / 0.5
+        assert bend.max() < 1 / 4.0, name

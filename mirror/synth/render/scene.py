@@ -26,6 +26,7 @@ from mirror.synth.render.shadows import ShadowMap, shadow_map, sun_axes
 from mirror.synth.render.surroundings import BELOW_CELL_M, GLOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M, MAPS, Surroundings
 from mirror.synth.render.view import View, see
 from mirror.synth.render.wet import with_reflections
+from mirror.synth.roads.markings import MARK, narrowed
 from mirror.synth.street.foliage import foliage
 from mirror.synth.users.body import Body, Placement, RoadUser, Still
 
@@ -138,6 +139,7 @@ class Scene:
             world.model, float(self.light.record["season"]), condition.visit if condition.effects.foliage else 0
         )
         _turn_pictures(model, condition.visit if condition.effects.billboards else 0)
+        model, layouts = narrowed(model, world.layouts)
         # What stands as long as the drive lasts is placed once.
         model = merged(
             [model, *(self._standing(number, user) for number, user in enumerate(self.users) if _stands(user))]
@@ -157,7 +159,7 @@ class Scene:
         ground = np.asarray(world.height_m(x.ravel(), y.ravel())).reshape(x.shape).astype(np.float32)
         maps["ground_origin"] = -reach
         spheres = spheres_of(model.faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)))
-        return _Still(model, spheres, shadow, lamps, ground, maps)
+        return _Still(model, spheres, shadow, lamps, ground, layouts, maps)
 
     def prepare(self) -> None:
         """Make now what all instants share."""
@@ -262,7 +264,7 @@ class Scene:
         surroundings = Surroundings(
             faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)), spheres,
             still.shadow.height, shadow.height, still.lamps, glow, below, still.ground,
-            self.light.dome, self.light.clouds, self.world.layouts.view(flat(self.world.layouts.dtype)),
+            self.light.dome, self.light.clouds, still.layouts.view(flat(MARK)),
             record.reshape(1).view(flat(LIGHTING))[0], maps.view(flat(MAPS))[0],
         )  # fmt: skip
         return Instant(surroundings, placements)
@@ -275,6 +277,7 @@ class _Still:
     shadow: ShadowMap
     lamps: Float32
     ground: Float32
+    layouts: Records
     maps: Records
 
 

@@ -14,6 +14,8 @@ import numpy as np
 
 from mirror.arrays import Records
 from mirror.errors import UsageError
+from mirror.synth.model import Material, Model
+from mirror.synth.model.surfaces import joined
 
 MOST_MARKS: Final = 32
 FAR_M: Final = 1e6
@@ -148,3 +150,40 @@ def layout_table(rows: Sequence[Sequence[Mark]]) -> Records:
                 mark.worn, mark.soft_m,
             )  # fmt: skip
     return table
+
+
+def narrowed(model: Model, table: Records) -> tuple[Model, Records]:
+    """Layouts that hold, for each piece of carriageway, only the marks that reach it: less to look through a pixel.
+
+    Args:
+        model: its ASPHALT faces name rows of the table.
+        table: (L, K) MARK.
+
+    Returns:
+        The model with other layouts, and the table of those.
+    """
+    faces, corners = joined([model.faces]), model.corners
+    paved = np.flatnonzero(faces["material"] == Material.ASPHALT)
+    if not len(paved):
+        return model, table
+    first, count = faces["first"][paved], faces["count"][paved]
+    of_corner = np.repeat(np.arange(len(paved)), count)
+    at = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first[of_corner]
+    starts = np.cumsum(count) - count
+    low, high = np.empty((len(paved), 2)), np.empty((len(paved), 2))
+    for axis, (name, shift) in enumerate((("u_axis", "u0"), ("v_axis", "v0"))):
+        values = np.einsum("ni,ni->n", corners[at], faces[name][paved][of_corner]) + faces[shift][paved][of_corner]
+        low[:, axis], high[:, axis] = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+    own = table[faces["layout"][paved]]
+    reaches = own["strength"] > 0.0
+    for axis, (begin, end) in enumerate((("u_low", "u_high"), ("v_low", "v_high"))):
+        reaches &= (own[begin] < high[:, axis, None]) & (own[end] > low[:, axis, None])
+    kinds, layout = np.unique(
+        np.concatenate([faces["layout"][paved, None], reaches], axis=1), axis=0, return_inverse=True
+    )
+    short = np.zeros((len(kinds), max(int(kinds[:, 1:].sum(axis=1).max()), 1)), MARK)
+    for row, kind in enumerate(kinds):
+        marks = table[kind[0]][kind[1:].astype(np.bool_)]
+        short[row, : len(marks)] = marks
+    faces["layout"][paved] = layout.ravel()
+    return Model(faces, corners, model.rounds), short

@@ -32,6 +32,10 @@ _LAST_CALL_S: Final = 4.0
 _SIFT: Final = 10
 
 
+# Never called from Python: wrappers for that would be most of the time it takes to compile them.
+_inner = njit(cache=True, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
 class Ways(NamedTuple):
     """All ways, flat: of way w, entries ``first[w]`` to ``first[w + 1]`` of ``pace_mps``, and likewise its halts."""
 
@@ -176,7 +180,7 @@ def simulate(
     return lengths[:done], speeds[:done]
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _alive(users: Users, meetings: Meetings, state: Int64, s: Float64, live: Int64) -> int:
     """Put the meetings that both have still to get through into ``live``; returns how many they are."""
     count = 0
@@ -191,7 +195,7 @@ def _alive(users: Users, meetings: Meetings, state: Int64, s: Float64, live: Int
     return count
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _pace(ways: Ways, way: int, along: float) -> float:
     first, last = ways.first[way], ways.first[way + 1] - 1
     place = min(max(along / STEP_M, 0.0), float(last - first))
@@ -200,7 +204,7 @@ def _pace(ways: Ways, way: int, along: float) -> float:
     return ways.pace_mps[i] * (1.0 - f) + ways.pace_mps[i + 1] * f
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _free(u: int, ways: Ways, users: Users, s: float, v: float) -> float:
     """Acceleration without anybody else: towards one's own speed, in time for bends, letting up now and then."""
     easing = 1.0 - 0.10 * (0.5 + 0.5 * math.sin(s / 17.0 + users.phase[u]))
@@ -210,7 +214,7 @@ def _free(u: int, ways: Ways, users: Users, s: float, v: float) -> float:
     return min(users.pick_up_mps2[u] * (1.0 - (v / now) ** 4), (soon - v) / 0.8)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _follow(u: int, users: Users, v: float, gap: float, speed: float) -> float:
     """Acceleration behind somebody at a gap who goes at a speed."""
     room = max(gap, 0.3)
@@ -222,13 +226,13 @@ def _follow(u: int, users: Users, v: float, gap: float, speed: float) -> float:
     return max(users.pick_up_mps2[u] * (1.0 - (wanted / room) ** 2), -hardest)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _halt(u: int, users: Users, v: float, gap: float) -> float:
     """Acceleration towards a line to stop at."""
     return _follow(u, users, v, gap + _STANDSTILL_M, 0.0) if gap > -_STANDSTILL_M else -_HARDEST_MPS2
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> float:
     """How far user k of a meeting may come behind the other."""
     other = meetings.users[e, 1 - k]
@@ -245,7 +249,7 @@ def _limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> floa
     return meetings.limits[first + i] * (1.0 - f) + meetings.limits[first + i + 1] * f
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _entry_speed(
     u: int, ways: Ways, users: Users, meetings: Meetings, state: Int64, s: Float64, v: Float64, heedless: bool
 ) -> float:
@@ -273,7 +277,7 @@ def _entry_speed(
     return speed
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _meet(
     e: int,
     users: Users,
@@ -325,7 +329,7 @@ def _meet(
         lead[u], lead_speed[u] = limit, v[other]
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _arrival(e: int, k: int, meetings: Meetings, s: Float64, v: Float64, stop_before: Float64) -> float:
     """When user k of a meeting can be at the zone; `_FAR` if it is far away, or has to stop before it."""
     u = meetings.users[e, k]
@@ -335,7 +339,7 @@ def _arrival(e: int, k: int, meetings: Meetings, s: Float64, v: Float64, stop_be
     return gap / max(v[u] + 0.7, 0.8)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _decide(
     e: int,
     users: Users,
@@ -384,7 +388,7 @@ def _decide(
     return -1
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _wait(
     u: int,
     ways: Ways,
@@ -430,7 +434,7 @@ def _wait(
             shut[u] = min(shut[u], ways.halt_m[h])
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _move(u: int, users: Users, s: Float64, v: Float64, a: Float64, wish: Float64, waited: Float64) -> None:
     """One tick: the acceleration changes gradually, the speed never turns round."""
     a_new = min(max(wish[u], a[u] - 12.0 * TICK_S), a[u] + 4.0 * TICK_S)

@@ -18,7 +18,7 @@ from mirror.synth.driving.vehicles import Ways
 from mirror.synth.street.network import Lane
 from mirror.synth.users.body import Body, Placement, Still
 
-_EVERY_M: Final = 100.0
+_EVERY_M: Final = 75.0
 """Pavement a person, on a busy day; a group counts as one."""
 _FILES_M: Final = (0.32, 0.88)
 """People keep to the right of a pavement's middle, in files."""

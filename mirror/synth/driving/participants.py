@@ -10,9 +10,11 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.driving.bodies import Kind
-from mirror.synth.driving.simulation import TICK_S, Meetings, Users, Ways, simulate
+from mirror.synth.driving.following import Users, Ways
+from mirror.synth.driving.simulation import TICK_S, simulate
 from mirror.synth.driving.trace import Aside, Chassis, Schedule
 from mirror.synth.driving.ways import Way
+from mirror.synth.driving.yielding import Meetings
 from mirror.synth.driving.zones import Zone, zones
 from mirror.synth.street.network import Network
 

@@ -1,0 +1,158 @@
+"""Who waits for whom where ways meet: zones that the second does not enter before the first has left, or follows in."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from mirror.arrays import Float64, Int64, UInt8
+from mirror.synth.driving.following import Users, follow, halt, inner
+from mirror.synth.driving.zones import GRID_M
+
+FAR: Final = 1e6
+"""Metres or seconds: out of sight."""
+_PATIENCE_S: Final = 8.0
+
+
+class State(NamedTuple):
+    """What all users do, a column each (N,).
+
+    Length along the way, speed and acceleration; the acceleration that is wished for; where one stops for somebody who
+    goes first, now and at the tick before; where for a signal, a pause or a crossing that is full; how far one may come
+    behind somebody, and how fast that one is; where one had to stop at the tick before, for whatever reason; for how
+    long one has stood; how much of the pause is over.
+    """
+
+    s: Float64
+    v: Float64
+    a: Float64
+    wish: Float64
+    stop: Float64
+    shut: Float64
+    shut_before: Float64
+    lead: Float64
+    lead_speed: Float64
+    stop_before: Float64
+    waited: Float64
+    paused: Float64
+
+
+class Meetings(NamedTuple):
+    """Pairs of users with a zone in common, a row each (E, 2): see `mirror.synth.driving.zones.Zone`.
+
+    ``hold_m`` is where each waits when the other goes first; ``table`` where its limits begin within ``limits``;
+    ``counts`` how many; ``major`` 0 or 1: that one of the two goes first, -1: whoever is there first.
+    """
+
+    users: Int64
+    begin_m: Float64
+    end_m: Float64
+    hold_m: Float64
+    table: Int64
+    counts: Int64
+    along: UInt8
+    major: Int64
+    limits: Float64
+
+
+@inner
+def limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> float:
+    """How far user k of a meeting may come behind the other."""
+    other = meetings.users[e, 1 - k]
+    place = (s[other] - users.length_m[other] - meetings.begin_m[e, 1 - k]) / GRID_M
+    first = meetings.table[e, k]
+    last = meetings.counts[e, k] - 1
+    if place <= 0.0:
+        start = meetings.limits[first]
+        return start + place * GRID_M if meetings.along[e] else start
+    if place >= last:
+        return meetings.limits[first + last] + (place - last) * GRID_M if meetings.along[e] else FAR
+    i = int(place)
+    f = place - i
+    return meetings.limits[first + i] * (1.0 - f) + meetings.limits[first + i + 1] * f
+
+
+@inner
+def meet(e: int, users: Users, meetings: Meetings, ahead: Int64, now: State) -> None:
+    """What a meeting asks of its two users."""
+    p, q = meetings.users[e, 0], meetings.users[e, 1]
+    for k in range(2):
+        u = meetings.users[e, k]
+        if now.s[u] - users.length_m[u] > meetings.end_m[e, k]:
+            return
+    p_in, q_in = now.s[p] > meetings.begin_m[e, 0], now.s[q] > meetings.begin_m[e, 1]
+    if ahead[e] >= 0 and not (p_in if ahead[e] == 0 else q_in):
+        first = meetings.users[e, ahead[e]]
+        if now.shut_before[first] < meetings.begin_m[e, ahead[e]]:
+            ahead[e] = -1
+    if ahead[e] < 0:
+        if p_in and q_in:
+            p_over = now.s[p] - limit(e, 0, users, meetings, now.s)
+            ahead[e] = 0 if p_over >= now.s[q] - limit(e, 1, users, meetings, now.s) else 1
+        elif p_in or q_in:
+            ahead[e] = 0 if p_in else 1
+        else:
+            ahead[e] = _decide(e, users, meetings, now)
+    if ahead[e] < 0:
+        return
+    k = 1 - ahead[e]
+    u, other = meetings.users[e, k], meetings.users[e, 1 - k]
+    upto = limit(e, k, users, meetings, now.s)
+    if upto < now.s[u] - 3.0 and not meetings.along[e]:
+        return
+    speed = now.v[other] if meetings.along[e] else 0.0
+    if not meetings.along[e]:
+        upto = max(min(upto, meetings.hold_m[e, k]), now.s[u]) if now.s[u] < meetings.hold_m[e, k] + 0.3 else upto
+    if upto - now.s[u] > 120.0:
+        return
+    now.wish[u] = min(now.wish[u], follow(u, users, now.v[u], upto - now.s[u], speed))
+    if upto < now.lead[u]:
+        now.lead[u], now.lead_speed[u] = upto, now.v[other]
+
+
+@inner
+def _arrival(e: int, k: int, meetings: Meetings, now: State) -> float:
+    """When user k of a meeting can be at the zone; `FAR` if it is far away, or has to stop before it."""
+    u = meetings.users[e, k]
+    gap = meetings.begin_m[e, k] - now.s[u]
+    if gap > 90.0 or now.stop_before[u] < meetings.begin_m[e, k] - 0.2:
+        return FAR
+    return gap / max(now.v[u] + 0.7, 0.8)
+
+
+@inner
+def _decide(e: int, users: Users, meetings: Meetings, now: State) -> int:
+    """Who goes first (0 or 1) when neither is in the zone yet; -1: it is left open."""
+    major = meetings.major[e]
+    if major < 0:
+        t0 = _arrival(e, 0, meetings, now)
+        t1 = _arrival(e, 1, meetings, now)
+        if min(t0, t1) >= FAR:
+            return -1
+        major = 0 if t0 <= t1 else 1
+        if meetings.along[e] and max(t0, t1) < 6.0:
+            return major
+    minor = 1 - major
+    m, M = meetings.users[e, minor], meetings.users[e, major]
+    to_hold = meetings.hold_m[e, minor] - now.s[m]
+    if to_hold > 60.0 or now.shut_before[m] < meetings.begin_m[e, minor]:
+        return -1
+    arrives = _arrival(e, major, meetings, now)
+    way_out = (meetings.begin_m[e, minor] + 1.0 if meetings.along[e] else meetings.end_m[e, minor]) - now.s[m]
+    way_out += users.length_m[m]
+    quick = 0.8 * users.pick_up_mps2[m]
+    reached = min(users.fastest_mps[m], max(now.v[m], 5.0))
+    clears = (-now.v[m] + math.sqrt(now.v[m] * now.v[m] + 2.0 * quick * way_out)) / quick
+    clears = max(clears, way_out / reached)
+    margin = 1.2 if now.waited[m] < _PATIENCE_S else 0.4
+    if meetings.along[e]:
+        margin += 0.25 * max(now.v[M] - now.v[m], 0.0)
+    accepts = arrives > clears + margin
+    cannot_stop = now.v[m] * now.v[m] > 2.0 * 4.5 * max(to_hold, 0.05) and now.v[m] > 1.0
+    near = to_hold < now.v[m] * now.v[m] / (2.0 * 2.0) + 1.0
+    if cannot_stop or (accepts and near):
+        return minor
+    if not accepts:
+        now.wish[m] = min(now.wish[m], halt(m, users, now.v[m], to_hold))
+        now.stop[m] = min(now.stop[m], meetings.hold_m[e, minor])
+    return -1

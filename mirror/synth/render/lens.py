@@ -54,6 +54,9 @@ def make_lens(camera: Camera) -> Lens:
         row, column = np.argwhere(~rays.valid)[0]
         raise UsageError(f"no ray at pixel ({column}, {row})", expected="a lens that fills its raster")
     height, width = rays.direction.shape[:2]
+    steps = [np.linalg.norm(np.diff(rays.direction, axis=axis), axis=2) for axis in (0, 1)]
+    # Focal lengths of some models are no measure of it.
+    widest = max(float(step.max(initial=0.0)) for step in steps) or 1.0 / camera.fx_px
     cones, levels = [], np.zeros((LEVELS, 3), np.int64)
     start = 0
     for level in range(LEVELS):
@@ -61,13 +64,13 @@ def make_lens(camera: Camera) -> Lens:
         down, across = -(-height // side), -(-width // side)
         levels[level] = start, down, across
         start += down * across
-        cones.append(_cones(rays.direction, side, camera.fx_px))
+        cones.append(_cones(rays.direction, side, _MARGIN_PX * widest))
     middle = rays.direction[height // 2, max(width // 2 - 1, 0) : width // 2 + 1]
     apart = float(np.arccos(min(middle[0] @ middle[-1], 1.0))) or 1.0 / camera.fx_px
     return Lens(np.ascontiguousarray(rays.direction), np.concatenate(cones), levels, apart)
 
 
-def _cones(rays: Float64, side: int, focal_px: float) -> Float64:
+def _cones(rays: Float64, side: int, margin_rad: float) -> Float64:
     height, width = rays.shape[:2]
     down, across = -(-height // side), -(-width // side)
     cones = np.empty((down, across, 5))
@@ -76,6 +79,6 @@ def _cones(rays: Float64, side: int, focal_px: float) -> Float64:
             tile = rays[row * side : (row + 1) * side, column * side : (column + 1) * side].reshape(-1, 3)
             axis = tile.sum(axis=0)
             axis /= np.linalg.norm(axis)
-            half = np.arccos(np.clip((tile @ axis).min(), -1.0, 1.0)) + _MARGIN_PX / focal_px
+            half = np.arccos(np.clip((tile @ axis).min(), -1.0, 1.0)) + margin_rad
             cones[row, column] = *axis, np.cos(half), np.sin(half)
     return cones.reshape(-1, 5)

@@ -14,7 +14,7 @@ from mirror.synth.driving.following import Users, Ways
 from mirror.synth.driving.simulation import TICK_S, simulate
 from mirror.synth.driving.trace import Aside, Chassis, Schedule
 from mirror.synth.driving.ways import Way
-from mirror.synth.driving.yielding import Meetings
+from mirror.synth.driving.yielding import Meetings, State
 from mirror.synth.driving.zones import Zone, zones
 from mirror.synth.street.network import Network
 
@@ -109,7 +109,10 @@ def simulated(
         meetings = meetings._replace(major=np.where((meetings.users == 0).any(axis=1), own, meetings.major))
     green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
     ticks = int(longest_s / TICK_S)
-    lengths, speeds = simulate(_ways(ways), users, meetings, green, network.cycle_s, clock_s, ticks, first_goes_first)
+    now = State(*np.zeros((len(State._fields), len(participants))))
+    lengths, speeds = simulate(
+        _ways(ways), users, meetings, now, green, network.cycle_s, clock_s, ticks, first_goes_first
+    )
     found: list[Schedule | None] = []
     for place in range(len(participants)):
         there = np.flatnonzero(np.isfinite(lengths[:, place]))

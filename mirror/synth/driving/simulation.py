@@ -37,6 +37,7 @@ def simulate(
     ways: Ways,
     users: Users,
     meetings: Meetings,
+    now: State,
     green_s: Float64,
     cycle_s: float,
     clock_s: float,
@@ -49,6 +50,7 @@ def simulate(
         ways: that they follow.
         users: who they are.
         meetings: where they are in each other's way.
+        now: what they do: zeros to begin with.
         green_s: (groups, 2) of the network.
         cycle_s: of the signals.
         clock_s: of the signals, at the first tick.
@@ -62,7 +64,6 @@ def simulate(
     lengths = np.full((ticks, count), np.nan)
     speeds = np.full((ticks, count), np.nan)
     there = np.full(count, _WAITING)
-    now = State(*(np.zeros(count) for _ in range(12)))
     ahead = np.full(len(meetings.major), -1, np.int64)
     live, lives = np.empty(len(ahead), np.int64), 0
     changed = True

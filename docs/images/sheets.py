@@ -1,0 +1,316 @@
+"""Makes the contact sheets of the synthetic street: ``python docs/images/sheets.py [NAME ...]``, all by default.
+
+Each is a JPEG in ``sheets/``; the functions at the end, by whose names they are asked for, say what they show.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from mirror.arrays import AnyArray, UInt8
+from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.schema.documents import CANONICAL_CAMERAS
+from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.recipe import CONDITIONS
+from mirror.synth.light.condition import Condition, Effects
+from mirror.synth.light.sun import instant_of
+from mirror.synth.model import Label
+from mirror.synth.render import render
+from mirror.synth.truth import static_flow
+
+HERE = Path(__file__).parent / "sheets"
+WIDTH_PX, GAP_PX, CAPTION_PX = 1800, 4, 17
+QUALITIES = range(88, 50, -4)
+MOST_BYTES = 440_000
+FRONT = "front_wide"
+MOMENTS = np.linspace(0.15, 0.85, 5)
+BY_DAY = ("sun_shadows", "haze", "season", "foliage", "billboards", "traffic", "white_balance", "vignetting")
+DATES = {"day": "2025-05-14", "dusk": "2025-07-02", "night": "2025-11-19"}
+SEASONS = {"winter": "2026-01-21", "spring": "2025-04-12", "summer": "2025-07-02", "autumn": "2025-10-22"}
+LABEL_COLOURS = {
+    Label.SKY: (180, 130, 70), Label.ROAD: (128, 64, 128), Label.PAVEMENT: (232, 35, 244),
+    Label.TERRAIN: (152, 251, 152), Label.BUILDING: (70, 70, 70), Label.WALL: (156, 102, 102),
+    Label.POLE: (153, 153, 153), Label.TRAFFIC_LIGHT: (30, 170, 250), Label.TRAFFIC_SIGN: (0, 220, 220),
+    Label.VEGETATION: (35, 142, 107), Label.BILLBOARD: (160, 170, 250), Label.FURNITURE: (180, 165, 180),
+    Label.PERSON: (60, 20, 220), Label.RIDER: (0, 0, 255), Label.CAR: (142, 0, 0), Label.VAN: (190, 60, 0),
+    Label.TRUCK: (70, 0, 0), Label.BUS: (100, 60, 0), Label.MOTORCYCLE: (230, 0, 0), Label.BICYCLE: (32, 11, 119),
+    Label.EGO: (40, 40, 40),
+}  # fmt: skip
+"""Blue, green, red: the usual ones of Cityscapes."""
+
+
+class Cell(NamedTuple):
+    """One picture of a sheet."""
+
+    bgr: UInt8
+    caption: str = ""
+
+
+# What is shown
+
+
+def drives(preset: str, width_px: int) -> list[SynthDrive]:
+    """The drives of a preset that record pictures, with cameras of another resolution."""
+    _, found = drives_of(preset, 0)
+    return [at_width(one, width_px) for one in found if one.recipe.pictures]
+
+
+def at_width(one: SynthDrive, width_px: int) -> SynthDrive:
+    """A drive with cameras of another resolution."""
+    return replace(one, vehicle=replace(one.vehicle, width_px=width_px))
+
+
+def in_condition(one: SynthDrive, date: str, light: str, weather: str, *, visit: int) -> SynthDrive:
+    """The same drive on another date, in another light and weather: other traffic, leaves, clouds."""
+    roi = one.roi
+    start = instant_of(date, light, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
+    return replace(one, condition=Condition(start, light, weather, visit=visit))
+
+
+def moment_ns(one: SynthDrive, camera: str = FRONT) -> int:
+    """When the camera sees the most varied picture, by the entropy of the classes."""
+    small = at_width(one, 160)
+    moments = [one.condition.start_ns + round(share * one.truth.duration_s * 1e9) for share in MOMENTS]
+    return max(moments, key=lambda at: _variety(small.picture(camera, at).view.label))
+
+
+def _variety(labels: UInt8) -> float:
+    share = np.bincount(labels.ravel()) / labels.size
+    return float(-(share[share > 0] * np.log(share[share > 0])).sum())
+
+
+def passing_ns(one: SynthDrive, place_m: AnyArray) -> int:
+    """When a drive comes nearest to a place."""
+    stamps = one.condition.start_ns + np.arange(0.0, one.truth.duration_s, 0.1) * 1e9
+    away = one.world_SE3_ego(stamps.astype(np.int64)).translation - place_m
+    return int(stamps[np.argmin((away**2).sum(axis=1))])
+
+
+def told(one: SynthDrive) -> str:
+    """Light and weather in words."""
+    condition = one.condition
+    return condition.light if condition.weather == "clear" else f"{condition.light}, {condition.weather}"
+
+
+def row_of_cameras(one: SynthDrive, at_ns: int) -> Iterator[Cell]:
+    """The seven pictures of an instant."""
+    instant = one.at(at_ns)
+    for name in CANONICAL_CAMERAS:
+        yield Cell(one.picture(name, at_ns, instant).bgr, name)
+
+
+# How it is laid out
+
+
+def sheet(cells: Sequence[Cell], columns: int, aspect: float = 16 / 9, captions: bool = True) -> UInt8:
+    """Cells in rows, each picture as large as its cell allows, its caption below."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    width = (WIDTH_PX - (columns - 1) * GAP_PX) // columns
+    height, below = round(width / aspect), CAPTION_PX if captions else 0
+    rows = -(-len(cells) // columns)
+    page = Image.new("RGB", (WIDTH_PX, rows * (height + below + GAP_PX) - GAP_PX), "white")
+    pen, font = ImageDraw.Draw(page), ImageFont.load_default(size=12)
+    for number, cell in enumerate(cells):
+        x, y = number % columns * (width + GAP_PX), number // columns * (height + below + GAP_PX)
+        scale = min(width / cell.bgr.shape[1], height / cell.bgr.shape[0])
+        size = (round(cell.bgr.shape[1] * scale), round(cell.bgr.shape[0] * scale))
+        picture = cv2.resize(cell.bgr, size, interpolation=cv2.INTER_AREA)[..., ::-1]
+        page.paste(Image.fromarray(np.ascontiguousarray(picture)), (x + (width - size[0]) // 2, y))
+        if captions:
+            pen.text((x + width // 2, y + height + 1), cell.caption, "black", font, anchor="ma")
+    return np.asarray(page)[..., ::-1]
+
+
+def write(name: str, page: UInt8) -> None:
+    """Write a JPEG, as good as its bytes allow."""
+    HERE.mkdir(exist_ok=True)
+    for quality in QUALITIES:
+        data = cv2.imencode(".jpg", page, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        if len(data) <= MOST_BYTES:
+            break
+    (HERE / f"{name}.jpg").write_bytes(bytes(data))
+    print(f"{name}.jpg {page.shape[1]} x {page.shape[0]}, {len(data) / 1e3:.0f} kB, quality {quality}", flush=True)
+
+
+# The sheets
+
+
+def conditions() -> UInt8:
+    """Four kinds of scene, each at one place in six conditions."""
+    cells = []
+    for first in drives("benchmark", 640)[::8]:
+        place = None
+        for visit, (light, weather) in enumerate(CONDITIONS):
+            one = in_condition(first, DATES[light], light, weather, visit=visit)
+            if place is None:
+                place = one.world_SE3_ego(np.array([moment_ns(one)])).translation
+            picture = one.picture(FRONT, passing_ns(one, place)).bgr
+            cells.append(Cell(picture, f"{one.roi.scene_type}, {told(one)}"))
+    return sheet(cells, len(CONDITIONS))
+
+
+def cameras() -> UInt8:
+    """Seven types of vehicle, each in another scene and light, with seven cameras each."""
+    found: dict[str, SynthDrive] = {}
+    for one in drives("paper", 640):
+        # Seventeen traversals a scene: a step aside in each gives every type another light.
+        kind = one.vehicle.kind.name
+        taken = {(other.scene, other.condition.light, other.condition.weather) for other in found.values()}
+        if kind not in found and all(one.scene != scene for scene, _, _ in taken):
+            found[kind] = one
+    cells = []
+    for kind, one in found.items():
+        row = list(row_of_cameras(one, moment_ns(one)))
+        cells.append(row[0]._replace(caption=f"{kind}: {one.roi.scene_id}, {told(one)}"))
+        cells += row[1:]
+        one.forget()
+    return sheet(cells, len(CANONICAL_CAMERAS), 3 / 2)
+
+
+def _all_cameras(preset: str) -> UInt8:
+    cells = []
+    for one in drives(preset, 480):
+        row = list(row_of_cameras(one, moment_ns(one)))
+        cells.append(row[0]._replace(caption=f"{one.drive_id}, {one.vehicle.kind.name}: {told(one)}"))
+        cells += row[1:]
+        one.forget()
+    return sheet(cells, len(CANONICAL_CAMERAS), 1.6)
+
+
+def tiny() -> UInt8:
+    """Every drive of the preset with all cameras."""
+    return _all_cameras("tiny")
+
+
+def quick() -> UInt8:
+    """Every drive of the preset with all cameras."""
+    return _all_cameras("quick")
+
+
+def demo() -> UInt8:
+    """Every drive of the preset with all cameras."""
+    return _all_cameras("demo")
+
+
+def benchmark() -> UInt8:
+    """All 32 traversals."""
+    cells = []
+    for one in drives("benchmark", 480):
+        number = one.drive_id.rpartition("-")[2]
+        cells.append(Cell(one.picture(FRONT, moment_ns(one)).bgr, f"{one.roi.scene_type} {number}: {told(one)}"))
+        one.forget()
+    return sheet(cells, 8, 1.6)
+
+
+def paper() -> UInt8:
+    """All 170 traversals, a scene a row."""
+    cells = []
+    for one in drives("paper", 320):
+        cells.append(Cell(one.picture(FRONT, moment_ns(one)).bgr))
+        one.forget()
+    return sheet(cells, 17, 1.6, captions=False)
+
+
+def effects() -> UInt8:
+    """One place by day and on a rainy night, and each effect switched off by itself where it is seen."""
+    first = drives("benchmark", 640)[0]
+    day, place = in_condition(first, DATES["day"], "day", "clear", visit=1), None
+    night = in_condition(first, DATES["night"], "night", "rain", visit=1)
+    cells = []
+    for one, names in ((day, BY_DAY), (night, [e.name for e in fields(Effects) if e.name not in BY_DAY])):
+        if place is None:
+            place = one.world_SE3_ego(np.array([moment_ns(one)])).translation
+        at = passing_ns(one, place)
+        cells.append(Cell(one.picture(FRONT, at).bgr, f"all, {told(one)}"))
+        for name in names:
+            off = replace(one, condition=replace(one.condition, effects=replace(Effects(), **{name: False})))
+            cells.append(Cell(off.picture(FRONT, at).bgr, f"no {name.replace('_', ' ')}"))
+    return sheet(cells, 5)
+
+
+def truth() -> UInt8:
+    """A picture and its truth."""
+    one = drives("benchmark", 960)[0]
+    at = moment_ns(one)
+    shown, lens = one.picture(FRONT, at), one.vehicle.cameras[FRONT]
+    pose, later = (one.world_SE3_camera(FRONT, np.array([at + step])) for step in (0, 100_000_000))
+    view = shown.view
+    flow = static_flow(view.distance_m, lens, pose, lens, later)
+    normals = view.normal @ matrix_from_quaternion(pose.rotation)[0]
+    return sheet(
+        [
+            Cell(shown.bgr, f"{one.drive_id}, {FRONT}"),
+            Cell(_depths(view.distance_m), "depth along the ray, 1 to 200 m"),
+            Cell(_normals(normals), "normals in the camera's frame"),
+            Cell(_classes(view.label), "classes"),
+            Cell(_instances(view.object, shown.bgr), "road users"),
+            Cell(_flow(flow), "flow of what stands still, 0.1 s"),
+        ],
+        3,
+    )
+
+
+def _depths(distance_m: AnyArray) -> UInt8:
+    share = np.log(np.clip(distance_m, 1.0, 200.0)) / np.log(200.0)
+    return np.asarray(cv2.applyColorMap(np.round(255 * (1.0 - share)).astype(np.uint8), cv2.COLORMAP_TURBO))
+
+
+def _normals(normals: AnyArray) -> UInt8:
+    seen = (normals**2).sum(axis=2, keepdims=True) > 0.0
+    facing = normals * np.array([1.0, -1.0, -1.0])
+    return np.round(np.where(seen, 127.5 * (facing + 1.0), 255.0)).astype(np.uint8)[..., ::-1]
+
+
+def _classes(labels: UInt8) -> UInt8:
+    table = np.zeros((256, 3), np.uint8)
+    for label, colour in LABEL_COLOURS.items():
+        table[label] = colour
+    return table[labels]
+
+
+def _instances(objects: AnyArray, bgr: UInt8) -> UInt8:
+    hues = (objects * 67 % 180).astype(np.uint8)
+    full = np.full_like(hues, 255)
+    colours = cv2.cvtColor(np.stack([hues, full // 4 * 3, full], axis=-1), cv2.COLOR_HSV2BGR)
+    grey = np.repeat(bgr.mean(axis=2, keepdims=True) * 0.5, 3, axis=2)
+    return np.where(objects[..., None] >= 0, colours, grey.astype(np.uint8))
+
+
+def _flow(flow_px: AnyArray) -> UInt8:
+    length, angle = cv2.cartToPolar(*np.ascontiguousarray(np.nan_to_num(flow_px).transpose(2, 0, 1)))
+    strong = np.clip(np.sqrt(length / 60.0), 0.0, 1.0)
+    hsv = np.stack([angle * 90 / np.pi, 255 * strong, np.full_like(strong, 255)], axis=-1)
+    return np.asarray(cv2.cvtColor(np.round(hsv).astype(np.uint8), cv2.COLOR_HSV2BGR))
+
+
+def seasons() -> UInt8:
+    """The same view in four seasons, and on two more visits of the summer."""
+    one = drives("benchmark", 960)[0]
+    pose: Poses = one.world_SE3_camera(FRONT, np.array([moment_ns(one)]))
+    wanted = [(name, date, 1) for name, date in SEASONS.items()] + [("summer", SEASONS["summer"], v) for v in (2, 3)]
+    cells = []
+    for name, date, visit in wanted:
+        there = in_condition(one, date, "day", "clear", visit=visit)
+        picture = render(there.world, pose, one.vehicle.cameras[FRONT], 0.0, there.condition)
+        cells.append(Cell(picture.bgr, f"{name}, visit {visit}"))
+    return sheet(cells, 3)
+
+
+SHEETS: tuple[Callable[[], UInt8], ...] = (
+    conditions, cameras, tiny, quick, demo, benchmark, paper, effects, truth, seasons,
+)  # fmt: skip
+
+
+if __name__ == "__main__":
+    for make in SHEETS:
+        if len(sys.argv) == 1 or make.__name__ in sys.argv[1:]:
+            write(make.__name__, make())

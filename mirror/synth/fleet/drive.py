@@ -94,7 +94,7 @@ class SynthDrive:
 
         world, size, condition = self.world, self.vehicle.kind.size, self.condition
         rng = np.random.default_rng([self.seed, 0])
-        vehicles, people = _BUSTLE[condition.light]
+        vehicles, people = (self.site.bustle * share for share in _BUSTLE[condition.light])
         wet = condition.weather == "rain"
         season = season_of(condition.start_ns, self.roi.latitude_deg or 0.0)
         bustle = Bustle(vehicles, people * (0.6 if wet else 1.0), wet, _WARM_MONTHS[0] < season < _WARM_MONTHS[1])

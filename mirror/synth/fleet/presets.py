@@ -23,6 +23,7 @@ class Site:
         fastest_mps: nobody who records drives faster.
         recipes: drives with pictures, in this order, and from the first again.
         others: drives besides: the branches of the trigger, each of another route.
+        bustle: share of the traffic of a busy day.
     """
 
     roi: Roi
@@ -30,6 +31,7 @@ class Site:
     fastest_mps: float
     recipes: tuple[Recipe, ...]
     others: tuple[Recipe, ...] = ()
+    bustle: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -130,10 +132,10 @@ _TINY: Final = places.small(places.GUANGZHOU_URBAN, 62.0)
 PRESETS: Final = {
     preset.name: preset
     for preset in (
-        Preset("tiny", (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN,)),), 2, 160, picture_hz=0.5),
+        Preset("tiny", (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN,), bustle=0.5),), 2, 160, picture_hz=0.5),
         Preset(
             "quick",
-            (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN, _PASSES_FAST, _STANDS, _POSES_ONLY)),),
+            (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN, _PASSES_FAST, _STANDS, _POSES_ONLY), bustle=0.5),),
             traversals=5,
             width_px=320,
             picture_hz=0.3,

@@ -73,12 +73,11 @@ def make_lens(camera: Camera) -> Lens:
 def _cones(rays: Float64, side: int, margin_rad: float) -> Float64:
     height, width = rays.shape[:2]
     down, across = -(-height // side), -(-width // side)
-    cones = np.empty((down, across, 5))
-    for row in range(down):
-        for column in range(across):
-            tile = rays[row * side : (row + 1) * side, column * side : (column + 1) * side].reshape(-1, 3)
-            axis = tile.sum(axis=0)
-            axis /= np.linalg.norm(axis)
-            half = np.arccos(np.clip((tile @ axis).min(), -1.0, 1.0)) + margin_rad
-            cones[row, column] = *axis, np.cos(half), np.sin(half)
-    return cones.reshape(-1, 5)
+    # Tiles that stick out repeat the rays of their edge: the cone about them holds what is there.
+    padded = np.pad(rays, ((0, down * side - height), (0, across * side - width), (0, 0)), "edge")
+    tiles = padded.reshape(down, side, across, side, 3).swapaxes(1, 2).reshape(down * across, side * side, 3)
+    axes = tiles.sum(axis=1)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    nearest = np.einsum("tri,ti->tr", tiles, axes).min(axis=1)
+    half = np.arccos(np.clip(nearest, -1.0, 1.0)) + margin_rad
+    return np.column_stack([axes, np.cos(half), np.sin(half)])

@@ -23,6 +23,7 @@ CATEGORY_HUES: Final = ("car", "truck", "bus", "van", "pedestrian", "cyclist", "
 _JPEG_QUALITY: Final = 80
 _EDGE_POINTS: Final = 6
 _GOLDEN_DEG: Final = 137.5
+_STOOD_M: Final = 1.0
 _SAME_PLACE_M: Final = 12.0
 _LIGHTS: Final = ("day", "dusk", "night")
 
@@ -159,8 +160,11 @@ def category_colours(categories: Iterable[str]) -> dict[str, str]:
 
 
 def _heading(x: Float64, y: Float64, at: int) -> Float64:
-    before, after = max(at - 1, 0), min(at + 1, len(x) - 1)
-    return np.array([x[after] - x[before], y[after] - y[before]])
+    """Direction of travel at a frame, from the frames before and after it that are elsewhere: it may be standing."""
+    moved = np.flatnonzero(np.hypot(x - x[at], y - y[at]) > _STOOD_M)
+    before, after = moved[moved < at][-1:], moved[moved > at][:1]
+    first, last = (int(found[0]) if len(found) else at for found in (before, after))
+    return np.array([x[last] - x[first], y[last] - y[first]])
 
 
 def _figure(picture: str, overlay: str, caption: str, area: str) -> str:

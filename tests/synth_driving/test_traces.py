@@ -145,3 +145,27 @@ def test_lanes_say_where_to_stop() -> None:
 def test_a_way_needs_some_length() -> None:
     with pytest.raises(UsageError, match="a way of"):
         build_way([Piece(np.array([[0.0, 0.0], [0.3, 0.0]]), 10.0)])
+
+
+def test_far_from_the_origin_it_is_the_same() -> None:
+    line = circle(15.0, 0.6).points
+    near, far = (
+        trace_of(build_way([Piece(line + offset, 9.0)]), CAR, level).at(np.linspace(0.0, 50.0, 40))[0]
+        for offset in (np.zeros(2), np.array([4e6, -3e6]))
+    )
+    assert far[:, :2] - [4e6, -3e6] == pytest.approx(near[:, :2], abs=1e-6)
+    assert far[:, 3] == pytest.approx(near[:, 3], abs=1e-6)
+
+
+def test_who_stands_stands_at_all_times() -> None:
+    schedule = Schedule(2.0, 0.1, np.full(2, 7.0), np.zeros(2))
+    along, speed = schedule.at(np.array([-1e6, 0.0, 2.05, 1e6]))
+    assert along == pytest.approx(np.full(4, 7.0))
+    assert speed == pytest.approx(np.zeros(4))
+
+
+def test_one_point_is_no_way() -> None:
+    with pytest.raises(UsageError, match="a way of 0.00 m"):
+        build_way([Piece(np.array([[3.0, 4.0]]), 10.0)])
+    with pytest.raises(UsageError, match="a way of"):
+        build_way([])

@@ -19,7 +19,9 @@ from mirror.synth.street.network import Lane, Network
 _MIX: Final[dict[Kind, float]] = {"car": 0.78, "van": 0.10, "truck": 0.05, "bus": 0.03, "motorcycle": 0.04}
 _MOTORWAY_MIX: Final[dict[Kind, float]] = {"car": 0.62, "van": 0.11, "truck": 0.22, "bus": 0.03, "motorcycle": 0.02}
 _MOTORWAY_MPS: Final = 25.0
-_PER_HOUR: Final = ((9.0, 110.0), (15.0, 330.0), (_MOTORWAY_MPS, 260.0), (math.inf, 800.0))
+# Farm tracks, on which two vehicles hardly pass each other.
+_TRACK_MPS: Final = 7.0
+_PER_HOUR: Final = ((_TRACK_MPS, 10.0), (9.0, 110.0), (15.0, 330.0), (_MOTORWAY_MPS, 260.0), (math.inf, 800.0))
 """Vehicles an hour and lane, by the speed allowed."""
 _LEAST_HEADWAY_S: Final = 1.8
 _FASTEST: Final[dict[Kind, float]] = {"car": 60.0, "van": 38.0, "truck": 23.5, "bus": 27.0, "motorcycle": 60.0}
@@ -140,7 +142,7 @@ def cyclists(site: Site, bustle: Bustle, until_s: float, ways: Ways, rng: np.ran
     """Everybody who cycles: on cycle lanes, and by the kerb of slow streets."""
     tracks, streets = lanes_of(site.network, "cycle", "turn"), lanes_of(site.network, "drive", "turn")
     starts = [(lane, tracks) for lane in sources(tracks) if lane.use == "cycle"]
-    starts += [(lane, streets) for lane in sources(streets) if lane.speed_mps < 9.0]
+    starts += [(lane, streets) for lane in sources(streets) if _TRACK_MPS <= lane.speed_mps < 9.0]
     for start, lanes in starts:
         mean_s = 3600.0 / (_CYCLES_PER_HOUR * max(bustle.people, 1e-3))
         time = rng.exponential(0.5 * mean_s)

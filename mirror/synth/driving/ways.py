@@ -142,9 +142,11 @@ def build_way(pieces: Sequence[Piece]) -> Way:
     Raises:
         UsageError: there is nothing to join, or it is no longer than a step.
     """
+    if not pieces:
+        raise UsageError("a way of no pieces", expected="at least one")
     rough, owner = _joined(pieces)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rough, axis=0).T))])
-    if not pieces or length[-1] < 2 * STEP_M:
+    if length[-1] < 2 * STEP_M:
         raise UsageError(f"a way of {length[-1]:.2f} m", expected=f"at least {2 * STEP_M} m")
     even = STEP_M * np.arange(int(length[-1] / STEP_M) + 1)
     points = _smoothed(np.column_stack([np.interp(even, length, rough[:, axis]) for axis in (0, 1)]))

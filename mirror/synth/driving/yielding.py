@@ -12,6 +12,7 @@ from mirror.synth.driving.zones import GRID_M
 FAR: Final = 1e6
 """Metres or seconds: out of sight."""
 _PATIENCE_S: Final = 8.0
+_YIELDS_S: Final = 5.0
 
 
 class State(NamedTuple):
@@ -85,11 +86,12 @@ def meet(e: int, users: Users, meetings: Meetings, ahead: Int64, now: State) -> 
         first = meetings.users[e, ahead[e]]
         if now.shut_before[first] < meetings.begin_m[e, ahead[e]]:
             ahead[e] = -1
+    if p_in and q_in and (ahead[e] < 0 or meetings.along[e]):
+        # Whatever was agreed before: behind each other, the one in front is first.
+        p_over = now.s[p] - limit(e, 0, users, meetings, now.s)
+        ahead[e] = 0 if p_over >= now.s[q] - limit(e, 1, users, meetings, now.s) else 1
     if ahead[e] < 0:
-        if p_in and q_in:
-            p_over = now.s[p] - limit(e, 0, users, meetings, now.s)
-            ahead[e] = 0 if p_over >= now.s[q] - limit(e, 1, users, meetings, now.s) else 1
-        elif p_in or q_in:
+        if p_in or q_in:
             ahead[e] = 0 if p_in else 1
         else:
             ahead[e] = _decide(e, users, meetings, now)
@@ -112,10 +114,10 @@ def meet(e: int, users: Users, meetings: Meetings, ahead: Int64, now: State) -> 
 
 @inner
 def _arrival(e: int, k: int, meetings: Meetings, now: State) -> float:
-    """When user k of a meeting can be at the zone; `FAR` if it is far away, or has to stop before it."""
+    """When user k of a meeting can be at the zone; `FAR` if it is far away, has to stop before it, or just stands."""
     u = meetings.users[e, k]
     gap = meetings.begin_m[e, k] - now.s[u]
-    if gap > 90.0 or now.stop_before[u] < meetings.begin_m[e, k] - 0.2:
+    if gap > 90.0 or now.stop_before[u] < meetings.begin_m[e, k] - 0.2 or now.waited[u] > _YIELDS_S:
         return FAR
     return gap / max(now.v[u] + 0.7, 0.8)
 

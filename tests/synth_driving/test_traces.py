@@ -165,7 +165,7 @@ def test_who_stands_stands_at_all_times() -> None:
 
 
 def test_one_point_is_no_way() -> None:
-    with pytest.raises(UsageError, match="a way of 0.00 m"):
+    with pytest.raises(UsageError, match=r"a way of 0\.00 m"):
         build_way([Piece(np.array([[3.0, 4.0]]), 10.0)])
     with pytest.raises(UsageError, match="a way of"):
         build_way([])

@@ -17,7 +17,7 @@ from mirror.synth.fleet.recipe import Recipe
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import season_of
 from mirror.synth.model import Model
-from mirror.synth.rigs import Vehicle
+from mirror.synth.rigs import Vehicle, VehicleType
 from mirror.synth.rigs.own import own_model
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mirror.synth.users.body import RoadUser
 
 _WORLDS_HELD: Final = 2
+_VEHICLES_HELD: Final = 7
 _BUSTLE: Final = {"day": (1.0, 1.0), "dusk": (0.9, 0.7), "night": (0.45, 0.3)}
 _WARM_MONTHS: Final = (0.36, 0.75)
 _STEP_S: Final = 0.01
@@ -121,26 +122,20 @@ class SynthDrive:
         """Everybody else, parked ones too."""
         return self._journey.users
 
-    @cached_property
+    @property
     def own(self) -> Model:
         """What the vehicle's cameras can see of it, in its ego frame."""
-        return own_model(self.vehicle.kind)
+        return _own(self.vehicle.kind)
 
-    @cached_property
+    @property
     def own_masks(self) -> dict[str, UInt8]:
         """Masks (H, W) of the vehicle itself, 255 where it is seen, of the cameras that see it."""
-        from mirror.synth.truth.casting import own_mask
+        return _own_masks(self.vehicle)
 
-        cameras, mountings = self.vehicle.cameras, self.vehicle.ego_SE3_camera
-        masks = {name: own_mask(self.own, camera, mountings[name]) for name, camera in cameras.items()}
-        return {name: mask for name, mask in masks.items() if mask.any()}
-
-    @cached_property
+    @property
     def lenses(self) -> dict[str, Lens]:
         """The vehicle's cameras as the renderer takes them."""
-        from mirror.synth.render.lens import make_lens
-
-        return {name: make_lens(camera) for name, camera in self.vehicle.cameras.items()}
+        return _lenses(self.vehicle)
 
     @cached_property
     def looks(self) -> dict[str, CameraLook]:
@@ -175,7 +170,7 @@ class SynthDrive:
 
     def forget(self) -> None:
         """Let go of what takes memory; it is made again when it is asked for."""
-        for name in ("stage", "_journey", "lenses"):
+        for name in ("stage", "_journey"):
             vars(self).pop(name, None)
 
     def seconds(self, timestamp_ns: Int64) -> Float64:
@@ -241,3 +236,24 @@ def _world(preset: str, scene: int, seed: int) -> World:
 
     site = PRESETS[preset].sites[scene]
     return build_world(site.roi, site.yaw_deg, seed)
+
+
+@lru_cache(_VEHICLES_HELD)
+def _own(kind: VehicleType) -> Model:
+    return own_model(kind)
+
+
+@lru_cache(_VEHICLES_HELD)
+def _own_masks(vehicle: Vehicle) -> dict[str, UInt8]:
+    from mirror.synth.truth.casting import own_mask
+
+    own, mountings = _own(vehicle.kind), vehicle.ego_SE3_camera
+    masks = {name: own_mask(own, camera, mountings[name]) for name, camera in vehicle.cameras.items()}
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+@lru_cache(_VEHICLES_HELD)
+def _lenses(vehicle: Vehicle) -> dict[str, Lens]:
+    from mirror.synth.render.lens import make_lens
+
+    return {name: make_lens(camera) for name, camera in vehicle.cameras.items()}

@@ -109,15 +109,15 @@ def _benchmark() -> Preset:
 
 def _paper() -> Preset:
     scenes = (
-        (places.GUANGZHOU_URBAN, 24.0, 9.0, _URBAN),
-        (places.KARLSRUHE_CAMPUS, -61.0, 8.0, _CAMPUS),
+        (places.GUANGZHOU_URBAN, 24.0, 13.0, _URBAN),
+        (places.KARLSRUHE_CAMPUS, -61.0, 10.0, _CAMPUS),
         (places.LYON_HIGHWAY, 71.0, 22.0, _HIGHWAY),
         (places.KARLSRUHE_RURAL, -38.0, 12.0, _RURAL),
-        (places.LYON_URBAN, 102.0, 9.0, _URBAN),
-        (places.TORONTO_URBAN, -16.0, 9.0, _URBAN),
+        (places.LYON_URBAN, 102.0, 13.0, _URBAN),
+        (places.TORONTO_URBAN, -16.0, 13.0, _URBAN),
         (places.TORONTO_RURAL, 55.0, 12.0, _RURAL),
-        (places.SANTIAGO_URBAN, 8.0, 9.0, _URBAN),
-        (places.WUHAN_CAMPUS, 140.0, 8.0, _CAMPUS),
+        (places.SANTIAGO_URBAN, 8.0, 13.0, _URBAN),
+        (places.WUHAN_CAMPUS, 140.0, 10.0, _CAMPUS),
         (places.GUANGZHOU_HIGHWAY, -22.0, 22.0, _HIGHWAY),
     )
     sites = tuple(

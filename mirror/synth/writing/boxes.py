@@ -20,6 +20,7 @@ SOURCE: Final = "synth"
 LEAST_SHARE: Final = 8e-5
 """A road user that no picture shows in so large a share of a picture's pixels has no box."""
 _FARTHEST_M: Final = 60.0
+_APART_NS: Final = 500_000_000
 
 
 def world_SE3_boxes(users: Sequence[RoadUser], placements: Sequence[Placement]) -> Poses:  # noqa: N802
@@ -58,11 +59,12 @@ def box_rows(
 def boxes_in_view(drive: SynthDrive, shots: Shots) -> pa.Table:
     """Rows of the ``boxes`` table of a drive whose pictures are not rendered.
 
-    They are those of road users nearby whose box some camera has in view, large enough; whether something hides them is
-    not asked.
+    They are those of road users nearby whose box some camera has in view, large enough, twice a second; whether
+    something hides them is not asked.
     """
     camera = next(iter(shots.true_ns))
-    true, recorded = shots.true_ns[camera], shots.recorded_ns[camera]
+    every = max(round(_APART_NS * drive.preset.picture_hz * 1e-9), 1)
+    true, recorded = shots.true_ns[camera][::every], shots.recorded_ns[camera][::every]
     ego = drive.world_SE3_ego(true)
     parts = [BOXES.schema.empty_table()]
     for user in drive.users:

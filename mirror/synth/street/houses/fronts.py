@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,13 @@ _RAILINGS: Final[tuple[tuple[Colour, Material], ...]] = (
     ((0.55, 0.54, 0.51), Material.PLASTER),
     ((0.16, 0.22, 0.23), Material.GLASS),
 )
+_PAINTED: Final[Colour] = (0.52, 0.49, 0.43)
+_PLASTERED: Final = {
+    Windows.TALL_BRICK: Windows.TALL,
+    Windows.SASH_BRICK: Windows.SASH,
+    Windows.MODERN_BRICK: Windows.MODERN,
+    Windows.LOFT: Windows.SASH,
+}
 
 
 def add_balconies(pieces: Pieces, body: Body, rng: np.random.Generator, taken: set[int], most: int = 7) -> None:
@@ -91,9 +99,12 @@ def add_bay(pieces: Pieces, body: Body, x: float, half_m: float, *, chamfered: b
     inner = half_m - (0.8 if chamfered else 0.0)
     wall, front = body.front, body.front - deep
     corners = [(x - half_m, wall), (x - inner, front), (x + inner, front), (x + half_m, wall)]
-    narrow = Windows.BLIND_BRICK if body.wall == Material.BRICK else Windows.BLIND
-    side = (Windows.SIDE_BRICK if body.wall == Material.BRICK else Windows.SIDE) if chamfered else narrow
-    for number, windows in enumerate((side, body.front_windows, side)):
+    if body.wall == Material.BRICK:
+        # Of the bricks behind it, a bay would hardly be seen from the front.
+        body = replace(body, colour=_PAINTED, wall=Material.PLASTER)
+    front_windows = _PLASTERED.get(body.front_windows, body.front_windows)
+    side = Windows.SIDE if chamfered else Windows.BLIND
+    for number, windows in enumerate((side, front_windows, side)):
         pieces.wall(corners[number], corners[number + 1], low, high, body.finish(windows, 7 + number))
     foot = body.plain(0.95)
     pieces.face([(a, b, low) for a, b in reversed(corners)], foot)

@@ -87,7 +87,8 @@ def farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
         brick = Finish((0.28, 0.14, 0.10), Material.BRICK, Label.BUILDING, seed)
         pieces.block((x - 0.35, y - 0.35, 8.0), (x + 0.35, y + 0.35, 9.8), brick)
     if depth_m > 24.0:
-        x, y, radius = middle - 3.0, min(back + 4.0, depth_m - 2.2), 1.9
+        radius = 1.9
+        x, y = max(middle - 3.0, radius - half), min(back + 4.0, depth_m - 2.2)
         angle = 2.0 * np.pi * np.arange(12) / 12
         outline = np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=1)
         pieces.prism(outline, FOOT_M, 8.5, Finish((0.42, 0.43, 0.42), Material.METAL, Label.BUILDING, seed))

@@ -21,7 +21,7 @@ STREET_TREES: Final[tuple[Kind, ...]] = ("lime", "plane", "birch", "cherry")
 """That stand along streets; on roads through fields and woods it is more the others."""
 PASSING_M: Final = 4.5
 """Nothing hangs lower over a carriageway."""
-_COVER: Final = 1.0
+_COVER: Final = 0.72
 """Area of the sprays by that of the crown."""
 _ROOT_M: Final = 0.5
 """Trunks go this far into the ground, which may slope."""
@@ -298,7 +298,7 @@ def _painted(rng: np.random.Generator, corners: Float64, colours: Float64, seeds
 
 def _insides(centres: Float64, halves: Float64, colour: Float64, seeds: Int64) -> Model:
     """The dark inside of each lobe, so that a crown in leaf is not seen through everywhere."""
-    return ellipsoids(centres, 0.75 * halves, 0.55 * colour, Material.LEAVES, Label.VEGETATION, seeds=seeds)
+    return ellipsoids(centres, 0.84 * halves, 0.65 * colour, Material.LEAVES, Label.VEGETATION, seeds=seeds)
 
 
 def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float64, halves: Float64) -> Model:

@@ -92,7 +92,8 @@ def test_more_light_comes_from_a_higher_sun() -> None:
         record = lighting(Condition(noon - (440 - minutes) * 60_000_000_000, "day", "clear"), 0.0, 0.0).record
         level = max(record["sun"][2], 0.0) * record["sunlight"] + record["sky_light"]
         total.append(level @ [0.2126, 0.7152, 0.0722])
-    assert (np.diff(total) > -1e-4).all()
+    # Towns light the clouds of the night, which is not the sun's doing.
+    assert (np.diff(total) > -5e-4).all()
     assert total[0] < 0.02 * total[-1]
 
 

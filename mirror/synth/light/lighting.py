@@ -70,6 +70,7 @@ _NIGHT_HORIZON: Final = np.array([0.0260, 0.0190, 0.0140])
 _COVER: Final[dict[Weather, float]] = {"clear": 0.27, "clouds": 1.0, "rain": 1.0}
 _OVERCAST: Final[dict[Weather, float]] = {"clear": 0.0, "clouds": 1.55, "rain": 0.85}
 _HAZE_PER_M: Final[dict[Weather, float]] = {"clear": 1 / 2400, "clouds": 1 / 1400, "rain": 1 / 420}
+_WARM: Final = np.array([1.35, 0.95, 0.55])
 _GREY: Final = np.array([0.95, 1.0, 1.06])
 _GROUND: Final = np.array([0.16, 0.155, 0.14])
 _LAMP: Final = np.array([1.25, 0.92, 0.55])
@@ -157,7 +158,9 @@ def _clouds(record: Records, condition: Condition, elevation: float, dome: Float
     light = np.einsum("ij,ijk->k", dome_weights(), dome)
     if condition.weather == "clear":
         lit = 0.42 * _SUNLIGHT * sunlight(max(elevation, 3.0)) * float(np.clip((elevation + 4.0) / 10.0, 0.0, 1.0))
-        record["cloud_lit"], record["cloud_base"] = lit + 0.75 * light, 0.12 * lit + 0.75 * light
+        # At night it is towns that light clouds, from below.
+        own = (0.75 + 0.75 * _WARM * float(np.clip((-elevation - 6.0) / 6.0, 0.0, 1.0))) * light
+        record["cloud_lit"], record["cloud_base"] = lit + own, 0.12 * lit + own
         return
     grey = float(_LUMINANCE @ light) * _OVERCAST[condition.weather] * _GREY
     # The last light of the day colours an overcast sky too.

@@ -13,7 +13,9 @@ from mirror.synth.model import Label, Material
 from mirror.synth.render.shadows import CELL_M, sunlit
 from mirror.synth.render.surroundings import BELOW_CELL_M, GLOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M
 
-_ROUGH_RAD: Final = 0.03
+_GLASS_RAD: Final = 0.03
+_PAINT_RAD: Final = 0.20
+_SENT_BACK: Final = 12.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -122,7 +124,8 @@ def lit(
             polish = 1.0 if material == Material.PAINT or material == Material.GLASS else 0.3
             share = gloss + (1.0 - gloss) * (1.0 - max(facing, 0.0)) ** 5 * polish
             rz = dz + 2.0 * facing * nz
-            sr, sg, sb = sky(dome, clouds, setting, dx + 2.0 * facing * nx, dy + 2.0 * facing * ny, abs(rz), _ROUGH_RAD)
+            rough = _PAINT_RAD if material == Material.PAINT else _GLASS_RAD
+            sr, sg, sb = sky(dome, clouds, setting, dx + 2.0 * facing * nx, dy + 2.0 * facing * ny, abs(rz), rough)
             # Below the horizon the dark street is mirrored; curved sheets blur where it begins.
             share *= 0.25 + 0.60 * min(max(0.5 + 4.0 * rz, 0.0), 1.0)
             er, eg, eb = er + share * sr, eg + share * sg, eb + share * sb
@@ -154,6 +157,9 @@ def lit(
         beam = _beam_at(setting, maps, x, y, z, nx, ny, nz)
         column, row = (x - maps.glow_origin_0) / GLOW_CELL_M, (y - maps.glow_origin_1) / GLOW_CELL_M
         beam += 0.5 * setting.headlight * read(glow, column, row) * max(nz, 0.3)
+        if label == Label.TRAFFIC_SIGN:
+            # Their sheeting sends light back to where it came from.
+            beam *= _SENT_BACK
     over, under = opening * (0.5 + 0.5 * nz), opening * (0.5 - 0.5 * nz)
     clear = math.exp(-t * setting.haze_per_m)
     r = er + fr * (

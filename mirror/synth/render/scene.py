@@ -181,7 +181,10 @@ class Scene:
 
     def _moving(self, time_s: float, middle: Float64) -> tuple[Model, dict[int, Placement]]:
         placements = {}
+        traffic = self.condition.effects.traffic
         for number, user in enumerate(self.users):
+            if not (traffic or _stands(user)):
+                continue
             place = user.motion.at(time_s)
             if math.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _DRAWN_WITHIN_M:
                 placements[number] = place

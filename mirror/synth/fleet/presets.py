@@ -121,10 +121,10 @@ def _paper() -> Preset:
         (places.GUANGZHOU_HIGHWAY, -22.0, 22.0, _HIGHWAY),
     )
     sites = tuple(
-        Site(roi, yaw_deg, fastest_mps, programme(routes, _SEVEN, 17, 3 * number))
+        Site(roi, yaw_deg, fastest_mps, programme(routes, _SEVEN, 14, 3 * number))
         for number, (roi, yaw_deg, fastest_mps, routes) in enumerate(scenes)
     )
-    return Preset("paper", sites, traversals=17, width_px=960, picture_hz=10.0, pose_hz=100.0, on_demand=True)
+    return Preset("paper", sites, traversals=14, width_px=960, picture_hz=10.0, pose_hz=100.0, on_demand=True)
 
 
 _TINY: Final = places.small(places.GUANGZHOU_URBAN, 62.0)
@@ -143,12 +143,12 @@ PRESETS: Final = {
         Preset(
             "demo",
             (
-                Site(places.GUANGZHOU_URBAN, 24.0, 14.0, _SHOWN, (_SKIMS, _PASSES_FAST, _STANDS, _TURNS_ROUND)),
+                Site(places.GUANGZHOU_URBAN, 24.0, 14.0, _SHOWN, (_SKIMS, _PASSES_FAST, _STANDS, _TURNS_ROUND), 0.8),
                 Site(places.small(places.KARLSRUHE_CAMPUS, 120.0), -61.0, 10.0, _turned(_SHOWN, 3), (_POSES_ONLY,)),
             ),
             traversals=5,
             width_px=400,
-            picture_hz=0.4,
+            picture_hz=0.35,
         ),
         _benchmark(),
         _paper(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -26,6 +27,10 @@ _SHOES: Final[tuple[Colour, ...]] = ((0.02, 0.02, 0.02), (0.055, 0.033, 0.02), (
 _FULL_PACE_MPS: Final = 0.9
 _RIDING_LEG: Final = 0.50
 """From the saddle to the lower pedal at most, as a share of the height."""
+_PHASES: Final = 64
+"""Steps of a gait that are posed: 2 cm of way apart."""
+_PACES: Final = 8
+_POSES_KEPT: Final = 4096
 _BOX_SPARE_M: Final = 0.004
 """Added to the box, for poses between those that were looked at."""
 
@@ -46,8 +51,10 @@ class Pedestrian(Body):
         return STRIDE * self.person.height_m
 
     def posed(self, placement: Placement) -> Model:
-        """Walking, with shorter steps when slow, or standing."""
-        return self.walking(placement.along_m / self.stride_m, min(placement.speed_mps / _FULL_PACE_MPS, 1.0))
+        """Walking, with shorter steps when slow, or standing; in poses of which there are only so many."""
+        phase = round(_PHASES * placement.along_m / self.stride_m) % _PHASES
+        pace = round(_PACES * min(placement.speed_mps / _FULL_PACE_MPS, 1.0))
+        return self.model if pace <= 0 else _kept(self.person, phase, pace)
 
     def walking(self, phase: float, pace: float = 1.0) -> Model:
         """A step; within the box at every phase and pace.
@@ -59,6 +66,11 @@ class Pedestrian(Body):
         if pace <= 0.0:
             return self.model
         return _walker(self.person, phase, pace)
+
+
+@lru_cache(_POSES_KEPT)
+def _kept(who: Person, phase: int, pace: int) -> Model:
+    return _walker(who, phase / _PHASES, pace / _PACES)
 
 
 def _walker(who: Person, phase: float, pace: float) -> Model:

@@ -112,8 +112,13 @@ def test_haze_takes_the_colour_of_the_horizon_with_the_distance(distance_m: floa
         (0.0, 0.0, 0.0), Material.PLAIN, Label.WALL,
     )  # fmt: skip
     scene = surroundings(wall, effects=replace(Effects.none(), haze=True))
-    view = see(scene, lens_of("narrow"), AHEAD, np.zeros(3))
+    lens = lens_of("narrow")
+    view = see(scene, lens, AHEAD, np.zeros(3))
     setting = scene.setting
-    horizon = np.array([setting["horizon_0"], setting["horizon_1"], setting["horizon_2"]])
+    away, glow, sun = (
+        np.array([setting[f"{name}_{k}"] for k in range(3)]) for name in ("horizon_away", "horizon_glow", "sun")
+    )
+    share = (0.5 + 0.5 * (lens.rays @ AHEAD.T)[..., :2] @ sun[:2]) ** 2
+    horizon = away + share[..., None] * glow
     truth = horizon * (1.0 - np.exp(-view.distance_m.astype(np.float64) * setting["haze_per_m"]))[..., None]
     assert np.abs(view.radiance()[..., :3] - truth).max() < 1e-4

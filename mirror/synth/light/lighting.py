@@ -20,6 +20,8 @@ LIGHTING: Final = np.dtype(
         ("sun", np.float64, 3),
         ("sunlight", np.float64, 3),
         ("horizon", np.float64, 3),
+        ("horizon_away", np.float64, 3),
+        ("horizon_glow", np.float64, 3),
         ("sky_light", np.float64, 3),
         ("ground_light", np.float64, 3),
         ("cloud_lit", np.float64, 3),
@@ -49,7 +51,8 @@ Light is in units of radiance of a white dull surface under it: a surface of ref
 sees half the sky shows ``f * (sunlight + sky_light / 2 + ground_light / 2)``.
 
 ``sun``: direction; ``sunlight``: on a surface that faces it, 0 where it is hidden or has set; ``horizon``: mean
-radiance of the sky just above it, the colour of haze; ``sky_light``: on level ground; ``ground_light``: what the ground
+radiance of the sky just above it, ``horizon_away`` that opposite the sun, and ``horizon_glow`` what it has more towards
+the sun: the colours of haze; ``sky_light``: on level ground; ``ground_light``: what the ground
 sends back up; ``cloud_lit``, ``cloud_base``: radiance of clouds where the sun reaches them and where it does not;
 ``cloud_shift``: of the clouds, in heights of their layer, and ``cloud_wind`` its change a second; ``cloud``: share of
 the sky that they cover; ``lamp_light``: below a street lamp; ``headlight``: strength of the recording vehicle's beams;
@@ -77,6 +80,8 @@ _LAMP: Final = np.array([1.25, 0.92, 0.55])
 _ADAPTED: Final = 0.72
 _MIDDLE: Final = 0.20
 _REFLECTANCE: Final = 0.19
+_AROUND: Final = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+_RING: Final = np.array([np.cos(_AROUND), np.sin(_AROUND)])
 _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -115,8 +120,11 @@ def lighting(condition: Condition, longitude_deg: float, latitude_deg: float) ->
     dome = _dome(elevation, azimuth)
     _clouds(record, condition, elevation, dome)
     dome32 = dome.astype(np.float32)
-    light, horizon = _sums(record, dome32)
-    record["sky_light"], record["horizon"] = light, horizon
+    light, ring = _sums(record, dome32)
+    record["sky_light"], record["horizon"] = light, ring.mean(axis=0)
+    towards = sun[:2] / np.hypot(*sun[:2]) @ _RING
+    record["horizon_away"] = ring[towards < -0.5].mean(axis=0)
+    record["horizon_glow"] = ring[towards > 0.85].mean(axis=0) - record["horizon_away"]
     record["sunlight"] = _SUNLIGHT * sunlight(elevation) if weather == "clear" else 0.0
     record["ground_light"] = _GROUND * (light + max(float(sun[2]), 0.0) * record["sunlight"])
     record["lamp_light"] = _LAMP * float(np.clip(1.6 * dark - 0.5, 0.0, 1.0))
@@ -170,17 +178,16 @@ def _clouds(record: Records, condition: Condition, elevation: float, dome: Float
 
 
 def _sums(record: Records, dome: Float32) -> tuple[Float64, Float64]:
-    """Light of the whole sky on level ground, and its mean radiance just above the horizon."""
+    """Light of the whole sky on level ground, and its radiance (N, 3) just above the horizon all round."""
     flattened = record.reshape(1).view(flat(LIGHTING))[0]
     clouds, away, weights = cloud_field(), dome_directions(), dome_weights()
-    light, ring = np.zeros(3), []
+    light = np.zeros(3)
     for row, column in np.argwhere(weights > 0.0)[::3]:
         x, y, z = away[row, column]
         light += weights[row, column] * np.array(sky(dome, clouds, flattened, x, y, z, 0.02))
     light /= weights[weights > 0.0][::3].sum()
-    for angle in np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False):
-        ring.append(sky(dome, clouds, flattened, np.cos(angle), np.sin(angle), 0.02, 0.02))
-    return light, np.mean(ring, axis=0)
+    ring = np.array([sky(dome, clouds, flattened, east, north, 0.02, 0.02) for east, north in _RING.T])
+    return light, ring
 
 
 def _camera(record: Records) -> None:

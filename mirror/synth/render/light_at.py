@@ -15,7 +15,7 @@ from mirror.synth.render.surroundings import BELOW_CELL_M, GLOW_CELL_M, GROUND_C
 
 _GLASS_RAD: Final = 0.03
 _PAINT_RAD: Final = 0.20
-_SENT_BACK: Final = 12.0
+_SENT_BACK: Final = 5.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -108,7 +108,7 @@ def lit(
         eb: of blue.
         gloss: share of light that is mirrored at normal incidence.
     """
-    mirror, opening = 0.0, 1.0
+    mirror, opening, above = 0.0, 1.0, 0.0
     facing = -(dx * nx + dy * ny + dz * nz)
     if label <= Label.TERRAIN:
         opening = 1.0 - read(below, (x - maps.below_origin_0) / BELOW_CELL_M, (y - maps.below_origin_1) / BELOW_CELL_M)
@@ -156,7 +156,9 @@ def lit(
     if setting.headlight > 0.0:
         beam = _beam_at(setting, maps, x, y, z, nx, ny, nz)
         column, row = (x - maps.glow_origin_0) / GLOW_CELL_M, (y - maps.glow_origin_1) / GLOW_CELL_M
-        beam += 0.5 * setting.headlight * read(glow, column, row) * max(nz, 0.3)
+        # They shine on the ground and on what stands low on it.
+        upright = max(nz, 0.3) if label <= Label.TERRAIN else 0.3 * min(max(1.7 - above, 0.0), 1.0)
+        beam += 0.5 * setting.headlight * read(glow, column, row) * upright
         if label == Label.TRAFFIC_SIGN:
             # Their sheeting sends light back to where it came from.
             beam *= _SENT_BACK
@@ -174,9 +176,12 @@ def lit(
         sun * setting.sunlight_2 + over * setting.sky_light_2 + under * setting.ground_light_2
         + lamplight * setting.lamp_light_2 + beam
     )  # fmt: skip
+    # Haze has the colour of the sky behind it, which glows about the sun.
+    glow_share = (0.5 + 0.5 * (dx * setting.sun_0 + dy * setting.sun_1)) ** 2
+    dim = 1.0 - clear
     return (
-        setting.horizon_0 * (1.0 - clear) + clear * r,
-        setting.horizon_1 * (1.0 - clear) + clear * g,
-        setting.horizon_2 * (1.0 - clear) + clear * b,
+        dim * (setting.horizon_away_0 + glow_share * setting.horizon_glow_0) + clear * r,
+        dim * (setting.horizon_away_1 + glow_share * setting.horizon_glow_1) + clear * g,
+        dim * (setting.horizon_away_2 + glow_share * setting.horizon_glow_2) + clear * b,
         mirror * clear,
     )

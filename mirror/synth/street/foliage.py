@@ -69,7 +69,7 @@ _YEARS: Final[dict[Species, Year]] = {
 """Evergreens and reeds have none: they stay."""
 _MOST_GONE: Final = 0.035
 """Share of the leaves that are missing on any one visit, others on each."""
-_THIN: Final = 0.3
+_THIN: Final = 0.5
 """With less than this share of its leaves a crown has no dark inside."""
 _DENSE: Final = 0.85
 """With more than this share of its leaves a crown hides its twigs."""
@@ -108,7 +108,9 @@ def foliage(model: Model, season: float, visit: int) -> Model:
     stays = np.ones(len(rounds), np.bool_)
     inner = np.flatnonzero(rounds["material"] == Material.LEAVES)
     share = _filled(rounds, inner, season)
-    rounds["half"][inner] *= (0.4 + 0.6 * share)[:, None]
+    # It shrinks faster than leaves fall, and lies in their shade.
+    rounds["half"][inner] *= share[:, None]
+    rounds["colour"][inner] *= (0.5 + 0.5 * share)[:, None]
     stays[inner] = share >= _THIN
     return _without(model, faces, shown, rounds[stays])
 

@@ -69,7 +69,7 @@ _YEARS: Final[dict[Species, Year]] = {
 """Evergreens and reeds have none: they stay."""
 _MOST_GONE: Final = 0.035
 """Share of the leaves that are missing on any one visit, others on each."""
-_THIN: Final = 0.5
+_THIN: Final = 0.65
 """With less than this share of its leaves a crown has no dark inside."""
 _DENSE: Final = 0.85
 """With more than this share of its leaves a crown hides its twigs."""

@@ -148,7 +148,7 @@ PRESETS: Final = {
             ),
             traversals=5,
             width_px=400,
-            picture_hz=0.35,
+            picture_hz=0.3,
         ),
         _benchmark(),
         _paper(),

@@ -95,13 +95,22 @@ def write_recordings(
     write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
     written = Written()
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        for drive in drives:
+        ahead = pool.submit(_simulate, drives[0])
+        for number, drive in enumerate(drives, start=1):
+            ahead.result()
+            if number < len(drives):
+                # While this drive's pictures are rendered.
+                ahead = pool.submit(_simulate, drives[number])
             folder = out / drive.drive_id
             _write(folder, drive, seed, errors, truth, pool, written)
             written.recordings.append(folder)
             drive.forget()
             progress.advance(1)
     return written
+
+
+def _simulate(drive: SynthDrive) -> None:
+    _ = drive.truth
 
 
 def _write(

@@ -102,17 +102,22 @@ def _drive(preset: str, seed: int, drive_id: str) -> _Open:
 
 @lru_cache(_DRIVES_HELD)
 def _opened(preset: str, seed: int, drive_id: str) -> _Open:
+    return _Open(_found(preset, seed, drive_id))
+
+
+def _found(preset: str, seed: int, drive_id: str) -> SynthDrive:
     from mirror.synth.fleet.drives import drive_named
 
     try:
-        return _Open(drive_named(preset, seed, drive_id))
+        return drive_named(preset, seed, drive_id)
     except UsageError as error:
         raise FileNotFoundError(str(error)) from error
 
 
+# Sizes alone are asked of many drives: none of those that are open is given up for them.
 @lru_cache(4096)
 def _raster(preset: str, seed: int, drive_id: str) -> dict[str, tuple[int, int]]:
-    cameras = _drive(preset, seed, drive_id).drive.vehicle.cameras
+    cameras = _found(preset, seed, drive_id).vehicle.cameras
     return {name: (camera.width_px, camera.height_px) for name, camera in cameras.items()}
 
 

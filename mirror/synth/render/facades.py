@@ -202,7 +202,15 @@ def _glazed(
     b += 1.1 * bare + (0.80 + 0.22 * hue) * tone * covered
     if chance(own, 4, one.seed) >= setting.lit_windows * row.lit:
         return r, g, b, 0.0, 0.0, 0.0, row.gloss * glass
-    light = (glass - 0.45 * covered) * (0.45 + 0.9 * chance(own, 5, one.seed))
+    room = 0.85 * (glass - covered)
+    if kind >= row.curtains:
+        # The ceiling is bright; what furniture there is stands dark before the far wall.
+        ceiling = foot + (0.72 + 0.14 * hue) * row.height_m
+        room += 0.6 * panes_x * _panes_up(max(y0, ceiling), y1, foot, row.height_m, row.transom, row.frame_m)
+        left, top = start + 0.6 * hue * row.width_m, foot + 0.5 * size * row.height_m
+        stuff = _panes(max(x0, left), min(x1, left + 0.4 * row.width_m), start, row.width_m, row.panes, row.frame_m)
+        room -= 0.6 * stuff * _panes_up(y0, min(y1, top), foot, row.height_m, row.transom, row.frame_m)
+    light = (room + 0.55 * covered) * (0.45 + 0.9 * chance(own, 5, one.seed))
     if chance(own, 6, one.seed) < row.cool:
         return r, g, b, 0.46 * light, 0.50 * light, 0.48 * light, row.gloss * glass
     return r, g, b, 0.62 * light, (0.40 + 0.06 * hue) * light, (0.16 + 0.10 * hue) * light, row.gloss * glass

@@ -153,6 +153,9 @@ def lit(
         at_x, at_y = x + 0.6 * nx - maps.lamps_origin_0, y + 0.6 * ny - maps.lamps_origin_1
         lamplight = read(lamps, at_x / LAMP_CELL_M, at_y / LAMP_CELL_M)
         lamplight *= 0.45 + 0.55 * nz if nz > 0.0 else 0.35
+        if material == Material.PAINT:
+            # It mirrors more of what comes at a slant, and lamps do, than it scatters.
+            lamplight *= 0.55
     if setting.headlight > 0.0:
         beam = _beam_at(setting, maps, x, y, z, nx, ny, nz)
         column, row = (x - maps.glow_origin_0) / GLOW_CELL_M, (y - maps.glow_origin_1) / GLOW_CELL_M

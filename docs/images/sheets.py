@@ -24,6 +24,8 @@ from mirror.synth.light.condition import Condition, Effects
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import Label
 from mirror.synth.render import render
+from mirror.synth.render.lens import make_lens
+from mirror.synth.rigs import VEHICLE_TYPES
 from mirror.synth.truth import static_flow
 
 HERE = Path(__file__).parent / "sheets"
@@ -31,8 +33,9 @@ WIDTH_PX, GAP_PX, CAPTION_PX = 1800, 4, 17
 QUALITIES = range(88, 50, -4)
 MOST_BYTES = 440_000
 FRONT = "front_wide"
+NO_BONNET = ("guangzhou-urban-02", "lyon-highway-02", "karlsruhe-rural-04", "karlsruhe-campus-01")
 MOMENTS = np.linspace(0.15, 0.85, 5)
-BY_DAY = ("sun_shadows", "haze", "season", "foliage", "billboards", "traffic", "white_balance", "vignetting")
+BY_DAY = ("sun_shadows", "haze", "season", "foliage", "billboards", "traffic", "vignetting")
 DATES = {"day": "2025-05-14", "dusk": "2025-07-02", "night": "2025-11-19"}
 SEASONS = {"winter": "2026-01-21", "spring": "2025-04-12", "summer": "2025-07-02", "autumn": "2025-10-22"}
 LABEL_COLOURS = {
@@ -75,16 +78,25 @@ def in_condition(one: SynthDrive, date: str, light: str, weather: str, *, visit:
     return replace(one, condition=Condition(start, light, weather, visit=visit))
 
 
-def moment_ns(one: SynthDrive, camera: str = FRONT) -> int:
-    """When the camera sees the most varied picture, by the entropy of the classes."""
-    small = at_width(one, 160)
-    moments = [one.condition.start_ns + round(share * one.truth.duration_s * 1e9) for share in MOMENTS]
-    return max(moments, key=lambda at: _variety(small.picture(camera, at).view.label))
+def moment_ns(one: SynthDrive) -> int:
+    """When the front camera sees the most varied picture, by the entropy of the classes."""
+    small = make_lens(replace(one.vehicle, width_px=160).cameras[FRONT])
+
+    def variety(at_ns: int) -> float:
+        pose = one.world_SE3_camera(FRONT, np.array([at_ns]))
+        return _entropy(one.stage.picture(one.at(at_ns), small, pose).view.label)
+
+    return max((at_share(one, share) for share in MOMENTS), key=variety)
 
 
-def _variety(labels: UInt8) -> float:
+def _entropy(labels: UInt8) -> float:
     share = np.bincount(labels.ravel()) / labels.size
     return float(-(share[share > 0] * np.log(share[share > 0])).sum())
+
+
+def at_share(one: SynthDrive, share: float) -> int:
+    """When a share of a drive has passed."""
+    return one.condition.start_ns + round(share * one.truth.duration_s * 1e9)
 
 
 def passing_ns(one: SynthDrive, place_m: AnyArray) -> int:
@@ -110,21 +122,29 @@ def row_of_cameras(one: SynthDrive, at_ns: int) -> Iterator[Cell]:
 # How it is laid out
 
 
-def sheet(cells: Sequence[Cell], columns: int, aspect: float = 16 / 9, captions: bool = True) -> UInt8:
-    """Cells in rows, each picture as large as its cell allows, its caption below."""
+def sheet(
+    cells: Sequence[Cell], columns: int, captions: bool = True, tallest: float = 1.5, width_px: int = WIDTH_PX
+) -> UInt8:
+    """Cells in rows, a caption below each; none is higher than its width by ``tallest``."""
     from PIL import Image, ImageDraw, ImageFont
 
-    width = (WIDTH_PX - (columns - 1) * GAP_PX) // columns
-    height, below = round(width / aspect), CAPTION_PX if captions else 0
-    rows = -(-len(cells) // columns)
-    page = Image.new("RGB", (WIDTH_PX, rows * (height + below + GAP_PX) - GAP_PX), "white")
+    width = (width_px - (columns - 1) * GAP_PX) // columns
+    scales = [min(1.0, width / tallest / cell.bgr.shape[0] * cell.bgr.shape[1] / width) for cell in cells]
+    sizes = [
+        (round(width * scale), round(width * scale * cell.bgr.shape[0] / cell.bgr.shape[1]))
+        for scale, cell in zip(scales, cells)
+    ]
+    heights = [max(high for _, high in sizes[start : start + columns]) for start in range(0, len(cells), columns)]
+    below = GAP_PX + (CAPTION_PX if captions else 0)
+    tops = np.cumsum([0, *(height + below for height in heights)])
+    page = Image.new("RGB", (width_px, int(tops[-1]) - GAP_PX), "white")
     pen, font = ImageDraw.Draw(page), ImageFont.load_default(size=12)
-    for number, cell in enumerate(cells):
-        x, y = number % columns * (width + GAP_PX), number // columns * (height + below + GAP_PX)
-        scale = min(width / cell.bgr.shape[1], height / cell.bgr.shape[0])
-        size = (round(cell.bgr.shape[1] * scale), round(cell.bgr.shape[0] * scale))
+    for number, (cell, size) in enumerate(zip(cells, sizes)):
+        x, y = number % columns * (width + GAP_PX), int(tops[number // columns])
+        height = heights[number // columns]
         picture = cv2.resize(cell.bgr, size, interpolation=cv2.INTER_AREA)[..., ::-1]
-        page.paste(Image.fromarray(np.ascontiguousarray(picture)), (x + (width - size[0]) // 2, y))
+        place = (x + (width - size[0]) // 2, y + (height - size[1]) // 2)
+        page.paste(Image.fromarray(np.ascontiguousarray(picture)), place)
         if captions:
             pen.text((x + width // 2, y + height + 1), cell.caption, "black", font, anchor="ma")
     return np.asarray(page)[..., ::-1]
@@ -147,7 +167,9 @@ def write(name: str, page: UInt8) -> None:
 def conditions() -> UInt8:
     """Four kinds of scene, each at one place in six conditions."""
     cells = []
-    for first in drives("benchmark", 640)[::8]:
+    for first in drives("benchmark", 640):
+        if first.drive_id not in NO_BONNET:
+            continue
         place = None
         for visit, (light, weather) in enumerate(CONDITIONS):
             one = in_condition(first, DATES[light], light, weather, visit=visit)
@@ -160,20 +182,18 @@ def conditions() -> UInt8:
 
 def cameras() -> UInt8:
     """Seven types of vehicle, each in another scene and light, with seven cameras each."""
-    found: dict[str, SynthDrive] = {}
-    for one in drives("paper", 640):
-        # Seventeen traversals a scene: a step aside in each gives every type another light.
-        kind = one.vehicle.kind.name
-        taken = {(other.scene, other.condition.light, other.condition.weather) for other in found.values()}
-        if kind not in found and all(one.scene != scene for scene, _, _ in taken):
-            found[kind] = one
+    everyone, found = drives("paper", 640), dict[str, SynthDrive]()
+    for scene, kind in enumerate(VEHICLE_TYPES):
+        there = [one for one in everyone if one.scene == scene and one.vehicle.kind.name == kind]
+        shown = {told(one) for one in found.values()}
+        found[kind] = min(there, key=lambda one: told(one) in shown)
     cells = []
     for kind, one in found.items():
         row = list(row_of_cameras(one, moment_ns(one)))
         cells.append(row[0]._replace(caption=f"{kind}: {one.roi.scene_id}, {told(one)}"))
         cells += row[1:]
         one.forget()
-    return sheet(cells, len(CANONICAL_CAMERAS), 3 / 2)
+    return sheet(cells, len(CANONICAL_CAMERAS))
 
 
 def _all_cameras(preset: str) -> UInt8:
@@ -183,7 +203,7 @@ def _all_cameras(preset: str) -> UInt8:
         cells.append(row[0]._replace(caption=f"{one.drive_id}, {one.vehicle.kind.name}: {told(one)}"))
         cells += row[1:]
         one.forget()
-    return sheet(cells, len(CANONICAL_CAMERAS), 1.6)
+    return sheet(cells, len(CANONICAL_CAMERAS), width_px=WIDTH_PX if len(cells) < 50 else 1500)
 
 
 def tiny() -> UInt8:
@@ -208,22 +228,22 @@ def benchmark() -> UInt8:
         number = one.drive_id.rpartition("-")[2]
         cells.append(Cell(one.picture(FRONT, moment_ns(one)).bgr, f"{one.roi.scene_type} {number}: {told(one)}"))
         one.forget()
-    return sheet(cells, 8, 1.6)
+    return sheet(cells, 8)
 
 
 def paper() -> UInt8:
     """All 170 traversals, a scene a row."""
     cells = []
     for one in drives("paper", 320):
-        cells.append(Cell(one.picture(FRONT, moment_ns(one)).bgr))
+        cells.append(Cell(one.picture(FRONT, at_share(one, 0.4)).bgr))
         one.forget()
-    return sheet(cells, 17, 1.6, captions=False)
+    return sheet(cells, 17, captions=False)
 
 
 def effects() -> UInt8:
-    """One place by day and on a rainy night, and each effect switched off by itself where it is seen."""
-    first = drives("benchmark", 640)[0]
-    day, place = in_condition(first, DATES["day"], "day", "clear", visit=1), None
+    """One place in autumn by day and on a rainy night, and each effect switched off by itself where it is seen."""
+    first = drives("benchmark", 640)[1]
+    day, place = in_condition(first, SEASONS["autumn"], "day", "clear", visit=1), None
     night = in_condition(first, DATES["night"], "night", "rain", visit=1)
     cells = []
     for one, names in ((day, BY_DAY), (night, [e.name for e in fields(Effects) if e.name not in BY_DAY])):

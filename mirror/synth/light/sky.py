@@ -24,7 +24,7 @@ _DISC: Final = 30.0
 _SUN_IS_CLEAR: Final = 70.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def _cloud(clouds: Float32, x: float, y: float, start: int, side: int) -> float:
     """Bilinear density of one level at a place in samples."""
     i, j = math.floor(y), math.floor(x)
@@ -37,7 +37,7 @@ def _cloud(clouds: Float32, x: float, y: float, start: int, side: int) -> float:
     return above * (1.0 - v) + (clouds[below + column] * (1.0 - u) + clouds[below + right] * u) * v
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def sky(
     dome: Float32, clouds: Float32, setting: Records, dx: float, dy: float, dz: float, spread: float
 ) -> tuple[float, float, float]:

@@ -149,7 +149,7 @@ def cover(
     return centre, mixed, which[:used], share[:used], counts
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _any(wanted: Float32, top: int, left: int) -> bool:
     for row in range(top, min(top + TILE_PX, wanted.shape[0])):
         for column in range(left, min(left + TILE_PX, wanted.shape[1])):
@@ -158,23 +158,43 @@ def _any(wanted: Float32, top: int, left: int) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def steps(
+    rays: Float64, rotation: Float64, top: int, left: int, bottom: int, right: int
+) -> tuple[float, float, float, float, float, float]:
+    """How much a tile's rays change from pixel to pixel, rightwards and downwards, in the world."""
+    row, column = (top + bottom) // 2, (left + right) // 2
+    over, under = (left, right) if right > left else (max(left - 1, 0), right)
+    above, below = (top, bottom) if bottom > top else (max(top - 1, 0), bottom)
+    wide, high = 1.0 / max(under - over, 1), 1.0 / max(below - above, 1)
+    i, j, k = (
+        rays[row, under, 0] - rays[row, over, 0],
+        rays[row, under, 1] - rays[row, over, 1],
+        rays[row, under, 2] - rays[row, over, 2],
+    )
+    p, q, r = (
+        rays[below, column, 0] - rays[above, column, 0],
+        rays[below, column, 1] - rays[above, column, 1],
+        rays[below, column, 2] - rays[above, column, 2],
+    )
+    return (
+        wide * (rotation[0, 0] * i + rotation[0, 1] * j + rotation[0, 2] * k),
+        wide * (rotation[1, 0] * i + rotation[1, 1] * j + rotation[1, 2] * k),
+        wide * (rotation[2, 0] * i + rotation[2, 1] * j + rotation[2, 2] * k),
+        high * (rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r),
+        high * (rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r),
+        high * (rotation[2, 0] * p + rotation[2, 1] * q + rotation[2, 2] * r),
+    )
+
+
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})
 def _spread(
     rays: Float64, rotation: Float64, offsets: Float32, top: int, left: int, sx: Float32, sy: Float32, sz: Float32
 ) -> None:
     """The tile's rays in the world, sample by sample; the lens is taken as linear within a pixel."""
     height, width = rays.shape[:2]
     bottom, right = min(top + TILE_PX, height) - 1, min(left + TILE_PX, width) - 1
-    middle_row, middle_column = (top + bottom) // 2, (left + right) // 2
-    over, under = (left, right) if right > left else (max(left - 1, 0), right)
-    above, below = (top, bottom) if bottom > top else (max(top - 1, 0), bottom)
-    across, down = np.zeros(3), np.zeros(3)
-    for axis in range(3):
-        for k in range(3):
-            a = (rays[middle_row, under, k] - rays[middle_row, over, k]) / max(under - over, 1)
-            b = (rays[below, middle_column, k] - rays[above, middle_column, k]) / max(below - above, 1)
-            across[axis] += rotation[axis, k] * a
-            down[axis] += rotation[axis, k] * b
+    ax, ay, az, bx, by, bz = steps(rays, rotation, top, left, bottom, right)
     for pixel in range(_AREA):
         row, column = min(top + pixel // TILE_PX, bottom), min(left + pixel % TILE_PX, right)
         a, b, c = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]
@@ -184,9 +204,9 @@ def _spread(
     # The first ray's own offset last: the others start from the centres.
     for sample in range(len(offsets) - 1, -1, -1):
         u, v = offsets[sample, 0], offsets[sample, 1]
-        x = np.float32(u * across[0] + v * down[0])
-        y = np.float32(u * across[1] + v * down[1])
-        z = np.float32(u * across[2] + v * down[2])
+        x = np.float32(u * ax + v * bx)
+        y = np.float32(u * ay + v * by)
+        z = np.float32(u * az + v * bz)
         first = sample * _AREA
         for pixel in range(_AREA):
             sx[first + pixel] = sx[pixel] + x
@@ -194,7 +214,7 @@ def _spread(
             sz[first + pixel] = sz[pixel] + z
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})
 def _try_face(
     rows: Float32,
     first: int,
@@ -241,7 +261,7 @@ def _try_face(
             found[i] = mark if nearer else found[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})
 def _try_round(
     rows: Float32, first: int, sx: Float32, sy: Float32, sz: Float32, inverse: Float32, found: Int32, place: int
 ) -> None:

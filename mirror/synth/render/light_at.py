@@ -18,7 +18,7 @@ _PAINT_RAD: Final = 0.20
 _SENT_BACK: Final = 5.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def read(value: Float32, column: float, row: float) -> float:
     """Bilinear value of a map; 0 outside."""
     i, j = math.floor(row), math.floor(column)
@@ -30,7 +30,7 @@ def read(value: Float32, column: float, row: float) -> float:
     return (1 - v) * before + v * behind
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def _beam_at(setting: Records, maps: Records, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Light of the recording vehicle's headlights."""
     vx, vy, vz = x - maps.beam_0, y - maps.beam_1, z - maps.beam_2
@@ -43,7 +43,7 @@ def _beam_at(setting: Records, maps: Records, x: float, y: float, z: float, nx: 
     return setting.headlight * wide * wide * max(0.25 * faces + 0.12, 0.0) * 14.0 / (4.0 + 0.09 * far * far)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
 def lit(
     still: Float32,
     moving: Float32,

@@ -49,7 +49,7 @@ _GLOSS[[Material.HEADLIGHT, Material.TAIL_LIGHT, Material.WATER]] = 0.08, 0.08, 
 _SHINE: Final = 1.1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def plain(
     grains: Float32,
     grain_index: Float64,
@@ -75,7 +75,7 @@ def plain(
     return colour[0] * tone, colour[1] * tone, colour[2] * tone, 0.0, 0.0, 0.0, _GLOSS[material]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def picture(
     images: UInt8,
     image_index: Int64,
@@ -97,7 +97,7 @@ def picture(
     return r, g, b, shine * r, shine * g, shine * b, 0.02
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def lamp(one: Records, setting: Records) -> Look:
     """What gives light of its own: street lamps and traffic lights."""
     r, g, b = one.colour_0, one.colour_1, one.colour_2

@@ -149,7 +149,7 @@ def _fill_round(one: Records, sun: Float64, axes: Float64, low: Float64, height:
                 height[row, column] = max(height[row, column], along + (-middle + math.sqrt(inside)) / square)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def sunlit(height: Float32, column: float, row: float, along: float) -> float:
     """Share of the sun that reaches a place.
 

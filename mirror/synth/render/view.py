@@ -62,13 +62,15 @@ class View:
             footprint_px: width that textures are averaged over.
         """
         scene, pictures = self.scene, atlas()
-        return radiance_of(
+        out = np.zeros((*self.lens.rays.shape[:2], 4), np.float32)
+        radiance_of(
             scene.faces, scene.rounds, scene.still, scene.moving, scene.lamps, scene.glow, scene.below, scene.ground,
             scene.dome, scene.clouds, scene.layouts, scene.setting, scene.maps,
             pictures.grains, pictures.grain_index, pictures.images, pictures.image_index, _PATTERNS,
             self.lens.rays, self.rotation, self.origin, self.offsets[0], footprint_px,
-            self.surface, self.mixed, self.which, self.share, self.wanted,
+            self.surface, self.mixed, self.which, self.share, self.wanted, out,
         )  # fmt: skip
+        return out
 
     @cached_property
     def _geometry(self) -> tuple[Float32, Float32]:

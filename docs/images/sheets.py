@@ -186,7 +186,8 @@ def cameras() -> UInt8:
     for scene, kind in enumerate(VEHICLE_TYPES):
         there = [one for one in everyone if one.scene == scene and one.vehicle.kind.name == kind]
         shown = {told(one) for one in found.values()}
-        found[kind] = min(there, key=lambda one: told(one) in shown)
+        lamps = there[0].roi.scene_type in ("urban", "campus")
+        found[kind] = min(there, key=lambda one: told(one) in shown or (one.condition.light == "night" and not lamps))
     cells = []
     for kind, one in found.items():
         row = list(row_of_cameras(one, moment_ns(one)))
@@ -199,8 +200,8 @@ def cameras() -> UInt8:
 def _all_cameras(preset: str) -> UInt8:
     cells = []
     for one in drives(preset, 480):
-        row = list(row_of_cameras(one, moment_ns(one)))
-        cells.append(row[0]._replace(caption=f"{one.drive_id}, {one.vehicle.kind.name}: {told(one)}"))
+        row, place = list(row_of_cameras(one, moment_ns(one))), one.drive_id.partition("-")[2]
+        cells.append(row[0]._replace(caption=f"{place}, {one.vehicle.kind.name}: {told(one)}"))
         cells += row[1:]
         one.forget()
     return sheet(cells, len(CANONICAL_CAMERAS), width_px=WIDTH_PX if len(cells) < 50 else 1500)

@@ -164,7 +164,7 @@ def pictures(world: World, views: int) -> Iterator[Row]:
             times, errors, others = [], [], {1: ([], []), 16: ([], [])}  # type: ignore[var-annotated]
             for shot in shots(world, light, weather, views, width):
                 truth = reference(shot)
-                times.append(_median_ms(lambda shot=shot: picture(shot)))  # type: ignore[misc]
+                times.append(_median_ms(lambda shot=shot: picture(shot)))
                 errors.append(steps_off(picture(shot), truth))
                 for rays, (spent, off) in others.items():
                     start = time.perf_counter()
@@ -201,7 +201,7 @@ def truths(world: World, views: int) -> Iterator[Row]:
         def seen(shot: Shot = shot) -> None:
             see(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
 
-        alone.append(_median_ms(lambda shot=shot: picture(shot)))  # type: ignore[misc]
+        alone.append(_median_ms(lambda shot=shot: picture(shot)))
         beside.append(_median_ms(truth) - _median_ms(seen))
         counts = view.counts
     share = 100.0 * float(np.median(beside)) / float(np.median(alone))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from numba import njit
-
 from mirror.arrays import Float32, Records
+from mirror.synth.kernels import per_pixel
 from mirror.synth.light.clouds import LEVELS, PERIOD, SIDE
 
 # The layer of clouds bends down to the horizon: seen level, it is so many heights away.
@@ -24,7 +23,7 @@ _DISC: Final = 30.0
 _SUN_IS_CLEAR: Final = 70.0
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _cloud(clouds: Float32, x: float, y: float, start: int, side: int) -> float:
     """Bilinear density of one level at a place in samples."""
     i, j = math.floor(y), math.floor(x)
@@ -37,7 +36,7 @@ def _cloud(clouds: Float32, x: float, y: float, start: int, side: int) -> float:
     return above * (1.0 - v) + (clouds[below + column] * (1.0 - u) + clouds[below + right] * u) * v
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def sky(
     dome: Float32, clouds: Float32, setting: Records, dx: float, dy: float, dz: float, spread: float
 ) -> tuple[float, float, float]:

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from mirror.arrays import Records
+from mirror.synth.kernels import per_pixel
 from mirror.synth.model import Material, Side
 from mirror.synth.render.looks import Look
 from mirror.synth.render.texture import band, chance, stripes
 from mirror.synth.users.coachwork.sheets import Panel
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def bodywork(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
     """A face of PAINT, GLASS, RIM, HEADLIGHT, TAIL_LIGHT or RUBBER.
 
@@ -43,12 +42,12 @@ def bodywork(one: Records, u: float, v: float, fu: float, fv: float, setting: Re
     return one.colour_0, one.colour_1, one.colour_2, 0.0, 0.0, 0.0, 0.01
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _line(x: float, at: float, half: float, footprint: float) -> float:
     return band(x, at - half, at + half, footprint)
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
     r, g, b = one.colour_0, one.colour_1, one.colour_2
     panel = one.layout
@@ -91,7 +90,7 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
     """Tinted glass: beyond seats and pillars the street on the other side is seen."""
     panel = one.layout
@@ -130,7 +129,7 @@ def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Reco
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
     """A backrest with its headrest, seen from the side."""
     return max(
@@ -139,7 +138,7 @@ def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _rim(one: Records, u: float, v: float, footprint: float) -> Look:
     """A tyre about a wheel of one of four kinds."""
     step = max(footprint / one.half_0, 1e-4)
@@ -169,7 +168,7 @@ def _rim(one: Records, u: float, v: float, footprint: float) -> Look:
     return r, g, b, 0.0, 0.0, 0.0, 0.06 * metal + 0.01
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
     """Two lenses in a dark housing over a strip that burns by day."""
     wide, high = u / one.half_0, v / one.half_1
@@ -185,7 +184,7 @@ def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: 
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _tail_light(one: Records, v: float, fv: float, setting: Records) -> Look:
     """Red, with a strip that burns."""
     strip = band(v / one.half_1, -0.1, 0.6, fv / one.half_1)

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from numba import njit
-
 from mirror.arrays import Records
+from mirror.synth.kernels import per_pixel
 from mirror.synth.render.texture import band, chance, grain, noise
 
 Look = tuple[float, float, float, float, float, float, float]
@@ -26,14 +25,14 @@ _COVER_U_M: Final = 23.0
 _COVER_RADIUS_M: Final = 0.33
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@per_pixel(inline="always")
 def _filled(x: float, period: float, duty: float) -> float:
     """Length of the stripes between 0 and x."""
     whole = math.floor(x / period)
     return period * (whole * duty + min(x / period - whole, duty))
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@per_pixel(inline="always")
 def share(x: float, width: float, low: float, high: float, period: float, duty: float, phase: float) -> float:
     """Share of the interval of ``width`` about x that lies on stripes between ``low`` and ``high``.
 
@@ -54,7 +53,7 @@ def share(x: float, width: float, low: float, high: float, period: float, duty: 
     return max(_filled(end - phase, period, duty) - _filled(start - phase, period, duty), 0.0) / width
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def covered(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
     """Share of a footprint that a MARK covers."""
     across = share(v, fv + mark.soft, mark.v_low, mark.v_high, mark.v_period, mark.v_duty, mark.v_phase)
@@ -65,7 +64,7 @@ def covered(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
     return across * share(u, wide, mark.u_low, mark.u_high, mark.u_period, mark.u_duty, mark.u_phase + mark.slant * v)
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float, fu: float, fv: float) -> Look:
     """A carriageway at a place of its street.
 
@@ -102,7 +101,7 @@ def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float
     return r, g, b, 0.0, 0.0, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     """What repairs, cracks and covers make of the asphalt's tone."""
     wide = max(fu, fv)
@@ -125,7 +124,7 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     return tone
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _cracked(seed: int, u: float, v: float, wide: float) -> float:
     """Jagged cracks, here and there: contours of a noise over places that another noise shifts."""
     strength = noise(u / 17.0, v / 6.0, seed + 8) - 0.15
@@ -137,7 +136,7 @@ def _cracked(seed: int, u: float, v: float, wide: float) -> float:
     return 1.0 - min(2.0 * strength, 0.6) * max(1.0 - away / half, 0.0) * _CRACK_HALF / half
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _repaired(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     """Patches of younger or older asphalt, with a dark seam."""
     i, j = math.floor(u / _BED_U_M), math.floor(v / _BED_V_M)

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, UInt8
+from mirror.synth.kernels import per_pixel
 from mirror.synth.render.lens import TILE_PX
 
 SKY: Final = -1
@@ -149,7 +150,7 @@ def cover(
     return centre, mixed, which[:used], share[:used], counts
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@per_pixel()
 def _any(wanted: Float32, top: int, left: int) -> bool:
     for row in range(top, min(top + TILE_PX, wanted.shape[0])):
         for column in range(left, min(left + TILE_PX, wanted.shape[1])):
@@ -158,7 +159,7 @@ def _any(wanted: Float32, top: int, left: int) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def steps(
     rays: Float64, rotation: Float64, top: int, left: int, bottom: int, right: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -187,7 +188,7 @@ def steps(
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})
+@per_pixel(contract=True)
 def _spread(
     rays: Float64, rotation: Float64, offsets: Float32, top: int, left: int, sx: Float32, sy: Float32, sz: Float32
 ) -> None:
@@ -214,7 +215,7 @@ def _spread(
             sz[first + pixel] = sz[pixel] + z
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})
+@per_pixel(contract=True)
 def _try_face(
     rows: Float32,
     first: int,
@@ -261,7 +262,7 @@ def _try_face(
             found[i] = mark if nearer else found[i]
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})
+@per_pixel(contract=True)
 def _try_round(
     rows: Float32, first: int, sx: Float32, sy: Float32, sz: Float32, inverse: Float32, found: Int32, place: int
 ) -> None:

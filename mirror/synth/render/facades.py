@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from numba import njit
-
 from mirror.arrays import Records
+from mirror.synth.kernels import per_pixel
 from mirror.synth.render.texture import chance, grain
 
 Look = tuple[float, float, float, float, float, float, float]
@@ -21,13 +20,13 @@ _LINTEL_M: Final = 0.13
 """Height of the shade under a window's head: panes stand back in the wall."""
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@per_pixel(inline="always")
 def _shared(low: float, high: float, start: float, end: float) -> float:
     """Length that two intervals share."""
     return max(min(high, end) - max(low, start), 0.0)
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _panes(low: float, high: float, start: float, width: float, count: int, frame: float) -> float:
     """Length of an interval that lies on panes: ``count`` of them from ``start`` on, between frames."""
     pane = (width - (count + 1) * frame) / count
@@ -38,7 +37,7 @@ def _panes(low: float, high: float, start: float, width: float, count: int, fram
     return length
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _panes_up(low: float, high: float, foot: float, height: float, transom: float, frame: float) -> float:
     """Height of an interval that lies on panes: one, or two with a bar between."""
     if transom <= 0.0:
@@ -49,13 +48,13 @@ def _panes_up(low: float, high: float, foot: float, height: float, transom: floa
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def wall_grain(one: Records, patterns: Records) -> int:
     """Which grain the wall of a FACADE face has."""
     return patterns[one.layout].grain
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def facade(
     one: Records, patterns: Records, rough: float, u: float, v: float, fu: float, fv: float, setting: Records
 ) -> Look:
@@ -93,7 +92,7 @@ def facade(
     return r * share, g * share, b * share, er * share, eg * share, eb * share, gloss * share
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _cell(
     one: Records,
     row: Records,
@@ -158,7 +157,7 @@ def _cell(
     return _glazed(one, row, i, j, x0, x1, y0, y1, start, foot, panes_x, panes_y, setting, r, g, b)
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _glazed(
     one: Records,
     row: Records,
@@ -216,7 +215,7 @@ def _glazed(
     return r, g, b, 0.62 * light, (0.40 + 0.06 * hue) * light, (0.16 + 0.10 * hue) * light, row.gloss * glass
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def shopfront(
     one: Records,
     red: float,
@@ -280,7 +279,7 @@ def shopfront(
     )
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def skyline(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
     """A far wood: clumps that fade out where the footprint is wider than they are."""
     wide = 0.5 * (fu + fv)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from numba import njit
-
 from mirror.arrays import Float32, Records
+from mirror.synth.kernels import per_pixel
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Label, Material
 from mirror.synth.render.shadows import CELL_M, sunlit
@@ -18,7 +17,7 @@ _PAINT_RAD: Final = 0.20
 _SENT_BACK: Final = 5.0
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def read(value: Float32, column: float, row: float) -> float:
     """Bilinear value of a map; 0 outside."""
     i, j = math.floor(row), math.floor(column)
@@ -30,7 +29,7 @@ def read(value: Float32, column: float, row: float) -> float:
     return (1 - v) * before + v * behind
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def _beam_at(setting: Records, maps: Records, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Light of the recording vehicle's headlights."""
     vx, vy, vz = x - maps.beam_0, y - maps.beam_1, z - maps.beam_2
@@ -43,7 +42,7 @@ def _beam_at(setting: Records, maps: Records, x: float, y: float, z: float, nx: 
     return setting.headlight * wide * wide * max(0.25 * faces + 0.12, 0.0) * 14.0 / (4.0 + 0.09 * far * far)
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@per_pixel(inline="always")
 def lit(
     still: Float32,
     moving: Float32,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Float32, Float64, Int64, Records, UInt8
+from mirror.synth.kernels import per_pixel
 from mirror.synth.model import Material
 from mirror.synth.textures.catalogue import Grain
 from mirror.synth.textures.sampling import grain_at, image_at
@@ -49,7 +49,7 @@ _GLOSS[[Material.HEADLIGHT, Material.TAIL_LIGHT, Material.WATER]] = 0.08, 0.08, 
 _SHINE: Final = 1.1
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def plain(
     grains: Float32,
     grain_index: Float64,
@@ -75,7 +75,7 @@ def plain(
     return colour[0] * tone, colour[1] * tone, colour[2] * tone, 0.0, 0.0, 0.0, _GLOSS[material]
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def picture(
     images: UInt8,
     image_index: Int64,
@@ -97,7 +97,7 @@ def picture(
     return r, g, b, shine * r, shine * g, shine * b, 0.02
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def lamp(one: Records, setting: Records) -> Look:
     """What gives light of its own: street lamps and traffic lights."""
     r, g, b = one.colour_0, one.colour_1, one.colour_2

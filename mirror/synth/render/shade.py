@@ -1,6 +1,6 @@
 """The light that a view's rays bring back: looks under sun, sky, lamps and headlights, seen through the air.
 
-What runs for every pixel is compiled without reference counts (``_nrt=False``; it allocates nothing): counting each
+What runs for every pixel is compiled without reference counts (`mirror.synth.kernels`): counting each
 array at every pixel takes a fifth of the time.
 """
 
@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from numba import njit
-
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
+from mirror.synth.kernels import per_pixel
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Material
 from mirror.synth.render.bodywork import bodywork
@@ -27,7 +26,7 @@ from mirror.synth.textures.sampling import grain_at, image_at
 _BRIGHTEST: Final = 4.0
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy", inline="always")
+@per_pixel(inline="always")
 def shade(
     faces: Records,
     rounds: Records,
@@ -197,7 +196,7 @@ def shade(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def radiance_of(
     faces: Records,
     rounds: Records,

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Records
+from mirror.synth.kernels import per_pixel
 from mirror.synth.model import FACE, ROUND, Model, flat
 
 CELL_M: Final = 0.125
@@ -149,7 +150,7 @@ def _fill_round(one: Records, sun: Float64, axes: Float64, low: Float64, height:
                 height[row, column] = max(height[row, column], along + (-middle + math.sqrt(inside)) / square)
 
 
-@njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+@per_pixel()
 def sunlit(height: Float32, column: float, row: float, along: float) -> float:
     """Share of the sun that reaches a place.
 

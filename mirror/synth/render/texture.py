@@ -6,13 +6,14 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
+
+from mirror.synth.kernels import per_pixel
 
 _MASK: Final = 127
 _RANDOM: Final = np.random.default_rng(0).uniform(-1.0, 1.0, (_MASK + 1, _MASK + 1)).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@per_pixel()
 def chance(i: int, j: int, seed: int) -> float:
     """A number in [0, 1) that depends on the three integers alone (a xor-shift multiply hash)."""
     h = np.uint64(i * 0x9E3779B1 + j * 0x85EBCA77 + seed * 0xC2B2AE3D)
@@ -21,7 +22,7 @@ def chance(i: int, j: int, seed: int) -> float:
     return float(h >> np.uint64(40)) / 16777216.0
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@per_pixel()
 def noise(x: float, y: float, seed: int) -> float:
     """Smooth noise in [-1, 1] with a grain of 1; it repeats after 128 grains."""
     i, j = math.floor(x), math.floor(y)
@@ -34,7 +35,7 @@ def noise(x: float, y: float, seed: int) -> float:
     return a * (1.0 - v) + b * v
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@per_pixel()
 def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float:
     """Noise of a grain size, faded out where the footprint is wider than the grain."""
     shown = 1.5 - footprint / size
@@ -43,7 +44,7 @@ def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float
     return min(shown, 1.0) * noise(x / size, y / size, seed)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@per_pixel()
 def band(x: float, low: float, high: float, footprint: float) -> float:
     """Share of the footprint about x that lies within [low, high]."""
     width = max(footprint, 1e-6)
@@ -51,13 +52,13 @@ def band(x: float, low: float, high: float, footprint: float) -> float:
     return min(max(covered / width, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@per_pixel()
 def _stripes_before(x: float, duty: float) -> float:
     whole = math.floor(x)
     return whole * duty + min(x - whole, duty)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@per_pixel()
 def stripes(x: float, period: float, duty: float, footprint: float) -> float:
     """Share of the footprint about x within stripes that fill the first ``duty`` of every period."""
     x, width = x / period, max(footprint / period, 1e-6)

@@ -233,12 +233,15 @@ def benchmark() -> UInt8:
 
 
 def paper() -> UInt8:
-    """All 170 traversals, a scene a row."""
-    cells = []
+    """All traversals, a scene a row."""
+    rows: dict[int, list[Cell]] = {}
     for one in drives("paper", 320):
-        cells.append(Cell(one.picture(FRONT, at_share(one, 0.4)).bgr))
+        rows.setdefault(one.scene, []).append(Cell(one.picture(FRONT, at_share(one, 0.4)).bgr))
         one.forget()
-    return sheet(cells, 17, captions=False)
+    most = max(map(len, rows.values()))
+    blank = Cell(np.full((9, 16, 3), 255, np.uint8))
+    cells = [cell for row in rows.values() for cell in row + [blank] * (most - len(row))]
+    return sheet(cells, most, captions=False)
 
 
 def effects() -> UInt8:

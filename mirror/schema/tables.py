@@ -101,7 +101,12 @@ IMAGES: Final = Table(
             _field("byte_length", pa.int64(), "Number of bytes; for a video frame, of the whole video."),
             _field("codec", KEY, "`jpeg`, `png`, or `video` (then `video_pts` selects the frame)."),
             _field("video_pts", pa.int64(), "Presentation time stamp in the video's time base.", null=True),
-            _field("sha256", SHA256, "SHA-256 of the bytes; null when hashing was switched off at ingest, or the pictures lie elsewhere.", null=True),
+            _field(
+                "sha256",
+                SHA256,
+                "SHA-256 of the bytes; null when hashing was switched off at ingest, or the pictures lie elsewhere.",
+                null=True,
+            ),
             _field("privacy", KEY, "`raw`, or `redacted` where the source delivered pictures already de-identified."),
         ]
     ),

@@ -1,0 +1,188 @@
+"""Pictures of people and cars close by in the synthetic street, and where exactly their faces and plates are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64, Int32, UInt8
+from mirror.geometry import Poses, matrix_from_quaternion, quaternion_from_matrix
+from mirror.geometry.cameras import Camera
+from mirror.schema.documents import Roi
+from mirror.synth.render.rendering import render
+from mirror.synth.light.condition import Condition
+from mirror.synth.light.sun import instant_of
+from mirror.synth.model import FACE, ROUND
+from mirror.synth.render.view import View
+from mirror.synth.street.world import World, build_world
+from mirror.synth.textures.catalogue import FACES, PLATES
+from mirror.synth.users.body import Placement, RoadUser, Still
+from mirror.synth.users.cars import car
+from mirror.synth.users.people import pedestrian
+
+_PLACE: Final = (8.41694, 49.01252)
+_VIEW_DEG: Final = 70.0
+_EYE_M: Final = 1.6
+_CLEAR_M: Final = 22.0
+_PEOPLE: Final = (8, 1)
+_CARS: Final = (1, 6)
+"""So many in every second picture, and in the others."""
+_TRIALS: Final = 20
+_EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+_BROW_AND_CHIN: Final = (0.55, -0.95)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Something that a detector may find.
+
+    Attributes:
+        box_px: (4,) ``u_min v_min u_max v_max`` of all of it.
+        seen: share of it that the picture shows; what is turned away is not shown.
+    """
+
+    box_px: Float64
+    seen: float
+
+    @property
+    def size_px(self) -> Float64:
+        """(2,) width and height."""
+        return self.box_px[2:] - self.box_px[:2]
+
+
+@dataclass(frozen=True, eq=False)
+class Crowded:
+    """One picture.
+
+    Attributes:
+        bgr: (H, W, 3).
+        faces: of people.
+        plates: of cars.
+    """
+
+    bgr: UInt8
+    faces: list[Target]
+    plates: list[Target]
+
+
+def street() -> World:
+    """An urban scene."""
+    roi = Roi(
+        scene_id="crowd", longitude_deg=_PLACE[0], latitude_deg=_PLACE[1], radius_m=100.0, city="Karlsruhe",
+        scene_type="urban", height_m=115.0,
+    )  # fmt: skip
+    return build_world(roi, 24.0, 3)
+
+
+def crowded(world: World, condition: Condition, count: int, width_px: int, seed: int) -> Iterator[Crowded]:
+    """Pictures along the street: people in one, cars in the next, turned towards the camera, cars also away from it.
+
+    Args:
+        world: the street.
+        condition: light and weather.
+        count: of pictures.
+        width_px: of a picture.
+        seed: of who stands where.
+    """
+    height = width_px * 9 // 16
+    focal = 0.5 * width_px / math.tan(math.radians(0.5 * _VIEW_DEG))
+    camera = Camera("pinhole", width_px, height, focal, focal, 0.5 * width_px, 0.5 * height)
+    lanes = [lane for lane in world.network.lanes.values() if lane.use == "drive" and lane.length_m > 60.0]
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        lane = lanes[int(rng.integers(len(lanes)))]
+        at = int(rng.uniform(0.1, 0.6) * len(lane.line))
+        ahead = lane.line[at + 1] - lane.line[at]
+        course = math.atan2(ahead[1], ahead[0])
+        pose = _pose(lane.line[at] + (0.0, 0.0, _EYE_M), course)
+        users = [
+            user
+            for user in world.parked
+            if math.dist((user.motion.at(0.0).x_m, user.motion.at(0.0).y_m), lane.line[at, :2]) > _CLEAR_M
+        ]
+        users += _placed(world, lane.line[at], course, _PEOPLE[number % 2], _CARS[number % 2], rng)
+        picture = render(world, pose, camera, 0.0, condition, users=users, seed=number)
+        yield Crowded(picture.bgr, _faces(picture.view, camera, pose), _plates(picture.view, camera, pose))
+
+
+def condition_of(light: str, weather: str) -> Condition:
+    """An instant of such light."""
+    return Condition(instant_of("2025-09-16", light, *_PLACE), light, weather)  # type: ignore[arg-type]
+
+
+def _pose(place: Float64, course: float) -> Poses:
+    cos, sin = math.cos(course), math.sin(course)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return Poses(quaternion_from_matrix((turn @ _EGO_R_CAMERA)[None]), place[None])
+
+
+def _placed(
+    world: World, origin: Float64, course: float, people: int, cars: int, rng: np.random.Generator
+) -> list[RoadUser]:
+    """Cars and people before the camera, clear of each other."""
+    users: list[RoadUser] = []
+    taken: list[tuple[float, float, float]] = []
+    for number in range(people + cars):
+        is_car = number >= people
+        nearest, farthest, radius = (4.5, 24.0, 2.3) if is_car else (1.7, 14.0, 0.5)
+        for _ in range(_TRIALS):
+            distance = math.exp(rng.uniform(math.log(nearest), math.log(farthest)))
+            bearing = course + math.radians(rng.uniform(-0.42, 0.42) * _VIEW_DEG)
+            x, y = origin[0] + distance * math.cos(bearing), origin[1] + distance * math.sin(bearing)
+            if all(math.dist((x, y), other[:2]) > radius + other[2] for other in taken):
+                break
+        else:
+            continue
+        taken.append((x, y, radius))
+        body = car(rng) if is_car else pedestrian(rng, child=rng.random() < 0.15, warm=rng.random() < 0.5)
+        back = is_car and rng.random() < 0.5
+        yaw = bearing + (0.0 if back else math.pi) + math.radians(rng.uniform(-50.0, 50.0))
+        place = Placement(x, y, float(world.height_m(x, y)), yaw)
+        users.append(RoadUser(f"{body.category}-{number}", body, Still(place)))
+    return users
+
+
+def _faces(view: View, camera: Camera, pose: Poses) -> list[Target]:
+    """Faces: of the front half of each head, from the chin to the brow."""
+    rounds = view.scene.rounds.view(ROUND)
+    high, low = _BROW_AND_CHIN
+    y, z = np.meshgrid(np.linspace(-0.9, 0.9, 13), np.linspace(low, high, 15))
+    inside = y**2 + z**2 < 0.95
+    front = np.stack([np.sqrt(1.0 - y[inside] ** 2 - z[inside] ** 2), y[inside], z[inside]], axis=1)
+    found = []
+    for index in np.flatnonzero(np.isin(rounds["image"], FACES)):
+        one = rounds[index]
+        points = one["centre"] + (front * one["half"]) @ one["axes"]
+        found.append(_target(view.surface, len(view.scene.faces) + int(index), points, camera, pose))
+    return [target for target in found if target is not None]
+
+
+def _plates(view: View, camera: Camera, pose: Poses) -> list[Target]:
+    """Number plates."""
+    faces = view.scene.faces.view(FACE)
+    along, up = (
+        values.ravel()[:, None] for values in np.meshgrid(np.linspace(0.02, 0.98, 15), np.linspace(0.05, 0.95, 5))
+    )
+    found = []
+    for index in np.flatnonzero(np.isin(faces["image"], PLATES)):
+        a, b, c, d = view.scene.corners[faces["first"][index] :][:4]
+        points = (1 - up) * ((1 - along) * a + along * b) + up * ((1 - along) * d + along * c)
+        found.append(_target(view.surface, int(index), points, camera, pose))
+    return [target for target in found if target is not None]
+
+
+def _target(surface: Int32, index: int, points: Float64, camera: Camera, pose: Poses) -> Target | None:
+    """What is seen of points (N, 3) of a surface; None: nothing."""
+    images = camera.project(pose.inverse().transform(points)[0])
+    if not images.defined.all():
+        return None
+    column, row = np.floor(images.uv_px[images.valid]).astype(int).T
+    shown = np.count_nonzero(surface[row, column] == index)
+    if not shown:
+        return None
+    box = np.concatenate([images.uv_px.min(axis=0), images.uv_px.max(axis=0)])
+    return Target(box, shown / len(points))

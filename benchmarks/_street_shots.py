@@ -1,0 +1,135 @@
+"""Pictures of the synthetic street with their truth: what feature matching and bundle adjustment are measured on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Bool, Float32, Float64, Int64, UInt8
+from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.geometry.cameras import Camera
+from mirror.recordings.light import Light
+from mirror.synth.driving.trace import Moving
+from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.fleet.drives import drives_of
+from mirror.synth.light.condition import Condition, Weather
+from mirror.synth.light.sun import instant_of
+from mirror.synth.model import Label
+from mirror.synth.rigs import VEHICLE_TYPES, Vehicle
+
+SKY_M: Final = 1e6
+"""The sky is taken to be so far away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One picture with its truth.
+
+    Attributes:
+        bgr: (H, W, 3).
+        camera: the true lens.
+        world_SE3_camera: the true pose; one.
+        distance_m: (H, W) along the rays of the pixels' centres, infinite for the sky.
+        normal: (H, W, 3) of the surfaces, world.
+        still: (H, W) whether the pixel shows what does not move: no road user on its way, and not the vehicle itself.
+    """
+
+    bgr: UInt8
+    camera: Camera
+    world_SE3_camera: Poses
+    distance_m: Float32
+    normal: Float32
+    still: Bool
+
+    @property
+    def origin(self) -> Float64:
+        """(3,) the camera's place, world metres."""
+        return self.world_SE3_camera.translation[0]
+
+    def pixels(self, uv_px: Float64) -> tuple[Int64, Int64]:
+        """Rows and columns (N,) of the pixels in which points (N, 2) of the picture lie."""
+        column = np.clip(np.floor(uv_px[:, 0]), 0, self.camera.width_px - 1).astype(np.int64)
+        row = np.clip(np.floor(uv_px[:, 1]), 0, self.camera.height_px - 1).astype(np.int64)
+        return row, column
+
+    def rays(self, uv_px: Float64) -> Float64:
+        """Unit directions (N, 3) of points of the picture, world."""
+        return self.camera.unproject(uv_px).direction @ matrix_from_quaternion(self.world_SE3_camera.rotation)[0].T
+
+    def points(self, uv_px: Float64) -> Float64:
+        """World points (N, 3) that points (N, 2) of the picture show: of the surface at the pixel's centre."""
+        row, column = self.pixels(uv_px)
+        centre = self.rays(np.stack([column, row], axis=1).astype(np.float64) + 0.5)
+        own, normal = self.rays(uv_px), self.normal[row, column].astype(np.float64)
+        distance, sky = self.distance_m[row, column].astype(np.float64), ~normal.any(axis=1)
+        distance[sky], normal[sky] = SKY_M, own[sky]
+        distance *= np.vecdot(normal, centre) / np.vecdot(normal, own)
+        return self.origin + distance[:, None] * own
+
+    def image_of(self, points: Float64) -> Float64:
+        """Where world points (N, 3) are imaged, (N, 2), NaN where nothing is defined."""
+        return self.camera.project(self.world_SE3_camera.inverse().transform(points)[0]).uv_px
+
+
+def urban_drive(
+    route: str,
+    light: Light = "day",
+    weather: Weather = "clear",
+    *,
+    date: str = "2025-05-14",
+    vehicle: str = "saloon",
+    width_px: int = 960,
+    visit: int = 0,
+) -> SynthDrive:
+    """A drive through the urban scene of the preset ``benchmark``.
+
+    Args:
+        route: name of it.
+        light: of the drive.
+        weather: of the drive.
+        date: of the drive.
+        vehicle: its type; one and the same vehicle of that type.
+        width_px: of a picture with share 1.
+        visit: other traffic, leaves and billboards in each.
+    """
+    preset, drives = drives_of("benchmark", 0, scenes=1)
+    drive = next(one for one in drives if one.recipe.route == route)
+    roi = drive.roi
+    start = instant_of(date, light, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
+    return replace(
+        drive,
+        drive_id=f"{route}-{light}-{weather}-{visit}",
+        preset=replace(preset, width_px=width_px),
+        recipe=replace(drive.recipe, date=date, light=light, weather=weather, vehicle=vehicle),
+        vehicle=Vehicle(f"vehicle-{vehicle}", VEHICLE_TYPES[vehicle], width_px, 7),
+        condition=Condition(start, light, weather, visit=visit),
+        seed=drive.seed + visit,
+    )
+
+
+def taken(drive: SynthDrive, instants_ns: Sequence[int], cameras: Sequence[str]) -> list[dict[str, Shot]]:
+    """Pictures of a drive: of some cameras at some instants."""
+    drive.prepare()
+    moving = [number for number, user in enumerate(drive.users) if isinstance(user.motion, Moving)]
+
+    def of(instant_ns: int) -> dict[str, Shot]:
+        instant, shots = drive.at(instant_ns), {}
+        for name in cameras:
+            picture = drive.picture(name, instant_ns, instant)
+            view = picture.view
+            shots[name] = Shot(
+                picture.bgr,
+                drive.vehicle.cameras[name],
+                drive.world_SE3_camera(name, np.array([instant_ns])),
+                view.distance_m,
+                view.normal,
+                ~((view.label == Label.EGO) | np.isin(view.object, moving)),
+            )
+        return shots
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(of, instants_ns))

@@ -131,7 +131,7 @@ def judged(pictures: Sequence[tuple[Float64, Sequence[Target]]], axis: int, leas
     sizes, found, count, right = [], [], 0, 0
     for boxes, targets in pictures:
         overlap = _overlaps(boxes, np.array([target.box_px for target in targets]).reshape(-1, 4))
-        hit = overlap > _OVERLAP
+        hit: Bool = overlap > _OVERLAP
         count, right = count + len(boxes), right + int(hit.any(axis=1).sum())
         for target, found_it in zip(targets, np.atleast_1d(hit.any(axis=0))):
             if target.seen >= least_seen:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib  # noqa: F401  pycolmap's wheel exports a zlib of its own: Python's must be bound to the system's first
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -39,19 +38,31 @@ class Features:
     descriptors: Float32
 
 
+def colmap() -> Any:
+    """The module pycolmap, quiet.
+
+    Its wheel exports the symbols of a zlib of its own: where Python's zlib is imported later, that is bound to parts of
+    both, and crashes.
+    """
+    import zlib  # noqa: F401
+
+    import pycolmap
+
+    pycolmap.logging.minloglevel = 2
+    return pycolmap
+
+
 def colmap_camera(camera: Camera, camera_id: int = 1) -> Any:
     """A camera as pycolmap has it.
 
     Raises:
         UsageError: COLMAP has no such model.
     """
-    import pycolmap
-
     if camera.model not in _MODELS:
         raise UsageError(f"camera model {camera.model}", expected=f"one that COLMAP has: {', '.join(_MODELS)}")
     name, zeros = _MODELS[camera.model]
     params = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion, *[0.0] * zeros]
-    return pycolmap.Camera(
+    return colmap().Camera(
         camera_id=camera_id, model=name, width=camera.width_px, height=camera.height_px, params=params
     )
 
@@ -63,8 +74,7 @@ def features(shot: Shot, most: int = 4000) -> Features:
         shot: the picture.
         most: how many at most; the larger ones are kept.
     """
-    import pycolmap
-
+    pycolmap = colmap()
     options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=1)
     options.sift.max_num_features = most
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
@@ -91,8 +101,7 @@ def verified(
     pairs: Int64, one: Features, first: Camera, other: Features, second: Camera, within_px: float = 2.0
 ) -> Int64:
     """The pairs that fit one relative pose of calibrated cameras, as pycolmap estimates it."""
-    import pycolmap
-
+    pycolmap = colmap()
     options = pycolmap.TwoViewGeometryOptions(detect_watermark=False)
     options.ransac.max_error, options.ransac.random_seed = within_px, 1
     geometry = pycolmap.estimate_calibrated_two_view_geometry(

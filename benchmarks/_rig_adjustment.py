@@ -57,19 +57,18 @@ class _Normal(NamedTuple):
     gradient_points: Float64
 
 
-def adjusted(recorded: Rig, start: Rig, tracks: Tracks, spread: Spread) -> tuple[Rig, Float64]:
+def adjusted(recorded: Rig, tracks: Tracks, spread: Spread) -> tuple[Rig, Float64]:
     """Adjust a rig to tracks.
 
     Args:
         recorded: what was recorded.
-        start: where to begin; the tracks' points are triangulated from it.
-        tracks: what the cameras see.
+        tracks: what the cameras see, triangulated from that.
         spread: how far off both are.
 
     Returns:
         The rig, and how far (M,) observations are from the images of their points, pixels.
     """
-    rig, points, damping = start, tracks.points, 1e-4
+    rig, points, damping = recorded, tracks.points, 1e-4
     cost = _cost(rig, points, tracks, recorded, spread)
     for _ in range(_ITERATIONS):
         normal = _normal(rig, points, tracks, recorded, spread)

@@ -111,7 +111,7 @@ def urban_drive(
     )
 
 
-def taken(drive: SynthDrive, instants_ns: Sequence[int], cameras: Sequence[str]) -> list[dict[str, Shot]]:
+def taken(drive: SynthDrive, instants_ns: Int64, cameras: Sequence[str]) -> list[dict[str, Shot]]:
     """Pictures of a drive: of some cameras at some instants."""
     drive.prepare()
     moving = [number for number, user in enumerate(drive.users) if isinstance(user.motion, Moving)]
@@ -132,4 +132,4 @@ def taken(drive: SynthDrive, instants_ns: Sequence[int], cameras: Sequence[str])
         return shots
 
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(of, instants_ns))
+        return list(pool.map(of, instants_ns.tolist()))

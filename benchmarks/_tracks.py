@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._feature_matching import Features, colmap_camera
+from benchmarks._feature_matching import Features, colmap, colmap_camera
 from mirror.arrays import Float64, Int64
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
@@ -69,26 +69,20 @@ def triangulated(rig: Rig, features: Mapping[Key, Features], matches: Mapping[tu
         features: of all pictures.
         matches: pairs (M, 2) of features of two pictures.
     """
-    import pycolmap
-
+    pycolmap = colmap()
     names = list(rig.cameras)
     ids = {key: number for number, key in enumerate(features, start=1)}
-    poses = rig.world_SE3_cameras().inverse()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "matches.db"
-        there = pycolmap.Reconstruction()
+        there = _believed(rig, features, ids)
         with pycolmap.Database.open(path) as database:
-            for number, camera in enumerate(rig.cameras.values(), start=1):
-                there.add_camera_with_trivial_rig(colmap_camera(camera, number))
-                database.write_camera(there.cameras[number], use_camera_id=True)
+            for number, camera in there.cameras.items():
+                database.write_camera(camera, use_camera_id=True)
                 database.write_rig(there.rigs[number], use_rig_id=True)
-            for (frame, name), number in ids.items():
-                place, uv = names.index(name), features[frame, name].uv_px
-                image = pycolmap.Image(f"{frame}/{name}", uv, camera_id=place + 1, image_id=number)
-                there.add_image_with_trivial_frame(image, _rigid(poses, frame * len(names) + place))
+            for key, number in ids.items():
                 database.write_frame(there.frames[number], use_frame_id=True)
                 database.write_image(there.images[number], use_image_id=True)
-                database.write_keypoints(number, uv.astype(np.float32))
+                database.write_keypoints(number, features[key].uv_px.astype(np.float32))
             for (one, other), pairs in matches.items():
                 database.write_two_view_geometry(ids[one], ids[other], _geometry(pairs))
         options = pycolmap.IncrementalPipelineOptions(extract_colors=False, random_seed=1)
@@ -96,37 +90,39 @@ def triangulated(rig: Rig, features: Mapping[Key, Features], matches: Mapping[tu
         found = pycolmap.triangulate_points(there, path, folder, folder, options=options)
     keys = {number: key for key, number in ids.items()}
     points: list[Float64] = []
-    rows: list[tuple[int, int, int]] = []
-    seen_px: list[Float64] = []
-    scale: list[float] = []
+    rows: list[tuple[int, int, int, int]] = []
     for number, point in enumerate(found.points3D.values()):
         points.append(point.xyz)
         for seen in point.track.elements:
             frame, name = keys[seen.image_id]
-            of_it = features[frame, name]
-            rows.append((frame, names.index(name), number))
-            seen_px.append(of_it.uv_px[seen.point2D_idx])
-            scale.append(of_it.scale_px[seen.point2D_idx])
-    table = np.array(rows, np.int64).reshape(-1, 3)
+            rows.append((frame, names.index(name), number, seen.point2D_idx))
+    frame_of, camera_of, point_of, feature = np.array(rows, np.int64).reshape(-1, 4).T
+    every = [features[frame, names[camera]] for frame, camera in zip(frame_of, camera_of)]
     return Tracks(
-        np.reshape(points, (-1, 3)),
-        table[:, 0],
-        table[:, 1],
-        table[:, 2],
-        np.reshape(seen_px, (-1, 2)),
-        np.array(scale, np.float64),
-    )
+        np.reshape(points, (-1, 3)), frame_of, camera_of, point_of,
+        np.array([one.uv_px[place] for one, place in zip(every, feature)]).reshape(-1, 2),
+        np.array([one.scale_px[place] for one, place in zip(every, feature)]),
+    )  # fmt: skip
+
+
+def _believed(rig: Rig, features: Mapping[Key, Features], ids: Mapping[Key, int]) -> Any:
+    """The rig as pycolmap has it: every picture a frame of its own."""
+    pycolmap = colmap()
+    names, poses = list(rig.cameras), rig.world_SE3_cameras().inverse()
+    there = pycolmap.Reconstruction()
+    for number, camera in enumerate(rig.cameras.values(), start=1):
+        there.add_camera_with_trivial_rig(colmap_camera(camera, number))
+    for (frame, name), number in ids.items():
+        place = names.index(name)
+        row = frame * len(names) + place
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(np.roll(poses.rotation[row], -1)), poses.translation[row])
+        image = pycolmap.Image(f"{frame}/{name}", features[frame, name].uv_px, camera_id=place + 1, image_id=number)
+        there.add_image_with_trivial_frame(image, pose)
+    return there
 
 
 def _geometry(pairs: Int64) -> Any:
-    import pycolmap
-
+    pycolmap = colmap()
     return pycolmap.TwoViewGeometry(
         config=int(pycolmap.TwoViewGeometryConfiguration.CALIBRATED), inlier_matches=pairs.astype(np.uint32)
     )
-
-
-def _rigid(poses: Poses, row: int) -> Any:
-    import pycolmap
-
-    return pycolmap.Rigid3d(pycolmap.Rotation3d(np.roll(poses.rotation[row], -1)), poses.translation[row])

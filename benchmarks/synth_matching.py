@@ -198,7 +198,7 @@ def off(rig: Rig, true: Rig) -> tuple[Float64, Float64]:
 
 
 def adjustment_rows(ride: Ride, draws: int) -> Iterator[Row]:
-    """How far the rig is off, as recorded and as adjusted: at most and by median, of all pictures and draws of errors."""
+    """How far the rig is off, as recorded and as adjusted: at most and by median, of all pictures and draws."""
     errors, true = ride.drive.preset.errors, true_rig(ride)
     before, after, times = [], [], []
     for draw in range(draws):

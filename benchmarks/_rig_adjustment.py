@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks._tracks import Rig, Tracks
 from mirror.arrays import Float64, Int64
+from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 
 _POSE: Final = 6
@@ -67,9 +68,14 @@ def adjusted(recorded: Rig, tracks: Tracks, spread: Spread) -> tuple[Rig, Float6
 
     Returns:
         The rig, and how far (M,) observations are from the images of their points, pixels.
+
+    Raises:
+        UsageError: there are no tracks, or one has a point that its camera cannot see.
     """
     rig, points, damping = recorded, tracks.points, 1e-4
     cost = _cost(rig, points, tracks, recorded, spread)
+    if not len(points) or not np.isfinite(cost):
+        raise UsageError(f"{len(points)} points", expected="some, before the cameras that they are tracked in")
     for _ in range(_ITERATIONS):
         normal = _normal(rig, points, tracks, recorded, spread)
         while damping < 1e8:

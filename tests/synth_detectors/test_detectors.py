@@ -1,0 +1,74 @@
+"""Faces and plates of the synthetic street: where they are, and that detectors find them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks._crowd import Crowded, Target, condition_of, crowded, street
+from benchmarks._detectors import AgentPlates, YuNet, _anchors, _overlaps, judged
+from mirror.errors import UsageError
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[Crowded]:
+    return list(crowded(street(), condition_of("day", "clear"), 2, 640, 1))
+
+
+def target(box: tuple[float, float, float, float], seen: float = 1.0) -> Target:
+    return Target(np.array(box), seen)
+
+
+def test_overlaps_in_closed_form() -> None:
+    boxes = np.array([[0.0, 0.0, 4.0, 2.0], [10.0, 10.0, 11.0, 11.0]])
+    others = np.array([[2.0, 0.0, 6.0, 2.0], [0.0, 0.0, 4.0, 2.0]])
+    assert _overlaps(boxes, others) == pytest.approx(np.array([[4.0 / 12.0, 1.0], [0.0, 0.0]]))
+    assert _overlaps(np.zeros((0, 4)), others).shape == (0, 2)
+
+
+def test_targets_that_are_hardly_seen_are_not_asked_for_but_may_be_found() -> None:
+    boxes = np.array([[0.0, 0.0, 10.0, 10.0], [50.0, 50.0, 60.0, 60.0], [90.0, 0.0, 99.0, 9.0]])
+    targets = [target((1.0, 0.0, 11.0, 10.0)), target((50.0, 50.0, 60.0, 60.0), 0.3), target((30.0, 0.0, 38.0, 20.0))]
+    found = judged([(boxes, targets), (np.zeros((0, 4)), [])], 1, 0.6)
+    assert found.size_px.tolist() == [10.0, 20.0]
+    assert found.found.tolist() == [True, False]
+    assert (found.boxes, found.right) == (3, 2)
+
+
+def test_anchors_are_as_many_as_the_network_answers() -> None:
+    centre, size = _anchors(540, 960)
+    assert centre.shape == size.shape == (21420, 2)
+    assert centre[0].tolist() == [4.0, 4.0]
+    assert sorted(set(size[:, 0])) == [24.0, 48.0, 96.0, 192.0, 384.0, 768.0]
+
+
+def test_another_file_of_weights_is_refused(tmp_path: Path) -> None:
+    weights = tmp_path / "clp_det.onnx"
+    weights.write_bytes(b"something else")
+    with pytest.raises(UsageError, match="sha256"):
+        AgentPlates(weights)
+
+
+def test_pictures_show_people_and_cars_from_before(pictures: list[Crowded]) -> None:
+    people, cars = pictures
+    assert sum(face.seen > 0.6 for face in people.faces) >= 3
+    assert sum(plate.seen > 0.85 for plate in cars.plates) >= 1
+    for face in people.faces:
+        assert 0.0 < face.seen <= 1.0
+        if face.seen > 0.9:
+            wide, high = face.size_px
+            assert 0.5 < wide / high < 1.2
+    for plate in cars.plates:
+        if plate.seen > 0.85:
+            assert plate.size_px[0] < 7.0 * plate.size_px[1]
+
+
+def test_yunet_finds_clear_faces(pictures: list[Crowded], real_data: Path) -> None:
+    detector = YuNet(real_data / "weights" / "yunet" / "yunet_n_dynamic.onnx")
+    found = judged([(detector.boxes(one.bgr), one.faces) for one in pictures], 1, 0.6)
+    clear = found.size_px >= 20.0
+    assert clear.sum() >= 2
+    assert found.found[clear].mean() >= 0.8
+    assert found.right >= 0.8 * found.boxes

@@ -1,0 +1,1 @@
+"""3D Gaussians to pictures, with gradients: gsplat's interface, on the CPU as on CUDA."""

@@ -1,0 +1,1 @@
+"""Rasterization by compiled kernels on the CPU."""

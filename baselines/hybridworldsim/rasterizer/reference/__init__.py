@@ -1,0 +1,1 @@
+"""Rasterization written to be read: plain torch in float64."""

@@ -173,7 +173,7 @@ def _lines(draw: Draw, count: int) -> Part:
     upright = np.stack([20.0 * np.floor(along / 20.0), side, 7.4 * draw(count)], axis=1)
     quats = np.zeros((count, 4))
     quats[:, 0], quats[:, 2] = 1.0, np.where(post, 0.0, -0.05 * sag)  # the wire's slope, halved
-    length = (0.06 + 400.0 / count) * (0.5 + draw(count))
+    length = (0.06 + 400.0 / max(count, 1)) * (0.5 + draw(count))
     thick = np.where(post, 0.03, 0.006)
     scales = np.where(post[:, None], np.stack([thick, thick, length]).T, np.stack([length, thick, thick]).T)
     colors = np.where(post[:, None], [0.42, 0.44, 0.45], [0.08, 0.08, 0.09]) + 0.03 * draw((count, 1))
@@ -205,7 +205,7 @@ def _sky(draw: Draw, count: int) -> Part:
     way = np.stack([2 * draw(count) - 1, 2 * draw(count) - 1, draw(count)], axis=1)
     way /= np.sqrt(way[:, 0] ** 2 + way[:, 1] ** 2 + way[:, 2] ** 2)[:, None]
     reach = 150.0 + 850.0 * draw(count)
-    size = (reach * (0.012 + 4.0 / np.sqrt(count)))[:, None] * (0.5 + draw((count, 3)))
+    size = (reach * (0.012 + 4.0 / np.sqrt(max(count, 1))))[:, None] * (0.5 + draw((count, 3)))
     high = way[:, 2:]
     cloud = (draw((count, 1)) < 0.25) * (0.5 + 0.5 * draw((count, 1)))
     blue = np.array([0.75, 0.85, 0.95]) * (1 - high) + np.array([0.3, 0.5, 0.85]) * high

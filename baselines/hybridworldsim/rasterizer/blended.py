@@ -1,0 +1,25 @@
+"""What blending gives: a picture, and what it took."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+
+class Blended(NamedTuple):
+    """One camera's picture before a background is added.
+
+    Float32 of the CPU backend, float64 of the reference. `image` and `alpha` carry gradients.
+
+    Attributes:
+        image: (H, W, D) sum of weight times feature.
+        alpha: (H, W) sum of weights: one minus the light that passes all.
+        last: (H, W) int32, row in `Projected` of the hindmost Gaussian that was blended; -1 where none was.
+        counts: what was done: `pairs` of tile and Gaussian, `processed_pairs` of them, `stopped_tiles`.
+    """
+
+    image: Tensor
+    alpha: Tensor
+    last: Tensor
+    counts: dict[str, int]

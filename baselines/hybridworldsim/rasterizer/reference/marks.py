@@ -1,0 +1,83 @@
+"""Pixels at which rounding may decide whether a Gaussian is blended, and by how much."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, Preset
+from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.reference.tiles import alphas, pairs
+
+ALPHA_TOLERANCE = 1e-4
+"""Relative distance from `ALPHA_MIN` within which float32 may decide otherwise."""
+
+STOP_TOLERANCE = 1e-3
+"""Relative distance from `TRANSMITTANCE_STOP` within which float32 may decide otherwise."""
+
+
+class Marks(NamedTuple):
+    """Where a float32 kernel may differ from the reference by more than rounding.
+
+    Attributes:
+        marked: (H, W) bool.
+        jump: (H, W) the largest change that the flips possible there can make to alpha, or to a feature that lies in
+            [0, 1]; 0 where not marked. A feature of the range [low, high] changes by at most max(high, 0) - min(low, 0)
+            times as much.
+    """
+
+    marked: Tensor
+    jump: Tensor
+
+
+@torch.no_grad()
+def mark(projected: Projected, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int) -> Marks:
+    """Follow the path of the light in float64 and find what lies near a threshold.
+
+    A Gaussian whose alpha flips at the cut changes the picture by no more than its weight, and the light behind it by
+    1/255, which widens the neighbourhood of the stop. A Gaussian that flips at the stop, with all behind it, changes it
+    by no more than the light in front of it.
+
+    Args:
+        projected: M Gaussians, of the reference.
+        opacities: (M,) with compensations already multiplied in.
+        width: pixels.
+        height: pixels.
+        preset: whose cap of alpha.
+        tile_size: pixels.
+    """
+    rows, tiles = pairs(projected, width, height, tile_size)
+    means, conics = projected.means2d.double() + projected.means2d_low, projected.conics.double()
+    opacities = opacities.double()
+    marked = torch.zeros(height * width, dtype=torch.bool)
+    jump = torch.zeros(height * width, dtype=torch.float64)
+    for tile in tiles:
+        light = torch.ones(len(tile.pixels), dtype=torch.float64)  # in front of the chunk
+        widened = torch.zeros_like(light)  # by how much flips so far may have changed it, relatively
+        going = torch.ones(len(tile.pixels), dtype=torch.bool)
+        for chunk in tile.chunks():
+            if not going.any():
+                break
+            ids = rows[chunk]
+            alpha = alphas(means[ids, None] - tile.centres, conics[ids], opacities[ids], preset.alpha_max)  # (L, P)
+            at_cut = (alpha / ALPHA_MIN - 1.0).abs() <= ALPHA_TOLERANCE
+            alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
+            behind = light * (1.0 - alpha).cumprod(0)
+            before = torch.cat([light[None], behind[:-1]])
+            loose = widened + (at_cut * (ALPHA_MIN / (1.0 - 2.0 * ALPHA_MIN))).cumsum(0)
+            at_stop = (behind / TRANSMITTANCE_STOP - 1.0).abs() <= STOP_TOLERANCE + loose
+            at_stop &= (alpha > 0.0) | at_cut
+
+            # a path goes on until the first Gaussian that surely stops it or may stop it; in the second case the light
+            # in front of that one bounds all that follows
+            goes_on = (behind > TRANSMITTANCE_STOP) & ~at_stop
+            goes_on = going & goes_on.cummin(0).values
+            ends = ~goes_on & torch.cat([going[None], goes_on[:-1]])
+            at_cut &= goes_on
+            at_stop &= ends
+            jump[tile.pixels] += (before * (at_stop + at_cut * (1.0 + loose) * ALPHA_MIN)).sum(0)
+            marked[tile.pixels] |= (at_cut | at_stop).any(0)
+            light, widened, going = behind[-1], loose[-1], goes_on[-1]
+    return Marks(marked.view(height, width), jump.view(height, width))

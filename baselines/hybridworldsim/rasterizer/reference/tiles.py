@@ -1,0 +1,93 @@
+"""Which Gaussians each tile of a picture is given, front to back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.rasterizer.projected import Projected
+
+CHUNK = 256
+"""Gaussians that are evaluated at once, over all pixels of a tile."""
+
+
+class Tile(NamedTuple):
+    """A tile that some Gaussian may reach, with its span [begin, end) in a list of pairs."""
+
+    pixels: Tensor  # (P,) int64, row-major in the picture
+    centres: Tensor  # (P, 2) pixels
+    begin: int
+    end: int
+
+    def chunks(self) -> Iterator[slice]:
+        """The span in pieces, front to back."""
+        for begin in range(self.begin, self.end, CHUNK):
+            yield slice(begin, min(begin + CHUNK, self.end))
+
+
+def front_to_back(projected: Projected) -> Tensor:
+    """Rows (M,) by float32 depth, then by index: the order that gsplat's sort keys give."""
+    return torch.argsort(projected.depths.detach().float(), stable=True)
+
+
+def pairs(projected: Projected, width: int, height: int, tile_size: int) -> tuple[Tensor, list[Tile]]:
+    """Pair every tile with the Gaussians whose extent, as given by `radii`, touches it.
+
+    Args:
+        projected: M Gaussians.
+        width: pixels.
+        height: pixels.
+        tile_size: pixels.
+
+    Returns:
+        Rows (P,) in `projected`, by tile, then front to back; the tiles that have any.
+    """
+    tiles_wide, tiles_high = -(-width // tile_size), -(-height // tile_size)
+    size = torch.tensor([tiles_wide, tiles_high])
+    order = front_to_back(projected)
+    means = (projected.means2d.detach().double() + projected.means2d_low)[order]
+    radii = projected.radii[order].double()
+    first = ((means - radii) / tile_size).floor().clamp(min=0.0).minimum(size).long()  # (M, 2)
+    last = ((means + radii) / tile_size).ceil().clamp(min=0.0).minimum(size).long()
+    spans = last - first
+    areas = spans.prod(-1)  # (M,)
+
+    owner = torch.repeat_interleave(areas)  # (P,)
+    within = torch.arange(len(owner)) - (areas.cumsum(0) - areas)[owner]
+    wide = spans[owner, 0]
+    column = first[owner, 0] + within % wide
+    row = first[owner, 1] + within // wide
+    tile, by_tile = torch.sort(row * tiles_wide + column, stable=True)
+    starts = torch.searchsorted(tile, torch.arange(tiles_wide * tiles_high + 1)).tolist()
+
+    picture = torch.arange(width * height).view(height, width)
+    some = []
+    for index in range(tiles_wide * tiles_high):
+        if starts[index] < starts[index + 1]:
+            top, left = (index // tiles_wide) * tile_size, (index % tiles_wide) * tile_size
+            pixels = picture[top : top + tile_size, left : left + tile_size].flatten()
+            centres = torch.stack([pixels % width, pixels // width], dim=-1) + 0.5
+            some.append(Tile(pixels, centres.double(), starts[index], starts[index + 1]))
+    return order[owner[by_tile]], some
+
+
+def alphas(offsets: Tensor, conics: Tensor, opacities: Tensor, alpha_max: float) -> Tensor:
+    """What L Gaussians would take of the light of P pixels.
+
+    Args:
+        offsets: (L, P, 2) mean less pixel centre.
+        conics: (L, 3).
+        opacities: (L,).
+        alpha_max: cap; where it holds, no gradient passes.
+
+    Returns:
+        (L, P), not yet cut off at `ALPHA_MIN`.
+    """
+    x, y = offsets.unbind(-1)
+    xx, xy, yy = (column[:, None] for column in conics.unbind(-1))
+    power = 0.5 * (xx * x * x + yy * y * y) + xy * x * y
+    # gsplat skips a negative power, which only rounding makes
+    return torch.where(power >= 0.0, (opacities[:, None] * torch.exp(-power)).clamp(max=alpha_max), 0.0)

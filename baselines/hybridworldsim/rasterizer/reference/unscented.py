@@ -1,0 +1,91 @@
+"""Gaussians through a lens: seven points of each pass it, and their mean and covariance are the ellipse."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, UT_ALPHA, UT_BETA, UT_SPREAD, Lens
+
+
+def unscented(
+    means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height: int, lens: Lens
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Project by the unscented transform (Wan and van der Merwe 2000), with gsplat's parameters.
+
+    The points are the mean and `UT_SPREAD` standard deviations along each axis, both ways. A point that is behind the
+    camera, or that the lens cannot show, lies at pixel (0, 0), as in gsplat.
+
+    Args:
+        means_c: (N, 3) metres, camera.
+        axes_c: (N, 3, 3) the axes as columns, one standard deviation long, metres, camera.
+        K: (3, 3) fx, fy, cx, cy in pixels.
+        width: pixels.
+        height: pixels.
+        lens: what bends the rays.
+
+    Returns:
+        Means (N, 2) in pixels; roots (N, 2, 7) whose product with their transpose is the covariance, pixel^2; whether
+        (N,) the lens shows any of the points.
+    """
+    steps = UT_SPREAD * axes_c.mT  # (N, 3, 3): one axis a row
+    points = torch.cat([means_c[:, None], means_c[:, None] + steps, means_c[:, None] - steps], dim=1)  # (N, 7, 3)
+    pixels, valid = _FORWARD[lens.model](points, K, width, height, lens)  # (N, 7, 2), (N, 7)
+
+    # The textbook's sums have weights of about -99 and +17 that cancel. About the image of the mean, with w the weight
+    # of the other six, they are  mean = centre + m,  m = w sum d,  covariance = w sum d d' + (beta - alpha^2) m m'.
+    weight = 0.5 / UT_SPREAD**2
+    offsets = pixels[:, 1:] - pixels[:, :1]  # (N, 6, 2): d
+    shift = weight * offsets.sum(1)  # (N, 2): m
+    roots = torch.cat([weight**0.5 * offsets, (UT_BETA - UT_ALPHA**2) ** 0.5 * shift[:, None]], dim=1)  # (N, 7, 2)
+
+    size = torch.tensor([width, height], dtype=K.dtype)
+    inside = ((pixels >= -IMAGE_MARGIN * size) & (pixels < (1 + IMAGE_MARGIN) * size)).all(-1)  # (N, 7)
+    return pixels[:, 0] + shift, roots.mT, (inside & valid).any(1)
+
+
+def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> tuple[Tensor, Tensor]:
+    """Pixels (..., 2) of camera points (..., 3) (OpenCV's rational and thin prism model), and which are valid."""
+    k1, k2, k3, k4, k5, k6 = lens.radial_coeffs
+    p1, p2 = lens.tangential_coeffs
+    s1, s2, s3, s4 = lens.thin_prism_coeffs
+    ahead = points[..., 2] > 0.0
+    u, v = (points[..., :2] / torch.where(ahead, points[..., 2], 1.0)[..., None]).unbind(-1)
+    r2 = u * u + v * v
+    above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    possible = ahead & (below > 0.0)
+    radial = above / torch.where(possible, below, 1.0)
+    bent = torch.stack(
+        [
+            radial * u + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + r2 * s2),
+            radial * v + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + r2 * s4),
+        ],
+        dim=-1,
+    )
+    pixels = K.diagonal()[:2] * bent + K[:2, 2]
+    return torch.where(possible[..., None], pixels, 0.0), possible & (radial > RADIAL_MIN)
+
+
+def _fisheye(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> tuple[Tensor, Tensor]:
+    """Pixels (..., 2) of camera points (..., 3) (OpenCV's fisheye model), and which are valid."""
+    k1, k2, k3, k4 = lens.radial_coeffs
+    fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    last = lens.max_angle(fx, fy, cx, cy, width, height)
+    z = points[..., 2]
+    r2 = points[..., :2].square().sum(-1)
+    off_axis = r2 > 0.0
+    r = torch.where(off_axis, r2, 1.0).sqrt()
+    full = torch.atan2(r, z)
+    angle = full.clamp(max=last)
+    a2 = angle * angle
+    grown = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+    ahead = z > 0.0
+    # on the axis the angle over the radius tends to 1 / z
+    scale = torch.where(off_axis, grown / r, 1.0 / torch.where(ahead, z, 1.0))
+    possible = ahead & (scale > 0.0)
+    pixels = K.diagonal()[:2] * scale[..., None] * points[..., :2] + K[:2, 2]
+    return torch.where(possible[..., None], pixels, 0.0), possible & ((full < last) | ~off_axis)
+
+
+_FORWARD = {"pinhole": _brown_conrady, "fisheye": _fisheye}

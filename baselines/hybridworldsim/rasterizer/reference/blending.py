@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
@@ -69,9 +72,10 @@ def blend(
             inside = next(parts)
             if not going.any():
                 continue
-            slots = absolute[chunk] if absgrad else None
+            # not as a tensor: backward writes to it while the checkpoint holds it
+            gather = partial(_gather, absolute[chunk]) if absgrad else None
             added, light, going, hindmost = checkpoint(
-                _chunk, *inside, tile.centres, light, going, preset.alpha_max, slots,
+                _chunk, *inside, tile.centres, light, going, preset.alpha_max, gather,
                 use_reentrant=False, preserve_rng_state=False,
             )  # fmt: skip
             image = image + added
@@ -106,7 +110,7 @@ def _chunk(
     light: Tensor,
     going: Tensor,
     alpha_max: float,
-    absolute: Tensor | None,
+    gather: Callable[[Tensor], None] | None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Blend L Gaussians into the P pixels of a tile.
 
@@ -119,14 +123,14 @@ def _chunk(
         light: (P,) transmittance in front of the first.
         going: (P,) whether a pixel has not stopped.
         alpha_max: cap of alpha.
-        absolute: (L, 2) gathers absolute gradients in backward.
+        gather: takes the gradient (L, P, 2) of each Gaussian's mean at each pixel in backward.
 
     Returns:
         What is added (P, D), the light behind (P,), which pixels go on (P,), the hindmost that was blended (P,) or -1.
     """
     offsets = means[:, None] - centres  # (L, P, 2)
-    if absolute is not None and offsets.requires_grad:
-        offsets.register_hook(lambda gradient: _gather(absolute, gradient))
+    if gather is not None and offsets.requires_grad:
+        offsets.register_hook(gather)
     alpha = alphas(offsets, conics, opacities, alpha_max)  # (L, P)
     alpha = torch.where((alpha >= ALPHA_MIN) & going, alpha, 0.0)
     with torch.no_grad():  # a Gaussian behind which too little light is left is not blended, nor is any behind it

@@ -1,0 +1,61 @@
+"""Rasterization on CUDA: by gsplat itself."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+from torch import Tensor
+
+from hybridworldsim.rasterizer.inputs import NonFinite, refuse_nonfinite
+from hybridworldsim.rasterizer.presets import PRESETS, Preset
+from mirror.errors import UsageError
+
+_DEFAULTS = {"camera_model": "pinhole", "segmented": False, "with_ut": False}
+
+
+def rasterization(preset: Preset, nonfinite: NonFinite, **arguments: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Call gsplat.
+
+    Args:
+        preset: what gsplat is expected to do.
+        nonfinite: what to do about Gaussians that are not finite: only "raise".
+        arguments: of `gsplat.rasterization`, by name.
+
+    Returns:
+        What gsplat returns.
+
+    Raises:
+        UsageError: gsplat is not installed, or its release renders by another preset, or it cannot do what is asked.
+    """
+    gsplat = _installed()
+    release = ".".join(gsplat.__version__.split(".")[:2])
+    if release not in preset.releases:
+        same = next((other.name for other in PRESETS.values() if release in other.releases), None)
+        raise UsageError(
+            f"gsplat {gsplat.__version__} is installed, which does not render as {preset.name}",
+            place="preset",
+            expected="gsplat " + " or ".join(preset.releases),
+            remedy=f'preset="{same}"' if same else "install a release that a preset follows",
+        )
+    if nonfinite != "raise":
+        raise UsageError("gsplat's CUDA kernels cull nothing that is not finite", place="nonfinite", expected="'raise'")
+    if arguments["with_ut"] and arguments["packed"]:
+        raise UsageError("gsplat's unscented transform is not packed", place="packed", remedy="packed=False")
+    if arguments["colors"] is not None:
+        refuse_nonfinite("colors", arguments["colors"].flatten(0, -2), "row")
+    # releases before 1.5 lack some arguments
+    told = {name: value for name, value in arguments.items() if value is not None and value != _DEFAULTS.get(name)}
+    return gsplat.rasterization(**told)
+
+
+def _installed() -> ModuleType:
+    try:
+        import gsplat
+    except ImportError as error:
+        raise UsageError(
+            f"gsplat cannot be imported: {error}",
+            place='backend="cuda"',
+            remedy='pip install "mirror-dataset[gpu]", or move the tensors to the CPU',
+        ) from error
+    return gsplat

@@ -1,0 +1,304 @@
+"""What `rasterization` is given, checked once: what cannot mean anything is refused by its name."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.rasterizer.lenses import Lens
+from mirror.errors import UsageError
+
+CameraModel = Literal["pinhole", "fisheye"]
+RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
+RasterizeMode = Literal["classic", "antialiased"]
+NonFinite = Literal["raise", "cull"]
+_SHOWN = 5
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Inputs:
+    """B scenes of N Gaussians, each seen by C cameras; B is the product of the leading dimensions that the caller has.
+
+    Attributes:
+        batch: those leading dimensions, often none.
+        means: (B, N, 3).
+        quats: (B, N, 4) scalar first, of any length.
+        scales: (B, N, 3).
+        opacities: (B, N).
+        colors: (B, C or 1, N, D), with `sh_degree` (B, C or 1, N, K, 3); None where only depth is asked for.
+        viewmats: (B, C, 4, 4) camera from world.
+        Ks: (B, C, 3, 3).
+        width: pixels.
+        height: pixels.
+        sh_degree: of the spherical harmonics that colours are; None where they are plain numbers.
+        backgrounds: (B, C, D) or None.
+        nonfinite: what to do about a Gaussian that holds a number that is not finite.
+    """
+
+    batch: tuple[int, ...]
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor | None
+    viewmats: Tensor
+    Ks: Tensor
+    width: int
+    height: int
+    sh_degree: int | None
+    backgrounds: Tensor | None
+    nonfinite: NonFinite
+
+    @property
+    def cameras(self) -> int:
+        """C."""
+        return self.viewmats.shape[1]
+
+    @property
+    def gaussians(self) -> int:
+        """N."""
+        return self.means.shape[1]
+
+    def colors_of(self, scene: int, camera: int) -> Tensor | None:
+        """(N, D) or (N, K, 3), with K no more than the degree asks for."""
+        if self.colors is None:
+            return None
+        of_camera = self.colors[scene, camera if self.colors.shape[1] > 1 else 0]
+        return of_camera if self.sh_degree is None else of_camera[:, : (self.sh_degree + 1) ** 2]
+
+    def finite(self, scene: int, camera: int) -> Tensor | None:
+        """Which Gaussians of a scene a camera may draw, where those that are not finite are culled.
+
+        Returns:
+            (N',) int64, ascending; None for all.
+        """
+        if self.nonfinite == "raise":
+            return None
+        tables = [self.means[scene], self.quats[scene], self.scales[scene], self.opacities[scene]]
+        if (colors := self.colors_of(scene, camera)) is not None:
+            tables.append(colors)
+        if all(_sums_to_finite(table) for table in tables):
+            return None
+        kept = torch.stack([torch.isfinite(table.detach()).reshape(self.gaussians, -1).all(1) for table in tables])
+        ids = kept.all(0).nonzero()[:, 0]
+        return None if len(ids) == self.gaussians else ids
+
+
+def checked(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor | None,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    *,
+    sh_degree: int | None,
+    backgrounds: Tensor | None,
+    render_mode: RenderMode,
+    nonfinite: NonFinite,
+) -> Inputs:
+    """Check shapes, kinds and numbers, and give every tensor its scene and camera dimension.
+
+    Raises:
+        UsageError: something does not fit; it is named.
+    """
+    choice("nonfinite", nonfinite, get_args(NonFinite))
+    tensors = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "viewmats": viewmats, "Ks": Ks}
+    tensors |= {
+        name: tensor for name, tensor in (("colors", colors), ("backgrounds", backgrounds)) if tensor is not None
+    }
+    for name, tensor in tensors.items():
+        _tensor(name, tensor, means)
+    if means.ndim < 2:
+        raise _shape("means", means, "(..., N, 3)")
+    *batch, count, _ = means.shape
+    if viewmats.ndim < 3:
+        raise _shape("viewmats", viewmats, "(..., C, 4, 4)")
+    cameras = viewmats.shape[-3]
+    for name, shape in {
+        "means": (count, 3),
+        "quats": (count, 4),
+        "scales": (count, 3),
+        "opacities": (count,),
+        "viewmats": (cameras, 4, 4),
+        "Ks": (cameras, 3, 3),
+    }.items():
+        if tensors[name].shape != (*batch, *shape):
+            raise _shape(name, tensors[name], str((*batch, *shape)))
+    scenes = means.shape[:-2].numel()
+    if scenes * cameras == 0:
+        raise _shape("viewmats", viewmats, "at least one camera")
+    if colors is not None:
+        colors = _colors(colors, batch, cameras, count, sh_degree)
+    if colors is None and "RGB" in render_mode:
+        raise UsageError("colours are asked for and none are given", place="colors", remedy='render_mode="D" or "ED"')
+    if backgrounds is not None:
+        channels = 3 if sh_degree is not None or colors is None else colors.shape[-1]
+        if "RGB" in render_mode and backgrounds.shape != (*batch, cameras, channels):
+            raise _shape("backgrounds", backgrounds, str((*batch, cameras, channels)))
+        backgrounds = backgrounds.reshape(scenes, cameras, -1)
+    inputs = Inputs(
+        batch=tuple(batch),
+        means=means.reshape(scenes, count, 3),
+        quats=quats.reshape(scenes, count, 4),
+        scales=scales.reshape(scenes, count, 3),
+        opacities=opacities.reshape(scenes, count),
+        colors=colors if "RGB" in render_mode else None,
+        viewmats=viewmats.reshape(scenes, cameras, 4, 4),
+        Ks=Ks.reshape(scenes, cameras, 3, 3),
+        width=positive("width", width),
+        height=positive("height", height),
+        sh_degree=sh_degree,
+        backgrounds=backgrounds,
+        nonfinite=nonfinite,
+    )
+    if bool((torch.linalg.det(inputs.viewmats[..., :3, :3]) == 0.0).any()):
+        raise UsageError("a rotation is singular", place="viewmats", expected="camera from world, (..., C, 4, 4)")
+    for name in ("viewmats", "Ks", "backgrounds"):
+        if name in tensors:
+            refuse_nonfinite(name, tensors[name].reshape(scenes * cameras, -1), "image")
+    if nonfinite == "raise":
+        for name in ("means", "quats", "scales", "opacities"):
+            refuse_nonfinite(name, tensors[name].reshape(scenes * count, -1), "Gaussian")
+    return inputs
+
+
+def lenses_of(
+    inputs: Inputs,
+    camera_model: CameraModel,
+    with_ut: bool,
+    antialiased: bool,
+    coefficients: dict[str, Tensor | None],
+) -> Sequence[Lens | None]:
+    """The lens of every picture; None where it is a pinhole, projected by EWA.
+
+    Args:
+        inputs: checked.
+        camera_model: of all cameras.
+        with_ut: whether the unscented transform is asked for, which all but a pinhole needs.
+        antialiased: whether opacities shall be compensated, which the unscented transform has no way to.
+        coefficients: (..., C, number) each, by gsplat's names.
+
+    Raises:
+        UsageError: what does not go with what.
+    """
+    given = {name: tensor for name, tensor in coefficients.items() if tensor is not None}
+    if not with_ut:
+        for name in given:
+            raise UsageError("distortion without the unscented transform", place=name, remedy="with_ut=True")
+        if camera_model != "pinhole":
+            raise UsageError(
+                f"a {camera_model} without the unscented transform", place="camera_model", remedy="with_ut=True"
+            )
+        return [None] * len(inputs.means) * inputs.cameras
+    if antialiased:
+        raise UsageError("antialiasing after an unscented transform", place="rasterize_mode", expected="'classic'")
+    leading = (*inputs.batch, inputs.cameras)
+    tables: dict[str, list[list[float]]] = {}
+    for name, tensor in given.items():
+        _tensor(name, tensor, inputs.means)
+        if tensor.shape[:-1] != leading:
+            raise _shape(name, tensor, f"({', '.join(map(str, leading))}, coefficients)")
+        tables[name] = tensor.detach().reshape(-1, tensor.shape[-1]).tolist()
+    return [
+        Lens(model=camera_model, **{name: tuple(table[picture]) for name, table in tables.items()})
+        for picture in range(len(inputs.means) * inputs.cameras)
+    ]
+
+
+def refuse_nonfinite(name: str, table: Tensor, row: str, ids: Tensor | None = None) -> None:
+    """Refuse numbers that are not finite; what is finite costs one sum.
+
+    Args:
+        name: of the argument.
+        table: (N, ...).
+        row: what a row is.
+        ids: (N,) index of each row in the argument; None if the row's own.
+
+    Raises:
+        UsageError: a row is not finite; the first are named.
+    """
+    if _sums_to_finite(table):
+        return
+    bad = (~torch.isfinite(table.detach()).reshape(len(table), -1).all(1)).nonzero()[:, 0]
+    if len(bad) == 0:
+        return
+    first = (bad[:_SHOWN] if ids is None else ids[bad[:_SHOWN]]).tolist()
+    raise UsageError(
+        f"{len(bad)} of {len(table)} rows hold NaN or infinity: {row} {', '.join(map(str, first))}"
+        + (" ..." if len(bad) > _SHOWN else ""),
+        place=name,
+        remedy='find what wrote them, or pass nonfinite="cull" to leave them out, counted'
+        if row == "Gaussian"
+        else None,
+    )
+
+
+def choice(place: str, value: object, expected: tuple[str, ...]) -> None:
+    """Refuse what is not one of some words.
+
+    Raises:
+        UsageError: naming them.
+    """
+    if value not in expected:
+        raise UsageError(f"no such choice: {value!r}", place=place, expected=" or ".join(map(repr, expected)))
+
+
+def positive(place: str, value: int) -> int:
+    """A whole number of at least one.
+
+    Raises:
+        UsageError: it is none.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = 0
+    if number < 1:
+        raise UsageError(f"{value!r} is no size", place=place, expected="a whole number of at least 1")
+    return number
+
+
+def _colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh_degree: int | None) -> Tensor:
+    last = 1 if sh_degree is None else 2
+    per_gaussian = (*batch, count)
+    per_camera = (*batch, cameras, count)
+    leading = colors.shape[:-last]
+    if leading not in (per_gaussian, per_camera):
+        tail = "D" if sh_degree is None else "K, 3"
+        expected = " or ".join(f"({', '.join(map(str, shape))}, {tail})" for shape in (per_gaussian, per_camera))
+        raise _shape("colors", colors, expected)
+    if sh_degree is not None:
+        needed = (sh_degree + 1) ** 2
+        if not 0 <= sh_degree <= 4:
+            raise UsageError(f"no spherical harmonics of degree {sh_degree}", place="sh_degree", expected="0 to 4")
+        if colors.shape[-1] != 3 or colors.shape[-2] < needed:
+            raise _shape("colors", colors, f"(..., K, 3) with K of at least {needed} for degree {sh_degree}")
+    elif colors.shape[-1] == 0:
+        raise _shape("colors", colors, "at least one channel")
+    return colors.reshape(-1, 1 if leading == per_gaussian else cameras, count, *colors.shape[-last:])
+
+
+def _tensor(name: str, tensor: Tensor, means: Tensor) -> None:
+    if not isinstance(tensor, Tensor):
+        raise UsageError(f"a {type(tensor).__name__}", place=name, expected="a torch tensor")
+    if tensor.dtype not in (torch.float32, torch.float64):
+        raise UsageError(str(tensor.dtype), place=name, expected="float32 or float64")
+    if tensor.device != means.device:
+        raise UsageError(f"on {tensor.device}", place=name, expected=f"on {means.device}, where the means are")
+
+
+def _shape(name: str, tensor: Tensor, expected: str) -> UsageError:
+    return UsageError(f"shape {tuple(tensor.shape)}", place=name, expected=expected)
+
+
+def _sums_to_finite(table: Tensor) -> bool:
+    return bool(torch.isfinite(table.detach().sum()))

@@ -1,0 +1,193 @@
+"""From checked inputs to pictures: project, colour and blend, one camera after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.rasterizer.blended import Blended
+from hybridworldsim.rasterizer.inputs import Inputs, RenderMode, refuse_nonfinite
+from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.meta import Blending, Layout, View, meta_of
+from hybridworldsim.rasterizer.presets import Preset
+from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.rows import rows
+
+_DEPTH_DIVISOR_MIN = 1e-10
+
+
+class Backend(Protocol):
+    """The three steps of a rasterizer, one camera at a time."""
+
+    def project(self, *arguments: Any, **options: Any) -> Projected:
+        """Which Gaussians a camera sees, and the ellipses that they are."""
+        ...
+
+    def harmonics(self, degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
+        """Colours of Gaussians from where the camera is."""
+        ...
+
+    def blend(self, *arguments: Any, **options: Any) -> Blended:
+        """Ellipses to a picture."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How to render, as `rasterization` is told."""
+
+    near_plane: float
+    far_plane: float
+    radius_clip: float
+    eps2d: float
+    tile_size: int
+    render_mode: RenderMode
+    antialiased: bool
+    absgrad: bool
+    preset: Preset
+    backend: str
+
+
+def backend_named(name: str) -> Backend:
+    """The package of a backend, imported when it is needed."""
+    backend: Backend = import_module(f"hybridworldsim.rasterizer.{name}")
+    return backend
+
+
+def render(
+    inputs: Inputs, options: Options, lenses: Sequence[Lens | None], packed: bool
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Render every scene through every camera.
+
+    Args:
+        inputs: B scenes and C cameras of each.
+        options: how.
+        lenses: B * C of them, scene by scene.
+        packed: how `meta` holds Gaussians.
+
+    Returns:
+        Pictures (..., C, height, width, channels), alphas (..., C, height, width, 1), meta.
+    """
+    backend = backend_named(options.backend)
+    places = [(scene, camera) for scene in range(len(inputs.means)) for camera in range(inputs.cameras)]
+    seen = [_project(inputs, options, backend, *place, lens) for place, lens in zip(places, lenses, strict=True)]
+    layout = Layout(inputs, seen, packed)
+    means2d, parts = layout.through([picture.means2d for picture in seen], options.absgrad)
+    views = tuple(
+        View(place, picture._replace(means2d=part), _opacities(inputs, place[0], picture))
+        for place, picture, part in zip(places, seen, parts, strict=True)
+    )
+    blended = [
+        backend.blend(
+            view.projected,
+            _features(inputs, options, backend, view),
+            view.opacities,
+            inputs.width,
+            inputs.height,
+            preset=options.preset,
+            tile_size=options.tile_size,
+            absgrad=options.absgrad,
+        )
+        for view in views
+    ]
+    alphas = _stacked([picture.alpha for picture in blended])[..., None]
+    images = _over(inputs, options.render_mode, _stacked([picture.image for picture in blended]), alphas)
+    blending = Blending(
+        views=views,
+        leading=(*inputs.batch, inputs.cameras),
+        width=inputs.width,
+        height=inputs.height,
+        tile_size=options.tile_size,
+        preset=options.preset,
+        backend=options.backend,
+    )
+    counts = [*(picture.counts for picture in seen), *(picture.counts for picture in blended)]
+    meta = meta_of(layout, means2d, blending, counts, [picture.last for picture in blended])
+    return blending.shaped(images), blending.shaped(alphas), meta
+
+
+def _project(
+    inputs: Inputs, options: Options, backend: Backend, scene: int, camera: int, lens: Lens | None
+) -> Projected:
+    tables = [inputs.means[scene], inputs.quats[scene], inputs.scales[scene], inputs.opacities[scene]]
+    kept = inputs.finite(scene, camera)
+    if kept is not None:
+        tables = [rows(table, kept) for table in tables]
+    projected = backend.project(
+        *tables,
+        inputs.viewmats[scene, camera],
+        inputs.Ks[scene, camera],
+        inputs.width,
+        inputs.height,
+        eps2d=options.eps2d,
+        near_plane=options.near_plane,
+        far_plane=options.far_plane,
+        radius_clip=options.radius_clip,
+        preset=options.preset,
+        antialiased=options.antialiased,
+        lens=lens,
+    )
+    if kept is None:
+        return projected
+    counts = {**projected.counts, "nonfinite": inputs.gaussians - len(kept)}
+    return projected._replace(ids=kept[projected.ids], counts=counts)
+
+
+def _opacities(inputs: Inputs, scene: int, picture: Projected) -> Tensor:
+    opacities = rows(inputs.opacities[scene], picture.ids).to(picture.means2d.dtype)
+    return opacities if picture.compensations is None else opacities * picture.compensations
+
+
+def _features(inputs: Inputs, options: Options, backend: Backend, view: View) -> Tensor:
+    picture = view.projected
+    depths = picture.depths[:, None]
+    table = inputs.colors_of(*view.place)
+    if table is None:
+        return depths
+    colors = rows(table, picture.ids)
+    if inputs.sh_degree is not None:
+        colors = backend.harmonics(inputs.sh_degree, _directions(inputs, view), colors) + 0.5
+    refuse_nonfinite("colors", colors, "Gaussian", picture.ids)
+    if inputs.sh_degree is not None:
+        colors = colors.clamp_min(0.0)
+    colors = colors.to(picture.means2d.dtype)
+    return colors if options.render_mode == "RGB" else torch.cat([colors, depths], dim=-1)
+
+
+def _directions(inputs: Inputs, view: View) -> Tensor:
+    """(M, 3) from the camera to each Gaussian; exact far from the origin, as the camera's position is two float32."""
+    scene, camera = view.place
+    pose = inputs.viewmats[scene, camera].double()
+    position = -torch.linalg.solve(pose[:3, :3], pose[:3, 3])
+    means = rows(inputs.means[scene], view.projected.ids)
+    near = position.to(means.dtype)
+    return means - near - (position - near).to(means.dtype)
+
+
+def _over(inputs: Inputs, mode: RenderMode, images: Tensor, alphas: Tensor) -> Tensor:
+    """Depth by the sum of weights, colours over their background.
+
+    Args:
+        inputs: whose backgrounds.
+        mode: which channels there are.
+        images: (B * C, height, width, channels).
+        alphas: (B * C, height, width, 1).
+    """
+    if inputs.backgrounds is not None and "RGB" in mode:
+        behind = inputs.backgrounds.reshape(len(images), 1, 1, -1).to(images.dtype)
+        if mode != "RGB":
+            behind = torch.nn.functional.pad(behind, (0, 1))
+        images = torch.addcmul(images, 1.0 - alphas, behind)
+    if mode in ("ED", "RGB+ED"):
+        depth = images[..., -1:] / alphas.clamp(min=_DEPTH_DIVISOR_MIN)
+        images = depth if mode == "ED" else torch.cat([images[..., :-1], depth], dim=-1)
+    return images
+
+
+def _stacked(pictures: list[Tensor]) -> Tensor:
+    return pictures[0][None] if len(pictures) == 1 else torch.stack(pictures)

@@ -1,0 +1,53 @@
+"""The rows of some Gaussians out of all, and back, with gradients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+class _Rows(torch.autograd.Function):
+    """Rows that each occur once: their gradients are copied where torch's own `index_select` would add."""
+
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, ids: Tensor) -> Tensor:
+        ctx.save_for_backward(ids)
+        ctx.shape = table.shape
+        return table.index_select(0, ids)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        (gradient,) = gradients
+        (ids,) = ctx.saved_tensors
+        return gradient.new_zeros(ctx.shape).index_copy_(0, ids, gradient), None
+
+
+def rows(table: Tensor, ids: Tensor) -> Tensor:
+    """Rows of a table; the table itself if these are all.
+
+    Args:
+        table: (N, ...).
+        ids: (M,) int64, ascending, each once.
+
+    Returns:
+        (M, ...).
+    """
+    return table if len(ids) == len(table) else _Rows.apply(table, ids)
+
+
+def spread(part: Tensor, ids: Tensor, count: int) -> Tensor:
+    """A table that holds some rows where they belong, and zero elsewhere; the rows themselves if they are all.
+
+    Args:
+        part: (M, ...).
+        ids: (M,) int64, ascending, each once.
+        count: N, how many rows the table has.
+
+    Returns:
+        (N, ...).
+    """
+    if len(ids) == count:
+        return part
+    return part.new_zeros((count, *part.shape[1:])).index_copy(0, ids, part)

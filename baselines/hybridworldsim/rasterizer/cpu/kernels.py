@@ -16,7 +16,6 @@ def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Functi
     Args:
         inline: ``always``: into the kernels that call it.
     """
-    compiled: Callable[[_Function], _Function] = numba.njit(
-        cache=True, nogil=True, error_model="numpy", inline=inline, _nrt=False
-    )
+    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "inline": inline, "_nrt": False}
+    compiled: Callable[[_Function], _Function] = numba.njit(**options)
     return compiled

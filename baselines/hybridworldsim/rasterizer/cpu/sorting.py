@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from mirror.arrays import AnyArray, Float32, Int32
 
 from hybridworldsim.rasterizer.cpu.kernels import kernel
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from mirror.arrays import AnyArray, Float32, Int32, Int64
 
 _BITS: Final = 11
 _BINS: Final = 1 << _BITS
@@ -24,21 +24,25 @@ def depth_order(depths: Float32) -> Int32:
     keys, order = depths.view(np.uint32), np.arange(count, dtype=np.int32)
     edges = np.linspace(0, count, _PARTS + 1).astype(np.int64)
     for shift in range(0, 32, _BITS):
-        places = np.zeros((_PARTS, _BINS), np.int64)
-        in_parallel(lambda part: _count(keys, edges[part], edges[part + 1], shift, places[part]), _PARTS)  # noqa: B023
-        if places.sum(axis=0).max() == count:
-            continue
-        by_bin = np.cumsum(places.T.ravel()) - places.T.ravel()
-        places = np.ascontiguousarray(by_bin.reshape(_BINS, _PARTS).T)
-        sorted_keys, sorted_order = np.empty_like(keys), np.empty_like(order)
-        in_parallel(
-            lambda part: _scatter(  # noqa: B023
-                keys, order, edges[part], edges[part + 1], shift, places[part], sorted_keys, sorted_order  # noqa: B023
-            ),
-            _PARTS,
-        )
-        keys, order = sorted_keys, sorted_order
+        keys, order = _by_digit(keys, order, edges, shift)
     return order
+
+
+def _by_digit(keys: AnyArray, order: Int32, edges: Int64, shift: int) -> tuple[AnyArray, Int32]:
+    """Sort by some bits, keeping what is equal in order."""
+    counts = np.zeros((_PARTS, _BINS), np.int64)
+    in_parallel(lambda part: _count(keys, edges[part], edges[part + 1], shift, counts[part]), _PARTS)
+    if counts.sum(axis=0).max() == len(keys):
+        return keys, order
+    by_bin = counts.T.ravel()
+    places = np.ascontiguousarray((np.cumsum(by_bin) - by_bin).reshape(_BINS, _PARTS).T)
+    sorted_keys, sorted_order = np.empty_like(keys), np.empty_like(order)
+
+    def scatter(part: int) -> None:
+        _scatter(keys, order, edges[part], edges[part + 1], shift, places[part], sorted_keys, sorted_order)
+
+    in_parallel(scatter, _PARTS)
+    return sorted_keys, sorted_order
 
 
 @kernel()

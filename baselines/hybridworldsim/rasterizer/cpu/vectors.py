@@ -13,15 +13,17 @@ from typing import Any, Final
 
 from llvmlite import ir
 from numba import types
-from numba.core.datamodel import PrimitiveModel, register_default
+from numba.core.datamodel.models import PrimitiveModel, register_default
 from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic
+from numba.extending import intrinsic as _intrinsic
 
 WIDTH: Final = 16
 
+intrinsic: Any = _intrinsic
 
-class Vector(types.Type):  # type: ignore[misc]
+
+class Vector(types.Type):
     """The numba type of WIDTH elements.
 
     Args:
@@ -46,7 +48,7 @@ def _llvm(vector: Vector) -> Any:
 
 
 @register_default(Vector)
-class _VectorModel(PrimitiveModel):  # type: ignore[misc]
+class _VectorModel(PrimitiveModel):
     def __init__(self, manager: Any, vector: Vector) -> None:
         super().__init__(manager, vector, _llvm(vector))
 
@@ -82,7 +84,7 @@ def _operator(
     """
 
     @infer_global(symbol)
-    class _Template(AbstractTemplate):  # type: ignore[misc]
+    class _Template(AbstractTemplate):
         def generic(self, kinds: Any, keywords: Any) -> Any:
             vector = _vector_of(kinds)
             if len(kinds) != 2 or vector is None or vector.element not in elements:
@@ -90,7 +92,7 @@ def _operator(
             return signature(result or vector, *kinds)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        vector = _vector_of(sig.args)
+        vector = next(kind for kind in sig.args if isinstance(kind, Vector))
         return emit(builder, *(_spread(context, builder, arg, kind, vector) for arg, kind in zip(args, sig.args)))
 
     for kinds in ((Vector, Vector), (Vector, types.Number), (types.Number, Vector)):
@@ -114,9 +116,7 @@ def _function(kinds: tuple[Vector, ...], result: Any, emit: Callable[..., Any]) 
 
     def typed(typing_context: Any, *given: Any) -> Any:
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            return emit(
-                builder, *(_spread(context, builder, *one) for one in zip(args, sig.args, kinds))
-            )
+            return emit(builder, *(_spread(context, builder, *one) for one in zip(args, sig.args, kinds)))
 
         return result(*given), lower
 
@@ -140,9 +140,23 @@ def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @intrinsic
+def take(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """``c - a * b``, rounded once."""
+
+    def emit(builder: Any, a: Any, b: Any, c: Any) -> Any:
+        return _float_call("fma")(builder, builder.fneg(a), b, c)
+
+    return _function((Float32x16,) * 3, Float32x16, emit)(typing_context, a, b, c)
+
+
+@intrinsic
 def least(typing_context: Any, a: Any, b: Any) -> Any:
-    """The lesser of each two."""
-    return _function((Float32x16,) * 2, Float32x16, _float_call("minnum"))(typing_context, a, b)
+    """The lesser of each two; ``b`` where one is not a number."""
+
+    def emit(builder: Any, a: Any, b: Any) -> Any:
+        return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+
+    return _function((Float32x16,) * 2, Float32x16, emit)(typing_context, a, b)
 
 
 @intrinsic
@@ -152,21 +166,15 @@ def magnitude(typing_context: Any, a: Any) -> Any:
 
 
 @intrinsic
-def nearest_whole(typing_context: Any, a: Any) -> Any:
-    """Rounded, halves to even."""
-    return _function((Float32x16,), Float32x16, _float_call("roundeven"))(typing_context, a)
+def times_power(typing_context: Any, number: Any, shifted: Any) -> Any:
+    """``number * 2 ** whole``, where ``shifted`` is the small whole number plus 1.5 * 2 ** 23: exponents are added."""
 
-
-@intrinsic
-def scaled_by_power(typing_context: Any, a: Any, powers: Any) -> Any:
-    """``a * 2 ** powers`` for whole powers from -126 on, if both numbers are ordinary: sums of exponents."""
-
-    def emit(builder: Any, value: Any, power: Any) -> Any:
+    def emit(builder: Any, number: Any, shifted: Any) -> Any:
         whole = ir.VectorType(_I32, WIDTH)
-        shifted = builder.shl(builder.fptosi(power, whole), ir.Constant(whole, [23] * WIDTH))
-        return builder.bitcast(builder.add(builder.bitcast(value, whole), shifted), value.type)
+        moved = builder.shl(builder.bitcast(shifted, whole), ir.Constant(whole, [23] * WIDTH))
+        return builder.bitcast(builder.add(builder.bitcast(number, whole), moved), number.type)
 
-    return _function((Float32x16,) * 2, Float32x16, emit)(typing_context, a, powers)
+    return _function((Float32x16,) * 2, Float32x16, emit)(typing_context, number, shifted)
 
 
 @intrinsic
@@ -188,6 +196,41 @@ def beyond(typing_context: Any, a: Any, b: Any) -> Any:
     """Where whole ``a`` is above whole ``b``."""
     kinds = (Int32x16, Int32x16)
     return _function(kinds, Mask16, lambda builder, a, b: builder.icmp_signed(">", a, b))(typing_context, a, b)
+
+
+@intrinsic
+def having(typing_context: Any, a: Any, b: Any) -> Any:
+    """Where whole ``a`` has one of the bits of whole ``b``."""
+
+    def emit(builder: Any, a: Any, b: Any) -> Any:
+        return builder.icmp_unsigned("!=", builder.and_(a, b), ir.Constant(a.type, [0] * WIDTH))
+
+    return _function((Int32x16, Int32x16), Mask16, emit)(typing_context, a, b)
+
+
+@intrinsic
+def lowest(typing_context: Any, number: Any) -> Any:
+    """The place of the lowest bit that is set in an unsigned number of 64 bits, which is not 0."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.uint64), lower
+
+
+@intrinsic
+def fetch(typing_context: Any, array: Any, index: Any) -> Any:
+    """Bring an element of a contiguous array near that is read soon."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        place = builder.bitcast(builder.gep(data, [args[1]]), ir.PointerType(ir.IntType(8)))
+        kinds = [place.type, _I32, _I32, _I32]
+        function = builder.module.declare_intrinsic("llvm.prefetch.p0", fnty=ir.FunctionType(ir.VoidType(), kinds))
+        builder.call(function, [place] + [ir.Constant(_I32, value) for value in (0, 3, 1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), lower
 
 
 @intrinsic
@@ -216,18 +259,39 @@ def spread(typing_context: Any, number: Any) -> Any:
 
 @intrinsic
 def total(typing_context: Any, vector: Any) -> Any:
-    """Sum of the elements, by halves."""
+    """The sum of a vector's elements, added by halves."""
 
-    def emit(builder: Any, value: Any) -> Any:
-        nothing = ir.Constant(value.type, ir.Undefined)
-        half = WIDTH // 2
-        while half:
-            order = [(lane + half) % WIDTH for lane in range(WIDTH)]
-            other = builder.shuffle_vector(value, nothing, ir.Constant(ir.VectorType(_I32, WIDTH), order))
-            value, half = builder.fadd(value, other), half // 2
-        return builder.extract_element(value, ir.Constant(_I32, 0))
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.extract_element(_totals(builder, [args[0]]), ir.Constant(_I32, 0))
 
-    return _function((Float32x16,), types.float32, emit)(typing_context, vector)
+    return types.float32(Float32x16), lower
+
+
+@intrinsic
+def totals(typing_context: Any, vectors: Any) -> Any:
+    """The sums of each of up to 16 vectors' elements, as a vector; they are added by halves, 0 beyond the last."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _totals(builder, [builder.extract_value(args[0], place) for place in range(sig.args[0].count)])
+
+    return Float32x16(vectors), lower
+
+
+def _totals(builder: Any, rows: list[Any]) -> Any:
+    half = WIDTH // 2
+    while half:
+        rows += [ir.Constant(_llvm(Float32x16), None)] * (len(rows) % 2)
+        low = [lane for lane in range(2 * WIDTH) if lane // half % 2 == 0]
+        rows = [
+            builder.fadd(*(_picked(builder, a, b, [lane + up for lane in low]) for up in (0, half)))
+            for a, b in zip(rows[::2], rows[1::2])
+        ]
+        half //= 2
+    return rows[0]
+
+
+def _picked(builder: Any, a: Any, b: Any, lanes: list[int]) -> Any:
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_I32, WIDTH), lanes))
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Vector) -> Any:
@@ -241,7 +305,20 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
     vector = Vector(array.dtype)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(_place(context, builder, sig.args[0], *args, vector), align=4)
+        return builder.load(_place(context, builder, sig.args[0], args[0], args[1], vector), align=4)
+
+    return vector(array, types.intp), lower
+
+
+@intrinsic
+def lift(typing_context: Any, array: Any, index: Any) -> Any:
+    """A vector of the one element at an index of a contiguous array of one dimension; nothing checks the index."""
+    vector = Vector(array.dtype)
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        scalar = builder.load(builder.gep(data, [args[1]]))
+        return _spread(context, builder, scalar, vector.element, vector)
 
     return vector(array, types.intp), lower
 
@@ -251,7 +328,7 @@ def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
     """Write the elements from an index on, into a contiguous array of one dimension; nothing checks that it fits."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(args[2], _place(context, builder, sig.args[0], *args[:2], sig.args[2]), align=4)
+        builder.store(args[2], _place(context, builder, sig.args[0], args[0], args[1], sig.args[2]), align=4)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), lower

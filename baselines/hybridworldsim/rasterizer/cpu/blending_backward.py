@@ -1,0 +1,229 @@
+"""Gradients of blending, from the last Gaussian of each tile to the first.
+
+What blending did is computed again: nothing but the light that remains and each pixel's hindmost Gaussian is kept. Each
+pair of tile and Gaussian has a line of its own, which `collect` adds up in the order of the lines.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from hybridworldsim.rasterizer.cpu.blending import (
+    BATCH,
+    BLOCK_X,
+    BLOCK_Y,
+    BLOCKS,
+    LANE_X,
+    LANE_Y,
+    LANES,
+    PIXELS,
+    PLACED,
+    exp2,
+    placed,
+)
+from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.splats import FACTORS, FEATURES, FLOOR, TILE_PX
+from hybridworldsim.rasterizer.cpu.vectors import (
+    beyond,
+    bits,
+    choose,
+    fetch,
+    fma,
+    least,
+    lift,
+    load,
+    lowest,
+    magnitude,
+    spread,
+    store,
+    take,
+    total,
+    totals,
+)
+from mirror.arrays import Float32, Float64, Int32, Int64
+
+SUMS: Final = 8
+"""Numbers at the head of a line: the sums over pixels of s, s u, s v, s u^2, s u v, s v^2, |s u|, |s (f12 u + f22 v)|,
+where s is minus the gradient to half the ellipse's form; the sums of the features' gradients follow."""
+
+_LN4: Final = 2.0 * math.log(2.0)
+
+
+@kernel()
+def blend_tiles_backward(
+    tiles: Int64,
+    begins: Int64,
+    ids: Int32,
+    slots: Int64,
+    base: Int32,
+    rows: Float32,
+    stride: int,
+    channels: int,
+    tiles_x: int,
+    alpha_max: float,
+    light: Float32,
+    behind: Float32,
+    gradient: Float32,
+    last: Int32,
+    scratch: Float32,
+    reached: Int32,
+    more: Float32,
+    lines: Float32,
+    line: int,
+) -> None:
+    """Gradients of the Gaussians of some tiles.
+
+    Args:
+        tiles: which ones.
+        begins: where the places of each tile begin.
+        ids: the Gaussian at each place.
+        slots: of each place.
+        base: (T,) the number in its tile of the first place of each tile.
+        rows: of the Gaussians.
+        stride: of these rows.
+        channels: of the features.
+        tiles_x: columns of tiles.
+        alpha_max: the greatest alpha.
+        light: (T * 256,) transmittance behind the last of these Gaussians; in front of the first one afterwards.
+        behind: (T * 256,) what the Gaussians behind are worth: the sum of weight times feature times gradient, less the
+            light behind all of them times the gradient of alpha; with these Gaussians afterwards.
+        gradient: (T * channels * 256,) of the picture.
+        last: (T * 256,) the number in its tile of the hindmost Gaussian of a pixel.
+        scratch: (BATCH * PLACED,).
+        reached: (BATCH,).
+        more: (channels * LANES,).
+        lines: (pairs * line,) written.
+        line: its length.
+    """
+    lane_x, lane_y, block_x, block_y = load(LANE_X, 0), load(LANE_Y, 0), load(BLOCK_X, 0), load(BLOCK_Y, 0)
+    cap, zero, one = np.float32(alpha_max), spread(np.float32(0.0)), spread(np.float32(1.0))
+    for number in range(len(tiles)):
+        tile = tiles[number]
+        centre_x = np.float32((tile % tiles_x) * TILE_PX + TILE_PX // 2)
+        centre_y = np.float32((tile // tiles_x) * TILE_PX + TILE_PX // 2)
+        begin, end = begins[tile], begins[tile + 1]
+        offset = base[tile] - begin
+        for batch in range(begin + (max(end - 1 - begin, 0) // BATCH) * BATCH, begin - 1, -BATCH):
+            count = min(BATCH, end - batch)
+            open_blocks = 0
+            for block in range(BLOCKS):
+                if bits(beyond(load(last, tile * PIXELS + block * LANES), np.int32(offset + batch - 1))) != 0:
+                    open_blocks |= 1 << block
+            for k in range(count):
+                fetch(rows, ids[batch + k] * stride)
+            for k in range(count):
+                row = ids[batch + k] * stride
+                reached[k] = open_blocks & placed(rows, row, centre_x, centre_y, scratch, k * PLACED, block_x, block_y)
+            for k in range(count - 1, -1, -1):
+                place = batch + k
+                row, p = ids[place] * stride, k * PLACED
+                before = np.int32(offset + place - 1)
+                s0, su, sv, suu, suv, svv = zero, zero, zero, zero, zero, zero
+                abs_u, abs_v, red, green, blue, other = zero, zero, zero, zero, zero, zero
+                for channel in range(4, channels):
+                    store(more, channel * LANES, zero)
+                left = np.uint64(reached[k])
+                while left != 0:
+                    block = lowest(left)
+                    left &= left - np.uint64(1)
+                    at = tile * PIXELS + block * LANES
+                    to = tile * PIXELS * channels + block * LANES
+                    x, y = lane_x + np.float32(4 * (block % 4)), lane_y + np.float32(4 * (block // 4))
+                    u = fma(x, lift(scratch, p + 2), fma(y, lift(scratch, p + 3), lift(scratch, p)))
+                    v = fma(y, lift(scratch, p + 4), lift(scratch, p + 1))
+                    exponent = take(u, u, take(v, v, lift(scratch, p + 5)))
+                    inside = (exponent >= FLOOR) & beyond(load(last, at), before)
+                    value = exp2(exponent)
+                    alpha = choose(inside, least(value, cap), zero)
+                    share = one / (one - alpha)
+                    through = load(light, at) * share
+                    store(light, at, through)
+                    weight = alpha * through
+                    worth = load(gradient, to) * lift(rows, row + FEATURES)
+                    worth = fma(load(gradient, to + PIXELS), lift(rows, row + FEATURES + 1), worth)
+                    worth = fma(load(gradient, to + 2 * PIXELS), lift(rows, row + FEATURES + 2), worth)
+                    worth = fma(load(gradient, to + 3 * PIXELS), lift(rows, row + FEATURES + 3), worth)
+                    red = fma(weight, load(gradient, to), red)
+                    green = fma(weight, load(gradient, to + PIXELS), green)
+                    blue = fma(weight, load(gradient, to + 2 * PIXELS), blue)
+                    other = fma(weight, load(gradient, to + 3 * PIXELS), other)
+                    for channel in range(4, channels):
+                        here = load(gradient, to + channel * PIXELS)
+                        worth = fma(here, lift(rows, row + FEATURES + channel), worth)
+                        store(more, channel * LANES, fma(weight, here, load(more, channel * LANES)))
+                    rest = load(behind, at)
+                    store(behind, at, fma(weight, worth, rest))
+                    by_alpha = take(share, rest, through * worth)
+                    s = choose(value <= cap, alpha * by_alpha, zero)
+                    s0 = s0 + s
+                    s_u, s_v = s * u, s * v
+                    su, sv = su + s_u, sv + s_v
+                    suu, suv, svv = fma(s_u, u, suu), fma(s_u, v, suv), fma(s_v, v, svv)
+                    abs_u = abs_u + magnitude(s_u)
+                    abs_v = abs_v + magnitude(fma(s_u, lift(scratch, p + 3), s_v * lift(scratch, p + 4)))
+                to = slots[place] * line
+                store(lines, to, totals((s0, su, sv, suu, suv, svv, abs_u, abs_v, red, green, blue, other)))
+                for channel in range(4, channels):
+                    lines[to + SUMS + channel] = total(load(more, channel * LANES))
+
+
+@kernel()
+def collect(
+    begin: int,
+    end: int,
+    order: Int32,
+    firsts: Int64,
+    lines: Float32,
+    line: int,
+    rows: Float32,
+    stride: int,
+    opacities: Float32,
+    means: Float32,
+    conics: Float64,
+    by_opacity: Float32,
+    by_feature: Float32,
+    absolute: Float32,
+    sums: Float64,
+) -> None:
+    """Add up the lines of Gaussians, and turn them into gradients.
+
+    Args:
+        begin: rank of the first.
+        end: rank after the last.
+        order: (R,) the Gaussians by rank.
+        firsts: (R + 1,) their first lines.
+        lines: as written by `blend_tiles_backward`.
+        line: their length.
+        rows: of the Gaussians.
+        stride: of these rows.
+        opacities: (M,).
+        means: (M, 2) gradient to the means, written, as all that follow.
+        conics: (M, 3) to the conics.
+        by_opacity: (M,).
+        by_feature: (M, D).
+        absolute: (M, 2) sums of the magnitudes of each pixel's gradient to the means.
+        sums: (SUMS + D,) scratch.
+    """
+    channels = by_feature.shape[1]
+    for rank in range(begin, end):
+        i = order[rank]
+        sums[:] = 0.0
+        for slot in range(firsts[rank], firsts[rank + 1]):
+            for column in range(SUMS + channels):
+                sums[column] += lines[slot * line + column]
+        row = i * stride
+        f11, f12 = np.float64(rows[row + FACTORS]), np.float64(rows[row + FACTORS + 1])
+        f22 = np.float64(rows[row + FACTORS + 2])
+        lean = f12 / f22
+        means[i, 0] = _LN4 * f11 * sums[1]
+        means[i, 1] = _LN4 * (f12 * sums[1] + f22 * sums[2])
+        conics[i, 0] = -0.5 * (sums[3] - 2.0 * lean * sums[4] + lean * lean * sums[5]) / (f11 * f11)
+        conics[i, 1] = -(sums[4] - lean * sums[5]) / (f11 * f22)
+        conics[i, 2] = -0.5 * sums[5] / (f22 * f22)
+        by_opacity[i] = sums[0] / opacities[i]
+        absolute[i, 0], absolute[i, 1] = _LN4 * f11 * sums[6], _LN4 * sums[7]
+        for channel in range(channels):
+            by_feature[i, channel] = sums[SUMS + channel]

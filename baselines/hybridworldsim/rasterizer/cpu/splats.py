@@ -1,0 +1,147 @@
+"""What blending reads of a Gaussian: one row each, the whole of it in a cache line or two."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from hybridworldsim.rasterizer.presets import ALPHA_MIN
+from mirror.arrays import AnyArray, Float32, Int32
+
+MEAN: Final = 0
+MEAN_LOW: Final = 2
+FACTORS: Final = 4
+LEVEL: Final = 7
+NEAR: Final = 8
+FEATURES: Final = 12
+"""Columns of a row: the mean (2) and what rounding took from it (2), the factors (3), log2 of the opacity, how near a
+block's centre is to the ellipse's if they may touch (2, squares: of both of u and v, and of v), two that are free, and
+the features."""
+
+FLOOR: Final = np.float32(math.log2(ALPHA_MIN))
+"""log2 of the least alpha that counts. Factors are scaled so that alpha = 2 ** (level - u^2 - v^2)."""
+
+TILE_PX: Final = 16
+_SCALE: Final = np.float32(math.sqrt(0.5 * math.log2(math.e)))
+_PARTS: Final = 16
+_SLACK_PX: Final = 0.02
+_SLACK: Final = np.float32(1e-3)
+_LINE: Final = 16
+
+
+class Splats(NamedTuple):
+    """What is blended.
+
+    Attributes:
+        rows: (M * stride,) the columns named above.
+        stride: of a row.
+        channels: of the features, at least 4.
+        boxes: (M, 4) the tiles of each: first and last column, first and last row, ends excluded.
+    """
+
+    rows: Float32
+    stride: int
+    channels: int
+    boxes: AnyArray
+
+
+def splats_of(
+    means: Float32,
+    means_low: Float32,
+    factors: Float32,
+    opacities: Float32,
+    features: Float32,
+    radii: Int32,
+    tiles_x: int,
+    tiles_y: int,
+) -> Splats:
+    """Lay Gaussians out for blending.
+
+    Args:
+        means: (M, 2) pixels.
+        means_low: (M, 2) to be added to those.
+        factors: (M, 3).
+        opacities: (M,).
+        features: (M, D).
+        radii: (M, 2) half the extent beyond whose tiles nothing is covered.
+        tiles_x: columns of tiles.
+        tiles_y: rows of them.
+    """
+    count, channels = features.shape
+    wide = max(4, channels)
+    stride = 4 * ((FEATURES + wide + 3) // 4)
+    rows, boxes = aligned(count * stride), np.empty((count, 4), np.uint16)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        levels = np.log2(opacities)
+    edges = np.linspace(0, count, _PARTS + 1).astype(np.int64)
+
+    def lay(part: int) -> None:
+        _lay(
+            edges[part], edges[part + 1], means, means_low, factors, levels, features, radii, tiles_x, tiles_y,
+            rows, stride, boxes,
+        )  # fmt: skip
+
+    in_parallel(lay, _PARTS)
+    return Splats(rows, stride, wide, boxes)
+
+
+def aligned(count: int) -> Float32:
+    """Room for numbers, from the beginning of a cache line on."""
+    room = np.empty(count + _LINE, np.float32)
+    skip = -(room.ctypes.data // room.itemsize) % _LINE
+    return room[skip : skip + count]
+
+
+@kernel(inline="always")
+def _tile(pixel: Any, tiles: int) -> int:
+    """The tile of a coordinate, at least 0 and at most their number."""
+    return int(min(max(pixel * np.float32(1.0 / TILE_PX), np.float32(0.0)), np.float32(tiles)))
+
+
+@kernel()
+def _lay(
+    begin: int,
+    end: int,
+    means: Float32,
+    means_low: Float32,
+    factors: Float32,
+    levels: Float32,
+    features: Float32,
+    radii: Int32,
+    tiles_x: int,
+    tiles_y: int,
+    rows: Float32,
+    stride: int,
+    boxes: AnyArray,
+) -> None:
+    channels, one = features.shape[1], np.float32(1.0)
+    slack, up = np.float32(_SLACK_PX), np.float32(TILE_PX)
+    for i in range(begin, end):
+        row = np.uint64(i * stride)
+        x, y, level = means[i, 0], means[i, 1], levels[i]
+        f11, f12, f22 = factors[i, 0] * _SCALE, factors[i, 1] * _SCALE, factors[i, 2] * _SCALE
+        rows[row], rows[row + np.uint64(1)] = x, y
+        rows[row + np.uint64(2)], rows[row + np.uint64(3)] = means_low[i, 0], means_low[i, 1]
+        rows[row + np.uint64(4)], rows[row + np.uint64(5)], rows[row + np.uint64(6)] = f11, f12, f22
+        rows[row + np.uint64(7)] = level
+        reach = math.sqrt(max(level - FLOOR, np.float32(0.0)))
+        block_u, block_v = np.float32(1.5) * (f11 + abs(f12)), np.float32(1.5) * f22
+        near, near_v = reach + math.sqrt(block_u * block_u + block_v * block_v), reach + block_v
+        rows[row + np.uint64(8)] = near * near * (one + _SLACK)
+        rows[row + np.uint64(9)] = near_v * near_v * (one + _SLACK)
+        for channel in range(channels):
+            rows[row + np.uint64(FEATURES + channel)] = features[i, channel]
+        for channel in range(channels, stride - FEATURES):
+            rows[row + np.uint64(FEATURES + channel)] = np.float32(0.0)
+        lean = f12 / f22
+        half_x = min(reach * math.sqrt(one + lean * lean) / f11 + slack, np.float32(radii[i, 0]))
+        half_y = min(reach / f22 + slack, np.float32(radii[i, 1]))
+        x0, x1 = _tile(x - half_x, tiles_x), _tile(x + half_x + up, tiles_x)
+        y0, y1 = _tile(y - half_y, tiles_y), _tile(y + half_y + up, tiles_y)
+        if not level >= FLOOR:
+            x0, y0, x1, y1 = 0, 0, 0, 0
+        boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3] = x0, x1, y0, y1

@@ -1,0 +1,172 @@
+"""Which Gaussians reach which tile: exact for ellipses, each tile's in depth order."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, TILE_PX, Splats
+from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.vectors import fetch
+from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
+
+_PARTS: Final = 16
+AHEAD: Final = 12
+"""How many more ids there are than places: a row may be fetched so many places before it is needed."""
+_SOON: Final = 16
+_SLACK_PX: Final = 0.01
+
+
+class Tiles(NamedTuple):
+    """Pairs of a tile and a Gaussian.
+
+    A pair has two numbers: its place among the pairs ordered by tile and depth, and its slot among the same pairs
+    ordered by Gaussian.
+
+    Attributes:
+        begins: (T + 1,) where each tile's places begin, T tiles row by row.
+        ids: (P,) the Gaussian at each place.
+        slots: (P,) the slot of each place.
+        firsts: (R + 1,) where the slots of each Gaussian begin, R Gaussians in depth order.
+    """
+
+    begins: Int64
+    ids: Int32
+    slots: Int64
+    firsts: Int64
+
+
+def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
+    """Pairs of Gaussians and tiles.
+
+    Args:
+        splats: the Gaussians.
+        order: (R,) which of them, and in which order.
+        tiles_x: columns of tiles.
+        alive: (T,) whether anything is still to be seen in a tile.
+    """
+    edges = np.linspace(0, len(order), _PARTS + 1).astype(np.int64)
+    room, boxes = np.zeros(_PARTS + 1, np.int64), splats.boxes
+    in_parallel(lambda part: _room(edges[part], edges[part + 1], order, boxes, room[part + 1 :]), _PARTS)
+    np.cumsum(room, out=room)
+    reached = np.empty(room[-1], np.int32)
+    pairs, places = np.empty(len(order), np.int64), np.zeros((_PARTS, len(alive)), np.int64)
+
+    def find(part: int) -> None:
+        _find(
+            edges[part], edges[part + 1], order, boxes, splats.rows, splats.stride, tiles_x, alive, reached, room[part],
+            pairs, places[part],
+        )  # fmt: skip
+
+    in_parallel(find, _PARTS)
+    firsts = np.concatenate([[0], np.cumsum(pairs)])
+    counts = places.sum(axis=0)
+    begins = np.concatenate([[0], np.cumsum(counts)])
+    np.cumsum(places, axis=0, out=places)
+    places[1:], places[0] = places[:-1].copy(), 0
+    places += begins[:-1]
+    ids, slots = np.zeros(begins[-1] + AHEAD, np.int32), np.empty(begins[-1], np.int64)
+    in_parallel(
+        lambda part: _place(edges[part], edges[part + 1], order, reached, room[part], firsts, places[part], ids, slots),
+        _PARTS,
+    )
+    return Tiles(begins, ids, slots, firsts)
+
+
+@kernel()
+def _room(begin: int, end: int, order: Int32, boxes: AnyArray, room: Int64) -> None:
+    """How many tiles boxes have."""
+    total = 0
+    for rank in range(begin, end):
+        fetch(boxes, order[min(rank + _SOON, end - 1)] * 4)
+        i = order[rank]
+        total += (np.int64(boxes[i, 1]) - boxes[i, 0]) * (np.int64(boxes[i, 3]) - boxes[i, 2])
+    room[0] = total
+
+
+@kernel()
+def _find(
+    begin: int,
+    end: int,
+    order: Int32,
+    boxes: AnyArray,
+    rows: Float32,
+    stride: int,
+    tiles_x: int,
+    alive: Bool,
+    reached: Int32,
+    start: int,
+    pairs: Int64,
+    counts: Int64,
+) -> None:
+    """Write down the living tiles of Gaussians, one after the other."""
+    place = start
+    for rank in range(begin, end):
+        soon = order[min(rank + _SOON, end - 1)]
+        fetch(rows, soon * stride)
+        fetch(boxes, soon * 4)
+        i = order[rank]
+        row = i * stride
+        x0, x1 = np.int64(boxes[i, 0]), np.int64(boxes[i, 1])
+        y0, y1 = np.int64(boxes[i, 2]), np.int64(boxes[i, 3])
+        before = place
+        # an ellipse reaches all tiles of a box that is one tile wide or high
+        if x1 - x0 < 2 or y1 - y0 < 2:
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    tile = y * tiles_x + x
+                    reached[place] = tile
+                    counts[tile] += alive[tile]
+                    place += alive[tile]
+        else:
+            mean_x = np.float64(rows[row + MEAN]) + rows[row + MEAN_LOW]
+            mean_y = np.float64(rows[row + MEAN + 1]) + rows[row + MEAN_LOW + 1]
+            f11, f12 = np.float64(rows[row + FACTORS]), np.float64(rows[row + FACTORS + 1])
+            f22 = np.float64(rows[row + FACTORS + 2])
+            square = np.float64(rows[row + LEVEL]) - FLOOR
+            high = math.sqrt(square) / f22
+            lean, wide, steep = f12 / f11, 1.0 / f11, f22 * f22
+            # where the ellipse is farthest right, and at the negative of it farthest left
+            right = -f12 * high / math.sqrt(f12 * f12 + steep)
+            for y in range(y0, y1):
+                low_y = max(y * TILE_PX + (0.5 - _SLACK_PX) - mean_y, -high)
+                high_y = min((y + 1) * TILE_PX - (0.5 - _SLACK_PX) - mean_y, high)
+                if low_y > high_y:
+                    continue
+                at_right, at_left = min(max(right, low_y), high_y), min(max(-right, low_y), high_y)
+                x_right = math.sqrt(max(square - steep * at_right * at_right, 0.0)) * wide - lean * at_right
+                x_left = -math.sqrt(max(square - steep * at_left * at_left, 0.0)) * wide - lean * at_left
+                from_x = (mean_x + x_left - (0.5 + _SLACK_PX)) * (1.0 / TILE_PX)
+                to_x = (mean_x + x_right - (0.5 - _SLACK_PX)) * (1.0 / TILE_PX) + 1.0
+                first, end_x = int(min(max(from_x, 0.0), 1e6)), int(min(max(to_x, 0.0), 1e6))
+                for x in range(max(x0, first), min(x1, end_x)):
+                    tile = y * tiles_x + x
+                    reached[place] = tile
+                    counts[tile] += alive[tile]
+                    place += alive[tile]
+        pairs[rank] = place - before
+
+
+@kernel()
+def _place(
+    begin: int,
+    end: int,
+    order: Int32,
+    reached: Int32,
+    start: int,
+    firsts: Int64,
+    places: Int64,
+    ids: Int32,
+    slots: Int64,
+) -> None:
+    """Order pairs by tile: `places` says where the part's next pair of each tile goes."""
+    shift = start - firsts[begin]
+    for rank in range(begin, end):
+        for slot in range(firsts[rank], firsts[rank + 1]):
+            tile = reached[slot + shift]
+            place = places[tile]
+            places[tile] = place + 1
+            ids[place], slots[place] = order[rank], slot

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from hybridworldsim.rasterizer import reference
-from hybridworldsim.rasterizer.reference.marks import Marks, mark
 from torch import Tensor
 
 from benchmarks._splat_views import View
 from benchmarks.report import OUT
+from hybridworldsim.rasterizer import reference
+from hybridworldsim.rasterizer.reference.marks import Marks, mark
 from mirror.arrays import Float64
 
 

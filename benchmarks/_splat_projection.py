@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, preset_of
 from torch import Tensor
 
 from benchmarks._splat_views import View
 from benchmarks.report import Peer, Row
+from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, preset_of
 
 _NEAR, _FAR, _EPS2D = 0.01, 1e10, 0.3
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from hybridworldsim.rasterizer import rasterization
 from torch import Tensor
 
 from benchmarks._splat_scenes import Splats
+from hybridworldsim.rasterizer import rasterization
 
 INPUTS = ("means", "quats", "scales", "opacities", "colors", "viewmats")
 

@@ -1,0 +1,40 @@
+"""The peer that is built beside the repository: what it is given and what is read of its answer, by a stand-in."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import _opensplat, _splat_scenes
+
+STAND_IN = f"""#!{sys.executable}
+import sys
+import numpy as np
+given = np.fromfile(sys.argv[1], np.float32)
+count, width, height = given[:3].view(np.int32)
+picture = given[-width * height * 3:]
+arrays = given[3 + 4 + 16 : -width * height * 3]
+assert len(arrays) == count * (3 + 4 + 3 + 1 + 3)
+np.concatenate([picture * given[3], arrays]).tofile(sys.argv[2])
+print(1.5, 2.0, float(sys.argv[3]), float(sys.argv[4]))
+"""
+
+
+def test_a_program_is_given_the_scene_and_answers(tmp_path: Path) -> None:
+    program = tmp_path / "program"
+    program.write_text(STAND_IN)
+    program.chmod(0o755)
+    scene = _splat_scenes.street(20)
+    answer = _opensplat.run(program, scene, np.full((6, 8, 3), 2.0, np.float32), repeats=3, threads=4)
+    assert (answer.forward_ms, answer.backward_ms) == (3.5, 7.0)
+    np.testing.assert_array_equal(answer.image, np.full((6, 8, 3), 2.0 * np.float32(scene.focal[0] * 8)))
+    for name, gradient in answer.gradients.items():
+        np.testing.assert_array_equal(gradient, getattr(scene, name))
+
+
+def test_without_a_name_there_is_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(_opensplat.VARIABLE, raising=False)
+    assert _opensplat.program() is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -141,8 +141,9 @@ def _find(
                 x_left = -math.sqrt(max(square - steep * at_left * at_left, 0.0)) * wide - lean * at_left
                 from_x = (mean_x + x_left - (0.5 + _SLACK_PX)) * (1.0 / TILE_PX)
                 to_x = (mean_x + x_right - (0.5 - _SLACK_PX)) * (1.0 / TILE_PX) + 1.0
-                first, end_x = int(min(max(from_x, 0.0), 1e6)), int(min(max(to_x, 0.0), 1e6))
-                for x in range(max(x0, first), min(x1, end_x)):
+                first_x: Any = max(x0, int(min(max(from_x, 0.0), 1e6)))
+                last_x: Any = min(x1, int(min(max(to_x, 0.0), 1e6)))
+                for x in range(first_x, last_x):
                     tile = y * tiles_x + x
                     reached[place] = tile
                     counts[tile] += alive[tile]

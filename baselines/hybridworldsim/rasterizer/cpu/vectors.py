@@ -13,7 +13,8 @@ from typing import Any, Final
 
 from llvmlite import ir
 from numba import types
-from numba.core.datamodel.models import PrimitiveModel, register_default
+from numba.core.datamodel.models import PrimitiveModel
+from numba.core.datamodel.registry import register_default
 from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic as _intrinsic

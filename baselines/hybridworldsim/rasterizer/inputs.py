@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -123,6 +124,8 @@ def checked(
     if viewmats.ndim < 3:
         raise _shape("viewmats", viewmats, "(..., C, 4, 4)")
     cameras = viewmats.shape[-3]
+    if viewmats.shape[:-2].numel() == 0:
+        raise _shape("viewmats", viewmats, "at least one camera")
     for name, shape in {
         "means": (count, 3),
         "quats": (count, 4),
@@ -134,8 +137,6 @@ def checked(
         if tensors[name].shape != (*batch, *shape):
             raise _shape(name, tensors[name], str((*batch, *shape)))
     scenes = means.shape[:-2].numel()
-    if scenes * cameras == 0:
-        raise _shape("viewmats", viewmats, "at least one camera")
     if colors is not None:
         colors = _colors(colors, batch, cameras, count, sh_degree)
     if colors is None and "RGB" in render_mode:
@@ -144,7 +145,7 @@ def checked(
         channels = 3 if sh_degree is not None or colors is None else colors.shape[-1]
         if "RGB" in render_mode and backgrounds.shape != (*batch, cameras, channels):
             raise _shape("backgrounds", backgrounds, str((*batch, cameras, channels)))
-        backgrounds = backgrounds.reshape(scenes, cameras, -1)
+        backgrounds = backgrounds.reshape(scenes, cameras, backgrounds.shape[-1])
     inputs = Inputs(
         batch=tuple(batch),
         means=means.reshape(scenes, count, 3),
@@ -164,10 +165,10 @@ def checked(
         raise UsageError("a rotation is singular", place="viewmats", expected="camera from world, (..., C, 4, 4)")
     for name in ("viewmats", "Ks", "backgrounds"):
         if name in tensors:
-            refuse_nonfinite(name, tensors[name].reshape(scenes * cameras, -1), "image")
+            refuse_nonfinite(name, tensors[name].flatten(0, len(batch)), "image")
     if nonfinite == "raise":
         for name in ("means", "quats", "scales", "opacities"):
-            refuse_nonfinite(name, tensors[name].reshape(scenes * count, -1), "Gaussian")
+            refuse_nonfinite(name, tensors[name].flatten(0, len(batch)), "Gaussian")
     return inputs
 
 
@@ -284,7 +285,7 @@ def _colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh_degre
             raise _shape("colors", colors, f"(..., K, 3) with K of at least {needed} for degree {sh_degree}")
     elif colors.shape[-1] == 0:
         raise _shape("colors", colors, "at least one channel")
-    return colors.reshape(-1, 1 if leading == per_gaussian else cameras, count, *colors.shape[-last:])
+    return colors.reshape(math.prod(batch), 1 if leading == per_gaussian else cameras, count, *colors.shape[-last:])
 
 
 def _tensor(name: str, tensor: Tensor, means: Tensor) -> None:

@@ -25,7 +25,7 @@ def trace(
         tile_size: pixels.
         top: how many Gaussians of greatest weight.
     """
-    rows, tiles = pairs(projected, width, height, tile_size)
+    rows, tiles = pairs(projected, opacities, width, height, preset=preset, tile_size=tile_size)
     means, conics = projected.means2d.double() + projected.means2d_low, projected.conics.double()
     best = torch.full((height * width, top), -1)
     weights = torch.zeros(height * width, top, dtype=torch.float64)
@@ -36,9 +36,8 @@ def trace(
         going = torch.ones(len(tile.pixels), dtype=torch.bool)
         for chunk in tile.chunks():
             ids = rows[chunk]  # (L,)
-            alpha = alphas(
-                means[ids, None] - tile.centres, conics[ids], opacities[ids].double(), preset.alpha_max
-            )  # (L, P)
+            x, y = (means[ids, axis, None] - tile.centres[:, axis] for axis in range(2))
+            alpha = alphas(x, y, conics[ids], opacities[ids].double(), preset.alpha_max)  # (L, P)
             alpha = torch.where((alpha >= ALPHA_MIN) & going, alpha, 0.0)
             kept = light * (1.0 - alpha).cumprod(0) > TRANSMITTANCE_STOP
             alpha = torch.where(kept, alpha, 0.0)

@@ -1,0 +1,90 @@
+"""On CUDA gsplat is called: with what it was given, and only if it renders as the preset says."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from hybridworldsim.rasterizer import cuda, rasterization
+from hybridworldsim.rasterizer.presets import PRESETS
+from hybridworldsim.rasterizer.rasterization import backend_of
+from mirror.errors import UsageError
+from tests.rasterizer._scenes import scene
+
+
+@pytest.fixture
+def gsplat(monkeypatch):
+    """A gsplat that says what it was called with; on the CPU, where none is needed to be."""
+    fake = SimpleNamespace(__version__="1.5.3", rasterization=lambda **told: ("pictures", "alphas", told))
+    monkeypatch.setitem(sys.modules, "gsplat", fake)
+    # the package has a function of this module's name
+    module = sys.modules["hybridworldsim.rasterizer.rasterization"]
+    monkeypatch.setattr(module, "backend_of", lambda name, device: "cuda")
+    return fake
+
+
+def test_the_backend_is_where_the_tensors_are():
+    assert backend_of("auto", torch.device("cpu")) == "cpu"
+    assert backend_of("auto", torch.device("cuda", 1)) == "cuda"
+    assert backend_of("reference", torch.device("cpu")) == "reference"
+    for name, device in (("cuda", "cpu"), ("cpu", "cuda"), ("reference", "cuda")):
+        with pytest.raises(UsageError, match="tensors are on"):
+            backend_of(name, torch.device(device))
+    with pytest.raises(UsageError, match="tensors are on cpu"):
+        rasterization(**scene(), backend="cuda")
+
+
+def test_gsplat_is_called_with_what_it_was_given(gsplat):
+    arguments = scene(views=2) | {"radius_clip": 2.0, "render_mode": "RGB+ED", "packed": False, "absgrad": True}
+    images, alphas, told = rasterization(**arguments, backend="cuda")
+    assert (images, alphas) == ("pictures", "alphas")
+    assert all(told[name] is value for name, value in arguments.items())
+    # arguments that older releases lack are not passed as long as they say nothing
+    assert not {"camera_model", "segmented", "with_ut", "radial_coeffs", "covars", "backend", "preset"} & set(told)
+
+
+def test_lenses_reach_gsplat(gsplat):
+    lens = {"radial_coeffs": torch.zeros(1, 4), "with_ut": True, "camera_model": "fisheye", "packed": False}
+    _, _, told = rasterization(**scene(), **lens, backend="cuda")
+    assert all(told[name] is value for name, value in lens.items())
+
+
+@pytest.mark.parametrize(
+    ("version", "preset"),
+    [("1.3.0", "gsplat-1.3"), ("1.4.0", "gsplat-1.3"), ("1.5.3", "gsplat-1.5"), ("1.6.0", "gsplat-1.6")],
+)
+def test_a_preset_is_taken_from_the_releases_that_it_follows_alone(gsplat, version, preset):
+    gsplat.__version__ = version
+    for name in PRESETS:
+        if name == preset:
+            rasterization(**scene(), backend="cuda", preset=name)
+            continue
+        with pytest.raises(UsageError, match=f"gsplat {version} is installed") as caught:
+            rasterization(**scene(), backend="cuda", preset=name)
+        assert preset in str(caught.value.remedy)
+
+
+def test_a_release_that_no_preset_follows_is_refused(gsplat):
+    gsplat.__version__ = "2.0.1+cu130"
+    with pytest.raises(UsageError, match=r"gsplat 2\.0\.1"):
+        rasterization(**scene(), backend="cuda")
+
+
+def test_what_gsplat_does_not_do_is_refused_before_it_is_called(gsplat):
+    with pytest.raises(UsageError, match="cull nothing"):
+        rasterization(**scene(), backend="cuda", nonfinite="cull")
+    with pytest.raises(UsageError, match="not packed"):
+        rasterization(**scene(), backend="cuda", with_ut=True)
+    broken = scene()
+    broken["colors"][5] = torch.nan
+    with pytest.raises(UsageError, match="row 5"):
+        rasterization(**broken, backend="cuda")
+
+
+def test_a_missing_gsplat_is_said_with_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    with pytest.raises(UsageError, match=r"mirror-dataset\[gpu\]"):
+        cuda.rasterization(PRESETS["gsplat-1.5"], "raise")

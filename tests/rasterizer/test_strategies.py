@@ -1,0 +1,92 @@
+"""The densification strategies of gsplat run on our `meta` as they are."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from hybridworldsim.rasterizer import rasterization
+from tests.rasterizer._scenes import cameras, gaussians
+
+gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed: its strategies are what is tried here")
+WIDTH, HEIGHT, VIEWS = 64, 48, 3
+
+
+def _target():
+    drawn = gaussians(60, seed=5) | cameras(VIEWS, WIDTH, HEIGHT)
+    with torch.no_grad():
+        return rasterization(**drawn)[0]
+
+
+def _fit(strategy, state, steps, *, absgrad=False, views=slice(None), **told):
+    """Fit few Gaussians to a picture of more; the losses, and how many there were."""
+    drawn = gaussians(15, seed=9)
+    rates = {"means": 0.02, "quats": 0.02, "scales": 0.02, "opacities": 0.05, "colors": 0.05}
+    drawn["scales"], drawn["opacities"] = drawn["scales"].log(), torch.logit(drawn["opacities"].clamp(0.1, 0.9))
+    params = torch.nn.ParameterDict({name: torch.nn.Parameter(drawn[name]) for name in rates})
+    optimizers = {name: torch.optim.Adam([params[name]], lr=rate) for name, rate in rates.items()}
+    strategy.check_sanity(params, optimizers)
+    camera, target = cameras(VIEWS, WIDTH, HEIGHT), _target()[views]
+    camera |= {name: camera[name][views] for name in ("viewmats", "Ks")}
+    losses, counts = [], []
+    for step in range(steps):
+        image, _, meta = rasterization(
+            params["means"],
+            params["quats"],
+            params["scales"].exp(),
+            params["opacities"].sigmoid(),
+            params["colors"],
+            **camera,
+            absgrad=absgrad,
+            packed=told.get("packed", True),
+        )
+        loss = (image - target).abs().mean()
+        if hasattr(strategy, "step_pre_backward"):
+            strategy.step_pre_backward(params, optimizers, state, step, meta)
+        loss.backward()
+        strategy.step_post_backward(params, optimizers, state, step, meta, **told)
+        for optimizer in optimizers.values():
+            optimizer.step()
+            optimizer.zero_grad()
+        losses.append(loss.item())
+        counts.append(len(params["means"]))
+    return losses, counts
+
+
+@pytest.mark.parametrize("absgrad", [False, True])
+@pytest.mark.parametrize("views", [slice(0, 1), slice(None)])
+def test_the_default_strategy_densifies_and_the_fit_improves(absgrad, views):
+    found = []
+    for packed in (True, False):
+        torch.manual_seed(0)
+        strategy = gsplat.DefaultStrategy(
+            refine_start_iter=10,
+            refine_every=20,
+            reset_every=1000,
+            refine_scale2d_stop_iter=100,
+            grow_grad2d=0.002 if absgrad else 0.001,
+            absgrad=absgrad,
+        )
+        state = strategy.initialize_state(scene_scale=5.0)
+        found.append(_fit(strategy, state, 61, absgrad=absgrad, views=views, packed=packed))
+    losses, counts = found[0]
+    assert found[0] == found[1]
+    assert losses[-1] < 0.6 * losses[0]
+    assert counts[-1] > counts[0]
+
+
+def test_what_the_default_strategy_gathers_is_what_meta_says():
+    strategy = gsplat.DefaultStrategy(refine_start_iter=10**6)
+    state = strategy.initialize_state()
+    _fit(strategy, state, 1, packed=True)
+    drawn = gaussians(15, seed=9)
+    drawn["scales"], drawn["opacities"] = drawn["scales"], drawn["opacities"].clamp(0.1, 0.9)
+    drawn["means"].requires_grad_()
+    image, _, meta = rasterization(**drawn, **cameras(VIEWS, WIDTH, HEIGHT))
+    meta["means2d"].retain_grad()
+    (image - _target()).abs().mean().backward()
+    count = torch.bincount(meta["gaussian_ids"], minlength=15)
+    assert torch.equal(state["count"], count.float())
+    scaled = meta["means2d"].grad * torch.tensor([WIDTH, HEIGHT]) / 2.0 * VIEWS
+    grad2d = torch.zeros(15).index_add(0, meta["gaussian_ids"], scaled.norm(dim=-1))
+    torch.testing.assert_close(state["grad2d"], grad2d, rtol=1e-4, atol=1e-6)

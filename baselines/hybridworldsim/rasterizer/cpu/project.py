@@ -1,0 +1,233 @@
+"""What one camera sees of a set of Gaussians, by compiled kernels, with gradients."""
+
+from __future__ import annotations
+
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybridworldsim.rasterizer.cpu.projection import CAUSES, View, project_part, view_of
+from hybridworldsim.rasterizer.cpu.projection_backward import project_part_backward
+from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from hybridworldsim.rasterizer.projected import Projected
+
+if TYPE_CHECKING:
+    from hybridworldsim.rasterizer.lenses import Lens
+    from hybridworldsim.rasterizer.presets import Preset
+
+_Array = np.ndarray[Any, np.dtype[Any]]
+
+PART = 16384
+"""Gaussians that one call of a kernel takes: results are the same for any number of threads as long as this is."""
+
+_SPARE = 8  # rows that a kernel may write beyond what it keeps
+
+
+def project(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    eps2d: float,
+    near_plane: float,
+    far_plane: float,
+    radius_clip: float,
+    preset: Preset,
+    antialiased: bool,
+    lens: Lens | None,
+) -> Projected:
+    """Project Gaussians into one camera and keep those that reach its picture.
+
+    Differentiable to means, quats, scales and viewmat. A Gaussian that cannot be projected (a quaternion of length 0,
+    on or behind the camera plane, no invertible covariance) is culled, counted, and its gradient is 0.
+
+    Args:
+        means: (N, 3) metres, float32 or float64.
+        quats: (N, 4) scalar first, of any length but 0.
+        scales: (N, 3) standard deviations, metres.
+        opacities: (N,) decide how far a Gaussian reaches; no gradient.
+        viewmat: (4, 4) world to camera.
+        K: (3, 3) pixels; no gradient.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        eps2d: added to both variances in the picture, pixel^2.
+        near_plane: least depth, metres.
+        far_plane: greatest depth, metres.
+        radius_clip: Gaussians whose radii are no larger are dropped, pixels.
+        preset: gsplat's generation.
+        antialiased: whether opacities shrink by the compensation.
+        lens: distortion; None is a pinhole.
+
+    Returns:
+        What is seen, float32.
+    """
+    view = view_of(
+        viewmat.detach().to(torch.float64).cpu().numpy(),
+        K.detach().to(torch.float64).cpu().numpy(),
+        width,
+        height,
+        eps2d=eps2d,
+        near_plane=near_plane,
+        far_plane=far_plane,
+        radius_clip=radius_clip,
+        preset=preset,
+        antialiased=antialiased,
+    )
+    means2d, depths, conics, compensations, ids, low, factors, radii, counts = _Project.apply(
+        means, quats, scales, viewmat, opacities, view
+    )
+    return Projected(
+        ids=ids,
+        means2d=means2d,
+        means2d_low=low,
+        depths=depths,
+        conics=conics,
+        factors=factors,
+        compensations=compensations if antialiased else None,
+        radii=radii,
+        counts=dict(zip(CAUSES, counts.tolist())),
+    )
+
+
+def flat(tensor: Tensor, dtype: torch.dtype) -> _Array:
+    """A tensor's numbers as kernels take them."""
+    array: _Array = tensor.detach().to(dtype).contiguous().numpy().reshape(-1)
+    return array
+
+
+class InOrder:
+    """Arrays that parts of unknown length fill in order, whichever is ready first.
+
+    The part whose turn it is writes where it belongs; others write elsewhere and are moved.
+
+    Args:
+        capacity: rows of all parts together.
+        kinds: dtype and row shape of each array.
+    """
+
+    def __init__(self, capacity: int, kinds: tuple[tuple[type, tuple[int, ...]], ...]) -> None:
+        self._kinds = kinds
+        self._arrays = self._empty(capacity)
+        self._turn = 0
+        self._filled = 0
+        self._waiting: dict[int, tuple[int, list[_Array] | None]] = {}
+        self._spare: list[list[_Array]] = []
+        self._lock = Lock()
+
+    def _empty(self, rows: int) -> list[_Array]:
+        return [np.empty((rows + _SPARE, *shape), dtype) for dtype, shape in self._kinds]
+
+    def place(self, part: int) -> tuple[list[_Array], bool]:
+        """Arrays that a part is written into, and whether they lie where it belongs."""
+        with self._lock:
+            if part == self._turn:
+                return [array[self._filled :] for array in self._arrays], True
+            if self._spare:
+                return self._spare.pop(), False
+        return self._empty(PART), False
+
+    def hand_in(self, part: int, count: int, arrays: list[_Array], settled: bool) -> None:
+        """Take a part's first rows.
+
+        Args:
+            part: its number.
+            count: how many rows.
+            arrays: where they are.
+            settled: whether they lie where they belong.
+        """
+        due = []
+        with self._lock:
+            self._waiting[part] = count, None if settled else arrays
+            while self._turn in self._waiting:
+                ready, source = self._waiting.pop(self._turn)
+                if source is not None:
+                    due.append((self._filled, ready, source))
+                self._filled += ready
+                self._turn += 1
+        for begin, ready, source in due:
+            for array, rows in zip(self._arrays, source):
+                array[begin : begin + ready] = rows[:ready]
+            with self._lock:
+                self._spare.append(source)
+
+    def filled(self) -> list[Tensor]:
+        """All parts' rows, once each is handed in."""
+        return [torch.from_numpy(array[: self._filled]) for array in self._arrays]
+
+
+_OUTPUTS: tuple[tuple[type, tuple[int, ...]], ...] = (
+    (np.int64, ()),  # ids
+    (np.float32, (2,)),  # means2d
+    (np.float32, (2,)),  # means2d_low
+    (np.float32, ()),  # depths
+    (np.float32, (3,)),  # conics
+    (np.float32, (3,)),  # factors
+    (np.float32, ()),  # compensations
+    (np.int32, (2,)),  # radii
+)
+
+
+class _Project(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor, opacities: Tensor, view: View
+    ) -> tuple[Tensor, ...]:
+        dtype, number = means.dtype, len(means)
+        given = [flat(tensor, dtype) for tensor in (means, quats, scales, opacities)]
+        parts = -(-number // PART)
+        outputs = InOrder(number, _OUTPUTS)
+        counts = np.zeros((parts, len(CAUSES)), np.int64)
+
+        def one(part: int) -> None:
+            begin, end = part * PART, min((part + 1) * PART, number)
+            arrays, settled = outputs.place(part)
+            rows = np.empty(end - begin + _SPARE, np.int64)
+            seen = project_part(*(view, *given, begin, end, rows, *arrays, counts[part]))
+            outputs.hand_in(part, seen, arrays, settled)
+
+        in_parallel(one, parts)
+        ids, means2d, low, depths, conics, factors, compensations, radii = outputs.filled()
+        culled = torch.from_numpy(counts.sum(axis=0))
+        ctx.save_for_backward(means, quats, scales, viewmat, ids)
+        ctx.view = view
+        ctx.mark_non_differentiable(ids, low, factors, radii, culled)
+        ctx.set_materialize_grads(False)
+        return means2d, depths, conics, compensations, ids, low, factors, radii, culled
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        means, quats, scales, viewmat, ids = ctx.saved_tensors
+        dtype, number, seen = means.dtype, len(means), len(ids)
+        given = [flat(tensor, dtype) for tensor in (means, quats, scales)]
+        nothing = np.zeros(3, np.float32)
+        given_to = [nothing if gradient is None else flat(gradient, torch.float32) for gradient in gradients[:4]]
+        strides = tuple(0 if gradient is None else width for gradient, width in zip(gradients, (2, 1, 3, 1)))
+        to_given = [np.empty((number, width), given[0].dtype) for width in (3, 4, 3)]
+        indices = ids.numpy()
+        parts = -(-seen // PART)
+        to_viewmat = np.zeros((parts, 12))
+
+        def one(part: int) -> None:
+            begin, end = part * PART, min((part + 1) * PART, seen)
+            project_part_backward(
+                *(ctx.view, *given, indices, *given_to, strides, begin, end),
+                *(np.empty(16, np.int64), np.empty(80, given[0].dtype), *to_given, to_viewmat[part]),
+            )
+
+        in_parallel(one, parts)
+        for array in to_given:
+            array[int(indices[-1]) + 1 if seen else 0 :] = 0.0
+        total = np.zeros((4, 4))
+        summed = to_viewmat.sum(axis=0)
+        total[:3, :3], total[:3, 3] = summed[:9].reshape(3, 3), summed[9:]
+        inputs = (means, quats, scales)
+        to_inputs = [torch.from_numpy(array).to(tensor.dtype) for array, tensor in zip(to_given, inputs)]
+        return *to_inputs, torch.from_numpy(total).to(viewmat.dtype), None, None

@@ -1,0 +1,236 @@
+"""Projection by compiled kernels: against the float64 reference, on any number of threads, of anything finite."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from hybridworldsim.rasterizer.cpu import project as compiled
+from hybridworldsim.rasterizer.presets import preset_of
+from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.reference import project as reference
+
+K = torch.tensor([[700.0, 0.0, 470.0], [0.0, 650.0, 275.0], [0.0, 0.0, 1.0]])
+WIDTH, HEIGHT = 960, 540
+MODES = [("gsplat-1.3", False), ("gsplat-1.3", True), ("gsplat-1.5", False), ("gsplat-1.5", True), ("gsplat-1.6", True)]
+
+Inputs = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+
+
+def options(preset: str = "gsplat-1.5", antialiased: bool = False, **others: float) -> dict[str, Any]:
+    limits = {"eps2d": 0.3, "near_plane": 0.01, "far_plane": 15.0, "radius_clip": 0.0} | others
+    return limits | {"preset": preset_of(preset), "antialiased": antialiased, "lens": None}
+
+
+def looking() -> Tensor:
+    viewmat = torch.eye(4, dtype=torch.float64)
+    cos, sin = np.cos(0.3), np.sin(0.3)
+    viewmat[:3, :3] = torch.tensor([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    viewmat[:3, 3] = torch.tensor([0.1, -0.2, 0.5])
+    return viewmat
+
+
+def cloud(number: int, *, aspect: float = 1.0, seed: int = 0, dtype: torch.dtype = torch.float32) -> Inputs:
+    """Gaussians around the camera, of which about a quarter is seen."""
+    random = torch.Generator().manual_seed(seed)
+    means = (2.0 * torch.rand(number, 3, generator=random) - 1.0) * torch.tensor([10.0, 6.0, 10.0])
+    means[:, 2] += 10.0
+    scales = torch.exp(0.5 * torch.randn(number, 3, generator=random) - 3.0)
+    scales[:, 0] *= aspect
+    quats = 3.0 * torch.randn(number, 4, generator=random)
+    opacities = torch.rand(number, generator=random)
+    return means.to(dtype), quats.to(dtype), scales.to(dtype), opacities.to(dtype), looking()
+
+
+def through(project: Any, inputs: Inputs, **how: Any) -> Projected:
+    means, quats, scales, opacities, viewmat = inputs
+    return project(means, quats, scales, opacities, viewmat, K, WIDTH, HEIGHT, **options(**how))
+
+
+def leaves(inputs: Inputs) -> Inputs:
+    means, quats, scales, opacities, viewmat = (tensor.clone() for tensor in inputs)
+    return *(t.requires_grad_() for t in (means, quats, scales)), opacities, viewmat.requires_grad_()
+
+
+def gradients(projected: Projected, inputs: Inputs, seed: int = 1) -> list[Tensor]:
+    random = torch.Generator().manual_seed(seed)
+    shown = [projected.means2d, projected.depths, 100.0 * projected.conics]
+    if projected.compensations is not None:
+        shown.append(10.0 * projected.compensations)
+    weights = [torch.randn(tensor.shape, generator=random, dtype=torch.float64) for tensor in shown]
+    total = sum((tensor.double() * weight).sum() for tensor, weight in zip(shown, weights))
+    return list(torch.autograd.grad(total, (*inputs[:3], inputs[4])))
+
+
+def distance(ours: Tensor, truth: Tensor) -> float:
+    return float(((ours.double() - truth).norm(dim=-1) / truth.norm(dim=-1)).detach().max())
+
+
+@pytest.mark.parametrize(("preset", "antialiased"), MODES)
+@pytest.mark.parametrize("aspect", [1.0, 1000.0])
+def test_kernels_give_what_the_reference_gives(preset: str, antialiased: bool, aspect: float) -> None:
+    inputs, same = leaves(cloud(3000, aspect=aspect)), leaves(cloud(3000, aspect=aspect))
+    ours = through(compiled.project, inputs, preset=preset, antialiased=antialiased)
+    truth = through(reference, same, preset=preset, antialiased=antialiased)
+    assert len(truth.ids) > 500
+    assert torch.equal(ours.ids, truth.ids)
+    assert (ours.radii != truth.radii).sum() == 0
+    assert (ours.means2d.double() + ours.means2d_low - truth.means2d).abs().max() < 1e-8
+    assert distance(ours.depths[:, None], truth.depths[:, None]) < 1e-7
+    assert distance(ours.conics, truth.conics) < 1e-6
+    assert distance(ours.factors, truth.factors) < 1e-6
+    if antialiased:
+        assert distance(ours.compensations[:, None], truth.compensations[:, None]) < 1e-6
+    else:
+        assert ours.compensations is None
+    for mine, true in zip(gradients(ours, inputs), gradients(truth, same)):
+        assert mine.dtype == true.dtype
+        assert (mine.double() - true).norm() < 1e-6 * true.norm()
+
+
+def test_spare_lanes_are_not_taken_for_a_run() -> None:
+    inputs = cloud(13)
+    inputs[0][:] = torch.tensor([30.0, 0.5, 6.0])
+    for last in range(1, 13):
+        inputs[0][[0, last // 2, last]] = torch.tensor([[1.0, 0.5, 6.0], [1.1, 0.5, 6.0], [1.2, 0.5, 6.0]])
+        ours, same = leaves(inputs), leaves(inputs)
+        shown, truth = through(compiled.project, ours), through(reference, same)
+        assert torch.equal(shown.means2d, truth.means2d.float())
+        for mine, true in zip(gradients(shown, ours), gradients(truth, same)):
+            assert (mine.double() - true).norm() <= 1e-6 * true.norm()
+        inputs[0][:] = torch.tensor([30.0, 0.5, 6.0])
+
+
+def test_causes_of_culling_add_up() -> None:
+    inputs = cloud(3000)
+    inputs[1][::7] = 0.0
+    ours, truth = through(compiled.project, inputs), through(reference, inputs)
+    assert sum(ours.counts.values()) + len(ours.ids) == 3000
+    assert {cause: ours.counts[cause] for cause in ("near", "far")} == {c: truth.counts[c] for c in ("near", "far")}
+    assert 0 < ours.counts["degenerate"] <= truth.counts["degenerate"]
+    small = through(compiled.project, inputs, radius_clip=10.0)
+    assert small.counts["radius"] > 0
+    assert torch.equal(small.ids, through(reference, inputs, radius_clip=10.0).ids)
+
+
+def test_bits_do_not_depend_on_the_number_of_threads() -> None:
+    results = []
+    threads = torch.get_num_threads()
+    try:
+        for number in (1, 2, 5):
+            torch.set_num_threads(number)
+            inputs = leaves(cloud(3 * compiled.PART + 5))
+            ours = through(compiled.project, inputs, antialiased=True)
+            tensors = [tensor for tensor in ours if isinstance(tensor, Tensor)]
+            results.append([tensor.detach().numpy().tobytes() for tensor in (*tensors, *gradients(ours, inputs))])
+    finally:
+        torch.set_num_threads(threads)
+    assert results[0] == results[1] == results[2]
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 7, 8, 9, compiled.PART + 1])
+def test_any_number_of_gaussians(number: int) -> None:
+    inputs, same = leaves(cloud(number, seed=number)), leaves(cloud(number, seed=number))
+    ours, truth = through(compiled.project, inputs), through(reference, same)
+    assert torch.equal(ours.ids, truth.ids)
+    for mine, true in zip(gradients(ours, inputs), gradients(truth, same)):
+        assert (mine.double() - true).norm() <= 1e-6 * true.norm()
+
+
+@pytest.mark.parametrize("number", [1, 3, 4])
+def test_one_gradient_without_the_others(number: int) -> None:
+    for field in ("means2d", "depths", "conics"):
+        results = []
+        for project in (compiled.project, reference):
+            inputs = leaves((*(t[:number] for t in cloud(5)[:4]), looking()))
+            with torch.no_grad():
+                inputs[0].copy_(torch.tensor([1.0, 0.5, 6.0]) + torch.arange(number)[:, None])
+            wanted = (*inputs[:3], inputs[4])
+            total = getattr(through(project, inputs), field).square().sum()
+            results.append(torch.autograd.grad(total, wanted, allow_unused=True, materialize_grads=True))
+        for mine, true in zip(*results):
+            assert (mine.double() - true).norm() <= 1e-6 * true.norm()
+
+
+def test_double_precision_inputs_far_from_the_origin() -> None:
+    origin = torch.tensor([4.5e6, -1e7, 3.0], dtype=torch.float64)
+    means, quats, scales, opacities, viewmat = cloud(2000, dtype=torch.float64)
+    moved = viewmat.clone()
+    moved[:3, 3] -= viewmat[:3, :3] @ origin
+    near = through(compiled.project, (means, quats, scales, opacities, viewmat))
+    far = leaves((means + origin, quats, scales, opacities, moved))
+    ours, truth = through(compiled.project, far), through(reference, far)
+    assert torch.equal(ours.ids, truth.ids)
+    assert torch.equal(ours.ids, near.ids)
+    # a coordinate of 1e7 m has steps of 2e-9 m, which are 1e-6 pixels and more near the camera
+    pixels = ours.means2d.double() + ours.means2d_low
+    steps = 700.0 * 8e-9 / truth.depths * (1.0 + (truth.means2d.abs() / 700.0).amax(1))
+    assert ((pixels - truth.means2d).abs().amax(1) < steps + 1e-8).all()
+    for mine, tensor in zip(gradients(ours, far), (*far[:3], far[4])):
+        assert mine.dtype == tensor.dtype == torch.float64
+
+
+def test_what_is_culled_has_no_gradient() -> None:
+    inputs = leaves(cloud(1000))
+    ours = through(compiled.project, inputs)
+    hidden = torch.ones(1000, dtype=torch.bool)
+    hidden[ours.ids] = False
+    for gradient in gradients(ours, inputs)[:3]:
+        assert (gradient[hidden] == 0.0).all()
+        assert gradient[~hidden].abs().sum(1).min() > 0.0
+
+
+def sound(inputs: Inputs, **how: Any) -> Projected:
+    """Nothing that comes out is not a number, and nothing forward is infinite."""
+    inputs = leaves(inputs)
+    ours = through(compiled.project, inputs, **how)
+    for field in ("means2d", "means2d_low", "depths", "conics", "factors"):
+        assert getattr(ours, field).isfinite().all(), field
+    assert (ours.radii > 0).all()
+    for gradient in gradients(ours, inputs):
+        assert not gradient.isnan().any()
+    return ours
+
+
+@pytest.mark.parametrize(("preset", "antialiased"), MODES)
+def test_degenerate_gaussians_are_culled_or_drawn_and_never_nan(preset: str, antialiased: bool) -> None:
+    means, quats, scales, opacities, viewmat = cloud(640)
+    means[:160:2] = torch.tensor([1.0, 0.5, 6.0])
+    quats[1:160:3] = 0.0
+    quats[3:160:7] *= 1e-20
+    scales[0:160:4] = torch.logspace(-12, 6, 40)[:, None]
+    scales[1:160:4] = 0.0
+    scales[2:160:4] *= -1.0
+    scales[3:160:4, 1] = 0.0
+    inverse = torch.linalg.inv(viewmat)
+    plane = torch.randn(200, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([3.0, 3.0, 0.0])
+    means[160:360] = (plane.double() @ inverse[:3, :3].T + inverse[:3, 3]).float()
+    opacities[::5], opacities[1::5] = 0.0, 1.0
+    ours = sound((means, quats, scales, opacities, viewmat), preset=preset, antialiased=antialiased, near_plane=0.0)
+    assert ours.counts["degenerate"] > 0
+    assert len(ours.ids) > 50
+
+
+def test_nothing_is_seen() -> None:
+    inputs = leaves(cloud(100))
+    ours = through(compiled.project, inputs, near_plane=1e3, far_plane=1e4)
+    assert len(ours.ids) == 0
+    assert ours.counts["near"] == 100
+    assert all((gradient == 0.0).all() for gradient in gradients(ours, inputs))
+
+
+numbers = st.floats(-(2.0**100), 2.0**100, width=32)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(numbers, min_size=10, max_size=10), st.floats(0.0, 1.0, width=32), st.booleans(), st.booleans())
+def test_anything_finite_gives_numbers(shape: list[float], opacity: float, antialiased: bool, blurred: bool) -> None:
+    gaussian = torch.tensor([shape])
+    inputs = (gaussian[:, :3], gaussian[:, 3:7], gaussian[:, 7:], torch.tensor([opacity]), looking())
+    sound(inputs, antialiased=antialiased, eps2d=0.3 if blurred else 0.0, far_plane=1e30)

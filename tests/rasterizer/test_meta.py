@@ -79,16 +79,6 @@ def test_every_gaussian_is_seen_or_culled_for_one_cause(backend):
 
 
 @both_backends
-def test_last_is_the_hindmost_row_of_each_pixel(backend):
-    arguments = scene(views=2)
-    _, alpha, meta = rasterization(**arguments, backend=backend)
-    assert meta["last"].shape == (2, HEIGHT, WIDTH)
-    assert torch.equal(meta["last"] < 0, alpha[..., 0] == 0.0)
-    for camera in range(2):
-        assert meta["last"][camera].max() < (meta["camera_ids"] == camera).sum()
-
-
-@both_backends
 @pytest.mark.parametrize("views", [1, 2])
 @pytest.mark.parametrize("packed", [True, False])
 def test_gradients_of_means2d_are_kept_with_absolute_ones(backend, views, packed):

@@ -15,11 +15,9 @@ class Blended(NamedTuple):
     Attributes:
         image: (H, W, D) sum of weight times feature.
         alpha: (H, W) sum of weights: one minus the light that passes all.
-        last: (H, W) int32, row in `Projected` of the hindmost Gaussian that was blended; -1 where none was.
         counts: what was done: `pairs` of tile and Gaussian, `processed_pairs` of them, `stopped_tiles`.
     """
 
     image: Tensor
     alpha: Tensor
-    last: Tensor
     counts: dict[str, int]

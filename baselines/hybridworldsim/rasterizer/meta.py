@@ -103,14 +103,17 @@ class Layout:
         whole = self.join(means2d)
         parts = self.part(whole)
         if absgrad and whole.requires_grad and parts[0] is not whole:
-            # The hook lives as long as the graph, which the parts keep: it may not keep them in turn.
-            vars(whole)["_parts"] = parts
-            known = weakref.ref(whole)
+            # The hook lives as long as the graph, which is held by the parts: it may not hold them in turn.
+            held, blended = weakref.ref(whole), [weakref.ref(part) for part in parts]
 
-            def collect(_: Tensor) -> None:
-                if (tensor := known()) is not None:
+            def collect(gradient: Tensor) -> None:
+                if (tensor := held()) is not None:
                     # a picture that the loss leaves out has none
-                    absolute = [vars(part).pop("absgrad", torch.zeros_like(part)) for part in vars(tensor)["_parts"]]
+                    none = [gradient.new_zeros(len(ids), 2) for ids in self._ids]
+                    absolute = [
+                        zeros if (part := known()) is None else vars(part).pop("absgrad", zeros)
+                        for known, zeros in zip(blended, none, strict=True)
+                    ]
                     vars(tensor)["absgrad"] = self.join(absolute)
 
             whole.register_hook(collect)
@@ -130,17 +133,14 @@ class Layout:
         }
 
 
-def meta_of(
-    layout: Layout, means2d: Tensor, blending: Blending, counts: Iterable[dict[str, int]], last: Sequence[Tensor]
-) -> dict[str, Any]:
-    """The keys that gsplat has, and `last`, `counts` and `blending`.
+def meta_of(layout: Layout, means2d: Tensor, blending: Blending, counts: Iterable[dict[str, int]]) -> dict[str, Any]:
+    """The keys that gsplat has, and `counts` and `blending`.
 
     Args:
         layout: of tensors over Gaussians.
         means2d: the tensor that the pictures' gradients pass through.
         blending: what each picture shows.
         counts: how much work was done and left out, of each step and picture.
-        last: (H, W) of each picture.
     """
     projected = [view.projected for view in blending.views]
     radii = layout.join([picture.radii for picture in projected])
@@ -162,7 +162,6 @@ def meta_of(
         "height": blending.height,
         "n_batches": math.prod(blending.leading[:-1]),
         "n_cameras": blending.leading[-1],
-        "last": blending.shaped(torch.stack(list(last))),
         "counts": dict(work),
         "blending": blending,
     }

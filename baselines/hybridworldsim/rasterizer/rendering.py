@@ -107,7 +107,7 @@ def render(
         backend=options.backend,
     )
     counts = [*(picture.counts for picture in seen), *(picture.counts for picture in blended)]
-    meta = meta_of(layout, means2d, blending, counts, [picture.last for picture in blended])
+    meta = meta_of(layout, means2d, blending, counts)
     return blending.shaped(images), blending.shaped(alphas), meta
 
 

@@ -222,6 +222,17 @@ def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
 
 
 @intrinsic
+def fetch(context: Any, array: Any, start: Any) -> Any:
+    """The lanes from an index of a flat array on; nothing checks that they are there."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = _load(builder, _data(context, builder, sig.args[0], args[0]), args[1], LANES)
+        return vector if vector.type == _DOUBLES else builder.fpext(vector, _DOUBLES)
+
+    return Float64x8(array, types.intp), lower
+
+
+@intrinsic
 def gather(context: Any, array: Any, rows: Any, start: Any, stride: Any, column: Any) -> Any:
     """Lane j: ``array[rows[start + j] * stride + column]`` of a flat array; nothing checks that it is there."""
 

@@ -1,0 +1,231 @@
+"""Real spherical harmonics by compiled kernels, eight Gaussians at a time, with gradients.
+
+A harmonic is a polynomial of z times the real or imaginary part of (x + i y)^m, with the signs and the order that
+Gaussian splatting has (Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.polynomial import polynomial
+from torch import Tensor
+
+from hybridworldsim.rasterizer.cpu import lanes
+from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.project import PART, flat
+from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from mirror.arrays import Float64
+from mirror.errors import UsageError
+
+DEGREE_MAX: Final = 4
+
+
+def _polynomials() -> Float64:
+    """(l, m, power of z): the associated Legendre polynomial without (1 - z^2)^(m / 2), normalised."""
+    table = np.zeros((DEGREE_MAX + 1,) * 3)
+    for l in range(DEGREE_MAX + 1):  # noqa: E741 - as every book has it
+        # Rodrigues' formula
+        legendre = polynomial.polypow([-1.0, 0.0, 1.0], l) / (2.0**l * math.factorial(l))
+        for m in range(l + 1):
+            derived = polynomial.polyder(legendre, l + m)
+            turns = math.factorial(l - m) / math.factorial(l + m)
+            norm = math.sqrt((2 - (m == 0)) * (2 * l + 1) / (4.0 * math.pi) * turns)
+            table[l, m, : len(derived)] = (-1.0) ** m * norm * derived
+    return table
+
+
+_TABLE: Final = _polynomials()
+
+
+def harmonics(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
+    """Sum spherical harmonics; differentiable to directions and coefficients.
+
+    Args:
+        degree: highest degree that is summed, 0 to 4.
+        directions: (M, 3) of any length; of a direction of zero all three Cartesian factors are zero.
+        coefficients: (M, K, 3) with K >= (degree + 1)^2, ordered by degree, then by order.
+
+    Returns:
+        (M, 3) of the coefficients' type, without the half that colours are shifted by.
+
+    Raises:
+        UsageError: coefficients of another shape, or fewer than the degree has.
+    """
+    if not 0 <= degree <= DEGREE_MAX:
+        raise UsageError(f"no spherical harmonics of degree {degree}", place="degree", expected=f"0 to {DEGREE_MAX}")
+    if coefficients.ndim != 3 or coefficients.shape[2] != 3 or coefficients.shape[1] < (degree + 1) ** 2:
+        shape = f"(M, K, 3) with K >= {(degree + 1) ** 2}"
+        raise UsageError(f"coefficients of shape {tuple(coefficients.shape)}", place="coefficients", expected=shape)
+    summed: Tensor = _Harmonics.apply(directions, coefficients, degree)
+    return summed
+
+
+@kernel(inline="always")
+def _unit(directions: Any, rows: Any, start: Any, end: Any) -> Any:
+    """Eight directions of length 1, or 0, and one over their lengths, or 0."""
+    for lane in range(8):
+        rows[lane] = start + lane if start + lane < end else start
+    x, y, z = lanes.triples(directions, rows, 0)
+    squared = x * x + y * y + z * z
+    inverse = lanes.choose(squared > 0.0, 1.0 / lanes.root(squared), 0.0)
+    return x * inverse, y * inverse, z * inverse, inverse
+
+
+@kernel(inline="always")
+def _basis(degree: Any, x: Any, y: Any, z: Any, basis: Any) -> None:
+    """Write each harmonic of eight unit vectors."""
+    real, imaginary = lanes.spread(1.0), lanes.spread(0.0)
+    for m in range(degree + 1):
+        for l in range(m, degree + 1):  # noqa: E741
+            value = lanes.spread(_TABLE[l, m, l - m])
+            for power in range(l - m - 1, -1, -1):
+                value = value * z + _TABLE[l, m, power]
+            lanes.put(basis, 8 * (l * l + l + m), value * real)
+            if m > 0:
+                lanes.put(basis, 8 * (l * l + l - m), value * imaginary)
+        real, imaginary = x * real - y * imaginary, x * imaginary + y * real
+
+
+@kernel()
+def harmonics_part(
+    degree: Any, directions: Any, coefficients: Any, begin: Any, end: Any, rows: Any, basis: Any, summed: Any
+) -> None:
+    """Sum harmonics of a range.
+
+    Args:
+        degree: highest degree.
+        directions: (3 M,) flat.
+        coefficients: (M, K, 3).
+        begin: first Gaussian.
+        end: past the last.
+        rows: (8,) int64, for its own use, as is `basis` (200,), of the coefficients' type.
+        basis: see `rows`.
+        summed: (M, 3) gets the sums.
+    """
+    count = (degree + 1) * (degree + 1)
+    for start in range(begin, end, 8):
+        x, y, z, _ = _unit(directions, rows, start, end)
+        _basis(degree, x, y, z, basis)
+        for lane in range(min(8, end - start)):
+            own = coefficients[start + lane]
+            red, green, blue = basis[lane] * own[0, 0], basis[lane] * own[0, 1], basis[lane] * own[0, 2]
+            for k in range(1, count):
+                weight = basis[8 * k + lane]
+                red += weight * own[k, 0]
+                green += weight * own[k, 1]
+                blue += weight * own[k, 2]
+            summed[start + lane, 0], summed[start + lane, 1], summed[start + lane, 2] = red, green, blue
+
+
+@kernel()
+def harmonics_part_backward(
+    degree: Any,
+    directions: Any,
+    coefficients: Any,
+    to_summed: Any,
+    begin: Any,
+    end: Any,
+    rows: Any,
+    basis: Any,
+    to_basis: Any,
+    to_directions: Any,
+    to_coefficients: Any,
+) -> None:
+    """Gradients of a range.
+
+    Args:
+        degree: highest degree.
+        directions: (3 M,) flat.
+        coefficients: (M, K, 3).
+        to_summed: (M, 3) gradient to the sums.
+        begin: first Gaussian.
+        end: past the last.
+        rows: (8,) int64, for its own use, as are `basis` and `to_basis` (200,), of the coefficients' type.
+        basis: see `rows`.
+        to_basis: see `rows`.
+        to_directions: (M + 8, 3) gets gradients, as does `to_coefficients` (M, K, 3).
+        to_coefficients: see `to_directions`.
+    """
+    count = (degree + 1) * (degree + 1)
+    for start in range(begin, end, 8):
+        x, y, z, inverse = _unit(directions, rows, start, end)
+        _basis(degree, x, y, z, basis)
+        for lane in range(min(8, end - start)):
+            own, to_own = coefficients[start + lane], to_coefficients[start + lane]
+            red, green, blue = to_summed[start + lane, 0], to_summed[start + lane, 1], to_summed[start + lane, 2]
+            for k in range(count):
+                weight = basis[8 * k + lane]
+                to_own[k, 0], to_own[k, 1], to_own[k, 2] = weight * red, weight * green, weight * blue
+                to_basis[8 * k + lane] = own[k, 0] * red + own[k, 1] * green + own[k, 2] * blue
+            for k in range(count, coefficients.shape[1]):
+                to_own[k, 0], to_own[k, 1], to_own[k, 2] = 0.0, 0.0, 0.0
+
+        to_x, to_y, to_z = lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0)
+        real, imaginary = lanes.spread(1.0), lanes.spread(0.0)
+        less_real, less_imaginary = lanes.spread(0.0), lanes.spread(0.0)
+        for m in range(degree + 1):
+            to_real, to_imaginary = lanes.spread(0.0), lanes.spread(0.0)
+            for l in range(m, degree + 1):  # noqa: E741
+                value, slope = lanes.spread(_TABLE[l, m, l - m]), lanes.spread(0.0)
+                for power in range(l - m - 1, -1, -1):
+                    slope = slope * z + value
+                    value = value * z + _TABLE[l, m, power]
+                to_even = lanes.fetch(to_basis, 8 * (l * l + l + m))
+                to_real = to_real + value * to_even
+                to_z = to_z + slope * to_even * real
+                if m > 0:
+                    to_odd = lanes.fetch(to_basis, 8 * (l * l + l - m))
+                    to_imaginary = to_imaginary + value * to_odd
+                    to_z = to_z + slope * to_odd * imaginary
+            # d (x + i y)^m = m (x + i y)^(m - 1) (dx + i dy)
+            to_x = to_x + m * (to_real * less_real + to_imaginary * less_imaginary)
+            to_y = to_y + m * (to_imaginary * less_real - to_real * less_imaginary)
+            less_real, less_imaginary = real, imaginary
+            real, imaginary = x * real - y * imaginary, x * imaginary + y * real
+        # a longer direction is the same direction
+        outward = to_x * x + to_y * y + to_z * z
+        lanes.put_triples(
+            to_directions,
+            start,
+            inverse * (to_x - outward * x),
+            inverse * (to_y - outward * y),
+            inverse * (to_z - outward * z),
+        )
+
+
+class _Harmonics(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, directions: Tensor, coefficients: Tensor, degree: int) -> Tensor:
+        dtype, number = coefficients.dtype, len(coefficients)
+        given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape)
+        summed = np.empty((number, 3), given[0].dtype)
+
+        def one(part: int) -> None:
+            span = part * PART, min((part + 1) * PART, number)
+            harmonics_part(degree, *given, *span, np.empty(8, np.int64), np.empty(200, summed.dtype), summed)
+
+        in_parallel(one, -(-number // PART))
+        ctx.save_for_backward(directions, coefficients)
+        ctx.degree = degree
+        return torch.from_numpy(summed)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, None]:
+        directions, coefficients = ctx.saved_tensors
+        dtype, number = coefficients.dtype, len(coefficients)
+        given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape)
+        to_summed = flat(gradients[0], dtype).reshape(-1, 3)
+        kind = given[0].dtype
+        to_directions, to_coefficients = np.empty((number + 8, 3), kind), np.empty(given[1].shape, kind)
+
+        def one(part: int) -> None:
+            span = part * PART, min((part + 1) * PART, number)
+            own = np.empty(8, np.int64), np.empty(200, kind), np.empty(200, kind)
+            harmonics_part_backward(ctx.degree, *given, to_summed, *span, *own, to_directions, to_coefficients)
+
+        in_parallel(one, -(-number // PART))
+        return torch.from_numpy(to_directions[:number]).to(directions.dtype), torch.from_numpy(to_coefficients), None

@@ -282,7 +282,7 @@ def test_empty_scenes_and_single_pixels(backend, case):
     arguments = with_gradients(arguments, *TRAINED)
     backgrounds = torch.tensor([[0.25, 0.5, 0.75]]).repeat(2, 1)
     for packed in (True, False):
-        image, alpha, meta = rasterization(
+        image, alpha, _ = rasterization(
             **arguments, backgrounds=backgrounds, render_mode="RGB+ED", backend=backend, packed=packed
         )
         assert image.shape == (2, height, width, 4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -9,19 +10,24 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.blended import Blended
-from hybridworldsim.rasterizer.cpu.blending import BATCH, BLOCKS, LANES, PIXELS, PLACED, blend_tiles
+from hybridworldsim.rasterizer.cpu.blending import BATCH, PLACED, blend_tiles
 from hybridworldsim.rasterizer.cpu.blending_backward import SUMS, blend_tiles_backward, collect
-from hybridworldsim.rasterizer.cpu.pixels import from_blocks, into_blocks
+from hybridworldsim.rasterizer.cpu.canvas import BLOCKS, LANES, TILE_PX, Canvas, blank
 from hybridworldsim.rasterizer.cpu.sorting import depth_order
-from hybridworldsim.rasterizer.cpu.splats import TILE_PX, Splats, splats_of
+from hybridworldsim.rasterizer.cpu.splats import Splats, splats_of
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.tiles import Tiles, tiles_of
 from hybridworldsim.rasterizer.presets import Preset
 from hybridworldsim.rasterizer.projected import Projected
-from mirror.arrays import Bool, Float32, Int32, Int64
+from mirror.arrays import Float32, Int32, Int64
 from mirror.errors import UsageError
 
 _PARTS: Final = 32
+_SLICE: Final = 32768
+"""Gaussians of the nearest slice, at least."""
+
+_SHARE: Final = 8
+"""All Gaussians are so many times those of the nearest slice, where there are many."""
 
 
 def blend(
@@ -48,7 +54,8 @@ def blend(
         absgrad: whether `projected.means2d.absgrad` is set by the backward pass.
 
     Returns:
-        The picture.
+        The picture. Its counts: pairs of tile and Gaussian; those that were looked at; pairs of a block of 4 x 4 pixels
+        and a Gaussian that were blended; tiles that were done before their last Gaussian.
 
     Raises:
         UsageError: tiles of another size.
@@ -60,30 +67,26 @@ def blend(
             expected=f"{TILE_PX} on the CPU",
             remedy="leave tile_size out, or take backend='reference'",
         )
-    image, alpha, last, counts = _Blend.apply(
+    image, alpha, counts = _Blend.apply(
         projected.means2d, projected.conics, features, opacities, projected, width, height, preset.alpha_max, absgrad
     )
-    return Blended(image, alpha, last, counts)
+    return Blended(image, alpha, counts)
 
 
-class _Canvas(NamedTuple):
-    """A picture as tiles of blocks, in the making.
+class _Slice(NamedTuple):
+    """Gaussians that are neighbours in depth.
 
     Attributes:
-        tiles_x: columns of tiles.
-        tiles_y: rows of them; T tiles in all.
-        light: (T * 256,) what is left of it; negative where a pixel is done.
-        colours: (T * channels * 256,).
-        last: (T * 256,) the number in its tile of the hindmost Gaussian of a pixel; -1 if it has none.
-        alive: (T,) whether not all of a tile's pixels are done.
+        order: (R,) which ones.
+        tiles: the tiles that they reach, of those that were not done before.
+        passed: (T,) how many Gaussians of each tile came before.
+        until: (T,) the place in front of which the last Gaussian is that was looked at.
     """
 
-    tiles_x: int
-    tiles_y: int
-    light: Float32
-    colours: Float32
-    last: Int32
-    alive: Bool
+    order: Int32
+    tiles: Tiles
+    passed: Int32
+    until: Int64
 
 
 class _Blend(torch.autograd.Function):
@@ -99,8 +102,8 @@ class _Blend(torch.autograd.Function):
         height: int,
         alpha_max: float,
         absgrad: bool,
-    ) -> tuple[Tensor, Tensor, Tensor, dict[str, int]]:
-        canvas = _blank(width, height, max(4, features.shape[1]))
+    ) -> tuple[Tensor, Tensor, dict[str, int]]:
+        canvas = blank(width, height, max(4, features.shape[1]))
         values = opacities.detach().numpy()
         splats = splats_of(
             means2d.detach().numpy(),
@@ -112,110 +115,129 @@ class _Blend(torch.autograd.Function):
             canvas.tiles_x,
             canvas.tiles_y,
         )
-        order = depth_order(projected.depths.detach().numpy())
-        tiles = tiles_of(splats, order, canvas.tiles_x, canvas.alive)
-        seen = _blended(canvas, splats, tiles, alpha_max)
-        image = np.empty((height, width, features.shape[1]), np.float32)
-        alpha = np.empty((height, width), np.float32)
-        last = np.empty((height, width), np.int32)
-        in_parallel(
-            lambda row: from_blocks(
-                row, canvas.colours, canvas.light, canvas.last, tiles.begins, tiles.ids, splats.channels,
-                canvas.tiles_x, image, alpha, last,
-            ),
-            canvas.tiles_y,
-        )  # fmt: skip
-        context.saved = (means2d, values, splats, order, tiles, canvas, alpha_max, absgrad)
-        context.shape = image.shape
+        order, slices, seen = depth_order(projected.depths.detach().numpy()), [], np.zeros(2, np.int64)
+        for part in _slices(order):
+            if not canvas.alive.any():
+                break
+            slices.append(_blended(canvas, splats, part, alpha_max, seen))
+        image, alpha = canvas.picture(features.shape[1])
+        context.saved = (means2d, values, splats, slices, canvas, image.shape, alpha_max, absgrad)
         context.set_materialize_grads(False)
         counts = {
-            "pairs": len(tiles.slots),
+            "pairs": sum(len(part.tiles.slots) for part in slices),
             "processed_pairs": int(seen[0]),
             "processed_blocks": int(seen[1]),
             "stopped_tiles": int((~canvas.alive).sum()),
         }
-        return torch.from_numpy(image), torch.from_numpy(alpha), torch.from_numpy(last), counts
+        return torch.from_numpy(image), torch.from_numpy(alpha), counts
 
     @staticmethod
-    def backward(context: Any, by_image: Tensor | None, by_alpha: Tensor | None, *_: None) -> tuple[Any, ...]:
-        means2d, opacities, splats, order, tiles, canvas, alpha_max, absgrad = context.saved
-        channels = splats.channels
-        light, behind = np.empty_like(canvas.light), np.empty_like(canvas.light)
-        gradient = np.zeros_like(canvas.colours)
-        height, width, wide = context.shape
-        image = _array(by_image, (height, width, wide))
-        alpha = _array(by_alpha, (height, width))
-        in_parallel(
-            lambda row: into_blocks(row, image, alpha, canvas.light, channels, canvas.tiles_x, gradient, light, behind),
-            canvas.tiles_y,
-        )
-        lines, line = _lines(splats, tiles, canvas, alpha_max, light, behind, gradient)
-        count = len(order)
-        by_mean, by_conic = np.zeros((count, 2), np.float32), np.zeros((count, 3), np.float64)
-        by_opacity, by_feature = np.zeros(count, np.float32), np.zeros((count, wide), np.float32)
-        absolute = np.zeros((count, 2), np.float32)
-        edges = np.linspace(0, count, _PARTS + 1).astype(np.int64)
-        in_parallel(
-            lambda part: collect(
-                edges[part], edges[part + 1], order, tiles.firsts, lines, line, splats.rows, splats.stride, opacities,
-                by_mean, by_conic, by_opacity, by_feature, absolute, np.empty(SUMS + wide),
-            ),
-            _PARTS,
-        )  # fmt: skip
+    def backward(context: Any, by_image: Tensor | None, by_alpha: Tensor | None, _: None) -> tuple[Any, ...]:
+        means2d, opacities, splats, slices, canvas, shape, alpha_max, absgrad = context.saved
+        found = _Gradients.none(len(opacities), shape[2])
+        gradients = canvas.gradients(_array(by_image, shape), _array(by_alpha, shape[:2]))
+        for part in reversed(slices):
+            lines = _lines(canvas, splats, part, alpha_max, *gradients)
+            _collect(part, splats, opacities, lines, found)
         if absgrad:
-            means2d.absgrad = torch.from_numpy(absolute)
-        found = (by_mean, by_conic, by_feature, by_opacity)
-        return (*map(torch.from_numpy, found), None, None, None, None, None)
+            means2d.absgrad = torch.from_numpy(found.absolute)
+        return (*map(torch.from_numpy, found[:4]), None, None, None, None, None)
+
+
+class _Gradients(NamedTuple):
+    """Of M Gaussians: to the means (M, 2), conics (M, 3), features (M, D), opacities (M,); and, each pixel's taken
+    without its sign, to the means (M, 2)."""
+
+    means: Float32
+    conics: Float32
+    features: Float32
+    opacities: Float32
+    absolute: Float32
+
+    @classmethod
+    def none(cls, count: int, channels: int) -> _Gradients:
+        return cls(
+            *(np.zeros(shape, np.float32) for shape in ((count, 2), (count, 3), (count, channels), count, (count, 2)))
+        )
 
 
 def _array(gradient: Tensor | None, shape: tuple[int, ...]) -> Float32:
     return np.zeros(shape, np.float32) if gradient is None else gradient.detach().contiguous().numpy()
 
 
-def _blank(width: int, height: int, channels: int) -> _Canvas:
-    tiles_x, tiles_y = -(-width // TILE_PX), -(-height // TILE_PX)
-    count = tiles_x * tiles_y
-    return _Canvas(
-        tiles_x,
-        tiles_y,
-        np.ones(count * PIXELS, np.float32),
-        np.zeros(count * PIXELS * channels, np.float32),
-        np.full(count * PIXELS, -1, np.int32),
-        np.ones(count, np.bool_),
-    )
+def _slices(order: Int32) -> Iterator[Int32]:
+    """Gaussians in depth order by slices that grow: what the first ones hide is never paired with tiles."""
+    first, size = 0, max(_SLICE, -(-len(order) // _SHARE))
+    while first < len(order):
+        end = len(order) if len(order) - first < 2 * size else first + size
+        yield order[first:end]
+        first, size = end, 2 * size
 
 
-def _blended(canvas: _Canvas, splats: Splats, tiles: Tiles, alpha_max: float) -> Int64:
-    """Blend the Gaussians of all tiles; how many places were looked at, and pairs of block and Gaussian."""
-    numbers = np.arange(len(canvas.alive)).reshape(canvas.tiles_y, canvas.tiles_x)
-    seen, base = np.zeros((canvas.tiles_y, 2), np.int64), np.zeros(len(canvas.alive), np.int32)
+def _tile_rows(canvas: Canvas) -> Int64:
+    """The numbers of tiles (tiles_y, tiles_x)."""
+    return np.arange(len(canvas.alive)).reshape(canvas.tiles_y, canvas.tiles_x)
+
+
+def _blended(canvas: Canvas, splats: Splats, order: Int32, alpha_max: float, seen: Int64) -> _Slice:
+    """Blend Gaussians into all tiles that are not done; counts what was looked at, and pairs of block and Gaussian."""
+    tiles = tiles_of(splats, order, canvas.tiles_x, canvas.alive)
+    part = _Slice(order, tiles, canvas.passed.copy(), np.empty(len(canvas.alive), np.int64))
+    numbers, counts = _tile_rows(canvas), np.zeros((canvas.tiles_y, 2), np.int64)
 
     def blend_row(row: int) -> None:
         blend_tiles(
-            numbers[row], tiles.begins, tiles.ids, base, splats.rows, splats.stride, splats.channels, canvas.tiles_x,
-            alpha_max, canvas.light, canvas.colours, canvas.last, canvas.alive, np.empty(BATCH * PLACED, np.float32),
-            np.empty(BATCH, np.int32), np.empty(BLOCKS, np.uint64), seen[row],
+            numbers[row], tiles.begins, tiles.ids, part.passed, splats.rows, splats.stride, splats.channels,
+            canvas.tiles_x, alpha_max, canvas.light, canvas.colours, canvas.last, canvas.alive,
+            np.empty(BATCH * PLACED, np.float32), np.empty(BATCH, np.int32), np.empty(BLOCKS, np.uint64), part.until,
+            counts[row],
         )  # fmt: skip
 
     in_parallel(blend_row, canvas.tiles_y)
-    return seen.sum(axis=0)
+    canvas.passed[:] += np.diff(tiles.begins).astype(np.int32)
+    seen += counts.sum(axis=0)
+    return part
+
+
+def _line(channels: int) -> int:
+    """How many numbers the gradients of a pair of tile and Gaussian are."""
+    return LANES * -(-(SUMS + channels) // LANES)
 
 
 def _lines(
-    splats: Splats, tiles: Tiles, canvas: _Canvas, alpha_max: float, light: Float32, behind: Float32, gradient: Float32
-) -> tuple[Float32, int]:
-    """The gradients of each pair of tile and Gaussian, and how many numbers each has."""
-    line = LANES * -(-(SUMS + splats.channels) // LANES)
+    canvas: Canvas,
+    splats: Splats,
+    part: _Slice,
+    alpha_max: float,
+    to_colours: Float32,
+    light: Float32,
+    behind: Float32,
+) -> Float32:
+    """The gradients of each pair of tile and Gaussian, by slot."""
+    line, tiles, numbers = _line(splats.channels), part.tiles, _tile_rows(canvas)
     lines = np.empty(len(tiles.slots) * line, np.float32)
-    numbers = np.arange(len(canvas.alive)).reshape(canvas.tiles_y, canvas.tiles_x)
-    base = np.zeros(len(canvas.alive), np.int32)
 
     def go_back(row: int) -> None:
         blend_tiles_backward(
-            numbers[row], tiles.begins, tiles.ids, tiles.slots, base, splats.rows, splats.stride, splats.channels,
-            canvas.tiles_x, alpha_max, light, behind, gradient, canvas.last, np.empty(BATCH * PLACED, np.float32),
-            np.empty(BATCH, np.int32), np.empty(splats.channels * LANES, np.float32), lines, line,
+            numbers[row], tiles.begins, tiles.ids, tiles.slots, part.passed, part.until, splats.rows, splats.stride,
+            splats.channels, canvas.tiles_x, alpha_max, light, behind, to_colours, canvas.last,
+            np.empty(BATCH * PLACED, np.float32), np.empty(BATCH, np.int32),
+            np.empty(splats.channels * LANES, np.float32), lines, line,
         )  # fmt: skip
 
     in_parallel(go_back, canvas.tiles_y)
-    return lines, line
+    return lines
+
+
+def _collect(part: _Slice, splats: Splats, opacities: Float32, lines: Float32, found: _Gradients) -> None:
+    """Add up the lines of each Gaussian of a slice."""
+    edges = np.linspace(0, len(part.order), _PARTS + 1).astype(np.int64)
+    line, wide = _line(splats.channels), found.features.shape[1]
+    in_parallel(
+        lambda number: collect(
+            edges[number], edges[number + 1], part.order, part.tiles.firsts, lines, line, splats.rows, splats.stride,
+            opacities, found.means, found.conics, found.opacities, found.features, found.absolute,
+            np.empty(SUMS + wide),
+        ),
+        _PARTS,
+    )  # fmt: skip

@@ -1,6 +1,6 @@
 """Blend each tile's Gaussians front to back.
 
-A tile of 16 x 16 pixels is 16 blocks of 4 x 4, and a block is one vector. A block's light and colours stay in registers
+A block of 4 x 4 pixels is one vector. Its light and colours stay in registers
 while the Gaussians that reach it pass by; those that do not reach it are sorted out sixteen blocks at once, by circles
 round block and ellipse in the space where the ellipse is a circle.
 """
@@ -11,8 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from hybridworldsim.rasterizer.cpu.canvas import BLOCKS, LANES, PIXELS, TILE_PX
 from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.splats import FACTORS, FEATURES, FLOOR, LEVEL, MEAN, MEAN_LOW, NEAR, TILE_PX
+from hybridworldsim.rasterizer.cpu.splats import FACTORS, FEATURES, FLOOR, LEVEL, MEAN, MEAN_LOW, NEAR
 from hybridworldsim.rasterizer.cpu.tiles import AHEAD
 from hybridworldsim.rasterizer.cpu.vectors import (
     bits,
@@ -35,9 +36,6 @@ from hybridworldsim.rasterizer.cpu.vectors import (
 from hybridworldsim.rasterizer.presets import TRANSMITTANCE_STOP
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 
-PIXELS: Final = TILE_PX * TILE_PX
-LANES: Final = 16
-BLOCKS: Final = 16
 BATCH: Final = 64
 PLACED: Final = 6
 """Columns of a Gaussian placed in a tile: u and v at its centre, the factors, the level."""
@@ -100,7 +98,7 @@ def blend_tiles(
     tiles: Int64,
     begins: Int64,
     ids: Int32,
-    base: Int32,
+    passed: Int32,
     rows: Float32,
     stride: int,
     channels: int,
@@ -113,6 +111,7 @@ def blend_tiles(
     scratch: Float32,
     reached: Int32,
     listed: AnyArray,
+    until: Int64,
     seen: Int64,
 ) -> None:
     """Blend the Gaussians of some tiles behind what is blended already.
@@ -121,7 +120,7 @@ def blend_tiles(
         tiles: which ones.
         begins: where the places of each tile begin.
         ids: the Gaussian at each place.
-        base: (T,) how many Gaussians of each tile came before; increased here.
+        passed: (T,) how many Gaussians of each tile came before.
         rows: of the Gaussians.
         stride: of these rows.
         channels: of the features.
@@ -134,7 +133,8 @@ def blend_tiles(
         scratch: (BATCH * PLACED,).
         reached: (BATCH,).
         listed: (BATCH,).
-        seen: (2,) counts places that were looked at, and pairs of block and Gaussian.
+        until: (T,) written: the place in front of which the last Gaussian that was looked at is.
+        seen: (2,) counts Gaussians that were looked at, and pairs of block and Gaussian.
     """
     lane_x, lane_y, block_x, block_y = load(LANE_X, 0), load(LANE_Y, 0), load(BLOCK_X, 0), load(BLOCK_Y, 0)
     cap = np.float32(alpha_max)
@@ -143,7 +143,7 @@ def blend_tiles(
         centre_x = np.float32((tile % tiles_x) * TILE_PX + TILE_PX // 2)
         centre_y = np.float32((tile // tiles_x) * TILE_PX + TILE_PX // 2)
         begin, end = begins[tile], begins[tile + 1]
-        offset = base[tile] - begin
+        offset, until[tile] = passed[tile] - begin, begin
         open_blocks, tried = 0, 0
         for block in range(BLOCKS):
             if bits(load(light, tile * PIXELS + block * LANES) > np.float32(0.0)) != 0:
@@ -152,7 +152,7 @@ def blend_tiles(
             if open_blocks == 0:
                 break
             count = min(BATCH, end - batch)
-            seen[0] += count
+            until[tile] = batch + count
             reached[:] = 0
             for k in range(count):
                 fetch(rows, ids[batch + k + AHEAD] * stride)
@@ -205,6 +205,6 @@ def blend_tiles(
                 store(colours, to + PIXELS, green)
                 store(colours, to + 2 * PIXELS, blue)
                 store(colours, to + 3 * PIXELS, other)
-        base[tile] = offset + end
+        seen[0] += until[tile] - begin
         seen[1] += tried
         alive[tile] = open_blocks != 0

@@ -15,17 +15,15 @@ from hybridworldsim.rasterizer.cpu.blending import (
     BATCH,
     BLOCK_X,
     BLOCK_Y,
-    BLOCKS,
     LANE_X,
     LANE_Y,
-    LANES,
-    PIXELS,
     PLACED,
     exp2,
     placed,
 )
+from hybridworldsim.rasterizer.cpu.canvas import BLOCKS, LANES, PIXELS, TILE_PX
 from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.splats import FACTORS, FEATURES, FLOOR, TILE_PX
+from hybridworldsim.rasterizer.cpu.splats import FACTORS, FEATURES, FLOOR
 from hybridworldsim.rasterizer.cpu.vectors import (
     beyond,
     bits,
@@ -58,7 +56,8 @@ def blend_tiles_backward(
     begins: Int64,
     ids: Int32,
     slots: Int64,
-    base: Int32,
+    passed: Int32,
+    until: Int64,
     rows: Float32,
     stride: int,
     channels: int,
@@ -81,7 +80,8 @@ def blend_tiles_backward(
         begins: where the places of each tile begin.
         ids: the Gaussian at each place.
         slots: of each place.
-        base: (T,) the number in its tile of the first place of each tile.
+        passed: (T,) how many Gaussians of each tile came before.
+        until: (T,) the place in front of which the last Gaussian is that was looked at.
         rows: of the Gaussians.
         stride: of these rows.
         channels: of the features.
@@ -104,8 +104,11 @@ def blend_tiles_backward(
         tile = tiles[number]
         centre_x = np.float32((tile % tiles_x) * TILE_PX + TILE_PX // 2)
         centre_y = np.float32((tile // tiles_x) * TILE_PX + TILE_PX // 2)
-        begin, end = begins[tile], begins[tile + 1]
-        offset = base[tile] - begin
+        begin, end = begins[tile], until[tile]
+        for place in range(end, begins[tile + 1]):
+            for column in range(0, line, LANES):
+                store(lines, slots[place] * line + column, zero)
+        offset = passed[tile] - begin
         for batch in range(begin + (max(end - 1 - begin, 0) // BATCH) * BATCH, begin - 1, -BATCH):
             count = min(BATCH, end - batch)
             open_blocks = 0

@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from hybridworldsim.rasterizer.cpu.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.kernels import kernel
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
 from hybridworldsim.rasterizer.presets import ALPHA_MIN
@@ -25,7 +26,6 @@ the features."""
 FLOOR: Final = np.float32(math.log2(ALPHA_MIN))
 """log2 of the least alpha that counts. Factors are scaled so that alpha = 2 ** (level - u^2 - v^2)."""
 
-TILE_PX: Final = 16
 _SCALE: Final = np.float32(math.sqrt(0.5 * math.log2(math.e)))
 _PARTS: Final = 16
 _SLACK_PX: Final = 0.02

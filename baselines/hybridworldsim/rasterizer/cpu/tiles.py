@@ -7,8 +7,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from hybridworldsim.rasterizer.cpu.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, TILE_PX, Splats
+from hybridworldsim.rasterizer.cpu.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, Splats
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.vectors import fetch
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64

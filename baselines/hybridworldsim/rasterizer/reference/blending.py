@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
 from hybridworldsim.rasterizer.blended import Blended
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, Preset
@@ -45,7 +45,7 @@ def blend(
     Returns:
         In float64, differentiable to projected.means2d, projected.conics, features and opacities.
     """
-    rows, tiles = pairs(projected, width, height, tile_size)
+    rows, tiles = pairs(projected, opacities, width, height, preset=preset, tile_size=tile_size)
     inputs = (
         (projected.means2d.double() + projected.means2d_low)[rows],
         projected.conics.double()[rows],
@@ -62,7 +62,6 @@ def blend(
     parts = iter(zip(*(part.split(sizes) for part in inputs))) if sizes else iter(())
 
     images, opaque = [], []
-    last = torch.full((height * width,), -1)
     processed = stopped = 0
     for tile in tiles:
         light = torch.ones(len(tile.pixels), dtype=torch.float64)
@@ -72,15 +71,9 @@ def blend(
             inside = next(parts)
             if not going.any():
                 continue
-            # not as a tensor: backward writes to it while the checkpoint holds it
-            gather = partial(_gather, absolute[chunk]) if absgrad else None
-            added, light, going, hindmost = checkpoint(
-                _chunk, *inside, tile.centres, light, going, preset.alpha_max, gather,
-                use_reentrant=False, preserve_rng_state=False,
-            )  # fmt: skip
+            call = partial(_chunk, tile.centres, going, preset.alpha_max, absolute[chunk] if absgrad else None)
+            added, light, going = _Recomputed.apply(call, *inside, light)
             image = image + added
-            hit = hindmost >= 0
-            last[tile.pixels[hit]] = rows[chunk][hindmost[hit]]
             processed += chunk.stop - chunk.start
         images.append(image)
         opaque.append(1.0 - light)
@@ -96,54 +89,52 @@ def blend(
     return Blended(
         image=image.view(height, width, features.shape[1]),
         alpha=alpha.view(height, width),
-        last=last.to(torch.int32).view(height, width),
         counts={"pairs": len(rows), "processed_pairs": processed, "stopped_tiles": stopped},
     )
 
 
 def _chunk(
+    centres: Tensor,
+    going: Tensor,
+    alpha_max: float,
+    absolute: Tensor | None,
     means: Tensor,
     conics: Tensor,
     opacities: Tensor,
     features: Tensor,
-    centres: Tensor,
     light: Tensor,
-    going: Tensor,
-    alpha_max: float,
-    gather: Callable[[Tensor], None] | None,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, ...]:
     """Blend L Gaussians into the P pixels of a tile.
 
     Args:
+        centres: (P, 2).
+        going: (P,) whether a pixel has not stopped.
+        alpha_max: cap of alpha.
+        absolute: (L, 2) gathers absolute gradients of the means in backward.
         means: (L, 2).
         conics: (L, 3).
         opacities: (L,).
         features: (L, D).
-        centres: (P, 2).
         light: (P,) transmittance in front of the first.
-        going: (P,) whether a pixel has not stopped.
-        alpha_max: cap of alpha.
-        gather: takes the gradient (L, P, 2) of each Gaussian's mean at each pixel in backward.
 
     Returns:
-        What is added (P, D), the light behind (P,), which pixels go on (P,), the hindmost that was blended (P,) or -1.
+        What is added (P, D), the light behind (P,), which pixels go on (P,).
     """
-    offsets = means[:, None] - centres  # (L, P, 2)
-    if gather is not None and offsets.requires_grad:
-        offsets.register_hook(gather)
-    alpha = alphas(offsets, conics, opacities, alpha_max)  # (L, P)
+    x, y = offsets = [means[:, axis, None] - centres[:, axis] for axis in range(2)]  # (L, P) each
+    if absolute is not None and x.requires_grad:
+        for axis, offset in enumerate(offsets):
+            offset.register_hook(partial(_add_absolute, absolute[:, axis]))
+    alpha = alphas(x, y, conics, opacities, alpha_max)  # (L, P)
     alpha = torch.where((alpha >= ALPHA_MIN) & going, alpha, 0.0)
-    with torch.no_grad():  # a Gaussian behind which too little light is left is not blended, nor is any behind it
-        kept = light * (1.0 - alpha).cumprod(0) > TRANSMITTANCE_STOP
-        hindmost = torch.where(kept & (alpha > 0.0), torch.arange(len(alpha))[:, None], -1).amax(0)
-    alpha = torch.where(kept, alpha, 0.0)
     behind = light * (1.0 - alpha).cumprod(0)  # (L, P)
-    weights = alpha * torch.cat([light[None], behind[:-1]])
-    return weights.T @ features, behind[-1], going & kept[-1], hindmost
+    # a Gaussian behind which too little light is left is not blended, nor is any behind it
+    kept = behind > TRANSMITTANCE_STOP
+    weights = torch.where(kept, alpha * torch.cat([light[None], behind[:-1]]), 0.0)
+    return weights.T @ features, light - weights.sum(0), going & kept[-1]
 
 
-def _gather(absolute: Tensor, gradient: Tensor) -> None:
-    absolute += gradient.abs().sum(1)
+def _add_absolute(slots: Tensor, gradient: Tensor) -> None:
+    slots += gradient.abs().sum(1)
 
 
 def _report_absgrad(taken: Tensor, means2d: Tensor, rows: Tensor, absolute: Tensor) -> None:
@@ -154,3 +145,32 @@ def _report_absgrad(taken: Tensor, means2d: Tensor, rows: Tensor, absolute: Tens
         absolute.zero_()
 
     taken.register_hook(report)
+
+
+class _Recomputed(torch.autograd.Function):
+    """A call that keeps its inputs alone, and calls again for the backward pass.
+
+    What `torch.utils.checkpoint` does, whose import of the compiler takes seconds.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, call: Callable[..., tuple[Tensor, ...]], *tensors: Tensor) -> tuple[Tensor, ...]:
+        ctx.call = call
+        ctx.save_for_backward(*tensors)
+        outputs = call(*tensors)
+        ctx.mark_non_differentiable(*(output for output in outputs if not output.is_floating_point()))
+        return outputs
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        tensors = [
+            tensor.detach().requires_grad_(needed)
+            for tensor, needed in zip(ctx.saved_tensors, ctx.needs_input_grad[1:])
+        ]
+        with torch.enable_grad():
+            outputs = ctx.call(*tensors)
+        followed = [(output, gradient) for output, gradient in zip(outputs, gradients) if output.requires_grad]
+        wanted = [tensor for tensor in tensors if tensor.requires_grad]
+        ends, starts = zip(*followed)
+        found = iter(torch.autograd.grad(ends, wanted, starts, allow_unused=True))
+        return (None, *(next(found) if tensor.requires_grad else None for tensor in tensors))

@@ -48,7 +48,7 @@ def mark(projected: Projected, opacities: Tensor, width: int, height: int, *, pr
         preset: whose cap of alpha.
         tile_size: pixels.
     """
-    rows, tiles = pairs(projected, width, height, tile_size)
+    rows, tiles = pairs(projected, opacities, width, height, preset=preset, tile_size=tile_size)
     means, conics = projected.means2d.double() + projected.means2d_low, projected.conics.double()
     opacities = opacities.double()
     marked = torch.zeros(height * width, dtype=torch.bool)
@@ -61,7 +61,8 @@ def mark(projected: Projected, opacities: Tensor, width: int, height: int, *, pr
             if not going.any():
                 break
             ids = rows[chunk]
-            alpha = alphas(means[ids, None] - tile.centres, conics[ids], opacities[ids], preset.alpha_max)  # (L, P)
+            x, y = (means[ids, axis, None] - tile.centres[:, axis] for axis in range(2))
+            alpha = alphas(x, y, conics[ids], opacities[ids], preset.alpha_max)  # (L, P)
             at_cut = (alpha / ALPHA_MIN - 1.0).abs() <= ALPHA_TOLERANCE
             alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
             behind = light * (1.0 - alpha).cumprod(0)

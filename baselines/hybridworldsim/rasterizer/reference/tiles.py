@@ -8,10 +8,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from hybridworldsim.rasterizer.presets import ALPHA_MIN, Preset
 from hybridworldsim.rasterizer.projected import Projected
 
 CHUNK = 256
 """Gaussians that are evaluated at once, over all pixels of a tile."""
+
+_SLACK = 1e-3
+"""By how much rounding may misjudge the least form of a needle; a tile that is kept in vain costs time only."""
 
 
 class Tile(NamedTuple):
@@ -33,13 +37,18 @@ def front_to_back(projected: Projected) -> Tensor:
     return torch.argsort(projected.depths.detach().float(), stable=True)
 
 
-def pairs(projected: Projected, width: int, height: int, tile_size: int) -> tuple[Tensor, list[Tile]]:
-    """Pair every tile with the Gaussians whose extent, as given by `radii`, touches it.
+def pairs(
+    projected: Projected, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int
+) -> tuple[Tensor, list[Tile]]:
+    """Pair every tile with the Gaussians that the preset lets reach it.
 
     Args:
         projected: M Gaussians.
+        opacities: (M,) with compensations already multiplied in.
         width: pixels.
         height: pixels.
+        preset: with square extents, whatever tile the square touches; with elliptic ones, whatever tile has a pixel at
+            which alpha may reach `ALPHA_MIN`.
         tile_size: pixels.
 
     Returns:
@@ -60,6 +69,13 @@ def pairs(projected: Projected, width: int, height: int, tile_size: int) -> tupl
     wide = spans[owner, 0]
     column = first[owner, 0] + within % wide
     row = first[owner, 1] + within // wide
+    if preset.extent == "ellipse":
+        at = torch.stack([column, row], dim=-1)  # (P, 2)
+        near = at * tile_size + 0.5 - means[owner]
+        least = _least_form(near, near + (tile_size - 1), projected.conics.detach().double()[order][owner])
+        form = 2.0 * (opacities.detach().double() / ALPHA_MIN).log()[order]
+        reached = least <= form[owner] + _SLACK
+        owner, column, row = owner[reached], column[reached], row[reached]
     tile, by_tile = torch.sort(row * tiles_wide + column, stable=True)
     starts = torch.searchsorted(tile, torch.arange(tiles_wide * tiles_high + 1)).tolist()
 
@@ -74,11 +90,26 @@ def pairs(projected: Projected, width: int, height: int, tile_size: int) -> tupl
     return order[owner[by_tile]], some
 
 
-def alphas(offsets: Tensor, conics: Tensor, opacities: Tensor, alpha_max: float) -> Tensor:
+def _least_form(low: Tensor, high: Tensor, conics: Tensor) -> Tensor:
+    """The least (P,) of the quadratic form of `conics` (P, 3) over rectangles from `low` to `high` (P, 2).
+
+    It is taken on the side that faces the origin, where the form in the other coordinate is least: one of two sides.
+    """
+    xx, xy, yy = conics.unbind(-1)
+    sides = torch.zeros_like(low).clamp(low, high)
+    x, y = sides.unbind(-1)
+    y_at_x = (-xy * x / yy).clamp(low[:, 1], high[:, 1])
+    x_at_y = (-xy * y / xx).clamp(low[:, 0], high[:, 0])
+    forms = [xx * u * u + 2.0 * xy * u * v + yy * v * v for u, v in ((x, y_at_x), (x_at_y, y))]
+    return torch.minimum(*forms)
+
+
+def alphas(x: Tensor, y: Tensor, conics: Tensor, opacities: Tensor, alpha_max: float) -> Tensor:
     """What L Gaussians would take of the light of P pixels.
 
     Args:
-        offsets: (L, P, 2) mean less pixel centre.
+        x: (L, P) mean less pixel centre.
+        y: (L, P).
         conics: (L, 3).
         opacities: (L,).
         alpha_max: cap; where it holds, no gradient passes.
@@ -86,7 +117,6 @@ def alphas(offsets: Tensor, conics: Tensor, opacities: Tensor, alpha_max: float)
     Returns:
         (L, P), not yet cut off at `ALPHA_MIN`.
     """
-    x, y = offsets.unbind(-1)
     xx, xy, yy = (column[:, None] for column in conics.unbind(-1))
     power = 0.5 * (xx * x * x + yy * y * y) + xy * x * y
     # gsplat skips a negative power, which only rounding makes

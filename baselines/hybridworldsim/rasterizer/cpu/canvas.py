@@ -1,0 +1,149 @@
+"""A picture in the making: tiles of 16 x 16 pixels, each 16 blocks of 4 x 4, a block's pixels side by side."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from mirror.arrays import Bool, Float32, Int32
+
+TILE_PX: Final = 16
+PIXELS: Final = TILE_PX * TILE_PX
+LANES: Final = 16
+BLOCKS: Final = 16
+
+
+class Canvas(NamedTuple):
+    """A picture as T tiles, row by row.
+
+    Attributes:
+        width: of the picture, pixels.
+        height: of the picture.
+        tiles_x: columns of tiles.
+        tiles_y: rows of them.
+        channels: of the colours.
+        light: (T * 256,) what is left of it; negative where a pixel is done.
+        colours: (T * channels * 256,) blended so far, a tile channel by channel.
+        last: (T * 256,) the number in its tile of a pixel's hindmost Gaussian; -1 if it has none.
+        passed: (T,) how many Gaussians of each tile there were.
+        alive: (T,) whether not all of a tile's pixels are done.
+    """
+
+    width: int
+    height: int
+    tiles_x: int
+    tiles_y: int
+    channels: int
+    light: Float32
+    colours: Float32
+    last: Int32
+    passed: Int32
+    alive: Bool
+
+    def picture(self, channels: int) -> tuple[Float32, Float32]:
+        """The first channels (H, W, channels), and alpha (H, W)."""
+        image = np.empty((self.height, self.width, channels), np.float32)
+        alpha = np.empty((self.height, self.width), np.float32)
+
+        def write(row: int) -> None:
+            _from_blocks(row, self.colours, self.light, self.channels, self.tiles_x, image, alpha)
+
+        in_parallel(write, self.tiles_y)
+        return image, alpha
+
+    def gradients(self, by_image: Float32, by_alpha: Float32) -> tuple[Float32, Float32, Float32]:
+        """Gradients as the canvas lies.
+
+        Args:
+            by_image: (H, W, D).
+            by_alpha: (H, W).
+
+        Returns:
+            To the colours (T * channels * 256,); the light that is left (T * 256,); minus that times the gradient to
+            alpha (T * 256,).
+        """
+        to_colours = np.zeros_like(self.colours)
+        light, behind = np.empty_like(self.light), np.empty_like(self.light)
+
+        def write(row: int) -> None:
+            _into_blocks(row, by_image, by_alpha, self.light, self.channels, self.tiles_x, to_colours, light, behind)
+
+        in_parallel(write, self.tiles_y)
+        return to_colours, light, behind
+
+
+def blank(width: int, height: int, channels: int) -> Canvas:
+    """Nothing blended yet; what lies beyond the picture is done."""
+    tiles_x, tiles_y = -(-width // TILE_PX), -(-height // TILE_PX)
+    count = tiles_x * tiles_y
+    light = np.ones((tiles_y, tiles_x, 4, 4, 4, 4), np.float32)
+    below, beside = height - (tiles_y - 1) * TILE_PX, width - (tiles_x - 1) * TILE_PX
+    for pixel in range(below, TILE_PX):
+        light[-1, :, pixel // 4, :, pixel % 4] = -1.0
+    for pixel in range(beside, TILE_PX):
+        light[:, -1, :, pixel // 4, :, pixel % 4] = -1.0
+    return Canvas(
+        width,
+        height,
+        tiles_x,
+        tiles_y,
+        channels,
+        light.ravel(),
+        np.zeros(count * PIXELS * channels, np.float32),
+        np.full(count * PIXELS, -1, np.int32),
+        np.zeros(count, np.int32),
+        np.ones(count, np.bool_),
+    )
+
+
+@kernel()
+def _from_blocks(
+    tile_y: int, colours: Float32, light: Float32, channels: int, tiles_x: int, image: Float32, alpha: Float32
+) -> None:
+    """Write a row of tiles into a picture."""
+    height, width, wide = image.shape
+    for tile_x in range(tiles_x):
+        tile = tile_y * tiles_x + tile_x
+        for block in range(BLOCKS):
+            y0, x0 = tile_y * TILE_PX + block // 4 * 4, tile_x * TILE_PX + block % 4 * 4
+            lit, coloured = tile * PIXELS + block * LANES, tile * channels * PIXELS + block * LANES
+            for down in range(min(4, height - y0)):
+                for across in range(min(4, width - x0)):
+                    lane = down * 4 + across
+                    y, x = np.uint64(y0 + down), np.uint64(x0 + across)
+                    alpha[y, x] = np.float32(1.0) - abs(light[np.uint64(lit + lane)])
+                    for channel in range(wide):
+                        image[y, x, np.uint64(channel)] = colours[np.uint64(coloured + channel * PIXELS + lane)]
+
+
+@kernel()
+def _into_blocks(
+    tile_y: int,
+    by_image: Float32,
+    by_alpha: Float32,
+    left: Float32,
+    channels: int,
+    tiles_x: int,
+    to_colours: Float32,
+    light: Float32,
+    behind: Float32,
+) -> None:
+    """Write a row of tiles of gradients into blocks."""
+    height, width, wide = by_image.shape
+    for tile_x in range(tiles_x):
+        tile = tile_y * tiles_x + tile_x
+        for block in range(BLOCKS):
+            y0, x0 = tile_y * TILE_PX + block // 4 * 4, tile_x * TILE_PX + block % 4 * 4
+            lit, coloured = tile * PIXELS + block * LANES, tile * channels * PIXELS + block * LANES
+            for lane in range(LANES):
+                at = np.uint64(lit + lane)
+                light[at], behind[at] = abs(left[at]), np.float32(0.0)
+                y, x = np.uint64(y0 + lane // 4), np.uint64(x0 + lane % 4)
+                if y < np.uint64(height) and x < np.uint64(width):
+                    behind[at] = -light[at] * by_alpha[y, x]
+                    for channel in range(wide):
+                        place = np.uint64(coloured + channel * PIXELS + lane)
+                        to_colours[place] = by_image[y, x, np.uint64(channel)]

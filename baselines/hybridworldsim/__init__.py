@@ -1,1 +1,1 @@
-"""HybridWorldSim, the reference model of the paper: static reconstruction, dynamic generation, closed-loop simulation."""
+"""HybridWorldSim, the model of the paper: static reconstruction, dynamic generation, closed-loop simulation."""

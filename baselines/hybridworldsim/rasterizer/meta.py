@@ -123,12 +123,12 @@ class Layout:
         """Which scene, camera and Gaussian each row of a packed tensor is; None if it is not packed."""
         if not self._packed:
             return {"batch_ids": None, "camera_ids": None, "gaussian_ids": None}
+        *batch, cameras = self._leading
         sizes = torch.tensor([len(ids) for ids in self._ids])
-        images = torch.arange(len(sizes)).repeat_interleave(sizes)
-        cameras = self._leading[-1]
+        scenes = torch.arange(math.prod(batch))
         return {
-            "batch_ids": images.div(cameras, rounding_mode="floor"),
-            "camera_ids": images % cameras,
+            "batch_ids": scenes.repeat_interleave(cameras).repeat_interleave(sizes),
+            "camera_ids": torch.arange(cameras).repeat(len(scenes)).repeat_interleave(sizes),
             "gaussian_ids": self.join(self._ids),
         }
 

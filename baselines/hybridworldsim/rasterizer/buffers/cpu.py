@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.buffers.traced import Traced
+from hybridworldsim.rasterizer.cpu.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.kernels import kernel
 from hybridworldsim.rasterizer.cpu.sorting import depth_order
-from hybridworldsim.rasterizer.cpu.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, TILE_PX, splats_of
+from hybridworldsim.rasterizer.cpu.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, splats_of
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.tiles import tiles_of
 from hybridworldsim.rasterizer.presets import TRANSMITTANCE_STOP, Preset

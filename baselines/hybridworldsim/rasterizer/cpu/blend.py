@@ -19,7 +19,7 @@ from hybridworldsim.rasterizer.cpu.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.tiles import Tiles, tiles_of
 from hybridworldsim.rasterizer.presets import Preset
 from hybridworldsim.rasterizer.projected import Projected
-from mirror.arrays import Float32, Int32, Int64
+from mirror.arrays import Float32, Float64, Int32, Int64
 from mirror.errors import UsageError
 
 _PARTS: Final = 32
@@ -145,19 +145,31 @@ class _Blend(torch.autograd.Function):
 
 
 class _Gradients(NamedTuple):
-    """Of M Gaussians: to the means (M, 2), conics (M, 3), features (M, D), opacities (M,); and, each pixel's taken
-    without its sign, to the means (M, 2)."""
+    """Of M Gaussians.
+
+    Attributes:
+        means: (M, 2).
+        conics: (M, 3).
+        features: (M, D).
+        opacities: (M,).
+        absolute: (M, 2) to the means, each pixel's taken without its sign.
+    """
 
     means: Float32
-    conics: Float32
+    conics: Float64
     features: Float32
     opacities: Float32
     absolute: Float32
 
     @classmethod
     def none(cls, count: int, channels: int) -> _Gradients:
+        """Of Gaussians that nothing shows."""
         return cls(
-            *(np.zeros(shape, np.float32) for shape in ((count, 2), (count, 3), (count, channels), count, (count, 2)))
+            np.zeros((count, 2), np.float32),
+            np.zeros((count, 3), np.float64),
+            np.zeros((count, channels), np.float32),
+            np.zeros(count, np.float32),
+            np.zeros((count, 2), np.float32),
         )
 
 

@@ -9,9 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.cpu.projection import CAUSES, View, project_part, view_of
+from hybridworldsim.rasterizer.cpu.ellipses import CAUSES, RECORD
+from hybridworldsim.rasterizer.cpu.projection import project_part
 from hybridworldsim.rasterizer.cpu.projection_backward import project_part_backward
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.view import View, view_of
 from hybridworldsim.rasterizer.projected import Projected
 
 if TYPE_CHECKING:
@@ -163,34 +165,22 @@ class InOrder:
         return [torch.from_numpy(array[: self._filled]) for array in self._arrays]
 
 
-_OUTPUTS: tuple[tuple[type, tuple[int, ...]], ...] = (
-    (np.int64, ()),  # ids
-    (np.float32, (2,)),  # means2d
-    (np.float32, (2,)),  # means2d_low
-    (np.float32, ()),  # depths
-    (np.float32, (3,)),  # conics
-    (np.float32, (3,)),  # factors
-    (np.float32, ()),  # compensations
-    (np.int32, (2,)),  # radii
-)
-
-
 class _Project(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor, opacities: Tensor, view: View
     ) -> tuple[Tensor, ...]:
         dtype, number = means.dtype, len(means)
-        given = [flat(tensor, dtype) for tensor in (means, quats, scales, opacities)]
+        given = tuple(flat(tensor, dtype) for tensor in (means, quats, scales, opacities))
         parts = -(-number // PART)
-        outputs = InOrder(number, _OUTPUTS)
+        outputs = InOrder(number, RECORD)
         counts = np.zeros((parts, len(CAUSES)), np.int64)
 
         def one(part: int) -> None:
             begin, end = part * PART, min((part + 1) * PART, number)
             arrays, settled = outputs.place(part)
             rows = np.empty(end - begin + _SPARE, np.int64)
-            seen = project_part(*(view, *given, begin, end, rows, *arrays, counts[part]))
+            seen = project_part(view, given, begin, end, rows, tuple(arrays), counts[part])
             outputs.hand_in(part, seen, arrays, settled)
 
         in_parallel(one, parts)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from hybridworldsim.rasterizer.cpu import lanes
+from hybridworldsim.rasterizer.cpu.ellipses import along, dot, rotation, times, to_camera
 from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.projection import along, covariance, dot, jacobian, rotation, times, to_camera
+from hybridworldsim.rasterizer.cpu.projection import covariance, jacobian
 
 _RATIO_MIN = 1e-290
 

@@ -1,0 +1,115 @@
+"""One camera, and the limits under which it sees a Gaussian, as kernels take them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hybridworldsim.rasterizer.presets import SQUARE_DISCRIMINANT_MIN, SQUARE_SIGMAS, Preset
+from mirror.arrays import Float64
+
+DEPTH_MIN = 1e-30
+"""Nothing on or behind the camera plane is ever kept, metres."""
+
+_SIGMAS = 3.33  # an opaque Gaussian is below ALPHA_MIN there
+
+
+class View(NamedTuple):
+    """One camera and the limits under which it sees a Gaussian; numbers that kernels take as they are.
+
+    Attributes:
+        antialiased: whether opacities shrink by the compensation.
+        square: whether the extent is the square of three sigmas.
+        r00: to `r22`, rotation of the view matrix; `t0` to `t2` its translation, metres.
+        fx: `fy`, `cx`, `cy`: the pinhole, pixels.
+        left: `right`, `top`, `bottom`: bounds of x/z and y/z in the Jacobian.
+        near: `far`: depths between which Gaussians are kept, metres.
+        blur: added to both variances, pixel^2.
+        clip: Gaussians whose radii are no larger are dropped, pixels.
+        reach_x: the radius of a Gaussian of opacity 1 is less than `reach_x` * greatest scale / depth + `margin`.
+        ratio_min: floor of the squared compensation.
+    """
+
+    antialiased: bool
+    square: bool
+    r00: float
+    r01: float
+    r02: float
+    r10: float
+    r11: float
+    r12: float
+    r20: float
+    r21: float
+    r22: float
+    t0: float
+    t1: float
+    t2: float
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    left: float
+    right: float
+    top: float
+    bottom: float
+    width: float
+    height: float
+    near: float
+    far: float
+    blur: float
+    clip: float
+    reach_x: float
+    reach_y: float
+    margin: float
+    ratio_min: float
+
+
+def view_of(
+    viewmat: Float64,
+    K: Float64,
+    width: int,
+    height: int,
+    *,
+    eps2d: float,
+    near_plane: float,
+    far_plane: float,
+    radius_clip: float,
+    preset: Preset,
+    antialiased: bool,
+) -> View:
+    """Gather what kernels need of a camera.
+
+    Args:
+        viewmat: (4, 4), world to camera.
+        K: (3, 3) intrinsic matrix, pixels.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        eps2d: added to both variances, pixel^2.
+        near_plane: least depth, metres; what is on or behind the camera plane is never kept.
+        far_plane: greatest depth, metres.
+        radius_clip: Gaussians whose radii are no larger are dropped, pixels.
+        preset: gsplat's generation.
+        antialiased: whether opacities shrink by the compensation.
+    """
+    fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+    beside_x, beside_y = 0.15 * width / fx, 0.15 * height / fy
+    right, left = (width - cx) / fx + beside_x, -cx / fx - beside_x
+    bottom, top = (height - cy) / fy + beside_y, -cy / fy - beside_y
+    stretch = float(np.linalg.norm(viewmat[:3, :3], 2)) * (1.0 + 1e-9)
+    reach_x = stretch * abs(fx) * float(np.hypot(1.0, max(abs(left), abs(right))))
+    reach_y = stretch * abs(fy) * float(np.hypot(1.0, max(abs(top), abs(bottom))))
+    square = preset.extent == "square"
+    if square:
+        reach = SQUARE_SIGMAS * float(np.hypot(reach_x, reach_y))
+        reaches = (reach, reach, SQUARE_SIGMAS * (2.0 * eps2d + SQUARE_DISCRIMINANT_MIN**0.5) ** 0.5 + 1.0)
+    else:
+        reaches = (_SIGMAS * reach_x, _SIGMAS * reach_y, _SIGMAS * eps2d**0.5 + 1.0)
+    numbers = [
+        *viewmat[:3, :3].ravel(),
+        *viewmat[:3, 3],
+        *(fx, fy, cx, cy, left, right, top, bottom, width, height),
+        *(max(near_plane, DEPTH_MIN), far_plane, eps2d, radius_clip),
+        *(*reaches, preset.compensation_min**2),
+    ]
+    return View(antialiased, square, *map(float, numbers))

@@ -161,7 +161,8 @@ def checked(
         backgrounds=backgrounds,
         nonfinite=nonfinite,
     )
-    if bool((torch.linalg.det(inputs.viewmats[..., :3, :3]) == 0.0).any()):
+    x, y, z = inputs.viewmats.detach()[..., :3, :3].unbind(-2)
+    if bool(((torch.linalg.cross(x, y) * z).sum(-1) == 0.0).any()):
         raise UsageError("a rotation is singular", place="viewmats", expected="camera from world, (..., C, 4, 4)")
     for name in ("viewmats", "Ks", "backgrounds"):
         if name in tensors:
@@ -302,4 +303,4 @@ def _shape(name: str, tensor: Tensor, expected: str) -> UsageError:
 
 
 def _sums_to_finite(table: Tensor) -> bool:
-    return bool(torch.isfinite(table.detach().sum()))
+    return math.isfinite(table.detach().sum().item())

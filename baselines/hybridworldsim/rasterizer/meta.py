@@ -123,12 +123,10 @@ class Layout:
         """Which scene, camera and Gaussian each row of a packed tensor is; None if it is not packed."""
         if not self._packed:
             return {"batch_ids": None, "camera_ids": None, "gaussian_ids": None}
-        *batch, cameras = self._leading
-        sizes = torch.tensor([len(ids) for ids in self._ids])
-        scenes = torch.arange(math.prod(batch))
+        places = [divmod(image, self._leading[-1]) for image in range(len(self._ids))]
         return {
-            "batch_ids": scenes.repeat_interleave(cameras).repeat_interleave(sizes),
-            "camera_ids": torch.arange(cameras).repeat(len(scenes)).repeat_interleave(sizes),
+            "batch_ids": self.join([ids.new_full(ids.shape, scene) for ids, (scene, _) in zip(self._ids, places)]),
+            "camera_ids": self.join([ids.new_full(ids.shape, camera) for ids, (_, camera) in zip(self._ids, places)]),
             "gaussian_ids": self.join(self._ids),
         }
 

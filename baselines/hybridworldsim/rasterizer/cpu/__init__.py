@@ -1,5 +1,6 @@
 """Rasterization by compiled kernels on the CPU."""
 
 from hybridworldsim.rasterizer.cpu.blend import blend
+from hybridworldsim.rasterizer.cpu.project import project
 
-__all__ = ["blend"]
+__all__ = ["blend", "project"]

@@ -7,6 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hybridworldsim.rasterizer import rasterization
 from tests.rasterizer._scenes import (
@@ -307,6 +309,35 @@ def test_the_backends_agree(mode):
         assert ((exact - fast).abs() <= 2e-5 * exact.abs().max()).double().mean() > 0.999
     for name, exact, fast in zip(TRAINED, found["reference"][2], found["cpu"][2], strict=True):
         assert (exact - fast).norm() <= 1e-3 * exact.norm(), name
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    scale=st.floats(-12.0, 6.0),
+    distance=st.floats(-3.0, 7.0),
+    opacity=st.sampled_from([0.0, 1.0 / 255.0, 0.5, 0.999, 1.0]),
+    mode=st.sampled_from(["classic", "antialiased"]),
+)
+@settings(max_examples=40, deadline=None)
+def test_nothing_finite_makes_nan(seed, scale, distance, opacity, mode):
+    random = torch.Generator().manual_seed(seed)
+    arguments = gaussians(12, seed)
+    arguments["means"] = torch.randn(12, 3, generator=random) * 10.0**distance
+    arguments["means"][0] = 0.0  # where the camera is
+    arguments["means"][1, 2] = 0.0  # on its plane
+    arguments["means"][2:5] = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, 10.0**distance], [0.0, 0.0, 0.010001]])
+    arguments["scales"] = 10.0 ** (scale + 2.0 * torch.randn(12, 3, generator=random))
+    arguments["scales"][5], arguments["scales"][6], arguments["quats"][7] = 0.0, -arguments["scales"][6], 0.0
+    arguments["opacities"][:] = opacity
+    arguments = with_gradients(arguments | cameras(), *TRAINED)
+    image, alpha, _ = rasterization(**arguments, backend="cpu", rasterize_mode=mode, render_mode="RGB+ED")
+    assert image.isfinite().all()
+    assert (alpha >= 0.0).all()
+    assert (alpha <= 1.0).all()
+    assert (image[..., :3] <= alpha * (1.0 + 1e-5) + 1e-6).all()
+    (image.sum() + alpha.sum()).backward()
+    for name in TRAINED:
+        assert arguments[name].grad.isfinite().all(), name
 
 
 def test_two_threads_render_at_once():

@@ -132,10 +132,9 @@ def _project(
         antialiased=options.antialiased,
         lens=lens,
     )
-    if kept is None:
-        return projected
-    counts = {**projected.counts, "nonfinite": inputs.gaussians - len(kept)}
-    return projected._replace(ids=kept[projected.ids], counts=counts)
+    culled = 0 if kept is None else inputs.gaussians - len(kept)
+    ids = projected.ids if kept is None else kept[projected.ids]
+    return projected._replace(ids=ids, counts={**projected.counts, "nonfinite": culled})
 
 
 def _opacities(inputs: Inputs, scene: int, picture: Projected) -> Tensor:

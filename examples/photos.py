@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pycolmap
 import torch
 from torch import Tensor
+from torch.nn import Parameter
 from torch.nn.functional import conv2d
+from torch.optim import Adam
+from torch.optim.lr_scheduler import ExponentialLR
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +41,68 @@ class Photos:
     points: Tensor
     colors: Tensor
     extent: float
+
+    @property
+    def width(self) -> int:
+        """Pixels."""
+        return self.pictures.shape[2]
+
+    @property
+    def height(self) -> int:
+        """Pixels."""
+        return self.pictures.shape[1]
+
+    @property
+    def test(self) -> list[int]:
+        """Every eighth photo: held out."""
+        return list(range(7, len(self.names), 8))
+
+    @property
+    def train(self) -> list[int]:
+        """All others."""
+        return [index for index in range(len(self.names)) if index not in self.test]
+
+
+class Progress:
+    """Prints a table of PSNR by step, and keeps pictures of the photos held out.
+
+    Args:
+        photos: of which some are held out.
+        render: picture (H, W, 3), and more, of a photo's index.
+        out: folder of the pictures and ``curve.csv``.
+    """
+
+    def __init__(self, photos: Photos, render: Callable[[int], tuple[Tensor, Any]], out: Path) -> None:
+        self._photos, self._render, self._out = photos, render, out
+        self._begin = time.perf_counter()
+        out.mkdir(parents=True, exist_ok=True)
+        self._print("step,seconds,gaussians,train_psnr_db,test_psnr_db", "w")
+
+    def report(self, step: int, gaussians: int) -> None:
+        """Add a line: the means over the photos that are trained on, and over those that are not."""
+        seconds = time.perf_counter() - self._begin
+        train, test = (sum(map(self._psnr, some)) / len(some) for some in (self._photos.train, self._photos.test))
+        self._print(f"{step},{seconds:.0f},{gaussians},{train:.2f},{test:.2f}", "a")
+
+    def save(self) -> None:
+        """Write the pictures of the photos held out, and say how good each is."""
+        for index in self._photos.test:
+            picture = (self._picture(index) * 255).round().byte().numpy()
+            cv2.imwrite(str(self._out / self._photos.names[index]), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+            print(f"{self._photos.names[index]}: {self._psnr(index):.2f} dB")
+
+    def _psnr(self, index: int) -> float:
+        wrong = (self._picture(index) - self._photos.pictures[index]).square().mean()
+        return float(-10.0 * torch.log10(wrong))
+
+    @torch.no_grad()
+    def _picture(self, index: int) -> Tensor:
+        return self._render(index)[0].clamp(0.0, 1.0)
+
+    def _print(self, line: str, mode: str) -> None:
+        print(line, flush=True)
+        with (self._out / "curve.csv").open(mode) as file:
+            file.write(line + "\n")
 
 
 def load(folder: Path, width: int) -> Photos:
@@ -63,7 +131,7 @@ def load(folder: Path, width: int) -> Photos:
     )
 
 
-def start(photos: Photos) -> tuple[dict[str, torch.nn.Parameter], dict[str, torch.optim.Adam]]:
+def start(photos: Photos, steps: int) -> tuple[dict[str, Parameter], dict[str, Adam], ExponentialLR]:
     """Gaussians at the points, as large as the distance to the three nearest, and 3DGS's optimizers."""
     near = torch.cdist(photos.points, photos.points).topk(4, largest=False).values[:, 1:]
     size = near.square().mean(dim=1).sqrt().clamp_min(1e-4).log()
@@ -76,9 +144,9 @@ def start(photos: Photos) -> tuple[dict[str, torch.nn.Parameter], dict[str, torc
         "sh0": (((photos.colors - 0.5) / 0.28209479)[:, None], 2.5e-3),
         "shN": (torch.zeros(count, 15, 3), 2.5e-3 / 20),
     }
-    splats = {name: torch.nn.Parameter(value) for name, (value, _) in values.items()}
-    optimizers = {name: torch.optim.Adam([splats[name]], lr=rate, eps=1e-15) for name, (_, rate) in values.items()}
-    return splats, optimizers
+    splats = {name: Parameter(value) for name, (value, _) in values.items()}
+    optimizers = {name: Adam([splats[name]], lr=rate, eps=1e-15) for name, (_, rate) in values.items()}
+    return splats, optimizers, ExponentialLR(optimizers["means"], 0.01 ** (1 / steps))
 
 
 def difference(one: Tensor, other: Tensor) -> Tensor:
@@ -92,8 +160,3 @@ def difference(one: Tensor, other: Tensor) -> Tensor:
     ssim = (2 * ma * mb + 1e-4) * (2 * (ab - ma * mb) + 9e-4)
     ssim = ssim / ((ma * ma + mb * mb + 1e-4) * (aa - ma * ma + bb - mb * mb + 9e-4))
     return 0.8 * (one - other).abs().mean() + 0.2 * (1 - ssim.mean())
-
-
-def psnr(one: Tensor, other: Tensor) -> float:
-    """Of two pictures in 0..1, dB."""
-    return float(-10.0 * torch.log10((one - other).square().mean()))

@@ -137,7 +137,7 @@ class _Blend(torch.autograd.Function):
         found = _Gradients.none(len(opacities), shape[2])
         gradients = canvas.gradients(_array(by_image, shape), _array(by_alpha, shape[:2]))
         for part in reversed(slices):
-            lines = _lines(canvas, splats, part, alpha_max, *gradients)
+            lines = _lines(canvas, splats, part, alpha_max, *gradients, absgrad)
             _collect(part, splats, opacities, lines, found)
         if absgrad:
             means2d.absgrad = torch.from_numpy(found.absolute)
@@ -224,6 +224,7 @@ def _lines(
     to_colours: Float32,
     light: Float32,
     behind: Float32,
+    absgrad: bool,
 ) -> Float32:
     """The gradients of each pair of tile and Gaussian, by slot."""
     line, tiles, numbers = _line(splats.channels), part.tiles, _tile_rows(canvas)
@@ -234,7 +235,7 @@ def _lines(
             numbers[row], tiles.begins, tiles.ids, tiles.slots, part.passed, part.until, splats.rows, splats.stride,
             splats.channels, canvas.tiles_x, alpha_max, light, behind, to_colours, canvas.last,
             np.empty(BATCH * PLACED, np.float32), np.empty(BATCH, np.int32),
-            np.empty(splats.channels * LANES, np.float32), lines, line,
+            np.empty(splats.channels * LANES, np.float32), lines, line, absgrad,
         )  # fmt: skip
 
     in_parallel(go_back, canvas.tiles_y)
@@ -249,7 +250,7 @@ def _collect(part: _Slice, splats: Splats, opacities: Float32, lines: Float32, f
         lambda number: collect(
             edges[number], edges[number + 1], part.order, part.tiles.firsts, lines, line, splats.rows, splats.stride,
             opacities, found.means, found.conics, found.opacities, found.features, found.absolute,
-            np.empty(SUMS + wide),
+            np.empty(line, np.float32),
         ),
         _PARTS,
     )  # fmt: skip

@@ -72,6 +72,7 @@ def blend_tiles_backward(
     more: Float32,
     lines: Float32,
     line: int,
+    absolute: bool,
 ) -> None:
     """Gradients of the Gaussians of some tiles.
 
@@ -97,6 +98,7 @@ def blend_tiles_backward(
         more: (channels * LANES,).
         lines: (pairs * line,) written.
         line: its length.
+        absolute: whether the sums without signs are wanted.
     """
     lane_x, lane_y, block_x, block_y = load(LANE_X, 0), load(LANE_Y, 0), load(BLOCK_X, 0), load(BLOCK_Y, 0)
     cap, zero, one = np.float32(alpha_max), spread(np.float32(0.0)), spread(np.float32(1.0))
@@ -124,8 +126,12 @@ def blend_tiles_backward(
                 place = batch + k
                 row, p = ids[place] * stride, k * PLACED
                 before = np.int32(offset + place - 1)
+                u0, v0, f11, f12 = lift(scratch, p), lift(scratch, p + 1), lift(scratch, p + 2), lift(scratch, p + 3)
+                f22, level = lift(scratch, p + 4), lift(scratch, p + 5)
+                f0, f1 = lift(rows, row + FEATURES), lift(rows, row + FEATURES + 1)
+                f2, f3 = lift(rows, row + FEATURES + 2), lift(rows, row + FEATURES + 3)
                 s0, su, sv, suu, suv, svv = zero, zero, zero, zero, zero, zero
-                abs_u, abs_v, red, green, blue, other = zero, zero, zero, zero, zero, zero
+                abs_u, abs_v, by0, by1, by2, by3 = zero, zero, zero, zero, zero, zero
                 for channel in range(4, channels):
                     store(more, channel * LANES, zero)
                 left = np.uint64(reached[k])
@@ -135,9 +141,8 @@ def blend_tiles_backward(
                     at = tile * PIXELS + block * LANES
                     to = tile * PIXELS * channels + block * LANES
                     x, y = lane_x + np.float32(4 * (block % 4)), lane_y + np.float32(4 * (block // 4))
-                    u = fma(x, lift(scratch, p + 2), fma(y, lift(scratch, p + 3), lift(scratch, p)))
-                    v = fma(y, lift(scratch, p + 4), lift(scratch, p + 1))
-                    exponent = take(u, u, take(v, v, lift(scratch, p + 5)))
+                    u, v = fma(x, f11, fma(y, f12, u0)), fma(y, f22, v0)
+                    exponent = take(u, u, take(v, v, level))
                     inside = (exponent >= FLOOR) & beyond(load(last, at), before)
                     value = exp2(exponent)
                     alpha = choose(inside, least(value, cap), zero)
@@ -145,14 +150,10 @@ def blend_tiles_backward(
                     through = load(light, at) * share
                     store(light, at, through)
                     weight = alpha * through
-                    worth = load(gradient, to) * lift(rows, row + FEATURES)
-                    worth = fma(load(gradient, to + PIXELS), lift(rows, row + FEATURES + 1), worth)
-                    worth = fma(load(gradient, to + 2 * PIXELS), lift(rows, row + FEATURES + 2), worth)
-                    worth = fma(load(gradient, to + 3 * PIXELS), lift(rows, row + FEATURES + 3), worth)
-                    red = fma(weight, load(gradient, to), red)
-                    green = fma(weight, load(gradient, to + PIXELS), green)
-                    blue = fma(weight, load(gradient, to + 2 * PIXELS), blue)
-                    other = fma(weight, load(gradient, to + 3 * PIXELS), other)
+                    g0, g1 = load(gradient, to), load(gradient, to + PIXELS)
+                    g2, g3 = load(gradient, to + 2 * PIXELS), load(gradient, to + 3 * PIXELS)
+                    worth = fma(g0, f0, fma(g1, f1, fma(g2, f2, g3 * f3)))
+                    by0, by1, by2, by3 = fma(weight, g0, by0), fma(weight, g1, by1), fma(weight, g2, by2), fma(weight, g3, by3)
                     for channel in range(4, channels):
                         here = load(gradient, to + channel * PIXELS)
                         worth = fma(here, lift(rows, row + FEATURES + channel), worth)
@@ -165,10 +166,11 @@ def blend_tiles_backward(
                     s_u, s_v = s * u, s * v
                     su, sv = su + s_u, sv + s_v
                     suu, suv, svv = fma(s_u, u, suu), fma(s_u, v, suv), fma(s_v, v, svv)
-                    abs_u = abs_u + magnitude(s_u)
-                    abs_v = abs_v + magnitude(fma(s_u, lift(scratch, p + 3), s_v * lift(scratch, p + 4)))
+                    if absolute:
+                        abs_u = abs_u + magnitude(s_u)
+                        abs_v = abs_v + magnitude(fma(s_u, f12, s_v * f22))
                 to = slots[place] * line
-                store(lines, to, totals((s0, su, sv, suu, suv, svv, abs_u, abs_v, red, green, blue, other)))
+                store(lines, to, totals((s0, su, sv, suu, suv, svv, abs_u, abs_v, by0, by1, by2, by3)))
                 for channel in range(4, channels):
                     lines[to + SUMS + channel] = total(load(more, channel * LANES))
 
@@ -189,7 +191,7 @@ def collect(
     by_opacity: Float32,
     by_feature: Float32,
     absolute: Float32,
-    sums: Float64,
+    sums: Float32,
 ) -> None:
     """Add up the lines of Gaussians, and turn them into gradients.
 
@@ -208,25 +210,31 @@ def collect(
         by_opacity: (M,).
         by_feature: (M, D).
         absolute: (M, 2) sums of the magnitudes of each pixel's gradient to the means.
-        sums: (SUMS + D,) scratch.
+        sums: (line,) scratch.
     """
-    channels = by_feature.shape[1]
+    channels, none = by_feature.shape[1], spread(np.float32(0.0))
     for rank in range(begin, end):
         i = order[rank]
-        sums[:] = 0.0
-        for slot in range(firsts[rank], firsts[rank + 1]):
-            for column in range(SUMS + channels):
-                sums[column] += lines[slot * line + column]
+        for column in range(0, line, LANES):
+            # each pair's numbers are added with what rounding took from the sum before
+            total_so_far, lost = none, none
+            for slot in range(firsts[rank], firsts[rank + 1]):
+                added = load(lines, slot * line + column) - lost
+                grown = total_so_far + added
+                lost = (grown - total_so_far) - added
+                total_so_far = grown
+            store(sums, column, total_so_far)
         row = i * stride
         f11, f12 = np.float64(rows[row + FACTORS]), np.float64(rows[row + FACTORS + 1])
         f22 = np.float64(rows[row + FACTORS + 2])
         lean = f12 / f22
+        suu, suv, svv = np.float64(sums[3]), np.float64(sums[4]), np.float64(sums[5])
         means[i, 0] = _LN4 * f11 * sums[1]
         means[i, 1] = _LN4 * (f12 * sums[1] + f22 * sums[2])
-        conics[i, 0] = -0.5 * (sums[3] - 2.0 * lean * sums[4] + lean * lean * sums[5]) / (f11 * f11)
-        conics[i, 1] = -(sums[4] - lean * sums[5]) / (f11 * f22)
-        conics[i, 2] = -0.5 * sums[5] / (f22 * f22)
-        by_opacity[i] = sums[0] / opacities[i]
+        conics[i, 0] = -0.5 * (suu - 2.0 * lean * suv + lean * lean * svv) / (f11 * f11)
+        conics[i, 1] = -(suv - lean * svv) / (f11 * f22)
+        conics[i, 2] = -0.5 * svv / (f22 * f22)
+        by_opacity[i] = sums[0] / opacities[i] if opacities[i] > 0.0 else 0.0
         absolute[i, 0], absolute[i, 1] = _LN4 * f11 * sums[6], _LN4 * sums[7]
         for channel in range(channels):
             by_feature[i, channel] = sums[SUMS + channel]

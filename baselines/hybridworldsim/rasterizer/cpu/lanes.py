@@ -190,6 +190,16 @@ def bits(context: Any, mask: Any) -> Any:
 
 
 @intrinsic
+def mask_of(context: Any, number: Any) -> Any:
+    """The mask that has a number's lowest bits."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.bitcast(builder.trunc(args[0], ir.IntType(LANES)), _LLVM[types.boolean])
+
+    return Mask8(types.int64), lower
+
+
+@intrinsic
 def how_many(context: Any, mask: Any) -> Any:
     """How many lanes are set."""
     return _given(types.int64, lambda b, mask: b.zext(b.ctpop(b.bitcast(mask, ir.IntType(LANES))), _LONG), mask)

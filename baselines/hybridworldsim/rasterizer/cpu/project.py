@@ -9,10 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hybridworldsim.rasterizer.cpu.bending import Bending, bending_of
 from hybridworldsim.rasterizer.cpu.ellipses import CAUSES, RECORD
 from hybridworldsim.rasterizer.cpu.projection import project_part
 from hybridworldsim.rasterizer.cpu.projection_backward import project_part_backward
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.unscented import SCRATCH, unscented_part, unscented_part_backward
 from hybridworldsim.rasterizer.cpu.view import View, view_of
 from hybridworldsim.rasterizer.projected import Projected
 
@@ -82,9 +84,11 @@ def project(
         radius_clip=radius_clip,
         preset=preset,
         antialiased=antialiased,
+        lens=lens,
     )
+    bending = None if lens is None else bending_of(lens, view)
     means2d, depths, conics, compensations, ids, low, factors, radii, counts = _Project.apply(
-        means, quats, scales, viewmat, opacities, view
+        means, quats, scales, viewmat, opacities, view, bending
     )
     return Projected(
         ids=ids,
@@ -168,7 +172,14 @@ class InOrder:
 class _Project(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor, opacities: Tensor, view: View
+        ctx: Any,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        viewmat: Tensor,
+        opacities: Tensor,
+        view: View,
+        bending: Bending | None,
     ) -> tuple[Tensor, ...]:
         dtype, number = means.dtype, len(means)
         given = tuple(flat(tensor, dtype) for tensor in (means, quats, scales, opacities))
@@ -180,14 +191,18 @@ class _Project(torch.autograd.Function):
             begin, end = part * PART, min((part + 1) * PART, number)
             arrays, settled = outputs.place(part)
             rows = np.empty(end - begin + _SPARE, np.int64)
-            seen = project_part(view, given, begin, end, rows, tuple(arrays), counts[part])
+            if bending is None:
+                seen = project_part(view, given, begin, end, rows, tuple(arrays), counts[part])
+            else:
+                own = rows, np.empty(SCRATCH)
+                seen = unscented_part(view, bending, given, begin, end, *own, tuple(arrays), counts[part])
             outputs.hand_in(part, seen, arrays, settled)
 
         in_parallel(one, parts)
         ids, means2d, low, depths, conics, factors, compensations, radii = outputs.filled()
         culled = torch.from_numpy(counts.sum(axis=0))
         ctx.save_for_backward(means, quats, scales, viewmat, ids)
-        ctx.view = view
+        ctx.view, ctx.bending = view, bending
         ctx.mark_non_differentiable(ids, low, factors, radii, culled)
         ctx.set_materialize_grads(False)
         return means2d, depths, conics, compensations, ids, low, factors, radii, culled
@@ -196,21 +211,23 @@ class _Project(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, viewmat, ids = ctx.saved_tensors
         dtype, number, seen = means.dtype, len(means), len(ids)
-        given = [flat(tensor, dtype) for tensor in (means, quats, scales)]
+        given = tuple(flat(tensor, dtype) for tensor in (means, quats, scales))
         nothing = np.zeros(3, np.float32)
-        given_to = [nothing if gradient is None else flat(gradient, torch.float32) for gradient in gradients[:4]]
+        upstream = tuple(nothing if gradient is None else flat(gradient, torch.float32) for gradient in gradients[:4])
         strides = tuple(0 if gradient is None else width for gradient, width in zip(gradients, (2, 1, 3, 1)))
-        to_given = [np.empty((number, width), given[0].dtype) for width in (3, 4, 3)]
+        to_given = tuple(np.empty((number, width), given[0].dtype) for width in (3, 4, 3))
         indices = ids.numpy()
         parts = -(-seen // PART)
         to_viewmat = np.zeros((parts, 12))
 
         def one(part: int) -> None:
-            begin, end = part * PART, min((part + 1) * PART, seen)
-            project_part_backward(
-                *(ctx.view, *given, indices, *given_to, strides, begin, end),
-                *(np.empty(16, np.int64), np.empty(80, given[0].dtype), *to_given, to_viewmat[part]),
-            )
+            span = part * PART, min((part + 1) * PART, seen)
+            rows, buffer = np.empty(16, np.int64), np.empty(80, given[0].dtype)
+            asked, answer = (given, indices, upstream, strides, *span), (buffer, to_given, to_viewmat[part])
+            if ctx.bending is None:
+                project_part_backward(ctx.view, *asked, rows, *answer)
+            else:
+                unscented_part_backward(ctx.view, ctx.bending, *asked, rows, np.empty(SCRATCH), *answer)
 
         in_parallel(one, parts)
         for array in to_given:
@@ -220,4 +237,4 @@ class _Project(torch.autograd.Function):
         total[:3, :3], total[:3, 3] = summed[:9].reshape(3, 3), summed[9:]
         inputs = (means, quats, scales)
         to_inputs = [torch.from_numpy(array).to(tensor.dtype) for array, tensor in zip(to_given, inputs)]
-        return *to_inputs, torch.from_numpy(total).to(viewmat.dtype), None, None
+        return *to_inputs, torch.from_numpy(total).to(viewmat.dtype), None, None, None

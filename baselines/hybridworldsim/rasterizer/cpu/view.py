@@ -6,12 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.presets import SQUARE_DISCRIMINANT_MIN, SQUARE_SIGMAS, Preset
 from mirror.arrays import Float64
 
 DEPTH_MIN = 1e-30
 """Nothing on or behind the camera plane is ever kept, metres."""
 
+_ANYWHERE = 1e300  # pixels; a lens may bend a ray into the picture from wherever it comes
 _SIGMAS = 3.33  # an opaque Gaussian is below ALPHA_MIN there
 
 
@@ -77,6 +79,7 @@ def view_of(
     radius_clip: float,
     preset: Preset,
     antialiased: bool,
+    lens: Lens | None,
 ) -> View:
     """Gather what kernels need of a camera.
 
@@ -91,6 +94,7 @@ def view_of(
         radius_clip: Gaussians whose radii are no larger are dropped, pixels.
         preset: gsplat's generation.
         antialiased: whether opacities shrink by the compensation.
+        lens: None for a pinhole.
     """
     fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
     beside_x, beside_y = 0.15 * width / fx, 0.15 * height / fy
@@ -100,7 +104,9 @@ def view_of(
     reach_x = stretch * abs(fx) * float(np.hypot(1.0, max(abs(left), abs(right))))
     reach_y = stretch * abs(fy) * float(np.hypot(1.0, max(abs(top), abs(bottom))))
     square = preset.extent == "square"
-    if square:
+    if lens is not None:
+        reaches = (0.0, 0.0, _ANYWHERE)
+    elif square:
         reach = SQUARE_SIGMAS * float(np.hypot(reach_x, reach_y))
         reaches = (reach, reach, SQUARE_SIGMAS * (2.0 * eps2d + SQUARE_DISCRIMINANT_MIN**0.5) ** 0.5 + 1.0)
     else:

@@ -1,0 +1,90 @@
+"""Pairs of tile and Gaussian, against all pixels of all Gaussians."""
+
+import numpy as np
+import pytest
+
+from hybridworldsim.rasterizer.cpu.splats import splats_of
+from hybridworldsim.rasterizer.cpu.tiles import tiles_of
+
+WIDTH, HEIGHT, TILES_X, TILES_Y = 117, 70, 8, 5
+
+
+def ellipses(count, longest, seed=0):
+    random = np.random.default_rng(seed)
+    means = random.uniform([-20.0, -20.0], [WIDTH + 20.0, HEIGHT + 20.0], (count, 2))
+    along, across = random.uniform(0.3, longest, count) ** 2 + 0.3, random.uniform(0.3, 2.0, count) ** 2 + 0.3
+    turn = random.uniform(0.0, np.pi, count)
+    cosine, sine = np.cos(turn), np.sin(turn)
+    xx, yy = cosine**2 * along + sine**2 * across, sine**2 * along + cosine**2 * across
+    xy = cosine * sine * (along - across)
+    determinant = xx * yy - xy * xy
+    f11 = np.sqrt(yy / determinant)
+    factors = np.stack([f11, -xy / determinant / f11, 1.0 / np.sqrt(xx * 0.0 + yy)], axis=1)
+    factors[:, 2] = 1.0 / np.sqrt(yy)
+    return means, factors, random.uniform(0.0, 1.0, count), random.uniform(1.0, 9.0, count)
+
+
+def reach(means, factors, opacities):
+    """(N, tiles) the greatest alpha among each tile's pixels."""
+    y, x = np.mgrid[: TILES_Y * 16, : TILES_X * 16] + 0.5
+    dx, dy = x - means[:, 0, None, None], y - means[:, 1, None, None]
+    u = factors[:, 0, None, None] * dx + factors[:, 1, None, None] * dy
+    v = factors[:, 2, None, None] * dy
+    alpha = opacities[:, None, None] * np.exp(-0.5 * (u * u + v * v))
+    return alpha.reshape(len(means), TILES_Y, 16, TILES_X, 16).max(axis=(2, 4)).reshape(len(means), -1)
+
+
+@pytest.mark.parametrize("longest", [0.5, 4.0, 30.0, 300.0])
+def test_each_tile_has_the_gaussians_that_reach_it_in_depth_order(longest):
+    means, factors, opacities, depths = ellipses(400, longest)
+    order = np.argsort(depths).astype(np.int32)
+    single = means.astype(np.float32)
+    splats = splats_of(
+        single, (means - single).astype(np.float32), factors.astype(np.float32), opacities.astype(np.float32),
+        np.zeros((400, 3), np.float32), np.full((400, 2), 1 << 20, np.int32), TILES_X, TILES_Y,
+    )  # fmt: skip
+    tiles = tiles_of(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
+    greatest = reach(means, factors, opacities)
+    rank = np.argsort(order)
+    listed = np.zeros_like(greatest, dtype=bool)
+    for tile in range(TILES_X * TILES_Y):
+        ids = tiles.ids[tiles.begins[tile] : tiles.begins[tile + 1]]
+        assert (np.diff(rank[ids]) > 0).all()
+        listed[ids, tile] = True
+    assert listed[greatest >= (1.0 + 1e-5) / 255.0].all()
+    # the ellipse is tested along the rows' edges, the alphas at pixels: few tiles are listed that no pixel needs
+    assert (listed & (greatest < 1.0 / 255.0)).sum() <= 0.1 * listed.sum()
+
+
+def test_slots_are_the_same_pairs_by_gaussian():
+    means, factors, opacities, depths = ellipses(300, 20.0, seed=1)
+    order = np.argsort(depths).astype(np.int32)
+    splats = splats_of(
+        means.astype(np.float32), np.zeros((300, 2), np.float32), factors.astype(np.float32),
+        opacities.astype(np.float32), np.zeros((300, 3), np.float32), np.full((300, 2), 1 << 20, np.int32),
+        TILES_X, TILES_Y,
+    )  # fmt: skip
+    tiles = tiles_of(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
+    places = len(tiles.slots)
+    assert sorted(tiles.slots.tolist()) == list(range(places))
+    owner = np.repeat(order, np.diff(tiles.firsts))
+    np.testing.assert_array_equal(owner[tiles.slots], tiles.ids[:places])
+
+
+def test_done_tiles_get_nothing_and_the_preset_s_extent_cuts():
+    means = np.array([[60.0, 40.0]], np.float32)
+    factors, opacities = np.array([[0.02, 0.0, 0.02]], np.float32), np.array([0.9], np.float32)
+
+    def tiles(radius, alive):
+        splats = splats_of(
+            means, np.zeros_like(means), factors, opacities, np.zeros((1, 1), np.float32),
+            np.full((1, 2), radius, np.int32), TILES_X, TILES_Y,
+        )  # fmt: skip
+        return np.flatnonzero(np.diff(tiles_of(splats, np.zeros(1, np.int32), TILES_X, alive).begins))
+
+    every = np.ones(TILES_X * TILES_Y, np.bool_)
+    assert len(tiles(1 << 20, every)) == TILES_X * TILES_Y
+    assert tiles(5, every).tolist() == [2 * TILES_X + 3, 2 * TILES_X + 4]
+    only = every & False
+    only[7] = True
+    assert tiles(1 << 20, only).tolist() == [7]

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from hybridworldsim.rasterizer.cpu import project as compiled
+from hybridworldsim.rasterizer.cpu.project import PART
+from hybridworldsim.rasterizer.cpu.project import project as compiled
 from hybridworldsim.rasterizer.presets import preset_of
 from hybridworldsim.rasterizer.projected import Projected
 from hybridworldsim.rasterizer.reference import project as reference
@@ -76,7 +77,7 @@ def distance(ours: Tensor, truth: Tensor) -> float:
 @pytest.mark.parametrize("aspect", [1.0, 1000.0])
 def test_kernels_give_what_the_reference_gives(preset: str, antialiased: bool, aspect: float) -> None:
     inputs, same = leaves(cloud(3000, aspect=aspect)), leaves(cloud(3000, aspect=aspect))
-    ours = through(compiled.project, inputs, preset=preset, antialiased=antialiased)
+    ours = through(compiled, inputs, preset=preset, antialiased=antialiased)
     truth = through(reference, same, preset=preset, antialiased=antialiased)
     assert len(truth.ids) > 500
     assert torch.equal(ours.ids, truth.ids)
@@ -100,7 +101,7 @@ def test_spare_lanes_are_not_taken_for_a_run() -> None:
     for last in range(1, 13):
         inputs[0][[0, last // 2, last]] = torch.tensor([[1.0, 0.5, 6.0], [1.1, 0.5, 6.0], [1.2, 0.5, 6.0]])
         ours, same = leaves(inputs), leaves(inputs)
-        shown, truth = through(compiled.project, ours), through(reference, same)
+        shown, truth = through(compiled, ours), through(reference, same)
         assert torch.equal(shown.means2d, truth.means2d.float())
         for mine, true in zip(gradients(shown, ours), gradients(truth, same)):
             assert (mine.double() - true).norm() <= 1e-6 * true.norm()
@@ -110,11 +111,11 @@ def test_spare_lanes_are_not_taken_for_a_run() -> None:
 def test_causes_of_culling_add_up() -> None:
     inputs = cloud(3000)
     inputs[1][::7] = 0.0
-    ours, truth = through(compiled.project, inputs), through(reference, inputs)
+    ours, truth = through(compiled, inputs), through(reference, inputs)
     assert sum(ours.counts.values()) + len(ours.ids) == 3000
     assert {cause: ours.counts[cause] for cause in ("near", "far")} == {c: truth.counts[c] for c in ("near", "far")}
     assert 0 < ours.counts["degenerate"] <= truth.counts["degenerate"]
-    small = through(compiled.project, inputs, radius_clip=10.0)
+    small = through(compiled, inputs, radius_clip=10.0)
     assert small.counts["radius"] > 0
     assert torch.equal(small.ids, through(reference, inputs, radius_clip=10.0).ids)
 
@@ -125,8 +126,8 @@ def test_bits_do_not_depend_on_the_number_of_threads() -> None:
     try:
         for number in (1, 2, 5):
             torch.set_num_threads(number)
-            inputs = leaves(cloud(3 * compiled.PART + 5))
-            ours = through(compiled.project, inputs, antialiased=True)
+            inputs = leaves(cloud(3 * PART + 5))
+            ours = through(compiled, inputs, antialiased=True)
             tensors = [tensor for tensor in ours if isinstance(tensor, Tensor)]
             results.append([tensor.detach().numpy().tobytes() for tensor in (*tensors, *gradients(ours, inputs))])
     finally:
@@ -134,10 +135,10 @@ def test_bits_do_not_depend_on_the_number_of_threads() -> None:
     assert results[0] == results[1] == results[2]
 
 
-@pytest.mark.parametrize("number", [0, 1, 2, 7, 8, 9, compiled.PART + 1])
+@pytest.mark.parametrize("number", [0, 1, 2, 7, 8, 9, PART + 1])
 def test_any_number_of_gaussians(number: int) -> None:
     inputs, same = leaves(cloud(number, seed=number)), leaves(cloud(number, seed=number))
-    ours, truth = through(compiled.project, inputs), through(reference, same)
+    ours, truth = through(compiled, inputs), through(reference, same)
     assert torch.equal(ours.ids, truth.ids)
     for mine, true in zip(gradients(ours, inputs), gradients(truth, same)):
         assert (mine.double() - true).norm() <= 1e-6 * true.norm()
@@ -147,7 +148,7 @@ def test_any_number_of_gaussians(number: int) -> None:
 def test_one_gradient_without_the_others(number: int) -> None:
     for field in ("means2d", "depths", "conics"):
         results = []
-        for project in (compiled.project, reference):
+        for project in (compiled, reference):
             inputs = leaves((*(t[:number] for t in cloud(5)[:4]), looking()))
             with torch.no_grad():
                 inputs[0].copy_(torch.tensor([1.0, 0.5, 6.0]) + torch.arange(number)[:, None])
@@ -163,9 +164,9 @@ def test_double_precision_inputs_far_from_the_origin() -> None:
     means, quats, scales, opacities, viewmat = cloud(2000, dtype=torch.float64)
     moved = viewmat.clone()
     moved[:3, 3] -= viewmat[:3, :3] @ origin
-    near = through(compiled.project, (means, quats, scales, opacities, viewmat))
+    near = through(compiled, (means, quats, scales, opacities, viewmat))
     far = leaves((means + origin, quats, scales, opacities, moved))
-    ours, truth = through(compiled.project, far), through(reference, far)
+    ours, truth = through(compiled, far), through(reference, far)
     assert torch.equal(ours.ids, truth.ids)
     assert torch.equal(ours.ids, near.ids)
     # a coordinate of 1e7 m has steps of 2e-9 m, which are 1e-6 pixels and more near the camera
@@ -178,7 +179,7 @@ def test_double_precision_inputs_far_from_the_origin() -> None:
 
 def test_what_is_culled_has_no_gradient() -> None:
     inputs = leaves(cloud(1000))
-    ours = through(compiled.project, inputs)
+    ours = through(compiled, inputs)
     hidden = torch.ones(1000, dtype=torch.bool)
     hidden[ours.ids] = False
     for gradient in gradients(ours, inputs)[:3]:
@@ -189,7 +190,7 @@ def test_what_is_culled_has_no_gradient() -> None:
 def sound(inputs: Inputs, **how: Any) -> Projected:
     """Nothing that comes out is not a number, and nothing forward is infinite."""
     inputs = leaves(inputs)
-    ours = through(compiled.project, inputs, **how)
+    ours = through(compiled, inputs, **how)
     for field in ("means2d", "means2d_low", "depths", "conics", "factors"):
         assert getattr(ours, field).isfinite().all(), field
     assert (ours.radii > 0).all()
@@ -219,7 +220,7 @@ def test_degenerate_gaussians_are_culled_or_drawn_and_never_nan(preset: str, ant
 
 def test_nothing_is_seen() -> None:
     inputs = leaves(cloud(100))
-    ours = through(compiled.project, inputs, near_plane=1e3, far_plane=1e4)
+    ours = through(compiled, inputs, near_plane=1e3, far_plane=1e4)
     assert len(ours.ids) == 0
     assert ours.counts["near"] == 100
     assert all((gradient == 0.0).all() for gradient in gradients(ours, inputs))

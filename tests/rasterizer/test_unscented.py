@@ -1,0 +1,119 @@
+"""Gaussians through a lens by compiled kernels: against the float64 reference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from hybridworldsim.rasterizer.cpu.project import project as compiled
+from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.reference import project as reference
+
+from .test_projection import Inputs, cloud, distance, gradients, leaves, options
+
+K = torch.tensor([[300.0, 0.0, 315.0], [0.0, 310.0, 245.0], [0.0, 0.0, 1.0]])
+WIDTH, HEIGHT = 640, 480
+LENSES = {
+    "plain": Lens(model="pinhole"),
+    "radial": Lens(model="pinhole", radial_coeffs=(-0.28, 0.07, 0.001, 0.01, -0.002, 0.0005)),
+    "everything": Lens(
+        model="pinhole",
+        radial_coeffs=(-0.1, 0.03, -0.001, 0.02, 0.004, -0.0003),
+        tangential_coeffs=(0.003, -0.002),
+        thin_prism_coeffs=(0.002, -0.0005, -0.001, 0.0004),
+    ),
+    "equidistant": Lens(model="fisheye"),
+    "fisheye": Lens(model="fisheye", radial_coeffs=(-0.02, 0.004, -0.001, 0.0001)),
+}
+
+
+def through(project: Any, inputs: Inputs, lens: Lens, **how: Any) -> Projected:
+    means, quats, scales, opacities, viewmat = inputs
+    shape = (means, quats, scales, opacities, viewmat, K, WIDTH, HEIGHT)
+    return project(*shape, **(options(**how) | {"lens": lens}))
+
+
+@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize("aspect", [1.0, 30.0])
+def test_kernels_give_what_the_reference_gives(name: str, aspect: float) -> None:
+    inputs, same = leaves(cloud(3000, aspect=aspect)), leaves(cloud(3000, aspect=aspect))
+    ours, truth = through(compiled, inputs, LENSES[name]), through(reference, same, LENSES[name])
+    assert len(truth.ids) > 300
+    assert torch.equal(ours.ids, truth.ids)
+    assert (ours.radii != truth.radii).sum() == 0
+    assert (ours.means2d.double() + ours.means2d_low - truth.means2d).abs().max() < 1e-8
+    assert distance(ours.depths[:, None], truth.depths[:, None]) < 1e-7
+    assert distance(ours.conics, truth.conics) < 1e-6
+    assert distance(ours.factors, truth.factors) < 1e-6
+    assert sum(ours.counts.values()) + len(ours.ids) == 3000
+    for mine, true in zip(gradients(ours, inputs), gradients(truth, same)):
+        assert mine.dtype == true.dtype
+        assert (mine.double() - true).norm() < 1e-6 * true.norm()
+
+
+def test_a_lens_that_bends_nothing_is_the_limit_of_a_pinhole() -> None:
+    inputs = cloud(3000)
+    small = (*inputs[:2], 1e-3 * inputs[2], *inputs[3:])
+    means, quats, scales, opacities, viewmat = small
+    shape = (means, quats, scales, opacities, viewmat, K, WIDTH, HEIGHT)
+    bent, straight = through(compiled, small, LENSES["plain"]), compiled(*shape, **options())
+    assert torch.equal(bent.ids, straight.ids)
+    assert (bent.means2d - straight.means2d).abs().max() < 1e-3
+    assert distance(bent.conics, straight.conics.double()) < 1e-4
+
+
+@pytest.mark.parametrize("name", ["everything", "fisheye"])
+def test_points_on_the_axis_beside_it_and_behind_the_camera(name: str) -> None:
+    inputs = leaves(cloud(400))
+    with torch.no_grad():
+        inputs[4].copy_(torch.eye(4))
+        inputs[0][:100] *= torch.tensor([0.0, 0.0, 1.0])
+        inputs[0][100:200] *= torch.tensor([1e-12, 1e-12, 1.0])
+        inputs[0][200:300, 2] = 0.02 * torch.arange(-50, 50)
+        inputs[2][350:] = torch.logspace(-12, 6, 50)[:, None]
+    same = leaves(inputs)
+    ours, truth = through(compiled, inputs, LENSES[name]), through(reference, same, LENSES[name])
+    assert torch.equal(ours.ids, truth.ids)
+    given = gradients(ours, inputs)
+    for mine, true in zip(given, gradients(truth, same)):
+        assert not mine.isnan().any()
+        assert not true.isnan().any()
+        assert (mine.double() - true).norm() < 1e-4 * true.norm()
+    for field in (ours.means2d, ours.means2d_low, ours.conics, ours.factors, ours.depths):
+        assert field.isfinite().all()
+
+
+@pytest.mark.parametrize("name", ["everything", "fisheye"])
+def test_quaternions_of_zero_and_extreme_shapes_are_no_nan(name: str) -> None:
+    inputs = leaves(cloud(400))
+    with torch.no_grad():
+        inputs[1][:100] = 0.0
+        inputs[2][100:200] = torch.logspace(-30, 30, 100)[:, None]
+        inputs[0][200:300] *= torch.logspace(-30, 30, 100)[:, None]
+        inputs[2][300:350] = 0.0
+    ours = through(compiled, inputs, LENSES[name], near_plane=0.0, far_plane=1e35)
+    assert ours.ids.min() >= 100
+    assert ours.counts["degenerate"] > 0
+    for field in (ours.means2d, ours.means2d_low, ours.conics, ours.factors, ours.depths):
+        assert field.isfinite().all()
+    for gradient in gradients(ours, inputs):
+        assert not gradient.isnan().any()
+
+
+def test_bits_do_not_depend_on_the_number_of_threads() -> None:
+    threads = torch.get_num_threads()
+    results: list[list[bytes]] = []
+    try:
+        for number in (1, 3):
+            torch.set_num_threads(number)
+            inputs = leaves(cloud(40_000))
+            ours = through(compiled, inputs, LENSES["fisheye"])
+            tensors = [tensor for tensor in ours if isinstance(tensor, Tensor)]
+            results.append([tensor.detach().numpy().tobytes() for tensor in (*tensors, *gradients(ours, inputs))])
+    finally:
+        torch.set_num_threads(threads)
+    assert results[0] == results[1]

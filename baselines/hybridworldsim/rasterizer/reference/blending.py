@@ -12,7 +12,7 @@ from torch import Tensor
 from hybridworldsim.rasterizer.blended import Blended
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, Preset
 from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.reference.tiles import alphas, pairs
+from hybridworldsim.rasterizer.reference.tiles import alphas, one_thread, pairs
 
 
 def blend(
@@ -154,6 +154,7 @@ class _Recomputed(torch.autograd.Function):
     """
 
     @staticmethod
+    @one_thread()
     def forward(ctx: Any, call: Callable[..., tuple[Tensor, ...]], *tensors: Tensor) -> tuple[Tensor, ...]:
         ctx.call = call
         ctx.save_for_backward(*tensors)
@@ -167,10 +168,11 @@ class _Recomputed(torch.autograd.Function):
             tensor.detach().requires_grad_(needed)
             for tensor, needed in zip(ctx.saved_tensors, ctx.needs_input_grad[1:])
         ]
-        with torch.enable_grad():
-            outputs = ctx.call(*tensors)
-        followed = [(output, gradient) for output, gradient in zip(outputs, gradients) if output.requires_grad]
         wanted = [tensor for tensor in tensors if tensor.requires_grad]
-        ends, starts = zip(*followed)
-        found = iter(torch.autograd.grad(ends, wanted, starts, allow_unused=True))
+        with one_thread():
+            with torch.enable_grad():
+                outputs = ctx.call(*tensors)
+            followed = [(output, gradient) for output, gradient in zip(outputs, gradients) if output.requires_grad]
+            ends, starts = zip(*followed)
+            found = iter(torch.autograd.grad(ends, wanted, starts, allow_unused=True))
         return (None, *(next(found) if tensor.requires_grad else None for tensor in tensors))

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, Preset
 from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.reference.tiles import alphas, pairs
+from hybridworldsim.rasterizer.reference.tiles import alphas, one_thread, pairs
 
 ALPHA_TOLERANCE = 1e-4
 """Relative distance from `ALPHA_MIN` within which float32 may decide otherwise."""
@@ -33,6 +33,7 @@ class Marks(NamedTuple):
 
 
 @torch.no_grad()
+@one_thread()
 def mark(projected: Projected, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int) -> Marks:
     """Follow the path of the light in float64 and find what lies near a threshold.
 

@@ -296,13 +296,15 @@ def test_empty_scenes_and_single_pixels(backend, case):
         assert arguments["means"].grad.isfinite().all()
 
 
-@pytest.mark.parametrize("mode", ["RGB", "RGB+ED"])
-def test_the_backends_agree(mode):
+@pytest.mark.parametrize(("mode", "degree"), [("RGB", None), ("RGB+ED", None), ("RGB", 2)])
+def test_the_backends_agree(mode, degree):
     arguments = scene(views=2, count=200)
+    if degree is not None:
+        arguments["colors"] = torch.randn(200, 16, 3, generator=torch.Generator().manual_seed(1)) * 0.3
     found = {}
     for backend in BACKENDS:
         trained = with_gradients(arguments, *TRAINED)
-        image, alpha, _ = rasterization(**trained, backend=backend, render_mode=mode)
+        image, alpha, _ = rasterization(**trained, backend=backend, render_mode=mode, sh_degree=degree)
         (image.square().mean() + alpha.mean()).backward()
         found[backend] = (image, alpha, [trained[name].grad for name in TRAINED])
     for exact, fast in zip(found["reference"][:2], found["cpu"][:2], strict=True):

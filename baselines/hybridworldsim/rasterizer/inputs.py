@@ -27,11 +27,12 @@ class Inputs:
 
     Attributes:
         batch: those leading dimensions, often none.
-        means: (B, N, 3).
-        quats: (B, N, 4) scalar first, of any length.
-        scales: (B, N, 3).
-        opacities: (B, N).
-        colors: (B, C or 1, N, D), with `sh_degree` (B, C or 1, N, K, 3); None where only depth is asked for.
+        means: (N, 3) of each scene.
+        quats: (N, 4) of each scene, scalar first, of any length.
+        scales: (N, 3) of each scene.
+        opacities: (N,) of each scene.
+        colors: (N, D) of each scene, or of each camera of each scene, with `sh_degree` (N, K, 3); None where only depth
+            is asked for.
         viewmats: (B, C, 4, 4) camera from world.
         Ks: (B, C, 3, 3).
         width: pixels.
@@ -42,11 +43,11 @@ class Inputs:
     """
 
     batch: tuple[int, ...]
-    means: Tensor
-    quats: Tensor
-    scales: Tensor
-    opacities: Tensor
-    colors: Tensor | None
+    means: tuple[Tensor, ...]
+    quats: tuple[Tensor, ...]
+    scales: tuple[Tensor, ...]
+    opacities: tuple[Tensor, ...]
+    colors: tuple[Tensor, ...] | None
     viewmats: Tensor
     Ks: Tensor
     width: int
@@ -63,14 +64,13 @@ class Inputs:
     @property
     def gaussians(self) -> int:
         """N."""
-        return self.means.shape[1]
+        return len(self.means[0])
 
     def colors_of(self, scene: int, camera: int) -> Tensor | None:
-        """(N, D) or (N, K, 3), with K no more than the degree asks for."""
+        """(N, D) or (N, K, 3)."""
         if self.colors is None:
             return None
-        of_camera = self.colors[scene, camera if self.colors.shape[1] > 1 else 0]
-        return of_camera if self.sh_degree is None else of_camera[:, : (self.sh_degree + 1) ** 2]
+        return self.colors[scene if len(self.colors) == len(self.means) else scene * self.cameras + camera]
 
     def finite(self, scene: int, camera: int) -> Tensor | None:
         """Which Gaussians of a scene a camera may draw, where those that are not finite are culled.
@@ -82,7 +82,7 @@ class Inputs:
             return None
         tables = [self.means[scene], self.quats[scene], self.scales[scene], self.opacities[scene]]
         if (colors := self.colors_of(scene, camera)) is not None:
-            tables.append(colors)
+            tables.append(colors if self.sh_degree is None else colors[:, : (self.sh_degree + 1) ** 2])
         if all(_sums_to_finite(table) for table in tables):
             return None
         kept = torch.stack([torch.isfinite(table.detach()).reshape(self.gaussians, -1).all(1) for table in tables])
@@ -138,7 +138,7 @@ def checked(
             raise _shape(name, tensors[name], str((*batch, *shape)))
     scenes = means.shape[:-2].numel()
     if colors is not None:
-        colors = _colors(colors, batch, cameras, count, sh_degree)
+        _check_colors(colors, batch, cameras, count, sh_degree)
     if colors is None and "RGB" in render_mode:
         raise UsageError("colours are asked for and none are given", place="colors", remedy='render_mode="D" or "ED"')
     if backgrounds is not None:
@@ -148,11 +148,11 @@ def checked(
         backgrounds = backgrounds.reshape(scenes, cameras, backgrounds.shape[-1])
     inputs = Inputs(
         batch=tuple(batch),
-        means=means.reshape(scenes, count, 3),
-        quats=quats.reshape(scenes, count, 4),
-        scales=scales.reshape(scenes, count, 3),
-        opacities=opacities.reshape(scenes, count),
-        colors=colors if "RGB" in render_mode else None,
+        means=_tables(means, 2),
+        quats=_tables(quats, 2),
+        scales=_tables(scales, 2),
+        opacities=_tables(opacities, 1),
+        colors=_tables(colors, 2 if sh_degree is None else 3) if colors is not None and "RGB" in render_mode else None,
         viewmats=viewmats.reshape(scenes, cameras, 4, 4),
         Ks=Ks.reshape(scenes, cameras, 3, 3),
         width=positive("width", width),
@@ -206,7 +206,7 @@ def lenses_of(
     leading = (*inputs.batch, inputs.cameras)
     tables: dict[str, list[list[float]]] = {}
     for name, tensor in given.items():
-        _tensor(name, tensor, inputs.means)
+        _tensor(name, tensor, inputs.means[0])
         if tensor.shape[:-1] != leading:
             raise _shape(name, tensor, f"({', '.join(map(str, leading))}, coefficients)")
         tables[name] = tensor.detach().reshape(-1, tensor.shape[-1]).tolist()
@@ -269,7 +269,7 @@ def positive(place: str, value: int) -> int:
     return number
 
 
-def _colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh_degree: int | None) -> Tensor:
+def _check_colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh_degree: int | None) -> None:
     last = 1 if sh_degree is None else 2
     per_gaussian = (*batch, count)
     per_camera = (*batch, cameras, count)
@@ -286,7 +286,12 @@ def _colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh_degre
             raise _shape("colors", colors, f"(..., K, 3) with K of at least {needed} for degree {sh_degree}")
     elif colors.shape[-1] == 0:
         raise _shape("colors", colors, "at least one channel")
-    return colors.reshape(math.prod(batch), 1 if leading == per_gaussian else cameras, count, *colors.shape[-last:])
+
+
+def _tables(tensor: Tensor, dimensions: int) -> tuple[Tensor, ...]:
+    """The parts of a tensor along all but its last dimensions; one part is the tensor, whose gradient is not copied."""
+    count, table = tensor.shape[:-dimensions].numel(), tensor.shape[-dimensions:]
+    return (tensor.reshape(table),) if count == 1 else tensor.reshape(count, *table).unbind()
 
 
 def _tensor(name: str, tensor: Tensor, means: Tensor) -> None:

@@ -28,7 +28,7 @@ class Backend(Protocol):
         """Which Gaussians a camera sees, and the ellipses that they are."""
         ...
 
-    def harmonics(self, degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
+    def harmonics(self, degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None) -> Tensor:
         """Colours of Gaussians from where the camera is."""
         ...
 
@@ -148,12 +148,14 @@ def _features(inputs: Inputs, options: Options, backend: Backend, view: View) ->
     table = inputs.colors_of(*view.place)
     if table is None:
         return depths
-    colors = rows(table, picture.ids)
-    if inputs.sh_degree is not None:
-        colors = backend.harmonics(inputs.sh_degree, _directions(inputs, view), colors) + 0.5
-    refuse_nonfinite("colors", colors, "Gaussian", picture.ids)
-    if inputs.sh_degree is not None:
-        colors = colors.clamp_min(0.0)
+    if inputs.sh_degree is None:
+        colors = rows(table, picture.ids)
+        refuse_nonfinite("colors", colors, "Gaussian", picture.ids)
+    else:
+        ids = None if len(picture.ids) == len(table) else picture.ids
+        colors = backend.harmonics(inputs.sh_degree, _directions(inputs, view), table, ids)
+        refuse_nonfinite("colors", colors, "Gaussian", picture.ids)
+        colors = (colors + 0.5).clamp_min(0.0)
     colors = colors.to(picture.means2d.dtype)
     return colors if options.render_mode == "RGB" else torch.cat([colors, depths], dim=-1)
 

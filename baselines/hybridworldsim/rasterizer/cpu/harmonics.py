@@ -41,13 +41,14 @@ def _polynomials() -> Float64:
 _TABLE: Final = _polynomials()
 
 
-def harmonics(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
+def harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
     """Sum spherical harmonics; differentiable to directions and coefficients.
 
     Args:
         degree: highest degree that is summed, 0 to 4.
         directions: (M, 3) of any length; of a direction of zero all three Cartesian factors are zero.
-        coefficients: (M, K, 3) with K >= (degree + 1)^2, ordered by degree, then by order.
+        coefficients: (N, K, 3) with K >= (degree + 1)^2, ordered by degree, then by order.
+        ids: (M,) int64 whose coefficients each direction takes, each once; None: its own, N being M.
 
     Returns:
         (M, 3) of the coefficients' type, without the half that colours are shifted by.
@@ -58,9 +59,9 @@ def harmonics(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
     if not 0 <= degree <= DEGREE_MAX:
         raise UsageError(f"no spherical harmonics of degree {degree}", place="degree", expected=f"0 to {DEGREE_MAX}")
     if coefficients.ndim != 3 or coefficients.shape[2] != 3 or coefficients.shape[1] < (degree + 1) ** 2:
-        shape = f"(M, K, 3) with K >= {(degree + 1) ** 2}"
+        shape = f"(N, K, 3) with K >= {(degree + 1) ** 2}"
         raise UsageError(f"coefficients of shape {tuple(coefficients.shape)}", place="coefficients", expected=shape)
-    summed: Tensor = _Harmonics.apply(directions, coefficients, degree)
+    summed: Tensor = _Harmonics.apply(directions, coefficients, ids, degree)
     return summed
 
 
@@ -92,14 +93,23 @@ def _basis(degree: Any, x: Any, y: Any, z: Any, basis: Any) -> None:
 
 @kernel()
 def harmonics_part(
-    degree: Any, directions: Any, coefficients: Any, begin: Any, end: Any, rows: Any, basis: Any, summed: Any
+    degree: Any,
+    directions: Any,
+    coefficients: Any,
+    ids: Any,
+    begin: Any,
+    end: Any,
+    rows: Any,
+    basis: Any,
+    summed: Any,
 ) -> None:
     """Sum harmonics of a range.
 
     Args:
         degree: highest degree.
         directions: (3 M,) flat.
-        coefficients: (M, K, 3).
+        coefficients: (N, K, 3).
+        ids: (M,) rows of these.
         begin: first Gaussian.
         end: past the last.
         rows: (8,) int64, for its own use, as is `basis` (200,), of the coefficients' type.
@@ -111,7 +121,7 @@ def harmonics_part(
         x, y, z, _ = _unit(directions, rows, start, end)
         _basis(degree, x, y, z, basis)
         for lane in range(min(8, end - start)):
-            own = coefficients[start + lane]
+            own = coefficients[ids[start + lane]]
             red, green, blue = basis[lane] * own[0, 0], basis[lane] * own[0, 1], basis[lane] * own[0, 2]
             for k in range(1, count):
                 weight = basis[8 * k + lane]
@@ -126,6 +136,7 @@ def harmonics_part_backward(
     degree: Any,
     directions: Any,
     coefficients: Any,
+    ids: Any,
     to_summed: Any,
     begin: Any,
     end: Any,
@@ -140,14 +151,15 @@ def harmonics_part_backward(
     Args:
         degree: highest degree.
         directions: (3 M,) flat.
-        coefficients: (M, K, 3).
+        coefficients: (N, K, 3).
+        ids: (M,) rows of these.
         to_summed: (M, 3) gradient to the sums.
         begin: first Gaussian.
         end: past the last.
         rows: (8,) int64, for its own use, as are `basis` and `to_basis` (200,), of the coefficients' type.
         basis: see `rows`.
         to_basis: see `rows`.
-        to_directions: (M + 8, 3) gets gradients, as does `to_coefficients` (M, K, 3).
+        to_directions: (M + 8, 3) gets gradients, as do those of `to_coefficients` (N, K, 3) that are used.
         to_coefficients: see `to_directions`.
     """
     count = (degree + 1) * (degree + 1)
@@ -155,7 +167,7 @@ def harmonics_part_backward(
         x, y, z, inverse = _unit(directions, rows, start, end)
         _basis(degree, x, y, z, basis)
         for lane in range(min(8, end - start)):
-            own, to_own = coefficients[start + lane], to_coefficients[start + lane]
+            own, to_own = coefficients[ids[start + lane]], to_coefficients[ids[start + lane]]
             red, green, blue = to_summed[start + lane, 0], to_summed[start + lane, 1], to_summed[start + lane, 2]
             for k in range(count):
                 weight = basis[8 * k + lane]
@@ -199,9 +211,10 @@ def harmonics_part_backward(
 
 class _Harmonics(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, directions: Tensor, coefficients: Tensor, degree: int) -> Tensor:
-        dtype, number = coefficients.dtype, len(coefficients)
-        given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape)
+    def forward(ctx: Any, directions: Tensor, coefficients: Tensor, ids: Tensor | None, degree: int) -> Tensor:
+        dtype, number = coefficients.dtype, len(directions)
+        taken = np.arange(number) if ids is None else ids.numpy()
+        given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), taken
         summed = np.empty((number, 3), given[0].dtype)
 
         def one(part: int) -> None:
@@ -210,17 +223,17 @@ class _Harmonics(torch.autograd.Function):
 
         in_parallel(one, -(-number // PART))
         ctx.save_for_backward(directions, coefficients)
-        ctx.degree = degree
+        ctx.taken, ctx.degree = taken, degree
         return torch.from_numpy(summed)
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, None]:
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, None, None]:
         directions, coefficients = ctx.saved_tensors
-        dtype, number = coefficients.dtype, len(coefficients)
-        given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape)
+        dtype, number = coefficients.dtype, len(directions)
+        given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), ctx.taken
         to_summed = flat(gradients[0], dtype).reshape(-1, 3)
         kind = given[0].dtype
-        to_directions, to_coefficients = np.empty((number + 8, 3), kind), np.empty(given[1].shape, kind)
+        to_directions, to_coefficients = np.empty((number + 8, 3), kind), np.zeros(given[1].shape, kind)
 
         def one(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
@@ -228,4 +241,9 @@ class _Harmonics(torch.autograd.Function):
             harmonics_part_backward(ctx.degree, *given, to_summed, *span, *own, to_directions, to_coefficients)
 
         in_parallel(one, -(-number // PART))
-        return torch.from_numpy(to_directions[:number]).to(directions.dtype), torch.from_numpy(to_coefficients), None
+        return (
+            torch.from_numpy(to_directions[:number]).to(directions.dtype),
+            torch.from_numpy(to_coefficients),
+            None,
+            None,
+        )

@@ -8,13 +8,14 @@ import torch
 from torch import Tensor
 
 
-def harmonics(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
+def harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
     """Sum spherical harmonics.
 
     Args:
         degree: highest degree that is summed.
         directions: (M, 3) of any length; of a direction of zero all three Cartesian factors are zero.
-        coefficients: (M, K, C) with K >= (degree + 1)^2, ordered by degree, then by order.
+        coefficients: (N, K, C) with K >= (degree + 1)^2, ordered by degree, then by order.
+        ids: (M,) int64 whose coefficients each direction takes; None: its own, N being M.
 
     Returns:
         (M, C), without the half that colours are shifted by.
@@ -23,6 +24,8 @@ def harmonics(degree: int, directions: Tensor, coefficients: Tensor) -> Tensor:
     known = squares > 0.0
     units = torch.where(known, directions.double(), 0.0) / torch.where(known, squares, 1.0).sqrt()
     basis = torch.stack(_basis(degree, *units.unbind(-1)), dim=-1)  # (M, (degree + 1)^2)
+    if ids is not None:
+        coefficients = coefficients[ids]
     return torch.einsum("mk,mkc->mc", basis, coefficients[:, : (degree + 1) ** 2].double())
 
 

@@ -1,6 +1,7 @@
 """Rasterization by compiled kernels on the CPU."""
 
 from hybridworldsim.rasterizer.cpu.blend import blend
+from hybridworldsim.rasterizer.cpu.harmonics import harmonics
 from hybridworldsim.rasterizer.cpu.project import project
 
-__all__ = ["blend", "project"]
+__all__ = ["blend", "harmonics", "project"]

@@ -62,6 +62,14 @@ def test_sizes_are_whole_and_positive(name, value):
 
 
 @pytest.mark.parametrize(
+    ("name", "value"),
+    [("eps2d", -0.1), ("radius_clip", -1.0), ("near_plane", float("nan")), ("near_plane", -1.0), ("far_plane", 0.001)],
+)
+def test_numbers_that_mean_nothing_are_refused(name, value):
+    _refused(name, "at least", **{name: value})
+
+
+@pytest.mark.parametrize(
     ("name", "match"),
     [
         ("render_mode", "'RGB' or 'D'"),

@@ -269,6 +269,17 @@ def positive(place: str, value: int) -> int:
     return number
 
 
+def no_less(place: str, value: float, least: float) -> float:
+    """A number of at least something.
+
+    Raises:
+        UsageError: it is less, or NaN.
+    """
+    if not value >= least:
+        raise UsageError(f"{value!r} is no such number", place=place, expected=f"at least {least:g}")
+    return float(value)
+
+
 def _check_colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh_degree: int | None) -> None:
     last = 1 if sh_degree is None else 2
     per_gaussian = (*batch, count)

@@ -16,6 +16,7 @@ from hybridworldsim.rasterizer.inputs import (
     checked,
     choice,
     lenses_of,
+    no_less,
     positive,
 )
 from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, preset_of
@@ -159,10 +160,10 @@ def rasterization(
     antialiased = rasterize_mode == "antialiased"
     lenses = lenses_of(inputs, camera_model, with_ut, antialiased, coefficients)
     options = Options(
-        near_plane=near_plane,
-        far_plane=far_plane,
-        radius_clip=radius_clip,
-        eps2d=eps2d,
+        near_plane=no_less("near_plane", near_plane, 0.0),
+        far_plane=no_less("far_plane", far_plane, near_plane),
+        radius_clip=no_less("radius_clip", radius_clip, 0.0),
+        eps2d=no_less("eps2d", eps2d, 0.0),
         tile_size=positive("tile_size", tile_size),
         render_mode=render_mode,
         antialiased=antialiased,

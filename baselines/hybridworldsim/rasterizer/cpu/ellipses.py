@@ -138,12 +138,14 @@ def candidates(view: Any, gaussians: Any, begin: Any, end: Any, rows: Any, count
             rows[found + lane] = min(row + lane, end - 1)
         left = lanes.first_lanes(end - row)
         x, y, z = to_camera(view, lanes.triples(means, rows, found))
-        s0, s1, s2 = lanes.triples(scales, rows, found)
-        size = lanes.greater(lanes.greater(lanes.magnitude(s0), lanes.magnitude(s1)), lanes.magnitude(s2))
-        opacity = lanes.gather(opacities, rows, found, 1, 0)
         near_count += lanes.how_many(left & (z < view.near))
         far_count += lanes.how_many(left & (z > view.far))
         inside = left & (z >= view.near) & (z <= view.far)
+        if lanes.bits(inside) == 0:
+            continue
+        s0, s1, s2 = lanes.triples(scales, rows, found)
+        size = lanes.greater(lanes.greater(lanes.magnitude(s0), lanes.magnitude(s1)), lanes.magnitude(s2))
+        opacity = lanes.gather(opacities, rows, found, 1, 0)
         if not view.square:
             opacity_count += lanes.how_many(inside & (opacity < ALPHA_MIN))
             inside = inside & (opacity >= ALPHA_MIN)

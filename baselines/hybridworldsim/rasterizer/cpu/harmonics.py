@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.polynomial import polynomial
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.cpu import lanes
 from hybridworldsim.rasterizer.cpu.kernels import kernel
@@ -227,6 +228,7 @@ class _Harmonics(torch.autograd.Function):
         return torch.from_numpy(summed)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, None, None]:
         directions, coefficients = ctx.saved_tensors
         dtype, number = coefficients.dtype, len(directions)

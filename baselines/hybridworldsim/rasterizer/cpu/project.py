@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.cpu.bending import Bending, bending_of
 from hybridworldsim.rasterizer.cpu.ellipses import CAUSES, RECORD
@@ -208,6 +209,7 @@ class _Project(torch.autograd.Function):
         return means2d, depths, conics, compensations, ids, low, factors, radii, culled
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, viewmat, ids = ctx.saved_tensors
         dtype, number, seen = means.dtype, len(means), len(ids)

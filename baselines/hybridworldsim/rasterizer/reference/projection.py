@@ -27,6 +27,7 @@ class _Splats(NamedTuple):
     covariances: Tensor  # (N, 3): xx, xy, yy, blurred
     determinants: Tensor  # (N,), of the blurred covariances
     compensations: Tensor  # (N,)
+    finite: Tensor  # (N,) bool: whether centre and axes are, in the camera's frame
     seen: Tensor  # (N,) bool: whether the lens shows them
 
 
@@ -163,6 +164,7 @@ def _splats(
         determinants=blurred,
         # the inner `where` keeps the infinite slope of the root at zero out of the gradient
         compensations=torch.where(free, torch.where(free, ratio, 1.0).sqrt(), preset.compensation_min),
+        finite=torch.cat([means_c[:, None], axes_c], dim=1).isfinite().all((1, 2)),
         seen=seen,
     )
 
@@ -192,7 +194,7 @@ def _perspective(means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height:
 def _is_ellipse(splats: _Splats) -> Tensor:
     """Whether (N,) a covariance can be inverted and all else is finite."""
     fields = (splats.means2d, splats.covariances, splats.determinants[:, None], splats.compensations[:, None])
-    finite = torch.cat(fields, dim=-1).isfinite().all(-1)
+    finite = splats.finite & torch.cat(fields, dim=-1).isfinite().all(-1)
     return finite & (splats.determinants > 0.0) & (splats.covariances[:, ::2] > 0.0).all(-1)
 
 

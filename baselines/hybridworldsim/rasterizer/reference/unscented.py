@@ -49,13 +49,14 @@ def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Len
     k1, k2, k3, k4, k5, k6 = lens.radial_coeffs
     p1, p2 = lens.tangential_coeffs
     s1, s2, s3, s4 = lens.thin_prism_coeffs
-    ahead = points[..., 2] > 0.0
-    u, v = (points[..., :2] / torch.where(ahead, points[..., 2], 1.0)[..., None]).unbind(-1)
+    behind = points[..., 2] <= 0.0
+    ahead = torch.where(behind[..., None], torch.tensor([0.0, 0.0, 1.0], dtype=points.dtype), points)
+    u, v = (ahead[..., :2] / ahead[..., 2:]).unbind(-1)
     r2 = u * u + v * v
     above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    possible = ahead & (below > 0.0)
-    radial = above / torch.where(possible, below, 1.0)
+    impossible = behind | (below <= 0.0)  # what is not a number stays so, and is found degenerate
+    radial = above / torch.where(impossible, 1.0, below)
     bent = torch.stack(
         [
             radial * u + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + r2 * s2),
@@ -64,28 +65,27 @@ def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Len
         dim=-1,
     )
     pixels = K.diagonal()[:2] * bent + K[:2, 2]
-    return torch.where(possible[..., None], pixels, 0.0), possible & (radial > RADIAL_MIN)
+    return torch.where(impossible[..., None], 0.0, pixels), ~impossible & (radial > RADIAL_MIN)
 
 
 def _fisheye(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> tuple[Tensor, Tensor]:
     """Pixels (..., 2) of camera points (..., 3) (OpenCV's fisheye model), and which are valid."""
     k1, k2, k3, k4 = lens.radial_coeffs
-    fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    fx, fy, cx, cy = (float(K.detach()[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     last = lens.max_angle(fx, fy, cx, cy, width, height)
-    z = points[..., 2]
-    r2 = points[..., :2].square().sum(-1)
-    off_axis = r2 > 0.0
-    r = torch.where(off_axis, r2, 1.0).sqrt()
+    x, y, z = points.unbind(-1)
+    on_axis = (x == 0.0) & (y == 0.0)
+    r = torch.hypot(torch.where(on_axis, 1.0, x), y)
     full = torch.atan2(r, z)
     angle = full.clamp(max=last)
     a2 = angle * angle
     grown = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
-    ahead = z > 0.0
+    behind = z <= 0.0
     # on the axis the angle over the radius tends to 1 / z
-    scale = torch.where(off_axis, grown / r, 1.0 / torch.where(ahead, z, 1.0))
-    possible = ahead & (scale > 0.0)
+    scale = torch.where(on_axis, 1.0 / torch.where(behind, 1.0, z), grown / r)
+    impossible = behind | (scale <= 0.0)
     pixels = K.diagonal()[:2] * scale[..., None] * points[..., :2] + K[:2, 2]
-    return torch.where(possible[..., None], pixels, 0.0), possible & ((full < last) | ~off_axis)
+    return torch.where(impossible[..., None], 0.0, pixels), ~impossible & ((full < last) | on_axis)
 
 
 _FORWARD = {"pinhole": _brown_conrady, "fisheye": _fisheye}

@@ -13,6 +13,7 @@ from hybridworldsim.rasterizer.blended import Blended
 from hybridworldsim.rasterizer.cpu.blending import BATCH, PLACED, blend_tiles
 from hybridworldsim.rasterizer.cpu.blending_backward import SUMS, blend_tiles_backward, collect
 from hybridworldsim.rasterizer.cpu.canvas import BLOCKS, LANES, TILE_PX, Canvas, blank
+from hybridworldsim.rasterizer.cpu.memory import room
 from hybridworldsim.rasterizer.cpu.sorting import depth_order
 from hybridworldsim.rasterizer.cpu.splats import Splats, splats_of
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
@@ -201,7 +202,7 @@ def _blended(canvas: Canvas, splats: Splats, order: Int32, alpha_max: float, see
         blend_tiles(
             numbers[row], tiles.begins, tiles.ids, part.passed, splats.rows, splats.stride, splats.channels,
             canvas.tiles_x, alpha_max, canvas.light, canvas.colours, canvas.last, canvas.alive,
-            np.empty(BATCH * PLACED, np.float32), np.empty(BATCH, np.int32), np.empty(BLOCKS, np.uint64), part.until,
+            room(BATCH * PLACED), room(BATCH, np.int32), room(BLOCKS, np.uint64), part.until,
             counts[row],
         )  # fmt: skip
 
@@ -228,14 +229,14 @@ def _lines(
 ) -> Float32:
     """The gradients of each pair of tile and Gaussian, by slot."""
     line, tiles, numbers = _line(splats.channels), part.tiles, _tile_rows(canvas)
-    lines = np.empty(len(tiles.slots) * line, np.float32)
+    lines = room(len(tiles.slots) * line)
 
     def go_back(row: int) -> None:
         blend_tiles_backward(
             numbers[row], tiles.begins, tiles.ids, tiles.slots, part.passed, part.until, splats.rows, splats.stride,
             splats.channels, canvas.tiles_x, alpha_max, light, behind, to_colours, canvas.last,
-            np.empty(BATCH * PLACED, np.float32), np.empty(BATCH, np.int32),
-            np.empty(splats.channels * LANES, np.float32), lines, line, absgrad,
+            room(BATCH * PLACED), room(BATCH, np.int32),
+            room(splats.channels * LANES), lines, line, absgrad,
         )  # fmt: skip
 
     in_parallel(go_back, canvas.tiles_y)
@@ -245,12 +246,12 @@ def _lines(
 def _collect(part: _Slice, splats: Splats, opacities: Float32, lines: Float32, found: _Gradients) -> None:
     """Add up the lines of each Gaussian of a slice."""
     edges = np.linspace(0, len(part.order), _PARTS + 1).astype(np.int64)
-    line, wide = _line(splats.channels), found.features.shape[1]
+    line = _line(splats.channels)
     in_parallel(
         lambda number: collect(
             edges[number], edges[number + 1], part.order, part.tiles.firsts, lines, line, splats.rows, splats.stride,
             opacities, found.means, found.conics, found.opacities, found.features, found.absolute,
-            np.empty(line, np.float32),
+            room(line),
         ),
         _PARTS,
     )  # fmt: skip

@@ -41,9 +41,10 @@ PLACED: Final = 6
 """Columns of a Gaussian placed in a tile: u and v at its centre, the factors, the level."""
 
 _LANE: Final = np.arange(LANES, dtype=np.float32)
-LANE_X: Final = _LANE % 4 - np.float32(7.5)
-LANE_Y: Final = _LANE // 4 - np.float32(7.5)
-"""A block's pixels, seen from the tile's centre, if it is the first block."""
+_BLOCK: Final = np.arange(BLOCKS, dtype=np.float32)[:, None]
+PIXEL_X: Final = (4.0 * (_BLOCK % 4) + _LANE % 4 - np.float32(7.5)).astype(np.float32).ravel()
+PIXEL_Y: Final = (4.0 * (_BLOCK // 4) + _LANE // 4 - np.float32(7.5)).astype(np.float32).ravel()
+"""A tile's pixels, seen from its centre, block by block."""
 
 BLOCK_X: Final = 4 * (_LANE % 4) - np.float32(6.0)
 BLOCK_Y: Final = 4 * (_LANE // 4) - np.float32(6.0)
@@ -136,7 +137,7 @@ def blend_tiles(
         until: (T,) written: the place in front of which the last Gaussian that was looked at is.
         seen: (2,) counts Gaussians that were looked at, and pairs of block and Gaussian.
     """
-    lane_x, lane_y, block_x, block_y = load(LANE_X, 0), load(LANE_Y, 0), load(BLOCK_X, 0), load(BLOCK_Y, 0)
+    block_x, block_y = load(BLOCK_X, 0), load(BLOCK_Y, 0)
     cap = np.float32(alpha_max)
     for number in range(len(tiles)):
         tile = tiles[number]
@@ -164,7 +165,7 @@ def blend_tiles(
                 if (open_blocks >> block) & 1 == 0 or left == 0:
                     continue
                 at = tile * PIXELS + block * LANES
-                x, y = lane_x + np.float32(4 * (block % 4)), lane_y + np.float32(4 * (block // 4))
+                x, y = load(PIXEL_X, block * LANES), load(PIXEL_Y, block * LANES)
                 through = load(light, at)
                 alive_here = through > np.float32(0.0)
                 latest = load(last, at)

@@ -15,8 +15,8 @@ from hybridworldsim.rasterizer.cpu.blending import (
     BATCH,
     BLOCK_X,
     BLOCK_Y,
-    LANE_X,
-    LANE_Y,
+    PIXEL_X,
+    PIXEL_Y,
     PLACED,
     exp2,
     placed,
@@ -100,7 +100,7 @@ def blend_tiles_backward(
         line: its length.
         absolute: whether the sums without signs are wanted.
     """
-    lane_x, lane_y, block_x, block_y = load(LANE_X, 0), load(LANE_Y, 0), load(BLOCK_X, 0), load(BLOCK_Y, 0)
+    block_x, block_y = load(BLOCK_X, 0), load(BLOCK_Y, 0)
     cap, zero, one = np.float32(alpha_max), spread(np.float32(0.0)), spread(np.float32(1.0))
     for number in range(len(tiles)):
         tile = tiles[number]
@@ -124,6 +124,11 @@ def blend_tiles_backward(
                 reached[k] = open_blocks & placed(rows, row, centre_x, centre_y, scratch, k * PLACED, block_x, block_y)
             for k in range(count - 1, -1, -1):
                 place = batch + k
+                to_line = slots[place] * line
+                if reached[k] == 0:
+                    for column in range(0, line, LANES):
+                        store(lines, to_line + column, zero)
+                    continue
                 row, p = ids[place] * stride, k * PLACED
                 before = np.int32(offset + place - 1)
                 u0, v0, f11, f12 = lift(scratch, p), lift(scratch, p + 1), lift(scratch, p + 2), lift(scratch, p + 3)
@@ -140,7 +145,7 @@ def blend_tiles_backward(
                     left &= left - np.uint64(1)
                     at = tile * PIXELS + block * LANES
                     to = tile * PIXELS * channels + block * LANES
-                    x, y = lane_x + np.float32(4 * (block % 4)), lane_y + np.float32(4 * (block // 4))
+                    x, y = load(PIXEL_X, block * LANES), load(PIXEL_Y, block * LANES)
                     u, v = fma(x, f11, fma(y, f12, u0)), fma(y, f22, v0)
                     exponent = take(u, u, take(v, v, level))
                     inside = (exponent >= FLOOR) & beyond(load(last, at), before)
@@ -153,7 +158,12 @@ def blend_tiles_backward(
                     g0, g1 = load(gradient, to), load(gradient, to + PIXELS)
                     g2, g3 = load(gradient, to + 2 * PIXELS), load(gradient, to + 3 * PIXELS)
                     worth = fma(g0, f0, fma(g1, f1, fma(g2, f2, g3 * f3)))
-                    by0, by1, by2, by3 = fma(weight, g0, by0), fma(weight, g1, by1), fma(weight, g2, by2), fma(weight, g3, by3)
+                    by0, by1, by2, by3 = (
+                        fma(weight, g0, by0),
+                        fma(weight, g1, by1),
+                        fma(weight, g2, by2),
+                        fma(weight, g3, by3),
+                    )
                     for channel in range(4, channels):
                         here = load(gradient, to + channel * PIXELS)
                         worth = fma(here, lift(rows, row + FEATURES + channel), worth)
@@ -169,10 +179,9 @@ def blend_tiles_backward(
                     if absolute:
                         abs_u = abs_u + magnitude(s_u)
                         abs_v = abs_v + magnitude(fma(s_u, f12, s_v * f22))
-                to = slots[place] * line
-                store(lines, to, totals((s0, su, sv, suu, suv, svv, abs_u, abs_v, by0, by1, by2, by3)))
+                store(lines, to_line, totals((s0, su, sv, suu, suv, svv, abs_u, abs_v, by0, by1, by2, by3)))
                 for channel in range(4, channels):
-                    lines[to + SUMS + channel] = total(load(more, channel * LANES))
+                    lines[to_line + SUMS + channel] = total(load(more, channel * LANES))
 
 
 @kernel()

@@ -7,7 +7,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.memory import filled, room
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.vectors import by_pixel, load, store, store_threes
 from mirror.arrays import Bool, Float32, Int32
 
 TILE_PX: Final = 16
@@ -45,11 +47,11 @@ class Canvas(NamedTuple):
 
     def picture(self, channels: int) -> tuple[Float32, Float32]:
         """The first channels (H, W, channels), and alpha (H, W)."""
-        image = np.empty((self.height, self.width, channels), np.float32)
-        alpha = np.empty((self.height, self.width), np.float32)
+        flat, alpha = room(self.height * self.width * channels), room(self.height * self.width)
+        image, alpha = flat.reshape(self.height, self.width, channels), alpha.reshape(self.height, self.width)
 
         def write(row: int) -> None:
-            _from_blocks(row, self.colours, self.light, self.channels, self.tiles_x, image, alpha)
+            _from_blocks(row, self.colours, self.light, self.channels, self.tiles_x, image, flat, alpha)
 
         in_parallel(write, self.tiles_y)
         return image, alpha
@@ -65,8 +67,8 @@ class Canvas(NamedTuple):
             To the colours (T * channels * 256,); the light that is left (T * 256,); minus that times the gradient to
             alpha (T * 256,).
         """
-        to_colours = np.zeros_like(self.colours)
-        light, behind = np.empty_like(self.light), np.empty_like(self.light)
+        to_colours = filled(len(self.colours), 0.0)
+        light, behind = room(len(self.light)), room(len(self.light))
 
         def write(row: int) -> None:
             _into_blocks(row, by_image, by_alpha, self.light, self.channels, self.tiles_x, to_colours, light, behind)
@@ -79,21 +81,22 @@ def blank(width: int, height: int, channels: int) -> Canvas:
     """Nothing blended yet; what lies beyond the picture is done."""
     tiles_x, tiles_y = -(-width // TILE_PX), -(-height // TILE_PX)
     count = tiles_x * tiles_y
-    light = np.ones((tiles_y, tiles_x, 4, 4, 4, 4), np.float32)
+    light = filled(count * PIXELS, 1.0)
+    blocks = light.reshape(tiles_y, tiles_x, 4, 4, 4, 4)
     below, beside = height - (tiles_y - 1) * TILE_PX, width - (tiles_x - 1) * TILE_PX
     for pixel in range(below, TILE_PX):
-        light[-1, :, pixel // 4, :, pixel % 4] = -1.0
+        blocks[-1, :, pixel // 4, :, pixel % 4] = -1.0
     for pixel in range(beside, TILE_PX):
-        light[:, -1, :, pixel // 4, :, pixel % 4] = -1.0
+        blocks[:, -1, :, pixel // 4, :, pixel % 4] = -1.0
     return Canvas(
         width,
         height,
         tiles_x,
         tiles_y,
         channels,
-        light.ravel(),
-        np.zeros(count * PIXELS * channels, np.float32),
-        np.full(count * PIXELS, -1, np.int32),
+        light,
+        filled(count * PIXELS * channels, 0.0),
+        filled(count * PIXELS, -1, np.int32),
         np.zeros(count, np.int32),
         np.ones(count, np.bool_),
     )
@@ -101,7 +104,14 @@ def blank(width: int, height: int, channels: int) -> Canvas:
 
 @kernel()
 def _from_blocks(
-    tile_y: int, colours: Float32, light: Float32, channels: int, tiles_x: int, image: Float32, alpha: Float32
+    tile_y: int,
+    colours: Float32,
+    light: Float32,
+    channels: int,
+    tiles_x: int,
+    image: Float32,
+    flat: Float32,
+    alpha: Float32,
 ) -> None:
     """Write a row of tiles into a picture."""
     height, width, wide = image.shape
@@ -110,11 +120,34 @@ def _from_blocks(
         for block in range(BLOCKS):
             y0, x0 = tile_y * TILE_PX + block // 4 * 4, tile_x * TILE_PX + block % 4 * 4
             lit, coloured = tile * PIXELS + block * LANES, tile * channels * PIXELS + block * LANES
+            whole = y0 + 4 <= height and x0 + 4 <= width and 3 <= wide <= 4
+            if whole:
+                rows = by_pixel(
+                    (
+                        load(colours, coloured),
+                        load(colours, coloured + PIXELS),
+                        load(colours, coloured + 2 * PIXELS),
+                        load(colours, coloured + 3 * PIXELS),
+                    )
+                )
+                to, step = (y0 * width + x0) * wide, width * wide
+                if wide == 4:
+                    store(flat, to, rows[0])
+                    store(flat, to + step, rows[1])
+                    store(flat, to + 2 * step, rows[2])
+                    store(flat, to + 3 * step, rows[3])
+                else:
+                    store_threes(flat, to, rows[0])
+                    store_threes(flat, to + step, rows[1])
+                    store_threes(flat, to + 2 * step, rows[2])
+                    store_threes(flat, to + 3 * step, rows[3])
             for down in range(min(4, height - y0)):
                 for across in range(min(4, width - x0)):
                     lane = down * 4 + across
                     y, x = np.uint64(y0 + down), np.uint64(x0 + across)
                     alpha[y, x] = np.float32(1.0) - abs(light[np.uint64(lit + lane)])
+                    if whole:
+                        continue
                     for channel in range(wide):
                         image[y, x, np.uint64(channel)] = colours[np.uint64(coloured + channel * PIXELS + lane)]
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from hybridworldsim.rasterizer.cpu.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.memory import room
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
 from hybridworldsim.rasterizer.presets import ALPHA_MIN
 from mirror.arrays import AnyArray, Float32, Int32
@@ -30,7 +31,6 @@ _SCALE: Final = np.float32(math.sqrt(0.5 * math.log2(math.e)))
 _PARTS: Final = 16
 _SLACK_PX: Final = 0.02
 _SLACK: Final = np.float32(1e-3)
-_LINE: Final = 16
 
 
 class Splats(NamedTuple):
@@ -74,7 +74,7 @@ def splats_of(
     count, channels = features.shape
     wide = max(4, channels)
     stride = 4 * ((FEATURES + wide + 3) // 4)
-    rows, boxes = aligned(count * stride), np.empty((count, 4), np.uint16)
+    rows, boxes = room(count * stride), np.empty((count, 4), np.uint16)
     with np.errstate(divide="ignore", invalid="ignore"):
         levels = np.log2(opacities)
     edges = np.linspace(0, count, _PARTS + 1).astype(np.int64)
@@ -87,13 +87,6 @@ def splats_of(
 
     in_parallel(lay, _PARTS)
     return Splats(rows, stride, wide, boxes)
-
-
-def aligned(count: int) -> Float32:
-    """Room for numbers, from the beginning of a cache line on."""
-    room = np.empty(count + _LINE, np.float32)
-    skip = -(room.ctypes.data // room.itemsize) % _LINE
-    return room[skip : skip + count]
 
 
 @kernel(inline="always")

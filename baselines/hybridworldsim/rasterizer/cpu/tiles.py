@@ -9,6 +9,7 @@ import numpy as np
 
 from hybridworldsim.rasterizer.cpu.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.memory import room
 from hybridworldsim.rasterizer.cpu.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, Splats
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.vectors import fetch
@@ -50,16 +51,16 @@ def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
         alive: (T,) whether anything is still to be seen in a tile.
     """
     edges = np.linspace(0, len(order), _PARTS + 1).astype(np.int64)
-    room, boxes = np.zeros(_PARTS + 1, np.int64), splats.boxes
-    in_parallel(lambda part: _room(edges[part], edges[part + 1], order, boxes, room[part + 1 :]), _PARTS)
-    np.cumsum(room, out=room)
-    reached = np.empty(room[-1], np.int32)
+    starts, boxes = np.zeros(_PARTS + 1, np.int64), splats.boxes
+    in_parallel(lambda part: _boxed(edges[part], edges[part + 1], order, boxes, starts[part + 1 :]), _PARTS)
+    np.cumsum(starts, out=starts)
+    reached = room(starts[-1], np.int32)
     pairs, places = np.empty(len(order), np.int64), np.zeros((_PARTS, len(alive)), np.int64)
 
     def find(part: int) -> None:
         _find(
-            edges[part], edges[part + 1], order, boxes, splats.rows, splats.stride, tiles_x, alive, reached, room[part],
-            pairs, places[part],
+            edges[part], edges[part + 1], order, boxes, splats.rows, splats.stride, tiles_x, alive, reached,
+            starts[part], pairs, places[part],
         )  # fmt: skip
 
     in_parallel(find, _PARTS)
@@ -69,23 +70,25 @@ def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
     np.cumsum(places, axis=0, out=places)
     places[1:], places[0] = places[:-1].copy(), 0
     places += begins[:-1]
-    ids, slots = np.zeros(begins[-1] + AHEAD, np.int32), np.empty(begins[-1], np.int64)
-    in_parallel(
-        lambda part: _place(edges[part], edges[part + 1], order, reached, room[part], firsts, places[part], ids, slots),
-        _PARTS,
-    )
+    ids, slots = room(begins[-1] + AHEAD, np.int32), room(begins[-1], np.int64)
+    ids[begins[-1] :] = 0
+
+    def put(part: int) -> None:
+        _place(edges[part], edges[part + 1], order, reached, starts[part], firsts, places[part], ids, slots)
+
+    in_parallel(put, _PARTS)
     return Tiles(begins, ids, slots, firsts)
 
 
 @kernel()
-def _room(begin: int, end: int, order: Int32, boxes: AnyArray, room: Int64) -> None:
+def _boxed(begin: int, end: int, order: Int32, boxes: AnyArray, counts: Int64) -> None:
     """How many tiles boxes have."""
     total = 0
     for rank in range(begin, end):
         fetch(boxes, order[min(rank + _SOON, end - 1)] * 4)
         i = order[rank]
         total += (np.int64(boxes[i, 1]) - boxes[i, 0]) * (np.int64(boxes[i, 3]) - boxes[i, 2])
-    room[0] = total
+    counts[0] = total
 
 
 @kernel()

@@ -295,6 +295,42 @@ def _picked(builder: Any, a: Any, b: Any, lanes: list[int]) -> Any:
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_I32, WIDTH), lanes))
 
 
+@intrinsic
+def by_pixel(typing_context: Any, channels: Any) -> Any:
+    """Four vectors of 16 pixels, a channel each, as four vectors of 4 pixels, all channels of a pixel side by side."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        a, b, c, d = (builder.extract_value(args[0], place) for place in range(4))
+        low = [lane // 2 + WIDTH * (lane % 2) for lane in range(WIDTH)]
+        high = [lane + WIDTH // 2 for lane in low]
+        rows = [
+            _picked(builder, _picked(builder, a, c, part), _picked(builder, b, d, part), half)
+            for part in (low, high)
+            for half in (low, high)
+        ]
+        return context.make_tuple(builder, sig.return_type, rows)
+
+    return types.UniTuple(Float32x16, 4)(channels), lower
+
+
+@intrinsic
+def store_threes(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
+    """Write the first three of each four elements from an index on, into a contiguous array of one dimension."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        lanes = [lane for lane in range(WIDTH) if lane % 4 < 3]
+        packed = _picked(builder, args[2], args[2], lanes + [0] * (WIDTH - len(lanes)))
+        place = _place(context, builder, sig.args[0], args[0], args[1], sig.args[2])
+        mask = ir.Constant(_llvm(Mask16), [1] * len(lanes) + [0] * (WIDTH - len(lanes)))
+        kinds = [packed.type, place.type, _I32, mask.type]
+        name = f"llvm.masked.store.v{WIDTH}f32.p0"
+        function = builder.module.declare_intrinsic(name, fnty=ir.FunctionType(ir.VoidType(), kinds))
+        builder.call(function, [packed, place, ir.Constant(_I32, 4), mask])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector), lower
+
+
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Vector) -> Any:
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), ir.PointerType(_llvm(vector)))

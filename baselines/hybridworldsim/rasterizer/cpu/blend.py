@@ -138,7 +138,7 @@ class _Blend(torch.autograd.Function):
         found = _Gradients.none(len(opacities), shape[2])
         gradients = canvas.gradients(_array(by_image, shape), _array(by_alpha, shape[:2]))
         for part in reversed(slices):
-            lines = _lines(canvas, splats, part, alpha_max, *gradients, absgrad)
+            lines = _lines(canvas, splats, part, alpha_max, *gradients, absgrad=absgrad)
             _collect(part, splats, opacities, lines, found)
         if absgrad:
             means2d.absgrad = torch.from_numpy(found.absolute)

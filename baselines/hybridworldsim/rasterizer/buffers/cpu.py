@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -18,7 +21,9 @@ from hybridworldsim.rasterizer.projected import Projected
 from mirror.arrays import Float32, Int32, Int64
 
 _STOP = np.float32(TRANSMITTANCE_STOP)
-_HALF = np.float32(0.5)
+_SLACK = np.float32(1e-2)
+BLOCK_PX = 4
+"""Side of a block of pixels: Gaussians that do not reach it are sorted out once for all of its pixels."""
 
 
 def trace(
@@ -51,69 +56,97 @@ def trace(
     rows = np.full((height, width, top), -1, np.int64)
     weights = np.zeros((height, width, top), np.float32)
     number, median = np.zeros((height, width), np.int32), np.full((height, width), -1, np.int64)
-    in_parallel(
-        lambda y: _trace_row(
-            y,
-            tiles_x,
-            tiles.begins,
-            tiles.ids,
-            splats.rows,
-            splats.stride,
-            preset.alpha_max,
-            rows,
-            weights,
-            number,
-            median,
-        ),
-        height,
-    )
+    longest = int(np.diff(tiles.begins).max())
+
+    def trace_blocks(block_y: int) -> None:
+        _trace_blocks(
+            block_y, tiles_x, tiles.begins, tiles.ids, splats.rows, splats.stride, preset.alpha_max,
+            np.empty(longest, np.int32), rows, weights, number, median,
+        )  # fmt: skip
+
+    in_parallel(trace_blocks, -(-height // BLOCK_PX))
     return Traced(*map(torch.from_numpy, (rows, weights, number, median)))
 
 
 @kernel()
-def _trace_row(
-    y: int,
+def _trace_blocks(
+    block_y: int,
     tiles_x: int,
     begins: Int64,
     ids: Int32,
     splats: Float32,
     stride: int,
     alpha_max: float,
+    reaching: Int32,
     rows: Int64,
     weights: Float32,
     number: Int32,
     median: Int64,
 ) -> None:
-    """Follow the light of a row of pixels."""
-    cap = np.float32(alpha_max)
-    width, top = rows.shape[1], rows.shape[2]
-    for x in range(width):
-        light = np.float32(1.0)
-        tile = y // TILE_PX * tiles_x + x // TILE_PX
-        at_x, at_y = np.float32(x) + _HALF, np.float32(y) + _HALF
+    """Follow the light of a row of blocks of pixels.
+
+    Args:
+        block_y: number of the row.
+        tiles_x: columns of tiles.
+        begins: where the places of each tile begin.
+        ids: the Gaussian at each place.
+        splats: rows of the Gaussians.
+        stride: of these rows.
+        alpha_max: the greatest alpha.
+        reaching: as long as the longest tile's list, for its own use.
+        rows: (H, W, top) written.
+        weights: (H, W, top) written, 0 before.
+        number: (H, W) written, 0 before.
+        median: (H, W) written.
+    """
+    height, width, top = rows.shape
+    cap, half = np.float32(alpha_max), np.float32(0.5)
+    from_centre = np.float32(0.5 * (BLOCK_PX - 1))
+    for block_x in range((width + BLOCK_PX - 1) // BLOCK_PX):
+        tile = block_y * BLOCK_PX // TILE_PX * tiles_x + block_x * BLOCK_PX // TILE_PX
+        centre_x = np.float32(block_x * BLOCK_PX + BLOCK_PX // 2)
+        centre_y = np.float32(block_y * BLOCK_PX + BLOCK_PX // 2)
+        count = 0
         for place in range(begins[tile], begins[tile + 1]):
             row = ids[place] * stride
-            dx = (at_x - splats[row + MEAN]) - splats[row + MEAN_LOW]
-            dy = (at_y - splats[row + MEAN + 1]) - splats[row + MEAN_LOW + 1]
-            u = splats[row + FACTORS] * dx + splats[row + FACTORS + 1] * dy
-            v = splats[row + FACTORS + 2] * dy
-            exponent = splats[row + LEVEL] - u * u - v * v
-            if exponent < FLOOR:
-                continue
-            weight = light * min(np.exp2(exponent), cap)
-            behind = light - weight
-            if behind <= _STOP:
-                break
-            number[y, x] += 1
-            if light > _HALF and behind <= _HALF:
-                median[y, x] = ids[place]
-            light = behind
-            # the least of those named gives way; a nearer one stays before an equal
-            rank = top
-            while rank > 0 and weight > weights[y, x, rank - 1]:
-                rank -= 1
-                if rank + 1 < top:
-                    weights[y, x, rank + 1] = weights[y, x, rank]
-                    rows[y, x, rank + 1] = rows[y, x, rank]
-            if rank < top:
-                weights[y, x, rank], rows[y, x, rank] = weight, ids[place]
+            u, v = _offset(splats, row, centre_x, centre_y)
+            reach = math.sqrt(splats[row + LEVEL] - FLOOR) + _SLACK
+            wide = from_centre * (splats[row + FACTORS] + abs(splats[row + FACTORS + 1]))
+            high = from_centre * splats[row + FACTORS + 2]
+            if abs(u) <= reach + wide and abs(v) <= reach + high:
+                reaching[count] = ids[place]
+                count += 1
+        for y in range(block_y * BLOCK_PX, min((block_y + 1) * BLOCK_PX, height)):
+            for x in range(block_x * BLOCK_PX, min((block_x + 1) * BLOCK_PX, width)):
+                light = np.float32(1.0)
+                for place in range(count):
+                    row = reaching[place] * stride
+                    u, v = _offset(splats, row, np.float32(x) + half, np.float32(y) + half)
+                    exponent = splats[row + LEVEL] - u * u - v * v
+                    if exponent < FLOOR:
+                        continue
+                    weight = light * min(np.exp2(exponent), cap)
+                    behind = light - weight
+                    if behind <= _STOP:
+                        break
+                    number[y, x] += 1
+                    if light > half and behind <= half:
+                        median[y, x] = reaching[place]
+                    light = behind
+                    # the least of those named gives way; a nearer one stays before an equal
+                    rank = top
+                    while rank > 0 and weight > weights[y, x, rank - 1]:
+                        rank -= 1
+                        if rank + 1 < top:
+                            weights[y, x, rank + 1] = weights[y, x, rank]
+                            rows[y, x, rank + 1] = rows[y, x, rank]
+                    if rank < top:
+                        weights[y, x, rank], rows[y, x, rank] = weight, reaching[place]
+
+
+@kernel(inline="always")
+def _offset(splats: Any, row: Any, x: Any, y: Any) -> Any:
+    """A pixel in the space where a Gaussian is round."""
+    dx = (x - splats[row + MEAN]) - splats[row + MEAN_LOW]
+    dy = (y - splats[row + MEAN + 1]) - splats[row + MEAN_LOW + 1]
+    return splats[row + FACTORS] * dx + splats[row + FACTORS + 1] * dy, splats[row + FACTORS + 2] * dy

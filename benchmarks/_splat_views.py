@@ -40,6 +40,12 @@ class View:
     options: dict[str, Any] = field(default_factory=dict)
 
     @property
+    def name(self) -> str:
+        """The scene's, and what is not as ever."""
+        harmonics = ["SH 3"] if self.harmonics else []
+        return ", ".join([self.scene.name, *harmonics, *(str(value) for value in self.options.values())])
+
+    @property
     def size(self) -> str:
         """As reports print it."""
         return f"{count_name(len(self.scene))} {self.width}x{self.height}"

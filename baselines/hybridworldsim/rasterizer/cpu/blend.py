@@ -136,9 +136,9 @@ class _Blend(torch.autograd.Function):
     def backward(context: Any, by_image: Tensor | None, by_alpha: Tensor | None, _: None) -> tuple[Any, ...]:
         means2d, opacities, splats, slices, canvas, shape, alpha_max, absgrad = context.saved
         found = _Gradients.none(len(opacities), shape[2])
-        gradients = canvas.gradients(_array(by_image, shape), _array(by_alpha, shape[:2]))
+        to_colours, light, behind = canvas.gradients(_array(by_image, shape), _array(by_alpha, shape[:2]))
         for part in reversed(slices):
-            lines = _lines(canvas, splats, part, alpha_max, *gradients, absgrad=absgrad)
+            lines = _lines(canvas, splats, part, alpha_max, to_colours, light, behind, absgrad)
             _collect(part, splats, opacities, lines, found)
         if absgrad:
             means2d.absgrad = torch.from_numpy(found.absolute)

@@ -32,7 +32,7 @@ def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Functi
         dispatcher: Any = numba.njit(**options)(function)
         dispatcher._cache._cache_file._source_stamp = _SOURCES
         _kernels.append(dispatcher)
-        return dispatcher  # type: ignore[no-any-return]
+        return dispatcher
 
     return compiled
 
@@ -44,7 +44,7 @@ def _sources() -> str:
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()
 
 
-class _Announcer(event.Listener):  # type: ignore[misc]
+class _Announcer(event.Listener):
     """Says once a process that kernels are compiled, which takes a while."""
 
     said = False

@@ -29,7 +29,7 @@ TILTED = torch.tensor(
     ids=["pinhole", "antialiased", "floored", "fisheye", "brown_conrady"],
 )
 def test_projection_passes_gradcheck(lens, antialiased, preset):
-    scene = gaussians(6, seed=4)
+    scene = gaussians(3, seed=4)
     opacities = scene["opacities"]
 
     def outputs(means, quats, scales, viewmat, intrinsics):
@@ -123,22 +123,21 @@ def _degenerate_cases():
 def test_no_input_makes_the_picture_or_a_gradient_nan(change, lens):
     for preset in PRESETS.values():
         for antialiased in (False, True) if lens is None else (False,):
-            for near_plane in (0.01, 0.0):
-                scene = gaussians(3, seed=6)
-                for field, value in change.items():
-                    scene[field][1] = value.double()
-                scene = {field: value.requires_grad_() for field, value in scene.items()}
-                features = torch.ones(3, 2, dtype=torch.float64, requires_grad=True)
-                viewmat = torch.eye(4, dtype=torch.float64, requires_grad=True)
-                image, alpha, _ = picture(
-                    scene, features, preset=preset, antialiased=antialiased, near_plane=near_plane, lens=lens,
-                    viewmat=viewmat,
-                )  # fmt: skip
-                assert image.isfinite().all()
-                assert alpha.isfinite().all()
-                (image.square().sum() + alpha.sum()).backward()
-                for value in (*scene.values(), features, viewmat):
-                    assert value.grad.isfinite().all()
+            scene = gaussians(3, seed=6)
+            for field, value in change.items():
+                scene[field][1] = value.double()
+            scene = {field: value.requires_grad_() for field, value in scene.items()}
+            features = torch.ones(3, 2, dtype=torch.float64, requires_grad=True)
+            viewmat = torch.eye(4, dtype=torch.float64, requires_grad=True)
+            image, alpha, _ = picture(
+                scene, features, preset=preset, antialiased=antialiased, near_plane=0.0, lens=lens,
+                viewmat=viewmat,
+            )  # fmt: skip
+            assert image.isfinite().all()
+            assert alpha.isfinite().all()
+            (image.square().sum() + alpha.sum()).backward()
+            for value in (*scene.values(), features, viewmat):
+                assert value.grad.isfinite().all()
 
 
 def test_a_million_metres_away_from_the_origin_is_the_same_in_float64():

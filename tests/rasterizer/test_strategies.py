@@ -89,3 +89,29 @@ def test_what_the_default_strategy_gathers_is_what_meta_says():
     scaled = meta["means2d"].grad * torch.tensor([WIDTH, HEIGHT]) / 2.0 * VIEWS
     grad2d = torch.zeros(15).index_add(0, meta["gaussian_ids"], scaled.norm(dim=-1))
     torch.testing.assert_close(state["grad2d"], grad2d, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("backend", ["reference", "cpu"])
+def test_meta_and_colours_are_those_of_the_formulas_that_gsplat_keeps_in_torch(backend):
+    torch_impl = pytest.importorskip("gsplat.cuda._torch_impl")
+    drawn = {name: tensor.double() for name, tensor in gaussians(200, seed=3).items()}
+    camera = {k: v.double() if isinstance(v, torch.Tensor) else v for k, v in cameras(VIEWS, WIDTH, HEIGHT).items()}
+    drawn["colors"] = torch.randn(200, 16, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    covariances, _ = torch_impl._quat_scale_to_covar_preci(drawn["quats"], drawn["scales"], compute_preci=False)
+    radii, means2d, depths, conics, compensations = torch_impl._fully_fused_projection(
+        drawn["means"], covariances, **camera, calc_compensations=True
+    )
+    image, _, meta = rasterization(
+        **drawn, **camera, backend=backend, packed=False, rasterize_mode="antialiased", sh_degree=3
+    )
+    seen = (meta["radii"] > 0).all(-1)
+    assert seen.sum() > 200
+    opacities = (drawn["opacities"] * compensations)[seen]
+    for name, expected in (("means2d", means2d), ("depths", depths), ("conics", conics)):
+        torch.testing.assert_close(meta[name][seen].double(), expected[seen], rtol=2e-5, atol=1e-5)
+    torch.testing.assert_close(meta["opacities"][seen].double(), opacities, rtol=2e-5, atol=1e-6)
+    assert (radii[seen] > 0).all()  # that of gsplat's formula does not know opacity, it is the larger
+    directions = drawn["means"] - torch.linalg.inv(camera["viewmats"])[:, None, :3, 3]
+    colors = (torch_impl._spherical_harmonics(3, directions, drawn["colors"].expand(VIEWS, -1, -1, -1)) + 0.5).clamp(0)
+    plain, _, _ = rasterization(**drawn | {"colors": colors}, **camera, backend=backend, rasterize_mode="antialiased")
+    torch.testing.assert_close(image, plain, rtol=1e-5, atol=1e-5)

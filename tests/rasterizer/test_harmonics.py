@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import pytest
 import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.cpu.harmonics import harmonics
-from hybridworldsim.rasterizer.cpu.project import PART
+from hybridworldsim.rasterizer.cpu.packing import PART
 from hybridworldsim.rasterizer.reference import harmonics as reference
 from mirror.errors import UsageError
 
@@ -85,6 +86,21 @@ def test_any_number_of_gaussians(number: int) -> None:
     assert colors.shape == (number, 3)
     colors.sum().backward()
     assert torch.allclose(colors.double(), reference(1, *given), atol=1e-6)
+
+
+@pytest.mark.parametrize("taken", [[], [0], [7], [1, 2, 5, 6], range(8), range(3, 2 * PART, 3)])
+def test_coefficients_of_some_of_all(taken: Sequence[int]) -> None:
+    ids = torch.tensor(taken, dtype=torch.int64)
+    directions, coefficients = inputs(8 if len(taken) <= 8 else 2 * PART, 9)
+    results = []
+    for colors in (
+        harmonics(2, directions[ids], coefficients, ids),
+        harmonics(2, directions[ids], coefficients[ids]),
+    ):
+        gradients = torch.autograd.grad(colors.square().sum(), (directions, coefficients))
+        results.append((colors, *gradients))
+    for some, own in zip(*results):
+        assert torch.equal(some, own)
 
 
 def test_wrong_shapes_are_refused() -> None:

@@ -17,7 +17,9 @@ from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.cpu import lanes
 from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.project import PART, flat
+from hybridworldsim.rasterizer.cpu.memory import room
+from hybridworldsim.rasterizer.cpu.packing import PART
+from hybridworldsim.rasterizer.cpu.project import flat
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
 from mirror.arrays import Float64
 from mirror.errors import UsageError
@@ -49,7 +51,7 @@ def harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor
         degree: highest degree that is summed, 0 to 4.
         directions: (M, 3) of any length; of a direction of zero all three Cartesian factors are zero.
         coefficients: (N, K, 3) with K >= (degree + 1)^2, ordered by degree, then by order.
-        ids: (M,) int64 whose coefficients each direction takes, each once; None: its own, N being M.
+        ids: (M,) int64 whose coefficients each direction takes, ascending, each once; None: its own, N being M.
 
     Returns:
         (M, 3) of the coefficients' type, without the half that colours are shifted by.
@@ -110,7 +112,7 @@ def harmonics_part(
         degree: highest degree.
         directions: (3 M,) flat.
         coefficients: (N, K, 3).
-        ids: (M,) rows of these.
+        ids: (M,) rows of these, ascending.
         begin: first Gaussian.
         end: past the last.
         rows: (8,) int64, for its own use, as is `basis` (200,), of the coefficients' type.
@@ -153,22 +155,30 @@ def harmonics_part_backward(
         degree: highest degree.
         directions: (3 M,) flat.
         coefficients: (N, K, 3).
-        ids: (M,) rows of these.
+        ids: (M,) rows of these, ascending.
         to_summed: (M, 3) gradient to the sums.
         begin: first Gaussian.
         end: past the last.
         rows: (8,) int64, for its own use, as are `basis` and `to_basis` (200,), of the coefficients' type.
         basis: see `rows`.
         to_basis: see `rows`.
-        to_directions: (M + 8, 3) gets gradients, as do those of `to_coefficients` (N, K, 3) that are used.
+        to_directions: (M + 8, 3) gets gradients, as does `to_coefficients` (N, K, 3), with zeros for rows between
+            those that are used; what is past the last of these is left to the caller.
         to_coefficients: see `to_directions`.
     """
     count = (degree + 1) * (degree + 1)
+    done = 0 if begin == 0 else ids[begin - 1] + 1
     for start in range(begin, end, 8):
         x, y, z, inverse = _unit(directions, rows, start, end)
         _basis(degree, x, y, z, basis)
         for lane in range(min(8, end - start)):
-            own, to_own = coefficients[ids[start + lane]], to_coefficients[ids[start + lane]]
+            row = ids[start + lane]
+            for unused in range(done, row):
+                to_unused = to_coefficients[unused]
+                for k in range(coefficients.shape[1]):
+                    to_unused[k, 0], to_unused[k, 1], to_unused[k, 2] = 0.0, 0.0, 0.0
+            done = row + 1
+            own, to_own = coefficients[row], to_coefficients[row]
             red, green, blue = to_summed[start + lane, 0], to_summed[start + lane, 1], to_summed[start + lane, 2]
             for k in range(count):
                 weight = basis[8 * k + lane]
@@ -216,7 +226,7 @@ class _Harmonics(torch.autograd.Function):
         dtype, number = coefficients.dtype, len(directions)
         taken = np.arange(number) if ids is None else ids.numpy()
         given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), taken
-        summed = np.empty((number, 3), given[0].dtype)
+        summed = room(number * 3, given[0].dtype).reshape(number, 3)
 
         def one(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
@@ -235,7 +245,8 @@ class _Harmonics(torch.autograd.Function):
         given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), ctx.taken
         to_summed = flat(gradients[0], dtype).reshape(-1, 3)
         kind = given[0].dtype
-        to_directions, to_coefficients = np.empty((number + 8, 3), kind), np.zeros(given[1].shape, kind)
+        to_directions = room((number + 8) * 3, kind).reshape(-1, 3)
+        to_coefficients = room(coefficients.numel(), kind).reshape(given[1].shape)
 
         def one(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
@@ -243,6 +254,7 @@ class _Harmonics(torch.autograd.Function):
             harmonics_part_backward(ctx.degree, *given, to_summed, *span, *own, to_directions, to_coefficients)
 
         in_parallel(one, -(-number // PART))
+        to_coefficients[int(ctx.taken[-1]) + 1 if number else 0 :] = 0.0
         return (
             torch.from_numpy(to_directions[:number]).to(directions.dtype),
             torch.from_numpy(to_coefficients),

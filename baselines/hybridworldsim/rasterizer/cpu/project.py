@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.cpu.bending import Bending, bending_of
-from hybridworldsim.rasterizer.cpu.ellipses import CAUSES, RECORD
+from hybridworldsim.rasterizer.cpu.ellipses import CAUSES
+from hybridworldsim.rasterizer.cpu.memory import room
+from hybridworldsim.rasterizer.cpu.packing import PART, InOrder
 from hybridworldsim.rasterizer.cpu.projection import project_part
 from hybridworldsim.rasterizer.cpu.projection_backward import project_part_backward
 from hybridworldsim.rasterizer.cpu.threads import in_parallel
@@ -24,11 +25,6 @@ if TYPE_CHECKING:
     from hybridworldsim.rasterizer.presets import Preset
 
 _Array = np.ndarray[Any, np.dtype[Any]]
-
-PART = 16384
-"""Gaussians that one call of a kernel takes: results are the same for any number of threads as long as this is."""
-
-_SPARE = 8  # rows that a kernel may write beyond what it keeps
 
 
 def project(
@@ -110,66 +106,6 @@ def flat(tensor: Tensor, dtype: torch.dtype) -> _Array:
     return array
 
 
-class InOrder:
-    """Arrays that parts of unknown length fill in order, whichever is ready first.
-
-    The part whose turn it is writes where it belongs; others write elsewhere and are moved.
-
-    Args:
-        capacity: rows of all parts together.
-        kinds: dtype and row shape of each array.
-    """
-
-    def __init__(self, capacity: int, kinds: tuple[tuple[type, tuple[int, ...]], ...]) -> None:
-        self._kinds = kinds
-        self._arrays = self._empty(capacity)
-        self._turn = 0
-        self._filled = 0
-        self._waiting: dict[int, tuple[int, list[_Array] | None]] = {}
-        self._spare: list[list[_Array]] = []
-        self._lock = Lock()
-
-    def _empty(self, rows: int) -> list[_Array]:
-        return [np.empty((rows + _SPARE, *shape), dtype) for dtype, shape in self._kinds]
-
-    def place(self, part: int) -> tuple[list[_Array], bool]:
-        """Arrays that a part is written into, and whether they lie where it belongs."""
-        with self._lock:
-            if part == self._turn:
-                return [array[self._filled :] for array in self._arrays], True
-            if self._spare:
-                return self._spare.pop(), False
-        return self._empty(PART), False
-
-    def hand_in(self, part: int, count: int, arrays: list[_Array], settled: bool) -> None:
-        """Take a part's first rows.
-
-        Args:
-            part: its number.
-            count: how many rows.
-            arrays: where they are.
-            settled: whether they lie where they belong.
-        """
-        due = []
-        with self._lock:
-            self._waiting[part] = count, None if settled else arrays
-            while self._turn in self._waiting:
-                ready, source = self._waiting.pop(self._turn)
-                if source is not None:
-                    due.append((self._filled, ready, source))
-                self._filled += ready
-                self._turn += 1
-        for begin, ready, source in due:
-            for array, rows in zip(self._arrays, source):
-                array[begin : begin + ready] = rows[:ready]
-            with self._lock:
-                self._spare.append(source)
-
-    def filled(self) -> list[Tensor]:
-        """All parts' rows, once each is handed in."""
-        return [torch.from_numpy(array[: self._filled]) for array in self._arrays]
-
-
 class _Project(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -185,19 +121,17 @@ class _Project(torch.autograd.Function):
         dtype, number = means.dtype, len(means)
         given = tuple(flat(tensor, dtype) for tensor in (means, quats, scales, opacities))
         parts = -(-number // PART)
-        outputs = InOrder(number, RECORD)
+        outputs = InOrder(number)
         counts = np.zeros((parts, len(CAUSES)), np.int64)
 
         def one(part: int) -> None:
-            begin, end = part * PART, min((part + 1) * PART, number)
-            arrays, settled = outputs.place(part)
-            rows = np.empty(end - begin + _SPARE, np.int64)
-            if bending is None:
-                seen = project_part(view, given, begin, end, rows, tuple(arrays), counts[part])
-            else:
-                own = rows, np.empty(SCRATCH)
-                seen = unscented_part(view, bending, given, begin, end, *own, tuple(arrays), counts[part])
-            outputs.hand_in(part, seen, arrays, settled)
+            span = part * PART, min((part + 1) * PART, number)
+            with outputs.part(part) as place:
+                if bending is None:
+                    place.count = project_part(view, given, *span, place.rows, place.arrays, counts[part])
+                else:
+                    own = place.rows, np.empty(SCRATCH)
+                    place.count = unscented_part(view, bending, given, *span, *own, place.arrays, counts[part])
 
         in_parallel(one, parts)
         ids, means2d, low, depths, conics, factors, compensations, radii = outputs.filled()
@@ -217,7 +151,7 @@ class _Project(torch.autograd.Function):
         nothing = np.zeros(3, np.float32)
         upstream = tuple(nothing if gradient is None else flat(gradient, torch.float32) for gradient in gradients[:4])
         strides = tuple(0 if gradient is None else width for gradient, width in zip(gradients, (2, 1, 3, 1)))
-        to_given = tuple(np.empty((number, width), given[0].dtype) for width in (3, 4, 3))
+        to_given = tuple(room(number * width, given[0].dtype).reshape(number, width) for width in (3, 4, 3))
         indices = ids.numpy()
         parts = -(-seen // PART)
         to_viewmat = np.zeros((parts, 12))

@@ -14,7 +14,7 @@ steps, photos = 3000, load(Path(sys.argv[1]), width=512)
 splats, optimizers, decay = start(photos, steps)
 strategy = DefaultStrategy(refine_start_iter=150, refine_every=50, refine_stop_iter=2000)
 strategy.check_sanity(splats, optimizers)
-state = strategy.initialize_state(scene_scale=photos.extent)
+state = strategy.initialize_state(scene_scale=0.1 * photos.extent)  # a street is longer than what stands in it
 
 
 def render(index: int, degree: int = 3) -> tuple[torch.Tensor, dict]:
@@ -22,7 +22,7 @@ def render(index: int, degree: int = 3) -> tuple[torch.Tensor, dict]:
     pictures, _, meta = rasterization(
         splats["means"], splats["quats"], splats["scales"].exp(), splats["opacities"].sigmoid(),
         torch.cat([splats["sh0"], splats["shN"]], 1), photos.viewmats[[index]], photos.Ks[[index]],
-        photos.width, photos.height, sh_degree=degree, packed=False)  # fmt: skip
+        photos.width, photos.height, sh_degree=degree, near_plane=0.2, packed=False)  # fmt: skip
     return pictures[0], meta
 
 

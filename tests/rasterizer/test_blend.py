@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from hybridworldsim.rasterizer import reference
-from hybridworldsim.rasterizer.cpu.blend import blend
+from hybridworldsim.rasterizer.cpu.blending.blend import blend
 from hybridworldsim.rasterizer.presets import preset_of
 from hybridworldsim.rasterizer.projected import Projected
 from hybridworldsim.rasterizer.reference.marks import mark

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.cpu.harmonics import harmonics
-from hybridworldsim.rasterizer.cpu.packing import PART
+from hybridworldsim.rasterizer.cpu.projection.packing import PART
 from hybridworldsim.rasterizer.reference import harmonics as reference
 from mirror.errors import UsageError
 

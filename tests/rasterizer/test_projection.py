@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from hybridworldsim.rasterizer.cpu.packing import PART
-from hybridworldsim.rasterizer.cpu.project import project as compiled
+from hybridworldsim.rasterizer.cpu.projection.packing import PART
+from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
 from hybridworldsim.rasterizer.presets import preset_of
 from hybridworldsim.rasterizer.projected import Projected
 from hybridworldsim.rasterizer.reference import project as reference

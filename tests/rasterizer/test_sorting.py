@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hybridworldsim.rasterizer.cpu.sorting import depth_order
+from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
 
 
 @settings(deadline=None, max_examples=25)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hybridworldsim.rasterizer.cpu.splats import splats_of
-from hybridworldsim.rasterizer.cpu.tiles import tiles_of
+from hybridworldsim.rasterizer.cpu.blending.splats import splats_of
+from hybridworldsim.rasterizer.cpu.blending.tiles import tiles_of
 
 WIDTH, HEIGHT, TILES_X, TILES_Y = 117, 70, 8, 5
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.cpu.project import project as compiled
+from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
 from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.projected import Projected
 from hybridworldsim.rasterizer.reference import project as reference

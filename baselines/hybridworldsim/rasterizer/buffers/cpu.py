@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.buffers.traced import Traced
-from hybridworldsim.rasterizer.cpu.canvas import TILE_PX
-from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.sorting import depth_order
-from hybridworldsim.rasterizer.cpu.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, splats_of
-from hybridworldsim.rasterizer.cpu.threads import in_parallel
-from hybridworldsim.rasterizer.cpu.tiles import tiles_of
+from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
+from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
+from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, splats_of
+from hybridworldsim.rasterizer.cpu.blending.tiles import tiles_of
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
 from hybridworldsim.rasterizer.presets import TRANSMITTANCE_STOP, Preset
 from hybridworldsim.rasterizer.projected import Projected
 from mirror.arrays import Float32, Int32, Int64

@@ -15,12 +15,12 @@ from numpy.polynomial import polynomial
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from hybridworldsim.rasterizer.cpu import lanes
-from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.memory import room
-from hybridworldsim.rasterizer.cpu.packing import PART
-from hybridworldsim.rasterizer.cpu.project import flat
-from hybridworldsim.rasterizer.cpu.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.machine import lanes
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.machine.memory import room
+from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.projection.packing import PART
+from hybridworldsim.rasterizer.cpu.projection.project import flat
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 

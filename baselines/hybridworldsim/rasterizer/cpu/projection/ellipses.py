@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu import lanes
-from hybridworldsim.rasterizer.cpu.kernels import kernel
+from hybridworldsim.rasterizer.cpu.machine import lanes
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, SQUARE_DISCRIMINANT_MIN, SQUARE_SIGMAS
 
 RECORD: tuple[tuple[type, tuple[int, ...]], ...] = (

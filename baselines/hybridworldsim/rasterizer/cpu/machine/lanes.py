@@ -1,115 +1,30 @@
-"""Eight Gaussians at once in numba kernels, in float64: a vector is a value like any other, and lives in registers.
+"""Eight Gaussians at once in numba kernels, in float64.
 
 Projection needs float64 (a needle's covariance cancels) and has no rows of pixels to run along, so each lane is one
-Gaussian. Arithmetic is contracted to fused multiply-adds; what a lane gives does not depend on the lanes beside it.
+Gaussian. What a lane gives does not depend on the lanes beside it.
 """
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable
 from typing import Any, Final
 
 from llvmlite import ir
 from numba import types
-from numba.core.datamodel.models import PrimitiveModel
-from numba.core.datamodel.registry import register_default
-from numba.core.imputils import lower_builtin
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic as _intrinsic
 
-intrinsic: Final[Callable[[Callable[..., Any]], Callable[..., Any]]] = _intrinsic
+from hybridworldsim.rasterizer.cpu.machine import simd
+from hybridworldsim.rasterizer.cpu.machine.simd import I32, Vector, function, intrinsic, picked
+
 LANES: Final = 8
+Float64x8: Final = Vector(types.float64, LANES)
+Mask8: Final = Vector(types.boolean, LANES)
 
-_DOUBLE, _LONG, _INT = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
+_DOUBLE, _LONG = ir.DoubleType(), ir.IntType(64)
 _DOUBLES, _LONGS = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_LONG, LANES)
-_LLVM: Final = {types.float64: _DOUBLES, types.boolean: ir.VectorType(ir.IntType(1), LANES)}
-_FUSED: Final = ("contract",)
-
-
-class Lanes(types.Type):
-    """The numba type of LANES elements.
-
-    Args:
-        element: their type.
-    """
-
-    def __init__(self, element: Any) -> None:
-        self.element = element
-        super().__init__(name=f"{element}x{LANES}")
-
-
-Float64x8: Final = Lanes(types.float64)
-Mask8: Final = Lanes(types.boolean)
-
-
-@register_default(Lanes)
-class _LanesModel(PrimitiveModel):
-    def __init__(self, manager: Any, lanes: Lanes) -> None:
-        super().__init__(manager, lanes, _LLVM[lanes.element])
-
-
-def _spread(context: Any, builder: Any, value: Any, kind: Any) -> Any:
-    """The value as a vector, whether it is one or a number."""
-    if isinstance(kind, Lanes):
-        return value
-    nothing = ir.Constant(_DOUBLES, ir.Undefined)
-    first = builder.insert_element(nothing, context.cast(builder, value, kind, types.float64), ir.Constant(_INT, 0))
-    return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INT, LANES), [0] * LANES))
-
-
-def _operator(symbol: Callable[..., object], element: Any, result: Lanes, emit: Callable[..., Any]) -> None:
-    """Teach numba an operator of two vectors, or of a vector and a number.
-
-    Args:
-        symbol: the operator.
-        element: of which vectors it is one.
-        result: the type of what it gives.
-        emit: makes its instruction from a builder and two vectors.
-    """
-
-    @infer_global(symbol)
-    class _Template(AbstractTemplate):
-        def generic(self, kinds: Any, keywords: Any) -> Any:
-            vectors = [kind for kind in kinds if isinstance(kind, Lanes)]
-            others = [kind for kind in kinds if not isinstance(kind, Lanes)]
-            fits = all(kind.element == element for kind in vectors) and all(
-                isinstance(kind, types.Number) for kind in others
-            )
-            return signature(result, *kinds) if len(kinds) == 2 and vectors and fits else None
-
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return emit(builder, *(_spread(context, builder, arg, kind) for arg, kind in zip(args, sig.args)))
-
-    for kinds in ((Lanes, Lanes), (Lanes, types.Number), (types.Number, Lanes)):
-        lower_builtin(symbol, *kinds)(lower)
-
-
-_operator(operator.add, types.float64, Float64x8, lambda builder, a, b: builder.fadd(a, b, flags=_FUSED))
-_operator(operator.sub, types.float64, Float64x8, lambda builder, a, b: builder.fsub(a, b, flags=_FUSED))
-_operator(operator.mul, types.float64, Float64x8, lambda builder, a, b: builder.fmul(a, b, flags=_FUSED))
-_operator(operator.truediv, types.float64, Float64x8, lambda builder, a, b: builder.fdiv(a, b, flags=_FUSED))
-_operator(operator.and_, types.boolean, Mask8, lambda builder, a, b: builder.and_(a, b))
-_operator(operator.or_, types.boolean, Mask8, lambda builder, a, b: builder.or_(a, b))
-for _symbol, _name in ((operator.ge, ">="), (operator.gt, ">"), (operator.le, "<="), (operator.lt, "<")):
-    _operator(_symbol, types.float64, Mask8, lambda builder, a, b, name=_name: builder.fcmp_ordered(name, a, b))
 
 
 def _given(result: Any, emit: Callable[..., Any], *kinds: Any) -> Any:
-    """What an intrinsic of vectors, for which numbers may stand, has to return."""
-
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return emit(builder, *(_spread(context, builder, arg, kind) for arg, kind in zip(args, sig.args)))
-
-    return result(*kinds), lower
-
-
-def _called(name: str) -> Callable[..., Any]:
-    def emit(builder: Any, *args: Any) -> Any:
-        kind = ir.FunctionType(_DOUBLES, [_DOUBLES] * len(args))
-        return builder.call(builder.module.declare_intrinsic(f"llvm.{name}.v{LANES}f64", fnty=kind), args)
-
-    return emit
+    return function((Float64x8,) * len(kinds), result, emit)(*kinds)
 
 
 @intrinsic
@@ -121,19 +36,19 @@ def spread(context: Any, number: Any) -> Any:
 @intrinsic
 def root(context: Any, a: Any) -> Any:
     """Square root."""
-    return _given(Float64x8, _called("sqrt"), a)
+    return _given(Float64x8, simd.call("sqrt", Float64x8), a)
 
 
 @intrinsic
 def magnitude(context: Any, a: Any) -> Any:
     """Without sign."""
-    return _given(Float64x8, _called("fabs"), a)
+    return _given(Float64x8, simd.call("fabs", Float64x8), a)
 
 
 @intrinsic
 def whole_above(context: Any, a: Any) -> Any:
     """The least whole number that is not less."""
-    return _given(Float64x8, _called("ceil"), a)
+    return _given(Float64x8, simd.call("ceil", Float64x8), a)
 
 
 @intrinsic
@@ -194,7 +109,7 @@ def mask_of(context: Any, number: Any) -> Any:
     """The mask that has a number's lowest bits."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.bitcast(builder.trunc(args[0], ir.IntType(LANES)), _LLVM[types.boolean])
+        return builder.bitcast(builder.trunc(args[0], ir.IntType(LANES)), Mask8.llvm)
 
     return Mask8(types.int64), lower
 
@@ -219,16 +134,12 @@ def total(context: Any, a: Any) -> Any:
     def emit(builder: Any, value: Any) -> Any:
         half = LANES // 2
         while half:
-            order = ir.Constant(ir.VectorType(_INT, LANES), [(lane + half) % LANES for lane in range(LANES)])
-            value = builder.fadd(value, builder.shuffle_vector(value, ir.Constant(_DOUBLES, ir.Undefined), order))
+            other = picked(builder, value, value, [(lane + half) % LANES for lane in range(LANES)])
+            value = builder.fadd(value, other)
             half //= 2
-        return builder.extract_element(value, ir.Constant(_INT, 0))
+        return builder.extract_element(value, ir.Constant(I32, 0))
 
     return _given(types.float64, emit, a)
-
-
-def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
-    return context.make_array(kind)(context, builder, array).data
 
 
 @intrinsic
@@ -236,7 +147,7 @@ def fetch(context: Any, array: Any, start: Any) -> Any:
     """The lanes from an index of a flat array on; nothing checks that they are there."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        vector = _load(builder, _data(context, builder, sig.args[0], args[0]), args[1], LANES)
+        vector = _load(builder, simd.data(context, builder, sig.args[0], args[0]), args[1], LANES)
         return vector if vector.type == _DOUBLES else builder.fpext(vector, _DOUBLES)
 
     return Float64x8(array, types.intp), lower
@@ -247,27 +158,23 @@ def gather(context: Any, array: Any, rows: Any, start: Any, stride: Any, column:
     """Lane j: ``array[rows[start + j] * stride + column]`` of a flat array; nothing checks that it is there."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data, rows = (_data(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
+        data, rows = (simd.data(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
         start, stride, column = args[2:]
         vector = ir.Constant(ir.VectorType(data.type.pointee, LANES), ir.Undefined)
         for lane in range(LANES):
             row = builder.load(builder.gep(rows, [builder.add(start, ir.Constant(_LONG, lane))]))
             value = builder.load(builder.gep(data, [builder.add(builder.mul(row, stride), column)]))
-            vector = builder.insert_element(vector, value, ir.Constant(_INT, lane))
+            vector = builder.insert_element(vector, value, ir.Constant(I32, lane))
         return vector if data.type.pointee == _DOUBLE else builder.fpext(vector, _DOUBLES)
 
     return Float64x8(array, rows, types.intp, types.intp, types.intp), lower
-
-
-def _shuffled(builder: Any, a: Any, b: Any, order: list[int]) -> Any:
-    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_INT, len(order)), order))
 
 
 def _joined(builder: Any, parts: list[Any]) -> Any:
     """Vectors of one size, whose number is a power of two, as one."""
     while len(parts) > 1:
         order = list(range(2 * parts[0].type.count))
-        parts = [_shuffled(builder, a, b, order) for a, b in zip(parts[::2], parts[1::2])]
+        parts = [picked(builder, a, b, order) for a, b in zip(parts[::2], parts[1::2])]
     return parts[0]
 
 
@@ -281,7 +188,7 @@ def _columns(columns: int) -> Callable[..., Any]:
     """What `triples` and `quadruples` emit; rows that follow each other are loaded at once."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data, rows = (_data(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
+        data, rows = (simd.data(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
         kind, width = ir.VectorType(data.type.pointee, LANES), ir.Constant(_LONG, columns)
         numbers = [
             builder.load(builder.gep(rows, [builder.add(args[2], ir.Constant(_LONG, lane))])) for lane in range(LANES)
@@ -294,7 +201,7 @@ def _columns(columns: int) -> Callable[..., Any]:
                 nothing = ir.Constant(whole.type, ir.Undefined)
                 found.append(
                     [
-                        _shuffled(builder, whole, nothing, [columns * lane + column for lane in range(LANES)])
+                        picked(builder, whole, nothing, [columns * lane + column for lane in range(LANES)])
                         for column in range(columns)
                     ]
                 )
@@ -312,7 +219,7 @@ def _columns(columns: int) -> Callable[..., Any]:
                 nothing = ir.Constant(whole.type, ir.Undefined)
                 found.append(
                     [
-                        _shuffled(builder, whole, nothing, [4 * lane + column for lane in range(LANES)])
+                        picked(builder, whole, nothing, [4 * lane + column for lane in range(LANES)])
                         for column in ((0, 1, 2, 3) if columns == 4 else (0, 1, 3))
                     ]
                 )
@@ -348,7 +255,7 @@ def quadruples(context: Any, array: Any, rows: Any, start: Any) -> Any:
 def _put(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     """Write vectors as the columns of an array's rows."""
     vectors = args[2:]
-    data = _data(context, builder, sig.args[0], args[0])
+    data = simd.data(context, builder, sig.args[0], args[0])
     place = builder.gep(data, [builder.mul(args[1], ir.Constant(_LONG, len(vectors)))])
     element = data.type.pointee
     kind = ir.VectorType(element, LANES)
@@ -358,7 +265,7 @@ def _put(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         vectors = [builder.fptosi(vector, kind) for vector in vectors]
     order = [column * LANES + lane for lane in range(LANES) for column in range(len(vectors))]
     vectors = [*vectors, ir.Constant(kind, ir.Undefined)] if len(vectors) == 3 else vectors
-    whole = _shuffled(builder, joined := _joined(builder, list(vectors)), ir.Constant(joined.type, ir.Undefined), order)
+    whole = picked(builder, joined := _joined(builder, list(vectors)), ir.Constant(joined.type, ir.Undefined), order)
     builder.store(whole, builder.bitcast(place, ir.PointerType(whole.type)), align=4)
     return context.get_dummy_value()
 

@@ -10,10 +10,19 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from hybridworldsim.rasterizer.cpu import lanes
-from hybridworldsim.rasterizer.cpu.bending import pixel
-from hybridworldsim.rasterizer.cpu.ellipses import NORM2_MIN, along, candidates, dot, record, rotation, to_camera
-from hybridworldsim.rasterizer.cpu.gradients import (
+from hybridworldsim.rasterizer.cpu.machine import lanes
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.projection.bending import pixel
+from hybridworldsim.rasterizer.cpu.projection.ellipses import (
+    NORM2_MIN,
+    along,
+    candidates,
+    dot,
+    record,
+    rotation,
+    to_camera,
+)
+from hybridworldsim.rasterizer.cpu.projection.gradients import (
     asked_for,
     covariance_gradient,
     hand_back,
@@ -24,7 +33,6 @@ from hybridworldsim.rasterizer.cpu.gradients import (
     select_rows,
     total_rows,
 )
-from hybridworldsim.rasterizer.cpu.kernels import kernel
 from hybridworldsim.rasterizer.lenses import UT_ALPHA, UT_BETA, UT_SPREAD
 
 SCRATCH: Final = 512

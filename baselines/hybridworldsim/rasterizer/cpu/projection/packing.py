@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.cpu.ellipses import RECORD
-from hybridworldsim.rasterizer.cpu.memory import room
+from hybridworldsim.rasterizer.cpu.machine.memory import room
+from hybridworldsim.rasterizer.cpu.projection.ellipses import RECORD
 from mirror.arrays import AnyArray, Int64
 
 PART: Final = 16384

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from hybridworldsim.rasterizer.cpu import lanes
-from hybridworldsim.rasterizer.cpu.ellipses import (
+from hybridworldsim.rasterizer.cpu.machine import lanes
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.projection.ellipses import (
     NORM2_MIN,
     along,
     candidates,
@@ -20,7 +21,6 @@ from hybridworldsim.rasterizer.cpu.ellipses import (
     times,
     to_camera,
 )
-from hybridworldsim.rasterizer.cpu.kernels import kernel
 
 
 @kernel(inline="always")

@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.canvas import BLOCKS, LANES, PIXELS, TILE_PX
-from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.splats import FACTORS, FEATURES, FLOOR, LEVEL, MEAN, MEAN_LOW, NEAR
-from hybridworldsim.rasterizer.cpu.tiles import AHEAD
-from hybridworldsim.rasterizer.cpu.vectors import (
+from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
+from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FEATURES, FLOOR, LEVEL, MEAN, MEAN_LOW, NEAR
+from hybridworldsim.rasterizer.cpu.blending.tiles import AHEAD
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.machine.vectors import (
     bits,
     choose,
     choose_whole,

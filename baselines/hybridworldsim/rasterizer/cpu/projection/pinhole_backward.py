@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from hybridworldsim.rasterizer.cpu import lanes
-from hybridworldsim.rasterizer.cpu.ellipses import along, dot, rotation, times, to_camera
-from hybridworldsim.rasterizer.cpu.gradients import (
+from hybridworldsim.rasterizer.cpu.machine import lanes
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.projection.ellipses import along, dot, rotation, times, to_camera
+from hybridworldsim.rasterizer.cpu.projection.gradients import (
     asked_for,
     covariance_gradient,
     hand_back,
@@ -17,8 +18,7 @@ from hybridworldsim.rasterizer.cpu.gradients import (
     select_rows,
     total_rows,
 )
-from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.projection import covariance, jacobian
+from hybridworldsim.rasterizer.cpu.projection.pinhole import covariance, jacobian
 
 
 @kernel()

@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.blending import (
+from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
+from hybridworldsim.rasterizer.cpu.blending.forward import (
     BATCH,
     BLOCK_X,
     BLOCK_Y,
@@ -21,10 +22,9 @@ from hybridworldsim.rasterizer.cpu.blending import (
     exp2,
     placed,
 )
-from hybridworldsim.rasterizer.cpu.canvas import BLOCKS, LANES, PIXELS, TILE_PX
-from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.splats import FACTORS, FEATURES, FLOOR
-from hybridworldsim.rasterizer.cpu.vectors import (
+from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FEATURES, FLOOR
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.machine.vectors import (
     beyond,
     bits,
     choose,

@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from hybridworldsim.rasterizer.cpu.bending import Bending, bending_of
-from hybridworldsim.rasterizer.cpu.ellipses import CAUSES
-from hybridworldsim.rasterizer.cpu.memory import room
-from hybridworldsim.rasterizer.cpu.packing import PART, InOrder
-from hybridworldsim.rasterizer.cpu.projection import project_part
-from hybridworldsim.rasterizer.cpu.projection_backward import project_part_backward
-from hybridworldsim.rasterizer.cpu.threads import in_parallel
-from hybridworldsim.rasterizer.cpu.unscented import SCRATCH, unscented_part, unscented_part_backward
-from hybridworldsim.rasterizer.cpu.view import View, view_of
+from hybridworldsim.rasterizer.cpu.machine.memory import room
+from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.projection.bending import Bending, bending_of
+from hybridworldsim.rasterizer.cpu.projection.ellipses import CAUSES
+from hybridworldsim.rasterizer.cpu.projection.packing import PART, InOrder
+from hybridworldsim.rasterizer.cpu.projection.pinhole import project_part
+from hybridworldsim.rasterizer.cpu.projection.pinhole_backward import project_part_backward
+from hybridworldsim.rasterizer.cpu.projection.unscented import SCRATCH, unscented_part, unscented_part_backward
+from hybridworldsim.rasterizer.cpu.projection.view import View, view_of
 from hybridworldsim.rasterizer.projected import Projected
 
 if TYPE_CHECKING:

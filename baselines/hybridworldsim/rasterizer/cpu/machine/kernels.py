@@ -40,7 +40,7 @@ def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Functi
 def _sources() -> str:
     """A hash of all that kernels are made of."""
     here = Path(__file__).resolve().parent
-    files = sorted([*here.glob("*.py"), here.parent / "presets.py"])
+    files = sorted([*here.parent.rglob("*.py"), here.parents[1] / "presets.py"])
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()
 
 

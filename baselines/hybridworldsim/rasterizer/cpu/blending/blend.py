@@ -10,14 +10,14 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.blended import Blended
-from hybridworldsim.rasterizer.cpu.blending import BATCH, PLACED, blend_tiles
-from hybridworldsim.rasterizer.cpu.blending_backward import SUMS, blend_tiles_backward, collect
-from hybridworldsim.rasterizer.cpu.canvas import BLOCKS, LANES, TILE_PX, Canvas, blank
-from hybridworldsim.rasterizer.cpu.memory import room
-from hybridworldsim.rasterizer.cpu.sorting import depth_order
-from hybridworldsim.rasterizer.cpu.splats import Splats, splats_of
-from hybridworldsim.rasterizer.cpu.threads import in_parallel
-from hybridworldsim.rasterizer.cpu.tiles import Tiles, tiles_of
+from hybridworldsim.rasterizer.cpu.blending.backward import SUMS, blend_tiles_backward, collect
+from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, TILE_PX, Canvas, blank
+from hybridworldsim.rasterizer.cpu.blending.forward import BATCH, PLACED, blend_tiles
+from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
+from hybridworldsim.rasterizer.cpu.blending.splats import Splats, splats_of
+from hybridworldsim.rasterizer.cpu.blending.tiles import Tiles, tiles_of
+from hybridworldsim.rasterizer.cpu.machine.memory import room
+from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
 from hybridworldsim.rasterizer.presets import Preset
 from hybridworldsim.rasterizer.projected import Projected
 from mirror.arrays import Float32, Float64, Int32, Int64

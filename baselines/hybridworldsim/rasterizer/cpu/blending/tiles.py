@@ -7,12 +7,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.canvas import TILE_PX
-from hybridworldsim.rasterizer.cpu.kernels import kernel
-from hybridworldsim.rasterizer.cpu.memory import room
-from hybridworldsim.rasterizer.cpu.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, Splats
-from hybridworldsim.rasterizer.cpu.threads import in_parallel
-from hybridworldsim.rasterizer.cpu.vectors import fetch
+from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
+from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, Splats
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.machine.memory import room
+from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.machine.vectors import fetch
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 
 _PARTS: Final = 16

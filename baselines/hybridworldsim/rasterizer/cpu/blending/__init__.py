@@ -1,0 +1,1 @@
+"""Ellipses to a picture, tile by tile."""

@@ -1,0 +1,1 @@
+"""Gaussians to the ellipses that a camera sees."""

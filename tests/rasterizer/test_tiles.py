@@ -56,7 +56,7 @@ def test_each_tile_has_the_gaussians_that_reach_it_in_depth_order(longest):
     assert (listed & (greatest < 1.0 / 255.0)).sum() <= 0.1 * listed.sum()
 
 
-def test_slots_are_the_same_pairs_by_gaussian():
+def test_turns_number_the_pairs_of_each_gaussian():
     means, factors, opacities, depths = ellipses(300, 20.0, seed=1)
     order = np.argsort(depths).astype(np.int32)
     splats = splats_of(
@@ -65,10 +65,9 @@ def test_slots_are_the_same_pairs_by_gaussian():
         TILES_X, TILES_Y,
     )  # fmt: skip
     tiles = tiles_of(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
-    places = len(tiles.slots)
-    assert sorted(tiles.slots.tolist()) == list(range(places))
-    owner = np.repeat(order, np.diff(tiles.firsts))
-    np.testing.assert_array_equal(owner[tiles.slots], tiles.ids[:places])
+    ids = tiles.ids[: len(tiles.turns)]
+    for rank, gaussian in enumerate(order):
+        assert tiles.turns[ids == gaussian].tolist() == list(range(tiles.pairs[rank]))
 
 
 def test_done_tiles_get_nothing_and_the_preset_s_extent_cuts():

@@ -55,7 +55,8 @@ def blend_tiles_backward(
     tiles: Int64,
     begins: Int64,
     ids: Int32,
-    slots: Int64,
+    turns: Int32,
+    firsts: Int64,
     passed: Int32,
     until: Int64,
     rows: Float32,
@@ -80,7 +81,8 @@ def blend_tiles_backward(
         tiles: which ones.
         begins: where the places of each tile begin.
         ids: the Gaussian at each place.
-        slots: of each place.
+        turns: how many pairs of the same Gaussian come before each place.
+        firsts: (M + 1,) the first line of each Gaussian.
         passed: (T,) how many Gaussians of each tile came before.
         until: (T,) the place in front of which the last Gaussian is that was looked at.
         rows: of the Gaussians.
@@ -109,7 +111,7 @@ def blend_tiles_backward(
         begin, end = begins[tile], until[tile]
         for place in range(end, begins[tile + 1]):
             for column in range(0, line, LANES):
-                store(lines, slots[place] * line + column, zero)
+                store(lines, (firsts[ids[place]] + turns[place]) * line + column, zero)
         offset = passed[tile] - begin
         for batch in range(begin + (max(end - 1 - begin, 0) // BATCH) * BATCH, begin - 1, -BATCH):
             count = min(BATCH, end - batch)
@@ -124,7 +126,7 @@ def blend_tiles_backward(
                 reached[k] = open_blocks & placed(rows, row, centre_x, centre_y, scratch, k * PLACED, block_x, block_y)
             for k in range(count - 1, -1, -1):
                 place = batch + k
-                to_line = slots[place] * line
+                to_line = (firsts[ids[place]] + turns[place]) * line
                 if reached[k] == 0:
                     for column in range(0, line, LANES):
                         store(lines, to_line + column, zero)
@@ -188,7 +190,6 @@ def blend_tiles_backward(
 def collect(
     begin: int,
     end: int,
-    order: Int32,
     firsts: Int64,
     lines: Float32,
     line: int,
@@ -205,10 +206,9 @@ def collect(
     """Add up the lines of Gaussians, and turn them into gradients.
 
     Args:
-        begin: rank of the first.
-        end: rank after the last.
-        order: (R,) the Gaussians by rank.
-        firsts: (R + 1,) their first lines.
+        begin: the first.
+        end: the one after the last.
+        firsts: (M + 1,) their first lines.
         lines: as written by `blend_tiles_backward`.
         line: their length.
         rows: of the Gaussians.
@@ -222,12 +222,11 @@ def collect(
         sums: (line,) scratch.
     """
     channels, none = by_feature.shape[1], spread(np.float32(0.0))
-    for rank in range(begin, end):
-        i = order[rank]
+    for i in range(begin, end):
         for column in range(0, line, LANES):
             # each pair's numbers are added with what rounding took from the sum before
             total_so_far, lost = none, none
-            for slot in range(firsts[rank], firsts[rank + 1]):
+            for slot in range(firsts[i], firsts[i + 1]):
                 added = load(lines, slot * line + column) - lost
                 grown = total_so_far + added
                 lost = (grown - total_so_far) - added

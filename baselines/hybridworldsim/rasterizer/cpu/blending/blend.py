@@ -125,7 +125,7 @@ class _Blend(torch.autograd.Function):
         context.saved = (means2d, values, splats, slices, canvas, image.shape, alpha_max, absgrad)
         context.set_materialize_grads(False)
         counts = {
-            "pairs": sum(len(part.tiles.slots) for part in slices),
+            "pairs": sum(len(part.tiles.turns) for part in slices),
             "processed_pairs": int(seen[0]),
             "processed_blocks": int(seen[1]),
             "stopped_tiles": int((~canvas.alive).sum()),
@@ -137,9 +137,12 @@ class _Blend(torch.autograd.Function):
         means2d, opacities, splats, slices, canvas, shape, alpha_max, absgrad = context.saved
         found = _Gradients.none(len(opacities), shape[2])
         to_colours, light, behind = canvas.gradients(_array(by_image, shape), _array(by_alpha, shape[:2]))
+        firsts = _firsts(slices, len(opacities))
+        line = LANES * -(-(SUMS + splats.channels) // LANES)
+        lines = room(firsts[-1] * line)
         for part in reversed(slices):
-            lines = _lines(canvas, splats, part, alpha_max, to_colours, light, behind, absgrad)
-            _collect(part, splats, opacities, lines, found)
+            _go_back(canvas, splats, part, alpha_max, to_colours, light, behind, firsts, lines, line, absgrad)
+        _collect(splats, opacities, firsts, lines, line, found)
         if absgrad:
             means2d.absgrad = torch.from_numpy(found.absolute)
         return (*map(torch.from_numpy, found[:4]), None, None, None, None, None)
@@ -212,12 +215,15 @@ def _blended(canvas: Canvas, splats: Splats, order: Int32, alpha_max: float, see
     return part
 
 
-def _line(channels: int) -> int:
-    """How many numbers the gradients of a pair of tile and Gaussian are."""
-    return LANES * -(-(SUMS + channels) // LANES)
+def _firsts(slices: list[_Slice], count: int) -> Int64:
+    """Where the lines (M + 1,) of each Gaussian begin: one for each of its tiles."""
+    firsts = np.zeros(count + 1, np.int64)
+    for part in slices:
+        firsts[part.order + 1] = part.tiles.pairs
+    return np.cumsum(firsts, out=firsts)
 
 
-def _lines(
+def _go_back(
     canvas: Canvas,
     splats: Splats,
     part: _Slice,
@@ -225,33 +231,31 @@ def _lines(
     to_colours: Float32,
     light: Float32,
     behind: Float32,
+    firsts: Int64,
+    lines: Float32,
+    line: int,
     absgrad: bool,
-) -> Float32:
-    """The gradients of each pair of tile and Gaussian, by slot."""
-    line, tiles, numbers = _line(splats.channels), part.tiles, _tile_rows(canvas)
-    lines = room(len(tiles.slots) * line)
+) -> None:
+    """Write the gradients of each pair of tile and Gaussian of a slice."""
+    tiles, numbers = part.tiles, _tile_rows(canvas)
 
-    def go_back(row: int) -> None:
+    def write(row: int) -> None:
         blend_tiles_backward(
-            numbers[row], tiles.begins, tiles.ids, tiles.slots, part.passed, part.until, splats.rows, splats.stride,
-            splats.channels, canvas.tiles_x, alpha_max, light, behind, to_colours, canvas.last,
-            room(BATCH * PLACED), room(BATCH, np.int32),
-            room(splats.channels * LANES), lines, line, absgrad,
+            numbers[row], tiles.begins, tiles.ids, tiles.turns, firsts, part.passed, part.until, splats.rows,
+            splats.stride, splats.channels, canvas.tiles_x, alpha_max, light, behind, to_colours, canvas.last,
+            room(BATCH * PLACED), room(BATCH, np.int32), room(splats.channels * LANES), lines, line, absgrad,
         )  # fmt: skip
 
-    in_parallel(go_back, canvas.tiles_y)
-    return lines
+    in_parallel(write, canvas.tiles_y)
 
 
-def _collect(part: _Slice, splats: Splats, opacities: Float32, lines: Float32, found: _Gradients) -> None:
-    """Add up the lines of each Gaussian of a slice."""
-    edges = np.linspace(0, len(part.order), _PARTS + 1).astype(np.int64)
-    line = _line(splats.channels)
+def _collect(splats: Splats, opacities: Float32, firsts: Int64, lines: Float32, line: int, found: _Gradients) -> None:
+    """Add up the lines of each Gaussian."""
+    edges = np.linspace(0, len(opacities), _PARTS + 1).astype(np.int64)
     in_parallel(
         lambda number: collect(
-            edges[number], edges[number + 1], part.order, part.tiles.firsts, lines, line, splats.rows, splats.stride,
-            opacities, found.means, found.conics, found.opacities, found.features, found.absolute,
-            room(line),
+            edges[number], edges[number + 1], firsts, lines, line, splats.rows, splats.stride, opacities, found.means,
+            found.conics, found.opacities, found.features, found.absolute, room(line),
         ),
         _PARTS,
     )  # fmt: skip

@@ -25,20 +25,17 @@ _SLACK_PX: Final = 0.01
 class Tiles(NamedTuple):
     """Pairs of a tile and a Gaussian.
 
-    A pair has two numbers: its place among the pairs ordered by tile and depth, and its slot among the same pairs
-    ordered by Gaussian.
-
     Attributes:
         begins: (T + 1,) where each tile's places begin, T tiles row by row.
-        ids: (P,) the Gaussian at each place.
-        slots: (P,) the slot of each place.
-        firsts: (R + 1,) where the slots of each Gaussian begin, R Gaussians in depth order.
+        ids: (P,) the Gaussian at each place, and `AHEAD` more that are nobody's.
+        turns: (P,) how many pairs of the same Gaussian come before, tile by tile.
+        pairs: (R,) how many each Gaussian has, R Gaussians in depth order.
     """
 
     begins: Int64
     ids: Int32
-    slots: Int64
-    firsts: Int64
+    turns: Int32
+    pairs: Int64
 
 
 def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
@@ -64,20 +61,19 @@ def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
         )  # fmt: skip
 
     in_parallel(find, _PARTS)
-    firsts = np.concatenate([[0], np.cumsum(pairs)])
     counts = places.sum(axis=0)
     begins = np.concatenate([[0], np.cumsum(counts)])
     np.cumsum(places, axis=0, out=places)
     places[1:], places[0] = places[:-1].copy(), 0
     places += begins[:-1]
-    ids, slots = room(begins[-1] + AHEAD, np.int32), room(begins[-1], np.int64)
+    ids, turns = room(begins[-1] + AHEAD, np.int32), room(begins[-1], np.int32)
     ids[begins[-1] :] = 0
 
     def put(part: int) -> None:
-        _place(edges[part], edges[part + 1], order, reached, starts[part], firsts, places[part], ids, slots)
+        _place(edges[part], edges[part + 1], order, reached, starts[part], pairs, places[part], ids, turns)
 
     in_parallel(put, _PARTS)
-    return Tiles(begins, ids, slots, firsts)
+    return Tiles(begins, ids, turns, pairs)
 
 
 @kernel()
@@ -162,16 +158,17 @@ def _place(
     order: Int32,
     reached: Int32,
     start: int,
-    firsts: Int64,
+    pairs: Int64,
     places: Int64,
     ids: Int32,
-    slots: Int64,
+    turns: Int32,
 ) -> None:
     """Order pairs by tile: `places` says where the part's next pair of each tile goes."""
-    shift = start - firsts[begin]
+    at = start
     for rank in range(begin, end):
-        for slot in range(firsts[rank], firsts[rank + 1]):
-            tile = reached[slot + shift]
+        for turn in range(pairs[rank]):
+            tile = reached[at + turn]
             place = places[tile]
             places[tile] = place + 1
-            ids[place], slots[place] = order[rank], slot
+            ids[place], turns[place] = order[rank], turn
+        at += pairs[rank]

@@ -1,0 +1,1 @@
+"""The benchmark: protocols as data, submissions, their truth, scorers, results (docs/evaluation.md)."""

@@ -145,9 +145,7 @@ class Ssim(Document):
 
 
 class Lpips(Document):
-    """Learned perceptual similarity, version 0.1: ``net``; pixels that are not scored black in both pictures, or left
-    out of the map's mean.
-    """
+    """Learned perceptual similarity; what is not scored is black in both pictures, or left out of the map's mean."""
 
     metric: Literal["lpips"]
     net: Literal["alex", "vgg", "squeeze"]
@@ -179,8 +177,10 @@ class Fvd(Document):
 
 
 class EditIou(Document):
-    """IoU of the edited region with the target box: mask against ``hull``, tight box against ``box``, or mask against
-    hull as a share of the best that any mask of the visible vehicle can reach (``ceiling``).
+    """IoU of an edited region with its target box.
+
+    Mask against ``hull``; tight box against ``box``; mask against hull as a share of the best that an exact mask can
+    reach (``ceiling``).
     """
 
     metric: Literal["edit_iou"]

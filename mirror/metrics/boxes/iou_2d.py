@@ -1,0 +1,208 @@
+"""Intersection over union in a picture: of masks, of boxes along its axes, and of a mask with a projected 3D box."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal, TypeAlias, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import AnyArray, Bool, Float64
+from mirror.errors import UsageError
+from mirror.metrics.boxes.raster import polygon_mask
+
+HullVariant: TypeAlias = Literal["mask_hull", "box_box", "ceiling_normalised"]
+HULL_VARIANTS: Final[tuple[HullVariant, ...]] = get_args(HullVariant)
+
+
+@dataclass(frozen=True)
+class RegionIou:
+    """How well two regions of a picture agree.
+
+    Attributes:
+        value: the figure in [0, 1]; NaN where there is nothing to compare, and then ``reason`` says what is missing.
+        intersection_px: pixels in both.
+        union_px: pixels in either.
+        reason: why the value is NaN, or what was empty though the value is 0; None otherwise.
+        ceiling: what ``intersection_px / union_px`` was divided by.
+    """
+
+    value: float
+    intersection_px: int
+    union_px: int
+    reason: str | None = None
+    ceiling: float = 1.0
+
+    def __float__(self) -> float:
+        return self.value
+
+
+def mask_iou(first: npt.ArrayLike, second: npt.ArrayLike, *, valid: npt.ArrayLike | None = None) -> RegionIou:
+    """Intersection over union of two masks.
+
+    Two empty masks, or a ``valid`` that holds no pixel, have no IoU: NaN and the reason. One empty mask beside one that
+    is not has an IoU of exactly 0, and the reason names the empty one.
+
+    Args:
+        first: (H, W) bool or integer; what is not 0 belongs to the region.
+        second: (H, W) likewise.
+        valid: (H, W) likewise: the pixels that count; None: all.
+
+    Raises:
+        UsageError: shapes differ, or a mask is not two-dimensional, or not bool or integer.
+    """
+    one, other = as_mask(first, "first mask"), as_mask(second, "second mask")
+    _require_alike(one, other)
+    if valid is not None:
+        counted = as_mask(valid, "valid mask")
+        _require_alike(one, counted)
+        if not counted.any():
+            return RegionIou(float("nan"), 0, 0, "the valid mask holds no pixel")
+        one, other = one & counted, other & counted
+    intersection = int(np.count_nonzero(one & other))
+    sizes = int(np.count_nonzero(one)), int(np.count_nonzero(other))
+    union = sum(sizes) - intersection
+    if union == 0:
+        return RegionIou(float("nan"), 0, 0, "both masks are empty")
+    empty = [name for name, size in zip(("first", "second"), sizes) if size == 0]
+    return RegionIou(intersection / union, intersection, union, f"the {empty[0]} mask is empty" if empty else None)
+
+
+def box_iou_2d(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
+    """Intersection over union of boxes along the picture's axes.
+
+    Args:
+        first: (..., 4) ``u_min v_min u_max v_max``.
+        second: (..., 4) likewise; the shapes broadcast: ``first[:, None], second[None]`` compares each with each.
+
+    Returns:
+        (...): NaN where a box has NaN (it is not visible), or where both boxes are without area.
+
+    Raises:
+        UsageError: the last axis is not 4, shapes do not broadcast, a number is infinite, or a maximum lies below its
+            minimum; the box is named.
+    """
+    one, other = _boxes(first, "first boxes"), _boxes(second, "second boxes")
+    try:
+        one, other = np.broadcast_arrays(one, other)
+    except ValueError as error:
+        raise UsageError(f"boxes of shapes {one.shape} and {other.shape}", expected="shapes that broadcast") from error
+    extent_one, extent_other = one[..., 2:] - one[..., :2], other[..., 2:] - other[..., :2]
+    overlap = np.minimum(one[..., 2:], other[..., 2:]) - np.maximum(one[..., :2], other[..., :2])
+    # Shares of the longer extent: areas of tiny and of huge boxes neither vanish nor overflow.
+    unit = np.maximum(extent_one, extent_other)
+    with np.errstate(invalid="ignore"):
+        shares = [np.prod(np.maximum(side, 0.0) / unit, axis=-1) for side in (overlap, extent_one, extent_other)]
+        return np.asarray(shares[0] / (shares[1] + shares[2] - shares[0]))
+
+
+def hull_iou(
+    mask: npt.ArrayLike,
+    hull_px: npt.ArrayLike,
+    *,
+    variant: HullVariant = "mask_hull",
+    valid: npt.ArrayLike | None = None,
+    silhouette: npt.ArrayLike | None = None,
+) -> RegionIou:
+    """How well a mask agrees with a projected 3D box: the editing accuracy, in three variants.
+
+    All are counted on pixels (`polygon_mask`), within the picture and within ``valid``. ``mask_hull``: the mask with
+    the box's hull. ``box_box``: the tight upright rectangle of the mask with that of the hull's pixels, so that a mask
+    equal to the hull scores 1. ``ceiling_normalised``: the mask with the hull's rectangle, over what the object's own
+    outline would reach with it (no car fills its rectangle), at most 1.
+
+    A hull without a pixel that counts is no target: NaN and the reason. An empty mask beside a target scores 0, and the
+    reason says so.
+
+    Args:
+        mask: (H, W) bool or integer, the region found in the picture.
+        hull_px: (K, 2) the convex outline of the projected box, from `mirror.geometry.BoxProjections.hull`.
+        variant: one of `HULL_VARIANTS`.
+        valid: (H, W) the pixels that count, without the ego body and nearer objects, say; None: all.
+        silhouette: (H, W) the object's true outline at the target for the ceiling; None: the hull stands for it.
+
+    Raises:
+        UsageError: the variant is unknown, masks do not fit, a corner is not finite, or a silhouette is given to a
+            variant that has no ceiling.
+    """
+    if variant not in HULL_VARIANTS:
+        raise UsageError(f"variant {variant!r} of the hull's IoU", expected=" | ".join(HULL_VARIANTS))
+    if silhouette is not None and variant != "ceiling_normalised":
+        raise UsageError(
+            f"a silhouette for variant {variant!r}", expected="none: only ceiling_normalised has a ceiling"
+        )
+    found = as_mask(mask, "mask")
+    target = polygon_mask(hull_px, found.shape[1], found.shape[0])
+    if valid is not None:
+        counted = as_mask(valid, "valid mask")
+        _require_alike(found, counted)
+        found, target = found & counted, target & counted
+    if not target.any():
+        return RegionIou(float("nan"), 0, 0, "the target box holds no pixel that counts")
+    if variant == "mask_hull":
+        result = mask_iou(found, target)
+    elif variant == "box_box":
+        result = mask_iou(_rectangle(found), _rectangle(target))
+    else:
+        result = _normalised(found, target, silhouette)
+    return replace(result, reason="the mask is empty") if not found.any() and result.value == 0.0 else result
+
+
+def as_mask(mask: npt.ArrayLike, what: str) -> Bool:
+    """A mask (H, W), checked: bool, or integers of which all but 0 are in.
+
+    Raises:
+        UsageError: it is not two-dimensional, or not bool or integer.
+    """
+    given = np.asarray(mask)
+    if given.ndim != 2 or not (given.dtype == np.bool_ or np.issubdtype(given.dtype, np.integer)):
+        raise UsageError(
+            f"{what} of shape {given.shape} and type {given.dtype}",
+            expected="(H, W), bool or integer",
+            remedy="compare scores with a threshold first",
+        )
+    return given.astype(np.bool_, copy=False)
+
+
+def _normalised(found: Bool, target: Bool, silhouette: npt.ArrayLike | None) -> RegionIou:
+    rectangle = _rectangle(target)
+    ideal = target
+    if silhouette is not None:
+        ideal = as_mask(silhouette, "silhouette")
+        _require_alike(found, ideal)
+    ceiling = mask_iou(ideal, rectangle).value
+    plain = mask_iou(found, rectangle)
+    if ceiling == 0.0:
+        return replace(plain, value=float("nan"), reason="the silhouette shares no pixel with the target", ceiling=0.0)
+    return replace(plain, value=min(plain.value / ceiling, 1.0), ceiling=ceiling)
+
+
+def _rectangle(mask: Bool) -> Bool:
+    """The pixels of a mask's tight upright rectangle."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    filled = np.zeros_like(mask)
+    if len(rows):
+        filled[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = True
+    return filled
+
+
+def _boxes(boxes: npt.ArrayLike, what: str) -> Float64:
+    given = np.asarray(boxes, dtype=np.float64)
+    if given.ndim == 0 or given.shape[-1] != 4:
+        raise UsageError(f"{what} of shape {given.shape}", expected="(..., 4): u_min v_min u_max v_max")
+    # NaN is a box that is not visible.
+    wrong = np.isinf(given).any(axis=-1) | (given[..., 2:] < given[..., :2]).any(axis=-1)
+    if wrong.any():
+        row = tuple(int(index) for index in np.argwhere(wrong)[0])
+        raise UsageError(
+            f"box {given[row].tolist()}",
+            place=f"{what}, {row}",
+            expected="finite numbers u_min <= u_max, v_min <= v_max",
+        )
+    return given
+
+
+def _require_alike(one: AnyArray, other: AnyArray) -> None:
+    if one.shape != other.shape:
+        raise UsageError(f"masks of shapes {one.shape} and {other.shape}", expected="one shape")

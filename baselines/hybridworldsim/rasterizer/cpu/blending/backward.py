@@ -36,7 +36,9 @@ from hybridworldsim.rasterizer.cpu.machine.vectors import (
     lowest,
     magnitude,
     spread,
+    settle,
     store,
+    store_past,
     take,
     total,
     totals,
@@ -111,7 +113,7 @@ def blend_tiles_backward(
         begin, end = begins[tile], until[tile]
         for place in range(end, begins[tile + 1]):
             for column in range(0, line, LANES):
-                store(lines, (firsts[ids[place]] + turns[place]) * line + column, zero)
+                store_past(lines, (firsts[ids[place]] + turns[place]) * line + column, zero)
         offset = passed[tile] - begin
         for batch in range(begin + (max(end - 1 - begin, 0) // BATCH) * BATCH, begin - 1, -BATCH):
             count = min(BATCH, end - batch)
@@ -129,7 +131,7 @@ def blend_tiles_backward(
                 to_line = (firsts[ids[place]] + turns[place]) * line
                 if reached[k] == 0:
                     for column in range(0, line, LANES):
-                        store(lines, to_line + column, zero)
+                        store_past(lines, to_line + column, zero)
                     continue
                 row, p = ids[place] * stride, k * PLACED
                 before = np.int32(offset + place - 1)
@@ -181,9 +183,10 @@ def blend_tiles_backward(
                     if absolute:
                         abs_u = abs_u + magnitude(s_u)
                         abs_v = abs_v + magnitude(fma(s_u, f12, s_v * f22))
-                store(lines, to_line, totals((s0, su, sv, suu, suv, svv, abs_u, abs_v, by0, by1, by2, by3)))
+                store_past(lines, to_line, totals((s0, su, sv, suu, suv, svv, abs_u, abs_v, by0, by1, by2, by3)))
                 for channel in range(4, channels):
                     lines[to_line + SUMS + channel] = total(load(more, channel * LANES))
+    settle()
 
 
 @kernel()

@@ -242,3 +242,30 @@ def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), lower
+
+
+@intrinsic
+def store_past(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
+    """Write a whole cache line past the caches, into an aligned array of one dimension: it is not read soon.
+
+    `settle` has to follow before another thread reads it.
+    """
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        there = place(context, builder, sig.args[0], args[0], args[1], sig.args[2])
+        written = builder.store(args[2], there, align=64)
+        written.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(I32, 1)]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector), lower
+
+
+@intrinsic
+def settle(typing_context: Any) -> Any:
+    """Wait until all that was written can be read."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(), lower

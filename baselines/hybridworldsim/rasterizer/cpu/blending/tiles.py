@@ -48,15 +48,17 @@ def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
         alive: (T,) whether anything is still to be seen in a tile.
     """
     edges = np.linspace(0, len(order), _PARTS + 1).astype(np.int64)
-    starts, boxes = np.zeros(_PARTS + 1, np.int64), splats.boxes
-    in_parallel(lambda part: _boxed(edges[part], edges[part + 1], order, boxes, starts[part + 1 :]), _PARTS)
+    # a part writes one tile beyond its last at most
+    starts, boxes, living = np.ones(_PARTS + 1, np.int64), splats.boxes, _summed(alive, tiles_x)
+    starts[0] = 0
+    in_parallel(lambda part: _boxed(edges[part], edges[part + 1], order, boxes, living, starts[part + 1 :]), _PARTS)
     np.cumsum(starts, out=starts)
     reached = room(starts[-1], np.int32)
     pairs, places = np.empty(len(order), np.int64), np.zeros((_PARTS, len(alive)), np.int64)
 
     def find(part: int) -> None:
         _find(
-            edges[part], edges[part + 1], order, boxes, splats.rows, splats.stride, tiles_x, alive, reached,
+            edges[part], edges[part + 1], order, boxes, living, splats.rows, splats.stride, tiles_x, alive, reached,
             starts[part], pairs, places[part],
         )  # fmt: skip
 
@@ -76,15 +78,28 @@ def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
     return Tiles(begins, ids, turns, pairs)
 
 
+def _summed(alive: Bool, tiles_x: int) -> Int32:
+    """How many tiles (tiles_y + 1, tiles_x + 1) above and left of each corner are alive."""
+    sums = np.zeros((len(alive) // tiles_x + 1, tiles_x + 1), np.int32)
+    np.cumsum(np.cumsum(alive.reshape(-1, tiles_x), axis=0), axis=1, out=sums[1:, 1:])
+    return sums
+
+
+@kernel(inline="always")
+def _living(living: Int32, x0: Any, x1: Any, y0: Any, y1: Any) -> Any:
+    """How many tiles of a box are alive."""
+    return np.int64(living[y1, x1]) - living[y0, x1] - living[y1, x0] + living[y0, x0]
+
+
 @kernel()
-def _boxed(begin: int, end: int, order: Int32, boxes: AnyArray, counts: Int64) -> None:
-    """How many tiles boxes have."""
+def _boxed(begin: int, end: int, order: Int32, boxes: AnyArray, living: Int32, counts: Int64) -> None:
+    """How many living tiles boxes have, added."""
     total = 0
     for rank in range(begin, end):
         fetch(boxes, order[min(rank + _SOON, end - 1)] * 4)
         i = order[rank]
-        total += (np.int64(boxes[i, 1]) - boxes[i, 0]) * (np.int64(boxes[i, 3]) - boxes[i, 2])
-    counts[0] = total
+        total += _living(living, boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3])
+    counts[0] += total
 
 
 @kernel()
@@ -93,6 +108,7 @@ def _find(
     end: int,
     order: Int32,
     boxes: AnyArray,
+    living: Int32,
     rows: Float32,
     stride: int,
     tiles_x: int,
@@ -112,6 +128,9 @@ def _find(
         row = i * stride
         x0, x1 = np.int64(boxes[i, 0]), np.int64(boxes[i, 1])
         y0, y1 = np.int64(boxes[i, 2]), np.int64(boxes[i, 3])
+        pairs[rank] = 0
+        if _living(living, x0, x1, y0, y1) == 0:
+            continue
         before = place
         # an ellipse reaches all tiles of a box that is one tile wide or high
         if x1 - x0 < 2 or y1 - y0 < 2:

@@ -26,6 +26,9 @@ VERBS = {
     "stats": "the dataset-table row, distributions, plots",
     "check": "hold a dataset against the integrity rules",
     "report": "write an HTML report of a dataset",
+    "submission": "write the template of a benchmark submission, or check one",
+    "evaluate": "score a submission by a protocol",
+    "compare": "put results side by side, with paired significance",
 }
 
 

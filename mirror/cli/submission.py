@@ -1,0 +1,141 @@
+"""``mirror submission new DATASET`` and ``mirror submission check SUBMISSION``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from mirror.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mirror.evaluation.submission.check import CheckReport
+
+_SHOWN = 8
+
+
+@dataclass(frozen=True)
+class New:
+    """Write the template of a submission: every expected file with pose, lens, size and mask, and a manifest."""
+
+    dataset: tyro.conf.Positional[str]
+    """The dataset's folder or URL."""
+    protocol: str
+    """Name of the protocol, or the path of a protocol's .toml."""
+    split: str
+    """Name of the split."""
+    out: Path
+    """A new or an empty folder."""
+    blind: bool = False
+    """Say nothing of where the recorded pictures lie: for whoever does not have the dataset."""
+    json: bool = False
+    """Print what was written as JSON."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Hold a submission against what is expected of it; all problems are listed at once, nothing is scored.
+
+    Exit codes: 0 nothing is wrong, 1 something is, 2 could not run.
+    """
+
+    submission: tyro.conf.Positional[Path]
+    """Its folder, or a zip of it."""
+    truth: str
+    """The dataset's folder or URL."""
+    protocol: str | None = None
+    """Name of the protocol, or the path of its .toml. Default: what the manifest says."""
+    split: str | None = None
+    """Name of the split. Default: what the manifest says."""
+    json: bool = False
+    """Print the report as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    words = list(argv)
+    verbs: dict[str, Callable[..., New | Check]] = {"new": New, "check": Check}
+    if words and words[0] not in (*verbs, "-h", "--help"):
+        raise UsageError(f"no `mirror submission {words[0]}`", expected="`new` or `check`")
+    chosen = tyro.extras.subcommand_cli_from_dict(verbs, args=words, prog="mirror submission")
+    return _new(chosen) if isinstance(chosen, New) else _check(chosen)
+
+
+def _new(arguments: New) -> int:
+    import mirror
+    from mirror.cli.progress import progress_bar
+    from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.submission.template import write_template
+    from mirror.evaluation.truth.source import TruthSource
+    from mirror.evaluation.views import plan_views
+
+    dataset, protocol = mirror.open(arguments.dataset), load_protocol(arguments.protocol)
+    plan = plan_views(dataset, protocol, arguments.split)
+    truth = TruthSource(dataset, protocol, plan.layers)
+    with progress_bar(quiet=arguments.json) as bar:
+        bar.start("views", len(plan.views))
+        count = write_template(arguments.out, plan, truth, blind=arguments.blind, advance=bar.advance)
+    if arguments.json:
+        said = {"out": str(arguments.out), "expected": count, "groups_without_views": plan.empty_groups}
+        print(json.dumps({**said, "protocol_hash": protocol.hash, "plan_hash": plan.hash}))
+    else:
+        print(f"{count} files are expected: {arguments.out}/views.json lists them, README.md says how")
+        for group in plan.empty_groups:
+            print(f"group {group} has no views in split {arguments.split}")
+    return ExitCode.DONE
+
+
+def _check(arguments: Check) -> int:
+    import mirror
+    from mirror.cli.progress import progress_bar
+    from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.submission.check import check_submission
+    from mirror.evaluation.submission.manifest import asked_of
+    from mirror.evaluation.submission.untrusted import open_untrusted
+    from mirror.evaluation.views import plan_views
+
+    files = open_untrusted(arguments.submission)
+    protocol, split = asked_of(files, arguments.protocol, arguments.split)
+    plan = plan_views(mirror.open(arguments.truth), load_protocol(protocol), split)
+    with progress_bar(quiet=arguments.json) as bar:
+        bar.start("files", len(plan.views))
+        report = check_submission(files, plan, advance=bar.advance)
+    if arguments.json:
+        print(json.dumps(plain_report(report)))
+    else:
+        print_report(report, arguments.submission)
+    return ExitCode.FINDINGS if report.problems else ExitCode.DONE
+
+
+def plain_report(report: CheckReport) -> dict[str, object]:
+    """A check's report for ``--json``."""
+    return {
+        "expected": report.expected,
+        "present": report.present,
+        "counts": report.counts(),
+        "problems": [asdict(problem) for problem in report.problems],
+    }
+
+
+def print_report(report: CheckReport, submission: Path) -> None:
+    """A check's report for people: some problems of each kind, and how many more."""
+    from itertools import groupby
+
+    for kind, own in groupby(report.problems, key=lambda problem: problem.kind):
+        problems = list(own)
+        print(f"{kind}: {len(problems)}")
+        for problem in problems[:_SHOWN]:
+            print(f"  {_printable(problem.path)}: {_printable(problem.message)}")
+        if len(problems) > _SHOWN:
+            print(f"  ... and {len(problems) - _SHOWN} more; --json lists all")
+    verdict = "nothing is wrong" if not report.problems else f"{len(report.problems)} problems"
+    print(f"{submission}: {report.present} of {report.expected} expected files are there; {verdict}")
+
+
+def _printable(text: str) -> str:
+    """File names of others must not steer the terminal."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text[:300])

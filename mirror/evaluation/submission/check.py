@@ -1,0 +1,141 @@
+"""Holds a submission against what is expected of it: everything that is wrong, at once, and nothing decoded."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from mirror.evaluation.submission.manifest import MANIFEST, SubmissionManifest, read_manifest
+from mirror.evaluation.submission.png import most_bytes, problem_of_png, raster_of_png
+from mirror.evaluation.submission.template import MASKS, README, VIEWS, expected_files
+from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles
+from mirror.evaluation.views.plan import Plan
+
+MOST_TABLE_BYTES: Final = 256 << 20
+_THREADS: Final = 2
+_OWN: Final = {MANIFEST, VIEWS, README}
+
+Kind = Literal["manifest", "missing", "extra", "refused", "wrong size", "corrupt"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong.
+
+    Attributes:
+        kind: what sort of thing.
+        path: the file in the submission.
+        message: what is wrong with it.
+    """
+
+    kind: Kind
+    path: str
+    message: str
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What a check found.
+
+    Attributes:
+        expected: how many files are expected.
+        present: how many of them are there.
+        problems: all that is wrong, by kind and path.
+        manifest: as read; None: it cannot be.
+    """
+
+    expected: int
+    present: int
+    problems: tuple[Problem, ...]
+    manifest: SubmissionManifest | None
+
+    def counts(self) -> dict[str, int]:
+        """How many problems of each kind."""
+        return dict(Counter(problem.kind for problem in self.problems))
+
+
+def check_submission(
+    files: UntrustedFiles, plan: Plan, *, advance: Callable[[int], None] = lambda _: None
+) -> CheckReport:
+    """Check a submission.
+
+    Every expected render is held against its size and checksums by its header and chunks; no picture is decoded, and
+    no file that is not expected is opened.
+
+    Args:
+        files: the submission.
+        plan: what was asked.
+        advance: told of each file that was looked at.
+    """
+    problems: list[Problem] = []
+    manifest = None
+    try:
+        manifest = read_manifest(files)
+    except UntrustedError as error:
+        problems.append(Problem("manifest", MANIFEST, _without_file(error)))
+    else:
+        problems += _answers(manifest, plan)
+    expected = expected_files(plan)
+    problems += [Problem("refused", path, why) for path, why in files.refused.items()]
+    problems += [
+        Problem("missing", path, "is not there")
+        for path in expected
+        if path not in files.sizes and path not in files.refused
+    ]
+    problems += [
+        Problem("extra", path, "is not expected, and was not opened")
+        for path in files.sizes
+        if path not in expected and path not in _OWN and not path.startswith(MASKS)
+    ]
+    there = [(path, size) for path, size in expected.items() if path in files.sizes]
+
+    def look(item: tuple[str, tuple[int, int] | None]) -> Problem | None:
+        found = _look(files, *item)
+        advance(1)
+        return found
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        problems += [found for found in pool.map(look, there) if found is not None]
+    problems.sort(key=lambda problem: (problem.kind, problem.path))
+    return CheckReport(len(expected), len(there), tuple(problems), manifest)
+
+
+def _answers(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
+    wanted = {
+        "protocol": plan.protocol.name,
+        "protocol_hash": plan.protocol.hash,
+        "split": plan.split,
+        "dataset_hash": plan.dataset_hash,
+        "plan_hash": plan.hash,
+    }
+    return [
+        Problem(
+            "manifest", MANIFEST, f"{key} is {getattr(manifest, key)!r}, not {value!r}: made for another evaluation"
+        )
+        for key, value in wanted.items()
+        if getattr(manifest, key) != value
+    ]
+
+
+def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None) -> Problem | None:
+    most = MOST_TABLE_BYTES if size is None else most_bytes(*size)
+    if files.sizes[path] > most:
+        return Problem("corrupt", path, f"has {files.sizes[path]:,} bytes; at most {most:,} can be needed")
+    if size is None:
+        return None
+    try:
+        data = files.read(path, most)
+    except UntrustedError as error:
+        return Problem("corrupt", path, _without_file(error))
+    there = raster_of_png(data)
+    if there is not None and there != size:
+        return Problem("wrong size", path, f"is {there[0]} x {there[1]} px, not {size[0]} x {size[1]} px")
+    problem = problem_of_png(data)
+    return None if problem is None else Problem("corrupt", path, problem)
+
+
+def _without_file(error: UntrustedError) -> str:
+    return error.problem + (f" ({error.remedy})" if error.remedy else "")

@@ -1,0 +1,103 @@
+"""PNGs of submissions: held against what is expected by their headers and checksums, and only then decoded."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import UInt8
+from mirror.errors import MirrorError
+
+_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+_HEADER: Final = struct.Struct(">IIBBBBB")
+_SRGB_GAMMA: Final = 45455
+_ALLOWED: Final = {b"IHDR", b"IDAT", b"IEND", b"sRGB", b"gAMA", b"cHRM", b"pHYs", b"tEXt", b"tIME", b"bKGD", b"sBIT"}
+_COLOURS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
+_SLACK_BYTES: Final = 65_536
+HEADER_BYTES: Final = len(_SIGNATURE) + 8 + _HEADER.size
+
+
+class RenderError(MirrorError):
+    """A render that is not what was asked for."""
+
+
+def most_bytes(width_px: int, height_px: int) -> int:
+    """More than a PNG of this size can need: stored uncompressed, with room for other chunks."""
+    raw = (3 * width_px + 1) * height_px
+    return raw + raw // 50 + _SLACK_BYTES
+
+
+def raster_of_png(data: bytes) -> tuple[int, int] | None:
+    """Width and height of a PNG's header; None: it is no PNG."""
+    if len(data) < HEADER_BYTES or not data.startswith(_SIGNATURE) or data[12:16] != b"IHDR":
+        return None
+    width, height = struct.unpack(">II", data[16:24])
+    return int(width), int(height)
+
+
+def problem_of_png(data: bytes) -> str | None:
+    """What is wrong with a PNG, besides its size; None: nothing.
+
+    Every chunk's checksum is held against its bytes; nothing is decompressed. Only 8-bit RGB without alpha, palette,
+    interlacing, animation, colour profiles and compressed texts passes: what is meant is sRGB.
+    """
+    if raster_of_png(data) is None:
+        return "not a PNG" if not data.startswith(_SIGNATURE) else "cut off in its header"
+    _, _, depth, colour, compression, filtering, interlacing = _HEADER.unpack(data[16 : 16 + _HEADER.size])
+    if (depth, colour) != (8, 2):
+        return f"{depth} bit {_COLOURS.get(colour, 'unknown')}, not 8 bit RGB"
+    if (compression, filtering, interlacing) != (0, 0, 0):
+        return "interlaced, or of an unknown compression"
+    view, position, pictures = memoryview(data), len(_SIGNATURE), 0
+    while position + 12 <= len(data):
+        length, kind = struct.unpack(">I4s", data[position : position + 8])
+        end = position + 12 + length
+        if end > len(data):
+            return f"cut off in its chunk {_word(kind)}"
+        if struct.unpack(">I", data[end - 4 : end])[0] != zlib.crc32(view[position + 4 : end - 4]):
+            return f"the checksum of its chunk {_word(kind)} is wrong"
+        if kind not in _ALLOWED:
+            return f"has a chunk {_word(kind)}, which is not read here"
+        if kind == b"gAMA" and data[position + 8 : position + 12] != struct.pack(">I", _SRGB_GAMMA):
+            return "of another gamma than that of sRGB"
+        pictures += kind == b"IDAT"
+        position = end
+        if kind == b"IEND":
+            if position != len(data):
+                return f"{len(data) - position} bytes behind its end"
+            return None if pictures else "without pixels"
+    return "cut off: there is no end"
+
+
+def decode_render(data: bytes, width_px: int, height_px: int, path: str) -> UInt8:
+    """The pixels (H, W, 3), RGB, of a PNG of a known size.
+
+    Raises:
+        RenderError: it is broken, or not of that size.
+    """
+    import cv2
+
+    size, problem = raster_of_png(data), problem_of_png(data)
+    if problem is None and size != (width_px, height_px):
+        problem = f"of another size: {size}"
+    if problem is None:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
+        if pixels is not None and pixels.shape == (height_px, width_px, 3):
+            return np.asarray(pixels, np.uint8)
+        problem = "cannot be decoded"
+    raise RenderError(problem, file=path, expected=f"a PNG of {width_px} x {height_px} px, sRGB, 8 bit")
+
+
+def encode_png(pixels: UInt8) -> bytes:
+    """A PNG of RGB pixels (H, W, 3) or a mask (H, W)."""
+    import cv2
+
+    stored = pixels[..., ::-1] if pixels.ndim == 3 else pixels
+    return bytes(cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
+
+
+def _word(kind: bytes) -> str:
+    return kind.decode("ascii", "replace") if kind.isalpha() else repr(kind)

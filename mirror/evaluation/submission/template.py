@@ -1,0 +1,124 @@
+"""The template of a submission: every expected file with its pose, lens, size and mask, and a manifest to fill in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from mirror.errors import UsageError
+from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime, SubmissionManifest
+from mirror.evaluation.submission.png import encode_png
+from mirror.evaluation.truth.source import TruthSource
+from mirror.evaluation.views.plan import Plan
+from mirror.evaluation.views.view import View
+from mirror.schema.files import write_bytes, write_json
+
+VIEWS: Final = "views.json"
+README: Final = "README.md"
+MASKS: Final = "masks/"
+
+_README: Final = """# Submission to {protocol}, split {split}
+
+{count} files are expected, listed in views.json: path, width and height, lens (fx, fy, cx, cy in pixels, the centre of
+the first pixel at 0.5; OpenCV axes: x right, y down, z forward) and world_SE3_camera as qw qx qy qz tx ty tz in metres.
+Renders are PNG, sRGB, 8 bit RGB, without alpha. `mask` names the pixels that are scored (255); without one all are.
+Fill in manifest.json: method.name and appearance.policy; then: mirror submission check THIS_FOLDER --truth DATASET
+"""
+
+
+def expected_files(plan: Plan) -> dict[str, tuple[int, int] | None]:
+    """Every file that a submission must have besides its manifest: width and height of renders, None for tables."""
+    if plan.protocol.task == "runtime":
+        return {}
+    if plan.protocol.task == "annotation":
+        return {detections_path(key): None for key in sorted({view.traversal_id for view in plan.views})}
+    return {view.path: (view.width_px, view.height_px) for view in plan.views}
+
+
+def detections_path(traversal_id: str) -> str:
+    """Where the boxes of a traversal lie in a submission to an annotation protocol."""
+    return f"detections/{traversal_id}.json"
+
+
+def manifest_for(
+    plan: Plan, method: Method, appearance: Appearance, runtime: Runtime | None = None, seed: int | None = None
+) -> SubmissionManifest:
+    """The manifest of a submission that answers a plan."""
+    return SubmissionManifest(**_answered(plan), method=method, appearance=appearance, runtime=runtime, seed=seed)
+
+
+def write_manifest(folder: Path, manifest: SubmissionManifest) -> None:
+    """Write ``manifest.json``."""
+    write_json(folder / MANIFEST, manifest)
+
+
+def write_template(
+    out: Path, plan: Plan, truth: TruthSource, *, blind: bool = False, advance: Callable[[int], None] = lambda _: None
+) -> int:
+    """Write a template.
+
+    Args:
+        out: a new or an empty folder.
+        plan: what is asked.
+        truth: gives the masks; no picture is read.
+        blind: say nothing of where the recorded pictures lie: for whoever does not have the dataset.
+        advance: told of each view.
+
+    Returns:
+        How many files are expected.
+
+    Raises:
+        UsageError: the folder holds something.
+        DatasetError: a mask is missing, or the folder cannot be written.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
+    expected = expected_files(plan)
+    rows = []
+    for view in plan.views:
+        rows.append(_row(out, view, truth, blind=blind, rendered=view.path in expected))
+        advance(1)
+    protocol = plan.protocol
+    views = {"format": "mirror-views", "version": "1.0", **_answered(plan), "blind": blind, "views": rows}
+    write_bytes(out / VIEWS, (json.dumps(views, indent=1) + "\n").encode())
+    readme = _README.format(protocol=protocol.name, split=plan.split, count=len(expected))
+    write_bytes(out / README, readme.encode())
+    blank = {"name": "", "version": "1", "authors": "", "url": "", "licence": "", "trained_on": ""}
+    appearance = {"policy": "", "description": "", "held_out_pixels": []}
+    manifest = {"format": "mirror-submission", "version": "1.0", **_answered(plan)}
+    write_json(out / MANIFEST, {**manifest, "method": blank, "appearance": appearance, "runtime": None, "notes": ""})
+    return len(expected)
+
+
+def _answered(plan: Plan) -> dict[str, Any]:
+    return {
+        "protocol": plan.protocol.name,
+        "protocol_hash": plan.protocol.hash,
+        "split": plan.split,
+        "dataset_hash": plan.dataset_hash,
+        "plan_hash": plan.hash,
+    }
+
+
+def _row(out: Path, view: View, truth: TruthSource, *, blind: bool, rendered: bool) -> Mapping[str, Any]:
+    row: dict[str, Any] = view.model_dump(mode="json")
+    if not rendered:
+        del row["path"]
+    scored = truth.scored(view)
+    row["mask"] = None
+    if rendered and not scored.all():
+        row["mask"] = f"{MASKS}{view.path.removeprefix('renders/')}"
+        write_bytes(out / row["mask"], encode_png(np.where(scored, 255, 0).astype(np.uint8)))
+    if not blind:
+        _, image = truth.recorded(view)
+        row["recorded"] = {
+            "uri": image.uri,
+            "byte_offset": image.byte_offset,
+            "byte_length": image.byte_length,
+            "sha256": None if image.sha256 is None else image.sha256.hex(),
+        }
+    return row

@@ -1,0 +1,1 @@
+"""What submissions are held against: recorded or hidden pictures in the final raster, and what is scored of them."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Final, Literal, TypeAlias, get_args
+from typing import Any, Final, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -11,31 +10,42 @@ import numpy.typing as npt
 from mirror.arrays import AnyArray, Bool, Float64
 from mirror.errors import UsageError
 from mirror.metrics.boxes.raster import polygon_mask
+from mirror.metrics.score import EMPTY_MASK, Score
 
 HullVariant: TypeAlias = Literal["mask_hull", "box_box", "ceiling_normalised"]
 HULL_VARIANTS: Final[tuple[HullVariant, ...]] = get_args(HullVariant)
 
 
-@dataclass(frozen=True)
-class RegionIou:
-    """How well two regions of a picture agree.
+class RegionIou(Score):
+    """How well two regions of a picture agree: a float in [0, 1], NaN where there is nothing to compare.
 
-    Attributes:
-        value: the figure in [0, 1]; NaN where there is nothing to compare, and then ``reason`` says what is missing.
+    Args:
+        value: the figure.
+        reason: why the value is NaN, or what was empty though the value is 0; None otherwise.
         intersection_px: pixels in both.
         union_px: pixels in either.
-        reason: why the value is NaN, or what was empty though the value is 0; None otherwise.
         ceiling: what ``intersection_px / union_px`` was divided by.
     """
 
-    value: float
     intersection_px: int
     union_px: int
-    reason: str | None = None
-    ceiling: float = 1.0
+    ceiling: float
 
-    def __float__(self) -> float:
-        return self.value
+    def __new__(
+        cls,
+        value: float,
+        reason: str | None = None,
+        intersection_px: int = 0,
+        union_px: int = 0,
+        ceiling: float = 1.0,
+    ) -> RegionIou:
+        """Set what a float cannot set later."""
+        iou = cast(RegionIou, super().__new__(cls, value, reason))
+        iou.intersection_px, iou.union_px, iou.ceiling = intersection_px, union_px, ceiling
+        return iou
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RegionIou, (float(self), self.reason, self.intersection_px, self.union_px, self.ceiling)
 
 
 def mask_iou(first: npt.ArrayLike, second: npt.ArrayLike, *, valid: npt.ArrayLike | None = None) -> RegionIou:
@@ -58,15 +68,16 @@ def mask_iou(first: npt.ArrayLike, second: npt.ArrayLike, *, valid: npt.ArrayLik
         counted = as_mask(valid, "valid mask")
         _require_alike(one, counted)
         if not counted.any():
-            return RegionIou(float("nan"), 0, 0, "the valid mask holds no pixel")
+            return RegionIou(EMPTY_MASK, EMPTY_MASK.reason)
         one, other = one & counted, other & counted
     intersection = int(np.count_nonzero(one & other))
     sizes = int(np.count_nonzero(one)), int(np.count_nonzero(other))
     union = sum(sizes) - intersection
     if union == 0:
-        return RegionIou(float("nan"), 0, 0, "both masks are empty")
+        return RegionIou(float("nan"), "both masks are empty")
     empty = [name for name, size in zip(("first", "second"), sizes) if size == 0]
-    return RegionIou(intersection / union, intersection, union, f"the {empty[0]} mask is empty" if empty else None)
+    reason = f"the {empty[0]} mask is empty" if empty else None
+    return RegionIou(intersection / union, reason, intersection, union)
 
 
 def box_iou_2d(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
@@ -139,14 +150,15 @@ def hull_iou(
         _require_alike(found, counted)
         found, target = found & counted, target & counted
     if not target.any():
-        return RegionIou(float("nan"), 0, 0, "the target box holds no pixel that counts")
+        return RegionIou(float("nan"), "the target box holds no pixel that counts")
+    if not found.any():
+        region = target if variant == "mask_hull" else _rectangle(target)
+        return RegionIou(0.0, "the mask is empty", 0, int(np.count_nonzero(region)))
     if variant == "mask_hull":
-        result = mask_iou(found, target)
-    elif variant == "box_box":
-        result = mask_iou(_rectangle(found), _rectangle(target))
-    else:
-        result = _normalised(found, target, silhouette)
-    return replace(result, reason="the mask is empty") if not found.any() and result.value == 0.0 else result
+        return mask_iou(found, target)
+    if variant == "box_box":
+        return mask_iou(_rectangle(found), _rectangle(target))
+    return _normalised(found, target, silhouette)
 
 
 def as_mask(mask: npt.ArrayLike, what: str) -> Bool:
@@ -171,11 +183,10 @@ def _normalised(found: Bool, target: Bool, silhouette: npt.ArrayLike | None) -> 
     if silhouette is not None:
         ideal = as_mask(silhouette, "silhouette")
         _require_alike(found, ideal)
-    ceiling = mask_iou(ideal, rectangle).value
-    plain = mask_iou(found, rectangle)
+    ceiling, plain = mask_iou(ideal, rectangle), mask_iou(found, rectangle)
     if ceiling == 0.0:
-        return replace(plain, value=float("nan"), reason="the silhouette shares no pixel with the target", ceiling=0.0)
-    return replace(plain, value=min(plain.value / ceiling, 1.0), ceiling=ceiling)
+        return RegionIou(float("nan"), "the silhouette shares no pixel with the target")
+    return RegionIou(min(plain / ceiling, 1.0), None, plain.intersection_px, plain.union_px, float(ceiling))
 
 
 def _rectangle(mask: Bool) -> Bool:

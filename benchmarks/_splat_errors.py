@@ -48,7 +48,7 @@ class PictureErrors:
         unmarked_9999: 99.99 % of pixels outside marks are better.
         worst: the largest of all.
         all_999: 99.9 % of all pixels are better.
-        jumps: the largest of marked pixels, over what a flip there can do; at most 1 but for rounding.
+        beyond_flips: the largest of marked pixels, less what a flip there can do.
         marked_percent: of pixels.
         depth: 99.9 % of pixels are better, relative to their depth.
     """
@@ -57,7 +57,7 @@ class PictureErrors:
     unmarked_9999: float
     worst: float
     all_999: float
-    jumps: float
+    beyond_flips: float
     marked_percent: float
     depth: float
 
@@ -111,13 +111,13 @@ def picture_errors(view: View, true: Truth) -> PictureErrors:
     apart: Float64 = colors.maximum((alphas[0, ..., 0].double() - true.alpha).abs()).numpy()
     depth: Float64 = ((picture[0, ..., -1].double() - true.depth).abs() / true.depth.clamp_min(0.1)).numpy()
     marked = true.marks.marked.numpy()
-    clear, doubtful = apart[~marked], apart[marked] / true.marks.jump.numpy()[marked]
+    clear, doubtful = apart[~marked], (apart - true.marks.jump.numpy())[marked]
     return PictureErrors(
         unmarked=float(clear.max(initial=0.0)),
         unmarked_9999=_quantile(clear, 0.9999),
         worst=float(apart.max()),
         all_999=_quantile(apart, 0.999),
-        jumps=float(doubtful.max(initial=0.0)),
+        beyond_flips=float(doubtful.max(initial=0.0)),
         marked_percent=100.0 * float(marked.mean()),
         depth=_quantile(depth, 0.999),
     )

@@ -1,0 +1,269 @@
+"""PSNR after colour correction, ``psnr_cc``: our reading of the paper's PSNR*.
+
+A render of another traversal has another exposure and white balance. MTGS, and multinerf before it, warp the render's
+colours to the photograph's by a quadratic polynomial of RGB that is fitted five times, each time leaving out pixels
+that are saturated in the render, in the photograph or in the warped render; then PSNR is taken of all pixels.
+
+The fits are least squares by blocked normal equations in float64. They are set up in colours that are centred and
+decorrelated, which changes no fit (an affine change of colours maps quadratic polynomials to quadratic polynomials)
+but keeps the equations well-conditioned for nearly grey pictures. The solution is the one of least norm among the
+polynomial's own coefficients: where the colours of a picture do not determine all ten, `CorrectedPsnr.rank` says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import AnyArray, Bool, Float64, Int64
+from mirror.errors import UsageError
+from mirror.metrics.images.pairs import as_pair
+from mirror.metrics.images.psnr import psnr
+from mirror.metrics.score import Score
+
+ITERATIONS: Final = 5
+SATURATED: Final = 0.5 / 255.0
+
+_BLOCK: Final = 8192
+# Directions of colour whose variance is below this share of the largest are rounding; so are singular values.
+_LEAST_VARIANCE: Final = 1e-13
+_LEAST_EIGENVALUE: Final = 1e-12
+_ROUNDING: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A render in the colours of its photograph.
+
+    Attributes:
+        colours: (N, C) of the selected pixels, row by row, as parts of the data range.
+        ranks: (iterations, C) rank of each channel's fit; 0: every pixel of the channel is saturated, and its warp is
+            black.
+        terms: coefficients of a channel, 10 for RGB: the full rank.
+    """
+
+    colours: Float64
+    ranks: Int64
+    terms: int
+
+
+@dataclass(frozen=True)
+class CorrectedPsnr:
+    """PSNR after colour correction.
+
+    Attributes:
+        db: the score.
+        rank: the least rank of its fits.
+        terms: the full rank.
+    """
+
+    db: Score
+    rank: int
+    terms: int
+
+    @property
+    def full_rank(self) -> bool:
+        """Whether the picture's colours determine the warp."""
+        return self.rank == self.terms
+
+
+def psnr_cc(
+    render: AnyArray,
+    truth: AnyArray,
+    *,
+    mask: AnyArray | None = None,
+    data_range: float | None = None,
+    iterations: int = ITERATIONS,
+) -> CorrectedPsnr:
+    """PSNR of an image after its colours were warped to the photograph's.
+
+    Args:
+        render: (H, W, C), RGB as a rule; uint8, uint16, float32 or float64.
+        truth: of the same shape and type.
+        mask: (H, W) bool, true where pixels count. The others take part in neither fit nor score.
+        data_range: what separates black from white; None: 255 or 65535. Floats need it.
+        iterations: number of fits; MTGS has 5.
+
+    Returns:
+        dB and the rank of the fits. Infinite for equal pictures, and where the warp meets the photograph to rounding,
+        1e-9 of the range at every pixel: what is left then is the fit's own noise, which no mean should contain.
+
+    Raises:
+        UsageError: as of `correct_colours`.
+    """
+    correction = correct_colours(render, truth, mask=mask, data_range=data_range, iterations=iterations)
+    pair = as_pair(render, truth, mask, data_range)
+    target = pair.selected(pair.truth) / pair.data_range
+    equal = np.array_equal(pair.selected(pair.render), pair.selected(pair.truth))
+    if equal or float(np.abs(correction.colours - target).max()) <= _ROUNDING:
+        score = Score(math.inf)
+    else:
+        score = psnr(correction.colours, target, data_range=1.0)
+    return CorrectedPsnr(score, int(correction.ranks.min()), correction.terms)
+
+
+def correct_colours(
+    render: AnyArray,
+    truth: AnyArray,
+    *,
+    mask: AnyArray | None = None,
+    data_range: float | None = None,
+    iterations: int = ITERATIONS,
+) -> Correction:
+    """Warp a render's colours to its photograph's.
+
+    Args:
+        render: as of `psnr_cc`.
+        truth: as of `psnr_cc`.
+        mask: as of `psnr_cc`.
+        data_range: as of `psnr_cc`.
+        iterations: as of `psnr_cc`.
+
+    Returns:
+        The warped colours, clipped to the data range, and the ranks.
+
+    Raises:
+        UsageError: the pictures cannot be compared (`as_pair`), a selected pixel is NaN or infinite, the mask selects
+            none, or there is no iteration.
+    """
+    pair = as_pair(render, truth, mask, data_range)
+    if pair.empty:
+        raise UsageError("the mask selects no pixel to fit colours to", expected="at least one")
+    if iterations < 1:
+        raise UsageError(f"{iterations} iterations", expected="at least 1")
+    pair.refuse_non_finite()
+    # Channels first, so that each term of a block is contiguous.
+    colours, target = (
+        np.ascontiguousarray(pair.selected(picture).T, dtype=np.float64) / pair.data_range
+        for picture in (pair.render, pair.truth)
+    )
+    usable = _unsaturated(colours) & _unsaturated(target)
+    spread = _Spread.of(colours)
+    ranks = []
+    for _ in range(iterations):
+        warp, rank = _fit(colours, target, usable, spread)
+        ranks.append(rank)
+        spread = _apply(colours, warp)
+    return Correction(np.ascontiguousarray(colours.T), np.array(ranks), warp.shape[1])
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Mean (C,) and covariance (C, C) of colours."""
+
+    mean: Float64
+    covariance: Float64
+
+    @staticmethod
+    def of(colours: Float64) -> _Spread:
+        mean = colours.mean(axis=1)
+        centred = colours - mean[:, None]
+        return _Spread(mean, centred @ centred.T / colours.shape[1])
+
+    def whitening(self) -> tuple[Float64, Float64]:
+        """Matrices (C, C) to colours of unit variance and back; directions without variance become zero."""
+        variances, axes = np.linalg.eigh(self.covariance)
+        deviations = np.sqrt(np.maximum(variances, 0.0))
+        varied = variances > max(_LEAST_VARIANCE * variances[-1], _LEAST_VARIANCE**2)
+        inverse = np.divide(1.0, deviations, out=np.zeros_like(deviations), where=varied)
+        return inverse[:, None] * axes.T, axes * np.where(varied, deviations, 0.0)
+
+
+def _fit(colours: Float64, target: Float64, usable: Bool, spread: _Spread) -> tuple[Float64, list[int]]:
+    """Coefficients (C, terms) of each channel's warp, and their ranks."""
+    whiten, unwhiten = spread.whitening()
+    channels, terms = len(colours), _terms(len(colours))
+    gram, moments = np.zeros((channels, terms, terms)), np.zeros((channels, terms))
+    for block in _blocks(colours.shape[1]):
+        features = _expand(whiten @ (colours[:, block] - spread.mean[:, None]))
+        fits = usable[:, block] & _unsaturated(colours[:, block])
+        everywhere = fits.all(axis=0)
+        whole = features * everywhere
+        gram += whole @ features.T
+        moments += target[:, block] @ whole.T
+        some = np.flatnonzero(fits.any(axis=0) & ~everywhere)
+        if len(some):
+            few = features[:, some]
+            for channel in range(channels):
+                weighted = few * fits[channel, some]
+                gram[channel] += weighted @ few.T
+                moments[channel] += weighted @ target[channel, block][some]
+    lift = _lift(unwhiten, spread.mean)
+    warps, ranks = zip(*(_least_norm(gram[channel], moments[channel], lift) for channel in range(channels)))
+    return np.stack(warps), list(ranks)
+
+
+def _least_norm(gram: Float64, moments: Float64, lift: Float64) -> tuple[Float64, int]:
+    """Of all coefficients that fit best, those of least norm, in the terms of unwhitened colours; and the rank.
+
+    Args:
+        gram: (T, T) of whitened terms.
+        moments: (T,) of whitened terms with the target.
+        lift: (T, T) from whitened terms to terms.
+    """
+    sizes = np.sqrt(np.diagonal(gram))
+    scale = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=sizes > 0)
+    values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
+    kept = values > _LEAST_EIGENVALUE * max(float(values[-1]), 0.0)
+    if not kept.any():
+        return np.zeros(len(gram)), 0
+    vectors, values = vectors[:, kept], values[kept]
+    # Each pixel's terms are lift @ (sizes * vectors) times something: coefficients of least norm lie in that span.
+    span, triangle = np.linalg.qr(lift @ (sizes[:, None] * vectors))
+    return span @ np.linalg.solve(triangle.T, (vectors.T @ (scale * moments)) / values), len(values)
+
+
+def _apply(colours: Float64, warp: Float64) -> _Spread:
+    """Warp colours in place; their new spread."""
+    for block in _blocks(colours.shape[1]):
+        np.clip(warp @ _expand(colours[:, block]), 0.0, 1.0, out=colours[:, block])
+    return _Spread.of(colours)
+
+
+def _expand(colours: Float64) -> Float64:
+    """Terms (T, N) of colours (C, N): products, the colours, one."""
+    channels = len(colours)
+    terms = np.empty((_terms(channels), colours.shape[1]))
+    row = 0
+    for channel in range(channels):
+        following = channels - channel
+        np.multiply(colours[channel], colours[channel:], out=terms[row : row + following])
+        row += following
+    terms[row:-1] = colours
+    terms[-1] = 1.0
+    return terms
+
+
+def _lift(matrix: Float64, shift: Float64) -> Float64:
+    """The (T, T) matrix L with ``_expand(matrix @ u + shift) == L @ _expand(u)`` for all u."""
+    channels = len(shift)
+    first, second = np.triu_indices(channels)
+    products = np.einsum("ki,kj->kij", matrix[first], matrix[second])
+    symmetric = products + products.transpose(0, 2, 1)
+    symmetric[:, range(channels), range(channels)] *= 0.5
+    lift = np.zeros((_terms(channels), _terms(channels)))
+    quadratic, linear = slice(len(first)), slice(len(first), -1)
+    lift[quadratic, quadratic] = symmetric[:, first, second]
+    lift[quadratic, linear] = shift[first, None] * matrix[second] + shift[second, None] * matrix[first]
+    lift[quadratic, -1] = shift[first] * shift[second]
+    lift[linear, linear] = matrix
+    lift[linear, -1] = shift
+    lift[-1, -1] = 1.0
+    return lift
+
+
+def _unsaturated(colours: Float64) -> Bool:
+    return (colours >= SATURATED) & (colours <= 1.0 - SATURATED)
+
+
+def _terms(channels: int) -> int:
+    return (channels + 1) * (channels + 2) // 2
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    for start in range(0, count, _BLOCK):
+        yield slice(start, start + _BLOCK)

@@ -1,0 +1,102 @@
+"""A render and its photograph, checked once for every metric."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import AnyArray, Bool
+from mirror.errors import UsageError
+
+_DTYPES: Final = ("uint8", "uint16", "float32", "float64")
+_LEAST, _MOST = 1e-100, 1e100
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two pictures that can be compared.
+
+    Attributes:
+        render: (H, W, C).
+        truth: (H, W, C), of the same type.
+        mask: (H, W), true where pixels count; None: all do.
+        data_range: what separates black from white.
+    """
+
+    render: AnyArray
+    truth: AnyArray
+    mask: Bool | None
+    data_range: float
+
+    @property
+    def empty(self) -> bool:
+        """Whether the mask selects no pixel."""
+        return self.mask is not None and not self.mask.any()
+
+    def selected(self, picture: AnyArray) -> AnyArray:
+        """The pixels of one of the pictures that count, (N, C), row by row."""
+        return picture.reshape(-1, picture.shape[2]) if self.mask is None else picture[self.mask]
+
+    def refuse_non_finite(self) -> None:
+        """Raise if a pixel that counts is NaN or infinite, and name the first.
+
+        Raises:
+            UsageError: it is.
+        """
+        for name, picture in (("render", self.render), ("truth", self.truth)):
+            bad = ~np.isfinite(picture)
+            if self.mask is not None:
+                bad &= self.mask[..., None]
+            if bad.any():
+                row, column, channel = np.argwhere(bad)[0]
+                raise UsageError(
+                    f"{np.count_nonzero(bad)} values are NaN or infinite",
+                    place=f"{name}, first at row {row}, column {column}, channel {channel}",
+                    expected="finite pixels",
+                    remedy="repair the picture or leave the pixels out with a mask",
+                )
+
+
+def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range: float | None) -> Pair:
+    """Check what every metric of pictures asks of its arguments.
+
+    Args:
+        render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.
+        truth: of the same shape and type.
+        mask: (H, W) bool, true where pixels count; None: all do.
+        data_range: what separates black from white; None: 255 or 65535, by the type. Floats have no such default.
+
+    Returns:
+        The pair, with a channel axis.
+
+    Raises:
+        UsageError: shapes or types differ or are of another kind, a picture has no pixels, or the range is missing or
+            beyond 1e-100 to 1e100.
+    """
+    if render.shape != truth.shape or render.ndim not in (2, 3):
+        raise UsageError(f"render {render.shape} and truth {truth.shape}", expected="one shape, (H, W) or (H, W, C)")
+    if render.dtype != truth.dtype or render.dtype.name not in _DTYPES:
+        raise UsageError(
+            f"render of {render.dtype}, truth of {truth.dtype}", expected=f"one type of {', '.join(_DTYPES)}"
+        )
+    if render.size == 0:
+        raise UsageError(f"pictures {render.shape} without a pixel", expected="at least one pixel")
+    if mask is not None and (mask.dtype != np.bool_ or mask.shape != render.shape[:2]):
+        raise UsageError(
+            f"mask {mask.shape} of {mask.dtype}",
+            expected=f"{render.shape[:2]} of bool",
+            remedy="pass mask > 0 of a mask that is stored as a picture",
+        )
+    if data_range is None:
+        if render.dtype.kind == "f":
+            raise UsageError(
+                "data_range of float pictures is missing", expected="their white minus their black, 1.0 for [0, 1]"
+            )
+        data_range = float(np.iinfo(render.dtype).max)
+    if not _LEAST <= data_range <= _MOST:
+        raise UsageError(f"data_range {data_range}", expected=f"{_LEAST} to {_MOST}, whose squares float64 holds")
+    if render.ndim == 2:
+        render, truth = render[..., None], truth[..., None]
+    return Pair(render, truth, mask, float(data_range))

@@ -1,0 +1,125 @@
+"""Peak signal-to-noise ratio: of an image, the mean over images, and of the pooled squared error.
+
+``PSNR = 10 log10(data_range² / MSE)`` with the mean over the selected pixels and all channels. uint8 pictures are
+compared in integers, others in float64. Equal pictures have infinite PSNR, which no mean contains.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from mirror.arrays import AnyArray
+from mirror.errors import UsageError
+from mirror.metrics.images.aggregate import Summary, summarise
+from mirror.metrics.images.pairs import Pair, as_pair
+from mirror.metrics.score import EMPTY_MASK, Score
+
+_BLOCK: Final = 1 << 16
+
+
+def psnr(render: AnyArray, truth: AnyArray, *, mask: AnyArray | None = None, data_range: float | None = None) -> Score:
+    """PSNR of an image in dB.
+
+    Args:
+        render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.
+        truth: of the same shape and type.
+        mask: (H, W) bool, true where pixels count. They are selected: nothing is filled with zeros.
+        data_range: what separates black from white; None: 255 or 65535. Floats need it.
+
+    Returns:
+        dB; infinite for equal pictures, NaN with a reason for an empty mask. Float pictures that differ by less than
+        1e-154 of the range count as equal.
+
+    Raises:
+        UsageError: the pictures cannot be compared (`as_pair`), or a selected pixel is NaN or infinite.
+    """
+    return _decibels(*_relative_squares(as_pair(render, truth, mask, data_range)))
+
+
+@dataclass(frozen=True)
+class PsnrSummary:
+    """PSNR of many images.
+
+    Attributes:
+        images: counts, and the mean of PSNR over images.
+        pooled: PSNR of the mean squared error over all pixels of all images, as torchmetrics' ``PeakSignalNoiseRatio``
+            has it: lower, since the worst images rule it.
+    """
+
+    images: Summary
+    pooled: Score
+
+
+class Psnr:
+    """An accumulator of PSNR.
+
+    Args:
+        data_range: as of `psnr`.
+    """
+
+    def __init__(self, data_range: float | None = None) -> None:
+        self.data_range = data_range
+        self.scores: list[Score] = []
+        self._squares: list[float] = []
+        self._count = 0
+
+    def update(self, render: AnyArray, truth: AnyArray, mask: AnyArray | None = None) -> Score:
+        """Add an image; arguments, result and errors as of `psnr`."""
+        squares, count = _relative_squares(as_pair(render, truth, mask, self.data_range))
+        self.scores.append(_decibels(squares, count))
+        self._squares.append(squares)
+        self._count += count
+        return self.scores[-1]
+
+    def merge(self, other: Psnr) -> None:
+        """Add what another accumulator has.
+
+        Raises:
+            UsageError: its data range is another.
+        """
+        if other.data_range != self.data_range:
+            raise UsageError(f"data ranges {self.data_range} and {other.data_range}", expected="one range")
+        self.scores.extend(other.scores)
+        self._squares.extend(other._squares)
+        self._count += other._count
+
+    def compute(self) -> PsnrSummary:
+        """The summary so far; it does not depend on the order of images."""
+        pooled = _decibels(math.fsum(self._squares), self._count) if self.scores else summarise([]).mean
+        return PsnrSummary(summarise(self.scores), pooled)
+
+
+def _relative_squares(pair: Pair) -> tuple[float, int]:
+    """Sum of squared differences as parts of the range, and their number."""
+    if pair.render.dtype == np.uint8:
+        mask = None if pair.mask is None else np.ascontiguousarray(pair.mask).view(np.uint8)
+        squares = cv2.norm(
+            np.ascontiguousarray(pair.render), np.ascontiguousarray(pair.truth), cv2.NORM_L2SQR, mask=mask
+        )
+        pixels = pair.render.shape[0] * pair.render.shape[1] if mask is None else cv2.countNonZero(mask)
+        return squares / pair.data_range**2, pixels * pair.render.shape[2]
+    render, truth = pair.selected(pair.render).reshape(-1), pair.selected(pair.truth).reshape(-1)
+    squares = sum(_block_squares(render, truth, start, pair.data_range) for start in range(0, len(render), _BLOCK))
+    if not math.isfinite(squares):
+        pair.refuse_non_finite()
+        raise UsageError("the squared difference is beyond float64", expected=f"pixels near {pair.data_range}")
+    return squares, len(render)
+
+
+def _block_squares(render: AnyArray, truth: AnyArray, start: int, data_range: float) -> float:
+    block = slice(start, start + _BLOCK)
+    with np.errstate(over="ignore", invalid="ignore"):
+        difference = np.subtract(render[block], truth[block], dtype=np.float64)
+        difference /= data_range
+        return float(difference @ difference)
+
+
+def _decibels(relative_squares: float, count: int) -> Score:
+    if count == 0:
+        return EMPTY_MASK
+    return Score(math.inf if relative_squares == 0 else 10.0 * math.log10(count / relative_squares))

@@ -1,0 +1,175 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mirror.errors import UsageError
+from mirror.metrics.images.colour_correction import correct_colours, psnr_cc
+from mirror.metrics.images.psnr import psnr
+from tests.metrics.images.pictures import ellipse, street
+
+EPSILON = 0.5 / 255
+
+
+def by_lstsq(render, truth, mask=None, iterations=5):
+    """The definition, with numpy's singular value decomposition of every pixel's terms."""
+    mask = np.ones(render.shape[:2], bool) if mask is None else mask
+    colours, target = render[mask].astype(np.float64), truth[mask].astype(np.float64)
+    started, ranks = colours, []
+    for _ in range(iterations):
+        r, g, b = colours.T
+        terms = np.stack([r * r, r * g, r * b, g * g, g * b, b * b, r, g, b, np.ones(len(r))], axis=1)
+        warped, found = [], []
+        for channel in range(3):
+            used = np.ones(len(r), bool)
+            for values in (started, colours, target):
+                used &= (values[:, channel] >= EPSILON) & (values[:, channel] <= 1 - EPSILON)
+            warp, _, rank, _ = np.linalg.lstsq(terms * used[:, None], target[:, channel] * used, rcond=1e-9)
+            warped.append(terms @ warp)
+            found.append(rank)
+        colours = np.clip(np.stack(warped, axis=1), 0, 1)
+        ranks.append(found)
+    return colours, 10 * math.log10(1 / np.mean((colours - target) ** 2)), ranks
+
+
+def check(render, truth, mask=None, error=1e-6):
+    colours, expected, ranks = by_lstsq(render / 255, truth / 255, mask)
+    found = psnr_cc(render, truth, mask=mask)
+    assert found.db == pytest.approx(expected, abs=error)
+    correction = correct_colours(render, truth, mask=mask)
+    np.testing.assert_array_equal(correction.ranks, ranks)
+    np.testing.assert_allclose(correction.colours, colours, atol=1e-7)
+    assert found.rank == np.min(ranks)
+    return found
+
+
+def test_it_is_the_least_squares_fit():
+    render, truth = street()
+    found = check(render, truth, error=1e-9)
+    assert found.full_rank
+    assert found.db > psnr(render, truth) + 3
+
+
+def test_saturated_pixels_are_left_out_of_fits_but_not_of_the_score():
+    render, truth = street()
+    bright = np.clip(render.astype(int) + 70, 0, 255).astype(np.uint8)
+    assert (bright == 255).any(axis=2).mean() > 0.05
+    check(bright, truth)
+    check(render, np.clip(truth.astype(int) - 60, 0, 255).astype(np.uint8))
+
+
+def test_a_mask_takes_pixels_out_of_both():
+    render, truth = street()
+    mask = ellipse(90, 160, slice(10, 80), slice(20, 150))
+    found = check(render, truth, mask)
+    render[~mask], truth[~mask] = 99, 3
+    assert psnr_cc(render, truth, mask=mask).db == pytest.approx(found.db, abs=1e-12)
+
+
+def test_a_quadratic_warp_is_undone():
+    rng = np.random.default_rng(0)
+    render = rng.uniform(0.2, 0.8, (40, 50, 3))
+    r, g, b = np.moveaxis(render, -1, 0)
+    truth = np.stack([0.1 + 0.7 * r * r + 0.1 * g, 0.2 + 0.5 * r * b, 0.9 * b - 0.1 * g * g + 0.05], axis=-1)
+    assert np.abs(correct_colours(render, truth, data_range=1.0).colours - truth.reshape(-1, 3)).max() < 1e-13
+    assert psnr_cc(render, truth, data_range=1.0).db == math.inf
+
+
+def test_equal_pictures_are_infinite_whatever_their_colours():
+    _, truth = street()
+    assert psnr_cc(truth, truth).db == math.inf
+    truth[..., 2] = 255
+    assert psnr_cc(truth, truth).db == math.inf
+
+
+@pytest.mark.parametrize("spread", [1e-2, 1e-4])
+def test_nearly_grey_pictures_lose_no_digits(spread):
+    rng = np.random.default_rng(0)
+    grey = rng.uniform(0.2, 0.8, (60, 60, 1))
+    render = grey + spread * rng.standard_normal((60, 60, 3))
+    truth = np.clip(0.9 * render**1.2 + 0.02 * rng.standard_normal(render.shape), 0.01, 0.99)
+    _, expected, _ = by_lstsq(render, truth)
+    found = psnr_cc(render, truth, data_range=1.0)
+    assert found.full_rank
+    assert found.db == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_constant_colour_is_warped_to_the_mean_with_rank_one():
+    _, truth = street()
+    truth = np.clip(truth, 1, 254)
+    render = np.full_like(truth, 90)
+    found = check(render, truth)
+    assert (found.rank, found.terms, found.full_rank) == (1, 10, False)
+    assert found.db == pytest.approx(-10 * math.log10(np.var(truth / 255, axis=(0, 1)).mean()), abs=1e-9)
+
+
+def test_grey_pictures_have_rank_three_and_two_colours_two():
+    render, truth = street()
+    truth = np.clip(truth, 1, 254)
+    grey = np.repeat(np.clip(render[..., :1], 1, 254), 3, axis=2)
+    first = correct_colours(grey, truth, iterations=1)
+    assert first.ranks.tolist() == [[3, 3, 3]]
+    np.testing.assert_allclose(first.colours, by_lstsq(grey / 255, truth / 255, iterations=1)[0], atol=1e-9)
+    two = np.where(grey > 120, np.uint8([200, 100, 50]), np.uint8([20, 30, 70]))
+    assert check(two, truth).rank == 2
+
+
+def test_the_fit_of_least_norm_decides_pixels_that_no_fit_saw():
+    _, truth = street()
+    truth = np.clip(truth, 1, 254)
+    render = np.full_like(truth, 90)
+    render[:20] = 255
+    check(render, truth)
+
+
+def test_one_pixel():
+    found = psnr_cc(np.uint8([[[50, 60, 70]]]), np.uint8([[[80, 90, 100]]]))
+    assert found.db == math.inf
+    assert found.rank == 1
+
+
+def test_a_channel_that_is_all_saturated_has_rank_zero_and_turns_black():
+    render, truth = street()
+    render[..., 2] = 255
+    correction = correct_colours(render, truth)
+    assert correction.ranks[:, 2].tolist() == [0] * 5
+    assert (correction.colours[:, 2] == 0).all()
+    assert psnr_cc(render, truth).rank == 0
+
+
+def test_types_and_ranges_agree():
+    render, truth = street()
+    expected = psnr_cc(render, truth).db
+    for scale, dtype in ((1 / 255, np.float64), (1.0, np.float64), (257, np.uint16)):
+        pair = [(picture.astype(np.float64) * scale).astype(dtype) for picture in (render, truth)]
+        assert psnr_cc(*pair, data_range=255.0 * scale).db == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_pixels_that_are_not_finite_are_an_error(bad):
+    render, truth = (picture / 255.0 for picture in street(20, 20))
+    render[4, 5, 2] = bad
+    with pytest.raises(UsageError, match="row 4, column 5, channel 2"):
+        psnr_cc(render, truth, data_range=1.0)
+
+
+def test_nothing_to_fit_is_an_error():
+    render, truth = street(20, 20)
+    with pytest.raises(UsageError, match="selects no pixel"):
+        psnr_cc(render, truth, mask=np.zeros((20, 20), bool))
+    with pytest.raises(UsageError, match="0 iterations"):
+        psnr_cc(render, truth, iterations=0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.integers(2, 12), st.integers(1, 40))
+def test_pictures_of_few_colours(seed, colours, spread):
+    rng = np.random.default_rng(seed)
+    palette = rng.integers(20, 200, (colours, 3))
+    render = (palette[rng.integers(colours, size=(30, 40))] + rng.integers(0, 2, (30, 40, 1)) * spread).astype(np.uint8)
+    truth = np.clip(render.astype(int) + rng.integers(-10, 11, render.shape), 1, 254).astype(np.uint8)
+    expected = by_lstsq(render / 255, truth / 255, iterations=1)[0]
+    found = correct_colours(render, truth, iterations=1).colours
+    np.testing.assert_allclose(found, expected, atol=1e-7)

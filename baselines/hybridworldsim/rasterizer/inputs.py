@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.rows import compiled
 from mirror.errors import UsageError
 
 CameraModel = Literal["pinhole", "fisheye"]
@@ -319,4 +320,8 @@ def _shape(name: str, tensor: Tensor, expected: str) -> UsageError:
 
 
 def _sums_to_finite(table: Tensor) -> bool:
+    if compiled(table):
+        from hybridworldsim.rasterizer.cpu import tables
+
+        return math.isfinite(tables.sum_of(table))
     return math.isfinite(table.detach().sum().item())

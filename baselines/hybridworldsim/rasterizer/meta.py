@@ -125,8 +125,12 @@ class Layout:
             return {"batch_ids": None, "camera_ids": None, "gaussian_ids": None}
         places = [divmod(image, self._leading[-1]) for image in range(len(self._ids))]
         return {
-            "batch_ids": self.join([ids.new_full(ids.shape, scene) for ids, (scene, _) in zip(self._ids, places)]),
-            "camera_ids": self.join([ids.new_full(ids.shape, camera) for ids, (_, camera) in zip(self._ids, places)]),
+            "batch_ids": self.join(
+                [ids.new_tensor(scene).expand(len(ids)) for ids, (scene, _) in zip(self._ids, places)]
+            ),
+            "camera_ids": self.join(
+                [ids.new_tensor(camera).expand(len(ids)) for ids, (_, camera) in zip(self._ids, places)]
+            ),
             "gaussian_ids": self.join(self._ids),
         }
 

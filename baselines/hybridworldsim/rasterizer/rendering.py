@@ -16,7 +16,7 @@ from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.meta import Blending, Layout, View, meta_of
 from hybridworldsim.rasterizer.presets import Preset
 from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.rows import rows
+from hybridworldsim.rasterizer.rows import rows, rows_beside
 
 _DEPTH_DIVISOR_MIN = 1e-10
 
@@ -144,20 +144,19 @@ def _opacities(inputs: Inputs, scene: int, picture: Projected) -> Tensor:
 
 def _features(inputs: Inputs, options: Options, backend: Backend, view: View) -> Tensor:
     picture = view.projected
-    depths = picture.depths[:, None]
     table = inputs.colors_of(*view.place)
     if table is None:
-        return depths
+        return picture.depths[:, None]
+    ids, every = picture.ids, len(picture.ids) == len(table)
+    if inputs.sh_degree is not None:
+        table = backend.harmonics(inputs.sh_degree, _directions(inputs, view), table, None if every else ids)
+        refuse_nonfinite("colors", table, "Gaussian", ids)
+        table, ids = (table + 0.5).clamp_min(0.0), torch.arange(len(ids))
+    colored = options.render_mode == "RGB"
+    features = rows(table, ids) if colored else rows_beside(table, ids, picture.depths)
     if inputs.sh_degree is None:
-        colors = rows(table, picture.ids)
-        refuse_nonfinite("colors", colors, "Gaussian", picture.ids)
-    else:
-        ids = None if len(picture.ids) == len(table) else picture.ids
-        colors = backend.harmonics(inputs.sh_degree, _directions(inputs, view), table, ids)
-        refuse_nonfinite("colors", colors, "Gaussian", picture.ids)
-        colors = (colors + 0.5).clamp_min(0.0)
-    colors = colors.to(picture.means2d.dtype)
-    return colors if options.render_mode == "RGB" else torch.cat([colors, depths], dim=-1)
+        refuse_nonfinite("colors", features, "Gaussian", picture.ids)
+    return features.to(picture.means2d.dtype)
 
 
 def _directions(inputs: Inputs, view: View) -> Tensor:

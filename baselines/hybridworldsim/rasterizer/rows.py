@@ -34,7 +34,37 @@ def rows(table: Tensor, ids: Tensor) -> Tensor:
     Returns:
         (M, ...).
     """
-    return table if len(ids) == len(table) else _Rows.apply(table, ids)
+    if len(ids) == len(table):
+        return table
+    if compiled(table):
+        from hybridworldsim.rasterizer.cpu import tables
+
+        return tables.rows(table, ids)
+    found: Tensor = _Rows.apply(table, ids)
+    return found
+
+
+def rows_beside(table: Tensor, ids: Tensor, column: Tensor) -> Tensor:
+    """Rows of a table, with another column beside them.
+
+    Args:
+        table: (N, D).
+        ids: (M,) int64, ascending, each once.
+        column: (M,).
+
+    Returns:
+        (M, D + 1).
+    """
+    if compiled(table) and compiled(column):
+        from hybridworldsim.rasterizer.cpu import tables
+
+        return tables.rows(table, ids, column)
+    return torch.cat([rows(table, ids).to(column.dtype), column[:, None]], dim=-1)
+
+
+def compiled(table: Tensor) -> bool:
+    """Whether compiled kernels take a table."""
+    return table.device.type == "cpu" and table.dtype == torch.float32
 
 
 def spread(part: Tensor, ids: Tensor, count: int) -> Tensor:

@@ -1,0 +1,114 @@
+"""Rows of float32 tables, by compiled kernels: torch's own threads wait busily, and would take the kernels' time."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.rasterizer.cpu.machine.memory import room
+from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from mirror.arrays import Float32, Float64, Int64
+
+_PARTS: Final = 8
+
+
+class _Rows(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, ids: Tensor, column: Tensor | None) -> Tensor:
+        ctx.save_for_backward(ids)
+        ctx.shape, ctx.beside = table.shape, column is not None
+        flat, numbers = _flat(table), ids.numpy()
+        beside = np.empty(0, np.float32) if column is None else _flat(column)[:, 0]
+        wide = flat.shape[1] + ctx.beside
+        out = room(len(numbers) * wide).reshape(len(numbers), wide)
+        edges = _edges(len(numbers))
+        in_parallel(lambda part: _gather(edges[part], edges[part + 1], flat, numbers, beside, out), _PARTS)
+        return torch.from_numpy(out if ctx.beside else out.reshape(len(numbers), *table.shape[1:]))
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        (ids,) = ctx.saved_tensors
+        gradient, numbers = _flat(gradients[0]), ids.numpy()
+        wide = gradient.shape[1] - ctx.beside
+        out = room(ctx.shape[0] * wide).reshape(ctx.shape[0], wide)
+        edges = _edges(len(numbers))
+        in_parallel(lambda part: _scatter(edges[part], edges[part + 1], gradient, numbers, out), _PARTS)
+        column = torch.from_numpy(gradient[:, -1].copy()) if ctx.beside and ctx.needs_input_grad[2] else None
+        return torch.from_numpy(out.reshape(ctx.shape)), None, column
+
+
+def rows(table: Tensor, ids: Tensor, column: Tensor | None = None) -> Tensor:
+    """Rows of a table, and another column beside them.
+
+    Args:
+        table: (N, ...) float32 on the CPU; (N, D) if there is a column.
+        ids: (M,) int64, ascending, each once.
+        column: (M,) float32, or None.
+
+    Returns:
+        (M, ...), or (M, D + 1).
+    """
+    found: Tensor = _Rows.apply(table, ids, column)
+    return found
+
+
+def sum_of(table: Tensor) -> float:
+    """The sum of a float32 table's numbers, in float64."""
+    numbers = table.detach().contiguous().numpy().reshape(-1)
+    edges, sums = _edges(len(numbers)), np.zeros(_PARTS)
+    in_parallel(lambda part: _add(edges[part], edges[part + 1], numbers, sums[part : part + 1]), _PARTS)
+    return float(sums.sum())
+
+
+def _flat(table: Tensor) -> Float32:
+    numbers: Float32 = table.detach().contiguous().numpy()
+    return numbers.reshape(len(numbers), int(np.prod(numbers.shape[1:])))
+
+
+def _edges(count: int) -> Int64:
+    return np.linspace(0, count, _PARTS + 1).astype(np.int64)
+
+
+@kernel()
+def _gather(begin: int, end: int, table: Float32, ids: Int64, column: Float32, out: Float32) -> None:
+    wide = table.shape[1]
+    for row in range(begin, end):
+        source, to = np.uint64(ids[row]), np.uint64(row)
+        for place in range(wide):
+            out[to, np.uint64(place)] = table[source, np.uint64(place)]
+        if column.size > 0:
+            out[to, np.uint64(wide)] = column[to]
+
+
+@kernel()
+def _scatter(begin: int, end: int, gradient: Float32, ids: Int64, out: Float32) -> None:
+    """Put rows where they belong, and zeros into the gap in front of each; the last ends the table with zeros."""
+    wide = out.shape[1]
+    for row in range(begin, end):
+        first = ids[row - 1] + 1 if row > 0 else 0
+        for gap in range(first, ids[row]):
+            for place in range(wide):
+                out[np.uint64(gap), np.uint64(place)] = np.float32(0.0)
+        for place in range(wide):
+            out[np.uint64(ids[row]), np.uint64(place)] = gradient[np.uint64(row), np.uint64(place)]
+    if end == len(ids):
+        for gap in range(ids[end - 1] + 1 if end > 0 else 0, len(out)):
+            for place in range(wide):
+                out[np.uint64(gap), np.uint64(place)] = np.float32(0.0)
+
+
+@kernel()
+def _add(begin: int, end: int, numbers: Float32, total: Float64) -> None:
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    for i in range(begin, end - 3, 4):
+        a += numbers[i]
+        b += numbers[i + 1]
+        c += numbers[i + 2]
+        d += numbers[i + 3]
+    for i in range(end - (end - begin) % 4, end):
+        a += numbers[i]
+    total[0] = a + b + c + d

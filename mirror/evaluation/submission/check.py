@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -45,12 +47,14 @@ class CheckReport:
         present: how many of them are there.
         problems: all that is wrong, by kind and path.
         manifest: as read; None: it cannot be.
+        hash: SHA-256 over the expected files that could be read, by path.
     """
 
     expected: int
     present: int
     problems: tuple[Problem, ...]
     manifest: SubmissionManifest | None
+    hash: str
 
     def counts(self) -> dict[str, int]:
         """How many problems of each kind."""
@@ -92,15 +96,20 @@ def check_submission(
     ]
     there = [(path, size) for path, size in expected.items() if path in files.sizes]
 
-    def look(item: tuple[str, tuple[int, int] | None]) -> Problem | None:
+    def look(item: tuple[str, tuple[int, int] | None]) -> Problem | str:
         found = _look(files, *item)
         advance(1)
         return found
 
+    digest = hashlib.sha256()
     with ThreadPoolExecutor(_THREADS) as pool:
-        problems += [found for found in pool.map(look, there) if found is not None]
+        for (path, _), found in zip(sorted(there), pool.map(look, sorted(there))):
+            if isinstance(found, Problem):
+                problems.append(found)
+            else:
+                digest.update(json.dumps([path, found]).encode())
     problems.sort(key=lambda problem: (problem.kind, problem.path))
-    return CheckReport(len(expected), len(there), tuple(problems), manifest)
+    return CheckReport(len(expected), len(there), tuple(problems), manifest, digest.hexdigest())
 
 
 def _answers(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
@@ -120,21 +129,23 @@ def _answers(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
     ]
 
 
-def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None) -> Problem | None:
+def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None) -> Problem | str:
+    """What is wrong with a file, or its SHA-256."""
     most = MOST_TABLE_BYTES if size is None else most_bytes(*size)
     if files.sizes[path] > most:
         return Problem("corrupt", path, f"has {files.sizes[path]:,} bytes; at most {most:,} can be needed")
-    if size is None:
-        return None
     try:
         data = files.read(path, most)
     except UntrustedError as error:
         return Problem("corrupt", path, _without_file(error))
-    there = raster_of_png(data)
-    if there is not None and there != size:
-        return Problem("wrong size", path, f"is {there[0]} x {there[1]} px, not {size[0]} x {size[1]} px")
-    problem = problem_of_png(data)
-    return None if problem is None else Problem("corrupt", path, problem)
+    if size is not None:
+        there = raster_of_png(data)
+        if there is not None and there != size:
+            return Problem("wrong size", path, f"is {there[0]} x {there[1]} px, not {size[0]} x {size[1]} px")
+        problem = problem_of_png(data)
+        if problem is not None:
+            return Problem("corrupt", path, problem)
+    return hashlib.sha256(data).hexdigest()
 
 
 def _without_file(error: UntrustedError) -> str:

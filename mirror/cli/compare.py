@@ -1,0 +1,69 @@
+"""``mirror compare RESULT RESULT ...``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import tyro
+
+from mirror.errors import ExitCode
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Put results side by side: differences from the first, with intervals and p-values of paired pictures.
+
+    Blocks of consecutive frames are resampled, not single pictures; many comparisons at once are not corrected for.
+    """
+
+    results: tyro.conf.Positional[tuple[Path, ...]]
+    """result.json files or their folders, two or more, of one protocol, split and dataset."""
+    json: bool = False
+    """Print the comparison as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror compare")
+
+    from mirror.evaluation.compare import compare
+
+    first, others = compare(arguments.results)
+    if arguments.json:
+        plain = {"first": first.submission.method.name, "others": [asdict(other) for other in others]}
+        print(json.dumps({"protocol": first.protocol.name, "split": first.dataset.split, **plain}))
+        return ExitCode.DONE
+
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    for other in others:
+        table = Table(title=escape(f"{other.name} against {first.submission.method.name}"))
+        for name in ("group", "metric"):
+            table.add_column(name)
+        for name in (first.submission.method.name, other.name, "difference", "interval", "p", "n", "better"):
+            table.add_column(escape(name), justify="right")
+        for row in other.rows:
+            interval = "" if row.low is None or row.high is None else f"{row.low:+.4f} to {row.high:+.4f}"
+            better = {"first": first.submission.method.name, "other": other.name}.get(row.better or "", "")
+            table.add_row(
+                row.group,
+                row.metric,
+                *(_number(value) for value in (row.first, row.other)),
+                "" if row.difference is None else f"{row.difference:+.4f}",
+                interval,
+                _number(row.p_value),
+                str(row.n or ""),
+                escape(better) or escape(row.reason or ""),
+            )
+        console.print(table)
+    return ExitCode.DONE
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4f}"

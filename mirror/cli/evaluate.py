@@ -1,0 +1,155 @@
+"""``mirror evaluate SUBMISSION --truth DATASET --protocol NAME --split NAME``."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from mirror.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mirror.evaluation.result import Figure, Result
+    from mirror.evaluation.run import Evaluation
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Score a submission by a protocol: result.json and a Parquet of every picture in --out, with --report a page.
+
+    What an interrupted run scored is used again. Exit codes: 0 scored, 1 the submission has problems (all are listed,
+    nothing is scored), 2 could not run, or a required metric cannot be had.
+    """
+
+    submission: tyro.conf.Positional[Path]
+    """Its folder, or a zip of it."""
+    truth: str
+    """The dataset's folder or URL."""
+    protocol: str | None = None
+    """Name of the protocol, or the path of its .toml. Default: what the manifest says."""
+    split: str | None = None
+    """Name of the split. Default: what the manifest says."""
+    out: Path | None = None
+    """Folder for the results. Default: SUBMISSION-results beside the submission."""
+    report: bool = False
+    """Write report.html too: figures, and the worst, median and best renders beside truth and error."""
+    require: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A metric that must be had, such as lpips; may be repeated. Default: what cannot be had is said, and left out."""
+    weights: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """NAME=FILE of weights, as docs/weights.md names them; may be repeated."""
+    download_weights: bool = False
+    """Allow missing weights to be downloaded."""
+    hidden: Path | None = None
+    """Folder of an organiser's true pictures, for protocols whose poses nobody recorded."""
+    extractor: str = "diff-grabcut"
+    """Of edited regions: diff-grabcut, file:FOLDER or onnx-sam:FOLDER."""
+    features: Path | None = None
+    """Folder of cached features of true pictures, shared between evaluations. Default: in --out."""
+    workers: int = field(default_factory=lambda: min(os.cpu_count() or 1, 2))
+    """Processes."""
+    json: bool = False
+    """Print the result as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror evaluate")
+    if arguments.workers < 1:
+        raise UsageError(f"{arguments.workers} workers", place="--workers", expected="at least 1")
+
+    from mirror.cli.progress import progress_bar
+    from mirror.cli.submission import plain_report, print_report
+    from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.run import Options, evaluate
+    from mirror.evaluation.submission.manifest import asked_of
+    from mirror.evaluation.submission.untrusted import open_untrusted
+    from mirror.weights.resolve import WeightResolver
+
+    protocol, split = asked_of(open_untrusted(arguments.submission), arguments.protocol, arguments.split)
+    submission = arguments.submission
+    out = arguments.out or submission.with_name(f"{submission.stem}-results")
+    options = Options(
+        hidden=arguments.hidden,
+        require=arguments.require,
+        workers=arguments.workers,
+        resolver=WeightResolver(_weight_paths(arguments.weights), arguments.download_weights),
+        extractor=arguments.extractor,
+        features=arguments.features,
+    )
+    with progress_bar(quiet=arguments.json) as bar:
+        done = evaluate(submission, arguments.truth, load_protocol(protocol), split, out, options, bar)
+    if done.result is None:
+        if arguments.json:
+            print(json.dumps(plain_report(done.check)))
+        else:
+            print_report(done.check, submission)
+        return ExitCode.FINDINGS
+    page = _report(done, out) if arguments.report else None
+    if arguments.json:
+        places = {"out": str(out), "report": None if page is None else str(page), "result_hash": done.result.hash}
+        print(json.dumps({**places, "reused": done.reused, "result": done.result.model_dump(mode="json")}))
+    else:
+        _print(done.result, out, page)
+    return ExitCode.DONE
+
+
+def _weight_paths(given: Sequence[str]) -> Mapping[str, Path]:
+    found = {}
+    for text in given:
+        name, equals, path = text.partition("=")
+        if not (name and equals and path):
+            raise UsageError(f"{text!r}", place="--weights", expected="NAME=FILE")
+        found[name] = Path(path)
+    return found
+
+
+def _report(done: Evaluation, out: Path) -> Path:
+    from mirror.evaluation.report import write_report
+
+    page = out / "report.html"
+    write_report(done, page)
+    return page
+
+
+def _print(result: Result, out: Path, page: Path | None) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    table = Table(
+        title=escape(f"{result.submission.method.name}: {result.protocol.name}, split {result.dataset.split}")
+    )
+    for name in ("group", "metric"):
+        table.add_column(name)
+    for name in ("value", f"{100 * result.protocol.intervals.level:g} % interval", "n"):
+        table.add_column(name, justify="right")
+    for figure in result.figures:
+        if figure.level == "group":
+            table.add_row(*map(escape, (figure.group, figure.metric, *figure_words(figure))))
+    console.print(table)
+    for metric, how in result.unavailable.items():
+        console.print(escape(f"{metric}: unavailable: {how}"), soft_wrap=True)
+    for warning in result.warnings:
+        console.print(escape(f"note: {warning}"), soft_wrap=True)
+    console.print(
+        escape(f"{out / 'result.json'} has all figures, {out / 'images.parquet'} every picture"), soft_wrap=True
+    )
+    if page is not None:
+        console.print(escape(f"report: {page}"), soft_wrap=True)
+
+
+def figure_words(figure: Figure) -> tuple[str, str, str]:
+    """Value, interval and count of a figure in words."""
+    digits = 2 if figure.unit == "dB" else 4
+    value = f"{figure.value:.{digits}f} {figure.unit}".strip() if figure.value is not None else figure.reason or "none"
+    interval = ""
+    if figure.low is not None and figure.high is not None:
+        interval = f"{figure.low:.{digits}f} to {figure.high:.{digits}f}"
+    more = [f"{figure.n_inf} equal"] * bool(figure.n_inf) + [f"{figure.n_missing} missing"] * bool(figure.n_missing)
+    return value, interval, f"{figure.n}" + (f" ({', '.join(more)})" if more else "")

@@ -1,0 +1,248 @@
+"""Scoring a submission: checked, scored in two processes, resumed where an earlier run stopped, written as a result."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import io
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import mirror
+from mirror.errors import UsageError
+from mirror.evaluation.progress import Progress, Silent
+from mirror.evaluation.protocol import Protocol
+from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
+from mirror.evaluation.scorers import scorer_of
+from mirror.evaluation.scorers.inputs import Inputs
+from mirror.evaluation.scorers.scorer import Scored
+from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
+from mirror.evaluation.submission.manifest import SubmissionManifest
+from mirror.evaluation.submission.untrusted import open_untrusted
+from mirror.evaluation.views import Plan, plan_views
+from mirror.evaluation.workers import Log, score_jobs
+from mirror.schema.files import write_bytes, write_json
+from mirror.version import __version__
+from mirror.weights.errors import WeightsUnavailableError
+from mirror.weights.resolve import WeightResolver
+
+WORK: Final = "work"
+_PACKAGES: Final = ("numpy", "opencv-contrib-python-headless", "scipy", "torch", "numba", "pyarrow")
+_NO_TORCH: Final = "torch is not installed: pip install 'mirror-dataset[models]'"
+_NO_HIDDEN: Final = "there is no truth of moved poses: give the organiser's folder with --hidden (docs/evaluation.md)"
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a submission is scored, besides what the protocol says.
+
+    Attributes:
+        hidden: folder of an organiser's true pictures, in the layout of a submission.
+        require: metrics that must be had; their names, or the part before the first ``_``.
+        workers: processes.
+        resolver: finds weights.
+        extractor: of edited regions.
+        features: folder of cached features; None: under the output folder.
+    """
+
+    hidden: Path | None = None
+    require: Sequence[str] = ()
+    workers: int = 2
+    resolver: WeightResolver = field(default_factory=WeightResolver)
+    extractor: str = "diff-grabcut"
+    features: Path | None = None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What came of it.
+
+    Attributes:
+        plan: the views that were asked for.
+        check: the submission's check.
+        result: as written; None: the submission has problems, and nothing was scored.
+        inputs: what was read; None as well.
+        scored: jobs and their values.
+        reused: how many of them an earlier run had scored.
+    """
+
+    plan: Plan
+    check: CheckReport
+    result: Result | None = None
+    inputs: Inputs | None = None
+    scored: tuple[Scored, ...] = ()
+    reused: int = 0
+
+
+def evaluate(
+    submission: Path,
+    truth: str | Path,
+    protocol: Protocol,
+    split: str,
+    out: Path,
+    options: Options | None = None,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Score a submission and write ``result.json`` and ``images.parquet``.
+
+    Args:
+        submission: its folder or zip.
+        truth: the dataset.
+        protocol: how it is scored.
+        split: name of the split.
+        out: folder for the results; what an interrupted run left there is used.
+        options: see `Options`.
+        progress: told what goes on.
+
+    Raises:
+        UsageError: a required metric cannot be had, or there is no such metric.
+        DatasetError: the truth is incomplete, or the results cannot be written.
+        UntrustedError: the submission is refused as a whole.
+    """
+    options, progress = options or Options(), progress or Silent()
+    dataset = mirror.open(truth)
+    plan = plan_views(dataset, protocol, split)
+    files = open_untrusted(submission)
+    progress.start("checking", len(plan.views))
+    check = check_submission(files, plan, advance=progress.advance)
+    if check.problems or check.manifest is None:
+        return Evaluation(plan, check)
+    unavailable, weights = _availability(plan, options)
+    _require(options.require, protocol, unavailable)
+    inputs = Inputs(
+        protocol=protocol,
+        submission=submission,
+        manifest=check.manifest,
+        dataset=dataset,
+        layers=plan.layers,
+        hidden=options.hidden,
+        resolver=options.resolver,
+        unavailable=unavailable,
+        features=options.features or out / WORK / "features",
+        extractor=options.extractor,
+    )
+    scorer = scorer_of(protocol.task)
+    jobs = scorer.jobs(plan, inputs) if len(unavailable) < len(protocol.metrics) else []
+    progress.start("scoring", len(jobs))
+    outcome = score_jobs(
+        jobs, inputs, Log(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
+    )
+    if outcome.failed:
+        problems = tuple(Problem("corrupt", name, why) for name, why in sorted(outcome.failed.items()))
+        broken = CheckReport(check.expected, check.present, problems, check.manifest, check.hash)
+        return Evaluation(plan, broken, reused=outcome.reused)
+    result = Result(
+        protocol=protocol,
+        protocol_hash=protocol.hash,
+        dataset=DatasetIdentity(
+            split=split,
+            dataset_hash=plan.dataset_hash,
+            plan_hash=plan.hash,
+            hidden_truth=None if options.hidden is None else _hidden_hash(plan, inputs),
+        ),
+        submission=check.manifest,
+        submission_hash=check.hash,
+        figures=tuple(scorer.figures(plan, outcome.scored, inputs)) if jobs else (),
+        unavailable=unavailable,
+        weights=weights,
+        versions=_versions(),
+        options={"extractor": options.extractor} if protocol.task == "editing-accuracy" else {},
+        warnings=tuple(_warnings(plan, check.manifest)),
+    )
+    write_bytes(out / IMAGES, _table(outcome.scored, protocol))
+    write_json(out / RESULT, result)
+    return Evaluation(plan, check, result, inputs, outcome.scored, outcome.reused)
+
+
+def _availability(plan: Plan, options: Options) -> tuple[dict[str, str], dict[str, str]]:
+    """Metrics that cannot be had, with the way to get them, and the hashes of the weights of the others."""
+    if plan.protocol.task == "lane-shift" and options.hidden is None:
+        return dict.fromkeys(plan.protocol.metric_names, _NO_HIDDEN), {}
+    unavailable: dict[str, str] = {}
+    weights: dict[str, str] = {}
+    for metric, names in scorer_of(plan.protocol.task).needs(plan).items():
+        if importlib.util.find_spec("torch") is None:
+            unavailable[metric] = _NO_TORCH
+            continue
+        try:
+            found = {name: options.resolver.resolve(name).sha256 for name in names}
+        except WeightsUnavailableError as error:
+            unavailable[metric] = str(error)
+        else:
+            weights.update(found)
+    return unavailable, weights
+
+
+def _require(required: Sequence[str], protocol: Protocol, unavailable: Mapping[str, str]) -> None:
+    for name in required:
+        meant = [metric for metric in protocol.metric_names if name in (metric, metric.partition("_")[0])]
+        if not meant:
+            raise UsageError(
+                f"protocol {protocol.name} has no metric {name!r}",
+                place="--require",
+                expected=f"one of {', '.join(protocol.metric_names)}",
+            )
+        for metric in meant:
+            if metric in unavailable:
+                raise UsageError(f"{metric} is required and unavailable: {unavailable[metric]}", place="--require")
+
+
+def _hidden_hash(plan: Plan, inputs: Inputs) -> str:
+    digest = hashlib.sha256()
+    for view in plan.views:
+        digest.update(f"{view.path} {inputs.truth.identity(view)}\n".encode())
+    return digest.hexdigest()
+
+
+def _versions() -> dict[str, str]:
+    found = {"mirror": __version__, "python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _warnings(plan: Plan, manifest: SubmissionManifest) -> list[str]:
+    found = [f"group {name} has no views in split {plan.split}" for name in plan.empty_groups]
+    if manifest.appearance.held_out_pixels:
+        found.append("the method's appearance was fitted to held-out pixels; they are not scored")
+    return found
+
+
+def _table(scored: Sequence[Scored], protocol: Protocol) -> bytes:
+    """One row a picture, as Parquet."""
+    rows = []
+    names: dict[str, None] = {}
+    for one in scored:
+        if not one.job.tabled:
+            continue
+        view = one.job.views[0]
+        keys = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")
+        rows.append({"path": one.job.name, **{key: getattr(view, key) for key in keys}, **one.values})
+        names.update(dict.fromkeys(rows[-1]))
+    columns = {name: [row.get(name) for row in rows] for name in names}
+    table = pa.table(columns).replace_schema_metadata({"mirror_protocol_hash": protocol.hash})
+    sink = io.BytesIO()
+    pq.write_table(table, sink, compression="zstd", version="2.6")
+    return sink.getvalue()
+
+
+def read_result(path: Path) -> Result:
+    """A result of its file, or of the folder that it lies in.
+
+    Raises:
+        DatasetError: there is none.
+        SchemaError: it is broken.
+    """
+    from mirror.schema.files import read_json
+
+    return read_json(path / RESULT if path.is_dir() else path, Result)

@@ -1,0 +1,26 @@
+"""Scorers, one a file; `TASKS` says which a protocol's task has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Final
+
+from mirror.evaluation.protocol import Task
+from mirror.evaluation.scorers.scorer import Scorer
+
+TASKS: Final[Mapping[Task, str]] = {
+    "reconstruction": "reconstruction",
+    "lane-shift": "reconstruction",
+    "vehicle-translation": "distributions",
+    "generation": "distributions",
+    "editing-accuracy": "editing_accuracy",
+    "annotation": "annotation",
+    "runtime": "runtime",
+}
+
+
+def scorer_of(task: Task) -> Scorer:
+    """The scorer of a task."""
+    scorer: Scorer = import_module(f"mirror.evaluation.scorers.{TASKS[task]}").SCORER
+    return scorer

@@ -1,0 +1,151 @@
+"""Renders against the pictures that were taken there: PSNR, PSNR*, SSIM, LPIPS of every view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+from mirror.arrays import Bool, UInt8
+from mirror.evaluation.figures import Measure, figures_of
+from mirror.evaluation.protocol import Lpips, Metric, Psnr, PsnrCc, Ssim, metric_name
+from mirror.evaluation.result import Figure, finite
+from mirror.evaluation.scorers.inputs import Inputs
+from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.views.plan import Plan
+from mirror.metrics.images.colour_correction import psnr_cc
+from mirror.metrics.images.psnr import psnr
+from mirror.metrics.images.ssim import ssim
+from mirror.metrics.score import EMPTY_MASK, Score
+
+if TYPE_CHECKING:
+    from mirror.metrics.features.perceptual import PerceptualDistance
+
+_MEASURES: Final = {
+    "psnr": Measure("psnr", "dB", "higher"),
+    "psnr_cc": Measure("psnr_cc", "dB", "higher"),
+    "ssim": Measure("ssim", "", "higher"),
+}
+
+
+class Reconstruction:
+    """See the module."""
+
+    version = 1
+
+    def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
+        """LPIPS needs its trunk and heads."""
+        trunks = {"alex": "alexnet", "vgg": "vgg16", "squeeze": "squeezenet1_1"}
+        return {
+            metric_name(metric): (trunks[metric.net], f"lpips-heads-{metric.net}")
+            for metric in plan.protocol.metrics
+            if isinstance(metric, Lpips)
+        }
+
+    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+        """One a view."""
+        return [Job(view.path, (view,), (view.path,)) for view in plan.views]
+
+    def score(self, job: Job, inputs: Inputs) -> Values:
+        """All metrics of one view."""
+        view = job.views[0]
+        render, truth, scored = inputs.render(view), inputs.truth.picture(view), inputs.scored(view)
+        values: dict[str, float | int | str | None] = {
+            "scored_px": int(scored.sum()),
+            "pixels": scored.size,
+        }
+        for metric in inputs.protocol.metrics:
+            name = metric_name(metric)
+            if name in inputs.unavailable:
+                continue
+            score, more = _score(metric, render, truth, scored, inputs)
+            values[name] = float(score)
+            if score.reason is not None:
+                values[f"{name}.reason"] = score.reason
+            values.update(more)
+        return values
+
+    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+        """Means in the protocol's order; PSNR also of all pixels together."""
+        found: list[Figure] = []
+        for group in plan.protocol.groups:
+            own = [one for one in scored if one.job.views[0].group == group.name]
+            views = [one.job.views[0] for one in own]
+            for metric in plan.protocol.metrics:
+                name = metric_name(metric)
+                if name in inputs.unavailable:
+                    continue
+                scores = [score_of(one.values, name) for one in own]
+                measure = _MEASURES.get(name, Measure(name, "", "lower"))
+                figures = figures_of(plan.protocol, measure, group.name, views, scores)
+                found += [_noted(figure, name, own) if figure.level == "group" else figure for figure in figures]
+                if name == "psnr" and own:
+                    found.append(_pooled(group.name, own))
+        return found
+
+
+def score_of(values: Values, name: str) -> Score:
+    """A job's value of one metric."""
+    value, reason = values.get(name), values.get(f"{name}.reason")
+    return Score(math.nan if value is None else float(value), None if reason is None else str(reason))
+
+
+def _score(
+    metric: Metric, render: UInt8, truth: UInt8, scored: Bool, inputs: Inputs
+) -> tuple[Score, dict[str, float | int | str | None]]:
+    if not scored.any():
+        return EMPTY_MASK, {}
+    # Without a mask the faster ways are open.
+    mask = None if scored.all() else scored
+    if isinstance(metric, Psnr):
+        return psnr(render, truth, mask=mask), {}
+    if isinstance(metric, PsnrCc):
+        corrected = psnr_cc(render, truth, mask=mask, iterations=metric.iterations)
+        return corrected.db, {} if corrected.full_rank else {"psnr_cc.rank": corrected.rank}
+    if isinstance(metric, Ssim):
+        return ssim(render, truth, mask=mask, preset=metric.preset, mask_mode=metric.mask), {}
+    if isinstance(metric, Lpips):
+        return _network(metric, inputs)([render], truth, mask, metric.mask)[0], {}
+    raise TypeError(f"{metric.metric} is no metric of single pictures")
+
+
+def _network(metric: Lpips, inputs: Inputs) -> PerceptualDistance:
+    from mirror.metrics.features.lpips import load_lpips
+
+    name = metric_name(metric)
+    if name not in inputs.made:
+        inputs.made[name] = load_lpips(metric.net, inputs.resolver)
+    network: PerceptualDistance = inputs.made[name]  # type: ignore[assignment]
+    return network
+
+
+def _noted(figure: Figure, name: str, scored: Sequence[Scored]) -> Figure:
+    deficient = sum(f"{name}.rank" in one.values for one in scored)
+    if not deficient:
+        return figure
+    note = f"of {deficient} pictures the colours do not determine the warp: the fit of least norm was taken"
+    return figure.model_copy(update={"note": note})
+
+
+def _pooled(group: str, scored: Sequence[Scored]) -> Figure:
+    """PSNR of the mean square over all scored pixels of all pictures, as torchmetrics accumulates it."""
+    pairs = [(int(one.values["scored_px"] or 0), score_of(one.values, "psnr")) for one in scored]
+    known = [(pixels, score) for pixels, score in pairs if not math.isnan(score)]
+    total = sum(pixels for pixels, _ in known)
+    squares = math.fsum(pixels * 10.0 ** (-score / 10.0) for pixels, score in known)
+    value = -10.0 * math.log10(squares / total) if squares > 0.0 else None
+    reason = None if value is not None else "all pictures are equal to the truth" if total else "no pixel is scored"
+    return Figure(
+        metric="psnr_pooled",
+        group=group,
+        value=None if value is None else finite(value),
+        reason=reason,
+        unit="dB",
+        better="higher",
+        n=len(known),
+        n_missing=len(scored) - len(known),
+        interval_reason="not resampled",
+    )
+
+
+SCORER: Final = Reconstruction()

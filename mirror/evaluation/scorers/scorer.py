@@ -1,0 +1,61 @@
+"""What a scorer is: jobs that workers do one by one, and figures of what they found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from mirror.evaluation.result import Figure
+from mirror.evaluation.scorers.inputs import Inputs
+from mirror.evaluation.views.plan import Plan
+from mirror.evaluation.views.view import View
+
+Values: TypeAlias = Mapping[str, float | int | str | None]
+"""What a job found: a metric's name to its value; ``<name>.reason`` says why it is NaN."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One piece of work.
+
+    Attributes:
+        name: within the evaluation.
+        views: that it is about; the first one's keys stand in the table of images.
+        reads: files of the submission that it reads.
+        truth: whether it reads the recorded picture of its views.
+        tabled: whether it is a row of the table of images.
+    """
+
+    name: str
+    views: tuple[View, ...]
+    reads: tuple[str, ...]
+    truth: bool = True
+    tabled: bool = True
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A job and what it found."""
+
+    job: Job
+    values: Values
+
+
+class Scorer(Protocol):
+    """Scores one task."""
+
+    version: int
+    """Counted up when values change: what was scored before is scored again."""
+
+    def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
+        """Names of the weights that each metric needs; a metric that needs none may be left out."""
+
+    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+        """The work to do, in an order in which neighbours share what they read."""
+
+    def score(self, job: Job, inputs: Inputs) -> Values:
+        """Do one job; called in a worker process."""
+
+    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+        """What it comes to."""

@@ -1,0 +1,213 @@
+"""Scores jobs in processes of their own; what an earlier run scored is taken from its log, by hash of what is read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from mirror.errors import DatasetError, MirrorError
+from mirror.evaluation.scorers import scorer_of
+from mirror.evaluation.scorers.inputs import Inputs
+from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.version import __version__
+
+_CHUNK: Final = 8
+_ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of all jobs.
+
+    Attributes:
+        scored: jobs that were scored, in their order.
+        failed: why the others were not, by name.
+        reused: how many were taken from the log.
+    """
+
+    scored: tuple[Scored, ...]
+    failed: dict[str, str]
+    reused: int
+
+
+@dataclass(frozen=True)
+class _Done:
+    name: str
+    key: str
+    values: Values | None
+    error: str | None
+    reused: bool
+
+
+class Log:
+    """What was scored, one line a job, in a file that only grows: an interrupted run goes on where it stopped.
+
+    Args:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.known: dict[str, tuple[str, dict[str, Any]]] = {}
+        if path.is_file():
+            for line in path.read_bytes().splitlines():
+                try:
+                    row = json.loads(line)
+                    self.known[row["name"]] = (row["key"], row["values"])
+                except (ValueError, KeyError, TypeError):
+                    # The line that an interruption cut.
+                    continue
+
+    def add(self, name: str, key: str, values: Values) -> None:
+        """Append a line."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        line = json.dumps({"name": name, "key": key, "values": dict(values)}) + "\n"
+        with self._path.open("ab") as file:
+            # Begun anew if the last line was cut.
+            file.write(line.encode() if _ends_whole(self._path) else b"\n" + line.encode())
+
+
+def score_jobs(
+    jobs: Sequence[Job],
+    inputs: Inputs,
+    log: Log,
+    *,
+    workers: int,
+    advance: Callable[[int], None] = lambda _: None,
+) -> Outcome:
+    """Score all jobs.
+
+    Args:
+        jobs: what to do.
+        inputs: what they read.
+        log: of this and earlier runs.
+        workers: processes; 1: this one.
+        advance: told of each job that is done.
+
+    Raises:
+        DatasetError: the truth cannot be read, or a worker process died.
+    """
+    found: dict[str, _Done] = {}
+    for done in _run(jobs, inputs, log, workers):
+        for one in done:
+            found[one.name] = one
+            if one.values is not None and not one.reused:
+                log.add(one.name, one.key, one.values)
+        advance(len(done))
+    scored = tuple(Scored(job, values) for job in jobs if (values := found[job.name].values) is not None)
+    failed = {name: one.error for name, one in found.items() if one.error is not None}
+    return Outcome(scored, failed, sum(one.reused for one in found.values()))
+
+
+def job_key(job: Job, inputs: Inputs) -> str:
+    """A hash of everything that decides what a job finds."""
+    protocol = inputs.protocol
+    parts = [
+        __version__,
+        protocol.hash,
+        scorer_of(protocol.task).version,
+        inputs.extractor,
+        sorted(inputs.unavailable),
+        [part.model_dump() for part in inputs.manifest.appearance.held_out_pixels],
+        sorted((name, str(path)) for name, path in inputs.resolver.paths.items()),
+        [view.model_dump(mode="json") for view in job.views],
+        [inputs.layers.get(view.traversal_id, ()) for view in job.views],
+        [inputs.fingerprint(path) for path in job.reads],
+        [inputs.truth.identity(view) for view in job.views] if job.truth else [],
+    ]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _run(jobs: Sequence[Job], inputs: Inputs, log: Log, workers: int) -> Iterator[list[_Done]]:
+    chunks = [jobs[start : start + _CHUNK] for start in range(0, len(jobs), _CHUNK)]
+    asked = [(chunk, {job.name: log.known[job.name] for job in chunk if job.name in log.known}) for chunk in chunks]
+    if workers == 1 or len(chunks) < 2:
+        for chunk, known in asked:
+            yield _do(chunk, known, inputs)
+        return
+    # A forked child that enters a parallel numba kernel after its parent did dies.
+    context = multiprocessing.get_context("spawn")
+    with _one_thread_each(), ProcessPoolExecutor(workers, context, _begin, (inputs,)) as pool:
+        waiting: set[Future[list[_Done]]] = set()
+        try:
+            for chunk, known in asked:
+                waiting.add(pool.submit(_do_here, chunk, known))
+                if len(waiting) >= 2 * workers:
+                    ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                    yield from (future.result() for future in ready)
+            while waiting:
+                ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                yield from (future.result() for future in ready)
+        except BrokenProcessPool as error:
+            raise DatasetError(
+                "a worker process died, as it does when memory runs out",
+                file=inputs.submission,
+                remedy="run the same command again: it goes on where it stopped; --workers 1 needs least memory",
+            ) from error
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+_inputs: list[Inputs] = []
+
+
+def _begin(inputs: Inputs) -> None:
+    import cv2
+
+    cv2.setNumThreads(1)
+    _inputs[:] = [inputs]
+
+
+def _do_here(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]]) -> list[_Done]:
+    return _do(jobs, known, _inputs[0])
+
+
+def _do(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]], inputs: Inputs) -> list[_Done]:
+    scorer = scorer_of(inputs.protocol.task)
+    done = []
+    for job in jobs:
+        try:
+            key = job_key(job, inputs)
+            if job.name in known and known[job.name][0] == key:
+                done.append(_Done(job.name, key, known[job.name][1], None, reused=True))
+            else:
+                done.append(_Done(job.name, key, scorer.score(job, inputs), None, reused=False))
+        except DatasetError:
+            raise
+        except MirrorError as error:
+            done.append(_Done(job.name, "", None, str(error), reused=False))
+    return done
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes that are started within have one thread a library: there are as many processes as cores."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _ends_whole(path: Path) -> bool:
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        if not size:
+            return True
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"

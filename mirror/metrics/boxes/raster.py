@@ -33,28 +33,11 @@ def polygon_mask(polygon_px: npt.ArrayLike, width_px: int, height_px: int) -> Bo
     if width_px < 0 or height_px < 0:
         raise UsageError(f"raster of {width_px} x {height_px} pixels", expected="a size that is not negative")
     mask = np.zeros((height_px, width_px), dtype=np.bool_)
-    if len(polygon) < 3 or not mask.size:
+    if len(polygon) < 3:
         return mask
-    following = np.roll(polygon, -1, axis=0)
-    # Every side from its upper end to its lower one, so that two polygons compute the same crossing of a shared side.
-    falls = (following[:, 1] >= polygon[:, 1])[:, None]
-    upper, lower = np.where(falls, polygon, following), np.where(falls, following, polygon)
-    first, last = (np.ceil(np.clip(end[:, 1] - 0.5, 0, height_px)).astype(np.int64) for end in (upper, lower))
-    count = last - first
-    side = np.repeat(np.arange(len(polygon)), count)
-    if not len(side):
-        return mask
-    row = np.arange(len(side)) - np.repeat(np.cumsum(count) - count, count) + first[side]
-    start, end = upper[side], lower[side]
-    share = (row + 0.5 - start[:, 1]) / (end[:, 1] - start[:, 1])
-    crossing = start[:, 0] + share * (end[:, 0] - start[:, 0])
-    column = np.ceil(np.clip(crossing - 0.5, 0, width_px)).astype(np.int64)
-    top, bottom, left, right = row.min(), row.max() + 1, column.min(), column.max()
-    # Each crossing turns the rest of its row over.
-    turns = np.zeros((bottom - top, right - left + 1), dtype=np.uint8)
-    np.bitwise_xor.at(turns, (row - top, column - left), 1)
-    np.bitwise_xor.accumulate(turns, axis=1, out=turns)
-    mask[top:bottom, left:right] = turns[:, :-1]
+    from mirror.metrics.boxes.raster_kernels import fill
+
+    fill(mask, np.ascontiguousarray(polygon))
     return mask
 
 

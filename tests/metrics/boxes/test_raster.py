@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from mirror.errors import UsageError
 from mirror.geometry import convex_hull
 from mirror.metrics.boxes import clip_to_picture, polygon_area, polygon_mask, visible_share
+from tests.metrics.boxes.reference import CAR
 
 BOX = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-# A car's outline: the hull of a projected box, six corners.
-CAR = np.array([[0.0, 0.18], [0.31, 0.0], [1.0, 0.07], [0.98, 0.79], [0.62, 1.0], [0.03, 0.86]])
 
 
 def mask_by_fractions(polygon: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
+from mirror.arrays import Float64
 from mirror.metrics.detection import DetectionBoxes, DetectionConfig
 
-STEPS = [step / 100 for step in range(101)]
+Row = dict[str, Any]
 
 
-def rows(boxes: DetectionBoxes) -> list[dict]:
+def rows(boxes: DetectionBoxes) -> list[Row]:
     return [
         {
             "sample": boxes.sample[row],
@@ -27,7 +29,7 @@ def rows(boxes: DetectionBoxes) -> list[dict]:
     ]
 
 
-def length(vector: np.ndarray) -> float:
+def length(vector: Float64) -> float:
     return float(np.linalg.norm(vector))
 
 
@@ -36,7 +38,7 @@ def heading_error(first: float, second: float, period: float) -> float:
     return abs(difference - 2 * math.pi if difference > math.pi else difference)
 
 
-def laid_on_each_other(first: np.ndarray, second: np.ndarray) -> float:
+def laid_on_each_other(first: Float64, second: Float64) -> float:
     shared = float(np.prod([min(a, b) for a, b in zip(first, second)]))
     return shared / (float(np.prod(first)) + float(np.prod(second)) - shared)
 
@@ -52,11 +54,11 @@ def mean_so_far(values: list[float]) -> list[float]:
     return means
 
 
-def curve(truth: list[dict], predictions: list[dict], category: str, threshold: float, half_turn: bool) -> dict:
+def curve(truth: list[Row], predictions: list[Row], category: str, threshold: float, half_turn: bool) -> dict[str, Any]:
     """Precision, confidence and errors at 101 recalls."""
     names = ("trans_err", "scale_err", "orient_err", "vel_err", "attr_err")
     nothing = {"precision": np.zeros(101), "confidence": np.zeros(101), **{name: np.ones(101) for name in names}}
-    by_sample: dict = {}
+    by_sample: dict[Any, list[Row]] = {}
     for box in truth:
         if box["category"] == category:
             by_sample.setdefault(box["sample"], []).append(box)
@@ -106,10 +108,12 @@ def curve(truth: list[dict], predictions: list[dict], category: str, threshold: 
     return result
 
 
-def evaluate(truth: DetectionBoxes, predictions: DetectionBoxes, config: DetectionConfig) -> dict:
+def evaluate(truth: DetectionBoxes, predictions: DetectionBoxes, config: DetectionConfig) -> dict[str, Any]:
     true_rows, found_rows = rows(truth), rows(predictions)
     names = ("trans_err", "scale_err", "orient_err", "vel_err", "attr_err")
-    curves, aps, errors = {}, {}, {}
+    curves: dict[tuple[str, float], dict[str, Any]] = {}
+    aps: dict[str, list[float]] = {}
+    errors: dict[str, list[float]] = {}
     first = round(100 * config.min_recall) + 1
     for category in config.class_range:
         aps[category], errors[category] = [], []

@@ -23,57 +23,7 @@ from mirror.metrics.detection import (
     nuscenes_detection,
 )
 from tests.metrics.detection.reference import evaluate
-
-CLASSES = list(DETECTION_CVPR_2019.class_range)
-ATTRIBUTES = np.array(["", "vehicle.moving", "vehicle.parked"])
-
-
-def boxes(sample, category, centre, *, lwh=None, yaw=None, velocity=None, attribute=None, score=None) -> DetectionBoxes:
-    count = len(sample)
-    return DetectionBoxes(
-        np.asarray(sample),
-        np.asarray(category),
-        np.asarray(centre, dtype=float),
-        np.tile([4.0, 2.0, 1.5], (count, 1)) if lwh is None else lwh,
-        np.zeros(count) if yaw is None else np.asarray(yaw),
-        np.zeros((count, 2)) if velocity is None else np.asarray(velocity),
-        np.full(count, "") if attribute is None else np.asarray(attribute),
-        np.zeros(count) if score is None else np.asarray(score),
-    )
-
-
-def random_scene(
-    samples: int, per_sample: int, predicted: int, seed: int = 0, classes: list[str] = CLASSES, ties: bool = True
-) -> tuple[DetectionBoxes, DetectionBoxes]:
-    """True boxes, and predictions scattered around them, with ties of scores and what is not known."""
-    generator = np.random.default_rng(seed)
-
-    def some(count: int, centre: np.ndarray, category: np.ndarray, score: np.ndarray) -> dict:
-        velocity = generator.normal(size=(count, 2))
-        velocity[generator.random(count) < 0.1] = np.nan
-        return {
-            "lwh": np.exp(generator.normal(size=(count, 3)) * 0.3 + 0.7),
-            "yaw": generator.uniform(-np.pi, np.pi, count),
-            "velocity": velocity,
-            "attribute": generator.choice(ATTRIBUTES, count),
-            "score": score,
-        }
-
-    count = samples * per_sample
-    sample = np.repeat([f"s{number}" for number in range(samples)], per_sample)
-    centre = generator.uniform(-20, 20, (count, 3))
-    category = generator.choice(classes, count)
-    truth = boxes(sample, category, centre, **some(count, centre, category, np.zeros(count)))
-    of = generator.integers(0, per_sample, (samples, predicted)) + per_sample * np.arange(samples)[:, None]
-    of = of.ravel()
-    score = generator.random(len(of))
-    found = centre[of] + generator.normal(size=(len(of), 3)) * generator.choice([0.1, 0.6, 3.0], (len(of), 1))
-    if ties:
-        score = np.round(score, 2)
-        # Equally far from one box on either side.
-        found = np.round(found, 1)
-    kind = np.where(generator.random(len(of)) < 0.9, category[of], generator.choice(classes, len(of)))
-    return truth, boxes(sample[of], kind, found, **some(len(of), found, kind, score))
+from tests.metrics.detection.scenes import ATTRIBUTES, CLASSES, boxes, random_scene
 
 
 def require_same_bits(ours: NuScenesDetection, truth: DetectionBoxes, predictions: DetectionBoxes) -> None:

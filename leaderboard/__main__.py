@@ -1,0 +1,81 @@
+"""``python -m leaderboard build|add ...``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import tyro
+
+from mirror.errors import ExitCode, MirrorError, UsageError
+
+FOLDER: Final = Path(__file__).parent
+"""Holds ``entries`` and ``pictures``."""
+
+
+@dataclass(frozen=True)
+class Build:
+    """Write the static site: open its index.html, no server is needed."""
+
+    out: Path = Path("site")
+    """Folder of the site."""
+    board: Path = FOLDER
+    """Folder that holds `entries` and `pictures`."""
+
+
+@dataclass(frozen=True)
+class Add:
+    """Put a result on the board, after holding it against its hashes, the protocol and what is possible."""
+
+    result: tyro.conf.Positional[Path]
+    """`result.json` of `mirror evaluate`."""
+    dataset: str
+    """What the data set is called on the board."""
+    setting: str | None = None
+    """What tells this row from others of the same method and version."""
+    submission: Path | None = None
+    """The submission: some of its renders are shown beside the truth. Needs --truth."""
+    truth: Path | None = None
+    """The dataset that it was scored against."""
+    board: Path = FOLDER
+    """Folder that holds `entries` and `pictures`."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run one of the commands."""
+    commands = {"build": _build, "add": _add}
+    if not argv or argv[0] not in commands:
+        print("usage: python -m leaderboard build|add [options]\n\n  build  write the static site")
+        print("  add    put a result.json on the board\n\n`--help` after either explains it.")
+        return ExitCode.DONE if argv and argv[0] in ("-h", "--help") else ExitCode.COULD_NOT_RUN
+    try:
+        return commands[argv[0]](argv[1:])
+    except MirrorError as error:
+        print(f"leaderboard {argv[0]}: {error}", file=sys.stderr)
+        return ExitCode.FINDINGS if type(error).__name__ == "RefusedError" else ExitCode.COULD_NOT_RUN
+
+
+def _build(argv: Sequence[str]) -> int:
+    arguments = tyro.cli(Build, args=list(argv), prog="python -m leaderboard build")
+    from leaderboard.site.page import build
+
+    print(f"site: {build(arguments.board, arguments.out)}")
+    return ExitCode.DONE
+
+
+def _add(argv: Sequence[str]) -> int:
+    arguments = tyro.cli(Add, args=list(argv), prog="python -m leaderboard add")
+    if (arguments.submission is None) != (arguments.truth is None):
+        raise UsageError("--submission and --truth go together", expected="both, or neither")
+    from leaderboard.add import add_result
+
+    entry = add_result(arguments.result, arguments.board, arguments.dataset, setting=arguments.setting)
+    print(f"entry: {entry}")
+    return ExitCode.DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,81 @@
+"""The figures that the board knows: what each is called, which way is better, and what it can be at all."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One kind of figure.
+
+    Attributes:
+        title: head of its column.
+        about: one line for those who do not know it.
+        better: which way.
+        digits: after the point.
+        low: least value that it can have.
+        high: greatest value that it can have.
+        unit: shown in the head.
+        scale: what values are multiplied by where they are shown.
+    """
+
+    title: str
+    about: str
+    better: Literal["higher", "lower"]
+    digits: int
+    low: float = 0.0
+    high: float = math.inf
+    unit: str = ""
+    scale: float = 1.0
+
+    def shown(self, value: float) -> str:
+        """The value as a table shows it."""
+        return f"{value * self.scale:.{self.digits}f}"
+
+    @property
+    def head(self) -> str:
+        """Title and unit."""
+        return f"{self.title} ({self.unit})" if self.unit else self.title
+
+    @property
+    def arrow(self) -> str:
+        """Which way is better."""
+        return "↑" if self.better == "higher" else "↓"
+
+
+MEASURES: Final = {
+    "psnr": Measure("PSNR", "peak signal-to-noise ratio of the scored pixels", "higher", 2, unit="dB"),
+    "psnr_cc": Measure("PSNR*", "PSNR after MTGS's quadratic colour correction", "higher", 2, unit="dB"),
+    "ssim": Measure("SSIM", "structural similarity", "higher", 3, low=-1.0, high=1.0),
+    "lpips": Measure("LPIPS", "learned perceptual distance, network not stated", "lower", 3),
+    "lpips_alex": Measure("LPIPS alex", "learned perceptual distance, AlexNet", "lower", 3),
+    "lpips_vgg": Measure("LPIPS vgg", "learned perceptual distance, VGG", "lower", 3),
+    "lpips_squeeze": Measure("LPIPS squeeze", "learned perceptual distance, SqueezeNet", "lower", 3),
+    "st_lpips": Measure("ST-LPIPS", "shift-tolerant learned perceptual distance", "lower", 3),
+    "fid": Measure("FID", "Fréchet distance of Inception features", "lower", 2),
+    "kid": Measure(
+        "KID", "kernel distance of Inception features, unbiased", "lower", 2, low=-1.0, unit="10⁻³", scale=1e3
+    ),
+    "fvd": Measure("FVD", "Fréchet distance of I3D features of clips", "lower", 2),
+    "edit_iou": Measure("IoU", "edited region with its target box, variant not stated", "higher", 2, high=1.0),
+    "edit_iou_hull": Measure("IoU hull", "edited mask with the target box's convex hull", "higher", 3, high=1.0),
+    "edit_iou_box": Measure("IoU box", "tight rectangles of both", "higher", 3, high=1.0),
+    "edit_iou_ceiling": Measure(
+        "IoU of ceiling", "share of the best that an exact mask reaches", "higher", 3, high=1.0
+    ),
+    "mean_ap": Measure("mAP", "average precision over classes and distances (nuScenes)", "higher", 3, high=1.0),
+    "nds": Measure("NDS", "nuScenes detection score", "higher", 3, high=1.0),
+    "mate_m": Measure("mATE", "translation error of true positives", "lower", 3, unit="m"),
+    "mase": Measure("mASE", "scale error of true positives", "lower", 3, high=1.0),
+    "maoe_rad": Measure("mAOE", "orientation error of true positives", "lower", 3, unit="rad"),
+    "mave_mps": Measure("mAVE", "velocity error of true positives", "lower", 3, unit="m/s"),
+    "maae": Measure("mAAE", "attribute error of true positives", "lower", 3, high=1.0),
+    "frames_per_second": Measure("Rendering", "pictures a second", "higher", 1, unit="FPS"),
+    "mvs_frames_per_second": Measure("MVS initialisation", "pictures a second, 1280 × 960", "higher", 1, unit="FPS"),
+    "model_bytes_per_100m": Measure("Model", "size of the static model", "lower", 1, unit="MB / 100 m", scale=1e-6),
+    "training_s": Measure("Training", "time", "lower", 2, unit="h", scale=1 / 3600),
+    "peak_memory_bytes": Measure("Peak memory", "while rendering", "lower", 2, unit="GB", scale=1e-9),
+}

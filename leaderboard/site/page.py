@@ -1,0 +1,118 @@
+"""The page: boards by protocol, plots, sliders, and how to submit; nothing is loaded from elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import shutil
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib.resources import files
+from itertools import groupby
+from pathlib import Path
+from typing import Final
+
+from leaderboard.boards import Board, boards_of
+from leaderboard.entry import Entry, Measured, load_entries
+from leaderboard.site.guide import GUIDE
+from leaderboard.site.plot import time_quality_plot
+from leaderboard.site.slider import PICTURES, board_slider, picture_files
+from leaderboard.site.tables import board_table
+from mirror.errors import DatasetError
+from mirror.evaluation.protocol import load_protocol
+from mirror.schema.files import unwritable, write_bytes
+from mirror.version import __version__
+
+_TITLE: Final = "MIRROR leaderboard"
+_KINDS: Final = (
+    '<p><span class="tag measured">measured</span> was scored here; the hashes name the result, the protocol and the '
+    'data. <span class="tag reported">reported</span> is what a paper prints, by its authors’ own evaluation: it is '
+    'never ranked with measured figures. <span class="tag floor">floor</span> shows nothing but what was recorded: '
+    "what every method must beat. "
+    "<b>Bold</b> is best of a table; small figures are 95 % confidence intervals.</p>"
+)
+
+
+def build_site(entries: Sequence[Entry], pictures: Path, out: Path) -> Path:
+    """Write the site.
+
+    Args:
+        entries: what stands on the board.
+        pictures: folder of the pictures that entries name.
+        out: folder of the site; its page and pictures are replaced, other files are left alone.
+
+    Returns:
+        The page.
+
+    Raises:
+        DatasetError: a picture is missing, or the folder cannot be written.
+    """
+    boards = boards_of(entries)
+    _copy_pictures(picture_files(boards), pictures, out / PICTURES)
+    page = out / "index.html"
+    write_bytes(page, _page(boards, entries).encode())
+    return page
+
+
+def _page(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
+    style = (
+        files("mirror.view").joinpath("report.css").read_text()
+        + files("leaderboard.site").joinpath("site.css").read_text()
+    )
+    script = files("leaderboard.site").joinpath("site.js").read_text()
+    policy = (
+        f"default-src 'none'; img-src 'self' file:; style-src '{_source_hash(style)}'; "
+        f"script-src '{_source_hash(script)}'; base-uri 'none'; form-action 'none'"
+    )
+    sections = [(protocol, list(own)) for protocol, own in groupby(boards, key=lambda board: board.protocol)]
+    links = "".join(f'<li><a href="#{escape(protocol)}">{escape(protocol)}</a></li>' for protocol, _ in sections)
+    measured = sum(isinstance(entry, Measured) for entry in entries)
+    counts = f"{len(entries)} entries, {measured} of them measured, in {len(boards)} tables."
+    body = (
+        f'<main><header><h1>{_TITLE}</h1><p class="dim">{counts}</p>{_KINDS}<nav aria-label="Protocols"><ul>{links}'
+        '<li><a href="#submit">how to submit</a></li></ul></nav></header>'
+        f"{''.join(_section(protocol, own, entries) for protocol, own in sections)}{GUIDE}"
+        f"<footer>Made by mirror {escape(__version__)}; one file and its pictures, no server.</footer></main>"
+    )
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}"><title>{_TITLE}</title>'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        '<meta name="color-scheme" content="light dark">'
+        f"<style>{style}</style></head><body>{body}<script>{script}</script></body></html>\n"
+    )
+
+
+def _section(protocol: str, boards: Sequence[Board], entries: Sequence[Entry]) -> str:
+    about = " ".join(load_protocol(protocol).description.split())
+    tables = "".join(f"{_heading(board)}{board_table(board)}{board_slider(board)}" for board in boards)
+    return (
+        f'<section id="{escape(protocol)}"><h2>{escape(protocol)}</h2>'
+        f"<details><summary>What is scored, and how</summary><p>{escape(about)}</p></details>"
+        f"{tables}{time_quality_plot(boards, entries)}</section>"
+    )
+
+
+def _heading(board: Board) -> str:
+    split = f"<small>split {escape(board.split)}</small>" if board.split else ""
+    return f'<h3 id="{board.id}">{escape(board.title)}{split}</h3>'
+
+
+def _copy_pictures(names: Iterable[str], source: Path, out: Path) -> None:
+    for name in names:
+        if not (source / name).is_file():
+            raise DatasetError("missing", file=source / name, expected="a picture that an entry names")
+        try:
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source / name, out / name)
+        except OSError as error:
+            raise unwritable(out / name, error) from error
+
+
+def _source_hash(text: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
+
+
+def build(folder: Path, out: Path) -> Path:
+    """Build the site of a folder that holds ``entries`` and ``pictures``; see `build_site` and `load_entries`."""
+    return build_site(load_entries(folder / "entries"), folder / PICTURES, out)

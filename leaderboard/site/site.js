@@ -1,0 +1,49 @@
+"use strict";
+for (const table of document.querySelectorAll("table.board")) {
+  const heads = [...table.querySelectorAll("thead th")].filter((head) => head.querySelector("button"));
+  const body = table.tBodies[0];
+  heads.forEach((head, column) => {
+    head.querySelector("button").addEventListener("click", () => {
+      const was = head.getAttribute("aria-sort");
+      const first = head.dataset.better === "higher" ? "descending" : "ascending";
+      const now = was === null ? first : was === "ascending" ? "descending" : "ascending";
+      for (const other of heads) other.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", now);
+      const value = (row) => {
+        const data = row.cells[column].dataset.value;
+        if (data === undefined) return null;
+        return head.classList.contains("n") ? Number(data) : data;
+      };
+      const sign = now === "ascending" ? 1 : -1;
+      const rows = [...body.rows].sort((a, b) => {
+        const x = value(a), y = value(b);
+        // What has no value is last, whichever way.
+        if (x === null || y === null) return (x === null) - (y === null);
+        return x < y ? -sign : x > y ? sign : 0;
+      });
+      body.append(...rows);
+    });
+  });
+}
+for (const slider of document.querySelectorAll(".slider")) {
+  const views = JSON.parse(slider.querySelector("script").textContent);
+  const [view, left, right] = slider.querySelectorAll("select");
+  const stage = slider.querySelector(".stage"), range = slider.querySelector("input");
+  const show = (select, side) => {
+    const image = stage.querySelector("img." + side);
+    image.src = views[view.selectedIndex].pictures[select.value];
+    image.alt = select.value + ": " + views[view.selectedIndex].view;
+    stage.querySelector(".name." + side).textContent = select.value;
+  };
+  const fill = (select, fallback) => {
+    const names = Object.keys(views[view.selectedIndex].pictures), was = select.value;
+    select.replaceChildren(...names.map((name) => new Option(name)));
+    select.value = names.includes(was) ? was : names[Math.min(fallback, names.length - 1)];
+  };
+  const update = () => { fill(left, 0); fill(right, 1); show(left, "left"); show(right, "right"); };
+  view.addEventListener("change", update);
+  left.addEventListener("change", () => show(left, "left"));
+  right.addEventListener("change", () => show(right, "right"));
+  range.addEventListener("input", () => stage.style.setProperty("--at", range.value + "%"));
+  update();
+}

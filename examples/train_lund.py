@@ -12,7 +12,7 @@ from hybridworldsim.rasterizer import rasterization  # the line that a gsplat us
 torch.manual_seed(0)
 steps, photos = 3000, load(Path(sys.argv[1]), width=512)
 splats, optimizers, decay = start(photos, steps)
-strategy = DefaultStrategy(refine_start_iter=150, refine_every=50, refine_stop_iter=2000)
+strategy = DefaultStrategy(refine_start_iter=200, refine_stop_iter=1000)
 strategy.check_sanity(splats, optimizers)
 state = strategy.initialize_state(scene_scale=0.1 * photos.extent)  # a street is longer than what stands in it
 

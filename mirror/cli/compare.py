@@ -45,9 +45,10 @@ def main(argv: Sequence[str]) -> int:
     for other in others:
         table = Table(title=escape(f"{other.name} against {first.submission.method.name}"))
         for name in ("group", "metric"):
-            table.add_column(name)
+            table.add_column(name, no_wrap=True)
         for name in (first.submission.method.name, other.name, "difference", "interval", "p", "n", "better"):
             table.add_column(escape(name), justify="right")
+        reasons: dict[str, int] = {}
         for row in other.rows:
             interval = "" if row.low is None or row.high is None else f"{row.low:+.4f} to {row.high:+.4f}"
             better = {"first": first.submission.method.name, "other": other.name}.get(row.better or "", "")
@@ -59,9 +60,11 @@ def main(argv: Sequence[str]) -> int:
                 interval,
                 _number(row.p_value),
                 str(row.n or ""),
-                escape(better) or escape(row.reason or ""),
+                escape(better) or (f"\\[{reasons.setdefault(row.reason, len(reasons) + 1)}]" if row.reason else ""),
             )
         console.print(table)
+        for reason, number in reasons.items():
+            console.print(f"\\[{number}] {escape(reason)}", soft_wrap=True)
     return ExitCode.DONE
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,11 +12,11 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.figures import mean_weights, spread_of
+from mirror.evaluation.figures import LEAST_BLOCKS, TOO_FEW_BLOCKS, blocks_of, mean_weights, spread_of
 from mirror.evaluation.result import IMAGES, Figure, Result, finite
 from mirror.evaluation.run import read_result
 from mirror.evaluation.views.view import View
-from mirror.metrics.images.bootstrap import frame_blocks, paired_difference
+from mirror.metrics.images.bootstrap import paired_difference
 
 _KEYS: Final = ("scene_id", "traversal_id", "frame_index", "camera", "light", "weather")
 
@@ -37,7 +37,7 @@ class Comparison:
         p_value: of flipping the signs of blocks of frames, two-sided.
         n: pictures that were compared.
         reason: why there is no interval or p-value.
-        better: ``first``, ``other``, or None: the interval holds 0, or there is none.
+        better: ``first``, ``other``, or None: the interval holds 0, or the p-value says that it may be chance.
     """
 
     metric: str
@@ -144,9 +144,10 @@ def _one(
     weights = mean_weights(views, result.protocol.averaging)
     spread = spread_of(changes, weights)
     options = result.protocol.intervals
-    blocks = frame_blocks(
-        [view.traversal_id for view in views], [view.frame_index for view in views], options.block_frames
-    )
+    blocks = blocks_of(result.protocol, views)
+    difference = math.fsum(weights * changes)
+    if len(np.unique(blocks)) < LEAST_BLOCKS:
+        return replace(_alone(first, other, TOO_FEW_BLOCKS), difference=difference, n=len(paths))
     found = paired_difference(
         spread,
         np.zeros_like(spread),
@@ -157,14 +158,15 @@ def _one(
     )
     interval = found.interval
     better = None
-    if first.better != "none" and (interval.low > 0.0 or interval.high < 0.0):
+    sure = found.p_value <= 1.0 - options.level
+    if first.better != "none" and sure and (interval.low > 0.0 or interval.high < 0.0):
         better = "other" if (interval.low > 0.0) == (first.better == "higher") else "first"
     return Comparison(
         metric=name,
         group=first.group,
         first=first.value,
         other=other.value,
-        difference=math.fsum(weights * changes),
+        difference=difference,
         low=finite(interval.low),
         high=finite(interval.high),
         p_value=finite(found.p_value),

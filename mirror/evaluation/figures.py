@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from mirror.arrays import Float64
+from mirror.arrays import Float64, Int64
 from mirror.evaluation.protocol import Protocol
 from mirror.evaluation.result import Figure, Level, finite
 from mirror.evaluation.views.view import View
@@ -26,8 +26,8 @@ _PARTS: Final[Mapping[Level, Callable[[View], str]]] = {
     "condition": lambda view: f"{view.light}, {view.weather}",
 }
 
-_LEAST_BLOCKS: Final = 5
-_TOO_FEW: Final = f"fewer than {_LEAST_BLOCKS} blocks of frames: an interval would say more than is known"
+LEAST_BLOCKS: Final = 5
+TOO_FEW_BLOCKS: Final = f"fewer than {LEAST_BLOCKS} blocks of frames: an interval would say more than is known"
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,12 @@ def spread_of(values: Float64, weights: Float64) -> Float64:
     return np.asarray(mean + len(values) * weights * (values - mean))
 
 
+def blocks_of(protocol: Protocol, views: Sequence[View]) -> Int64:
+    """The block (N,) of consecutive frames that each view is resampled with."""
+    traversals, frames = [view.traversal_id for view in views], [view.frame_index for view in views]
+    return frame_blocks(traversals, frames, protocol.intervals.block_frames)
+
+
 def weighted_interval(
     protocol: Protocol, views: Sequence[View], values: Float64, weights: Float64
 ) -> tuple[float, Interval]:
@@ -108,11 +114,9 @@ def weighted_interval(
     mean = math.fsum(weights * values)
     spread = spread_of(values, weights)
     options = protocol.intervals
-    blocks = frame_blocks(
-        [view.traversal_id for view in views], [view.frame_index for view in views], options.block_frames
-    )
-    if len(np.unique(blocks)) < _LEAST_BLOCKS:
-        return mean, Interval(mean, math.nan, math.nan, len(values), 0, len(np.unique(blocks)), _TOO_FEW)
+    blocks = blocks_of(protocol, views)
+    if len(np.unique(blocks)) < LEAST_BLOCKS:
+        return mean, Interval(mean, math.nan, math.nan, len(values), 0, len(np.unique(blocks)), TOO_FEW_BLOCKS)
     interval = mean_interval(spread, blocks, confidence=options.level, resamples=options.resamples, seed=options.seed)
     return mean, interval
 

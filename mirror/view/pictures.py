@@ -13,7 +13,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from mirror.arrays import Float64
+from mirror.arrays import Float64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.geometry.box_projection import project_boxes
@@ -173,7 +173,17 @@ def _figure(picture: str, overlay: str, caption: str, area: str) -> str:
 
 
 def _inlined(frame: Frame, camera: str, width_px: int) -> str:
-    picture = frame.images[camera].decode()
+    return inlined_picture(frame.images[camera].decode(), camera, width_px)
+
+
+def inlined_picture(picture: UInt8, alt: str, width_px: int) -> str:
+    """An ``img`` that holds its picture.
+
+    Args:
+        picture: (H, W, 3), RGB.
+        alt: what it shows, in words.
+        width_px: wider pictures are scaled down.
+    """
     height, width = picture.shape[:2]
     if width > width_px:
         size = (width_px, round(height * width_px / width))
@@ -181,7 +191,7 @@ def _inlined(frame: Frame, camera: str, width_px: int) -> str:
     encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
     data = base64.b64encode(encoded.tobytes()).decode()
     size_text = f'width="{picture.shape[1]}" height="{picture.shape[0]}"'
-    return f'<img alt="{escape(camera)}" {size_text} src="data:image/jpeg;base64,{data}">'
+    return f'<img alt="{escape(alt)}" {size_text} src="data:image/jpeg;base64,{data}">'
 
 
 def _overlay(frame: Frame, camera: str) -> str:

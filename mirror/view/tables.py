@@ -34,7 +34,7 @@ def traversal_table(traversals: Sequence[Mapping[str, Any]]) -> str:
         )
         for one in traversals
     ]
-    return _table(head, rows)
+    return html_table(head, rows)
 
 
 def split_table(split: SplitDocument, traversals: Sequence[Mapping[str, Any]]) -> str:
@@ -54,7 +54,7 @@ def split_table(split: SplitDocument, traversals: Sequence[Mapping[str, Any]]) -
                 )
         rows.append((escape(scene), f'<div class="chips">{"".join(chips)}</div>'))
     note = f'<p class="dim">{escape(words)}, seed {split.seed}; frozen: traversals that come later change nothing.</p>'
-    return f"<h3>{escape(split.name)}</h3>{note}{_table(['scene', 'traversals'], rows)}"
+    return f"<h3>{escape(split.name)}</h3>{note}{html_table(['scene', 'traversals'], rows)}"
 
 
 def ledger(passes: Sequence[Mapping[str, Any]]) -> Iterable[str]:
@@ -87,12 +87,12 @@ def ledger(passes: Sequence[Mapping[str, Any]]) -> Iterable[str]:
                 f"{escape(one['entry_kind'].replace('_', ' '))}, {escape(one['exit_kind'].replace('_', ' '))}",
             )
         )
-    yield _table(head.split(","), rows)
+    yield html_table(head.split(","), rows)
     if len(refused) > _ROWS:
         yield f'<p class="dim">The first {_ROWS} of {len(refused)}; all are in index/passes.parquet.</p>'
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table that scrolls sideways where it is too wide; columns whose names begin with ``n:`` are numbers."""
     kinds = [' class="n"' if name.startswith("n:") else "" for name in head]
     heads = "".join(f"<th{kind}>{escape(name.removeprefix('n:'))}</th>" for name, kind in zip(head, kinds))

@@ -1,0 +1,175 @@
+"""A result on one page: its figures, by part too, and the worst, median and best renders beside truth and error.
+
+One HTML file with everything in it: no script, no network; readable on a phone and in dark mode.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Bool, UInt8
+from mirror.errors import UsageError
+from mirror.evaluation.result import Figure, Level, Result
+from mirror.evaluation.run import Evaluation
+from mirror.evaluation.scorers.inputs import Inputs
+from mirror.evaluation.scorers.scorer import Scored
+from mirror.evaluation.views.view import View
+from mirror.schema.files import write_bytes
+from mirror.version import __version__
+from mirror.view.pictures import inlined_picture
+from mirror.view.tables import html_table
+
+_WIDTH_PX: Final = 480
+_EACH: Final = 2
+_FULL_ERROR: Final = 64.0
+_LEVELS: Final[Sequence[tuple[Level, str]]] = (
+    ("scene", "By scene"),
+    ("traversal", "By traversal"),
+    ("camera", "By camera"),
+    ("condition", "By condition"),
+)
+
+
+def write_report(done: Evaluation, out: Path) -> None:
+    """Write the page.
+
+    Args:
+        done: an evaluation that has a result.
+        out: the HTML file; replaced whole or not at all.
+
+    Raises:
+        UsageError: the evaluation has no result.
+        DatasetError: a picture cannot be read, or the file cannot be written.
+    """
+    if done.result is None or done.inputs is None:
+        raise UsageError("nothing was scored", remedy="correct the submission's problems first")
+    result = done.result
+    title = f"{result.submission.method.name}: {result.protocol.name}"
+    parts = [
+        f"<header><h1>{escape(title)}</h1>{_about(result)}</header>",
+        "<h2>Figures</h2>",
+        _table([figure for figure in result.figures if figure.level == "group"], keyed=False),
+        *_unavailable(result),
+        *_examples(done.scored, done.inputs),
+        *_by_part(result),
+        f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
+        f"result {result.hash[:12]}.</footer>",
+    ]
+    style = "".join(
+        files(package).joinpath("report.css").read_text() for package in ("mirror.view", "mirror.evaluation")
+    )
+    page = (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        '<meta name="color-scheme" content="light dark">'
+        f"<style>{style}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
+    )
+    write_bytes(out, page.encode())
+
+
+def error_map(render: UInt8, truth: UInt8, scored: Bool) -> UInt8:
+    """Absolute differences, mean over channels, from black over red and yellow to white at 64 levels.
+
+    Args:
+        render: (H, W, 3), RGB.
+        truth: (H, W, 3).
+        scored: (H, W); other pixels are grey.
+    """
+    import cv2
+
+    difference = np.abs(render.astype(np.int16) - truth).mean(axis=2)
+    level = np.minimum(difference * (255.0 / _FULL_ERROR), 255.0).astype(np.uint8)
+    shown = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_HOT), np.uint8)[..., ::-1].copy()
+    shown[~scored] = 96
+    return shown
+
+
+def _about(result: Result) -> str:
+    submission, dataset = result.submission, result.dataset
+    lines = [
+        f"{escape(submission.method.name)} {escape(submission.method.version)}"
+        + (f", {escape(submission.method.authors)}" if submission.method.authors else ""),
+        f"split {escape(dataset.split)}, protocol version {result.protocol.version}; appearance: "
+        f"{escape(submission.appearance.policy)} {escape(submission.appearance.description)}",
+        *map(escape, result.warnings),
+    ]
+    return "".join(f'<p class="dim">{line}</p>' for line in lines)
+
+
+def _unavailable(result: Result) -> Iterable[str]:
+    for metric, how in result.unavailable.items():
+        yield f'<p class="dim"><b>{escape(metric)}</b>: unavailable: {escape(how)}</p>'
+
+
+def _table(figures: Sequence[Figure], *, keyed: bool) -> str:
+    head = ["group", *(["of"] if keyed else []), "metric", "n:value", "n:low", "n:high", "n:n", "note"]
+    rows = []
+    for figure in figures:
+        digits = 2 if figure.unit == "dB" else 4
+        numbers = ("" if value is None else f"{value:.{digits}f}" for value in (figure.low, figure.high))
+        value = "none" if figure.value is None else f"{figure.value:.{digits}f} {figure.unit}".strip()
+        notes = [figure.note, figure.reason]
+        notes += [f"{figure.n_inf} equal to the truth" if figure.n_inf else None]
+        notes += [f"{figure.n_missing} without a value" if figure.n_missing else None]
+        note = "; ".join(part for part in notes if part)
+        own = [figure.group, *([figure.key] if keyed else []), figure.metric, value, *numbers, str(figure.n), note]
+        rows.append([escape(cell) for cell in own])
+    return html_table(head, rows)
+
+
+def _by_part(result: Result) -> Iterable[str]:
+    for level, words in _LEVELS:
+        own = [figure for figure in result.figures if figure.level == level]
+        if own:
+            yield f"<h2>{words}</h2>"
+            yield _table(own, keyed=True)
+
+
+def _examples(scored: Sequence[Scored], inputs: Inputs) -> Iterable[str]:
+    """Of each group some of the worst, middle and best renders by PSNR."""
+    ranked: dict[str, list[tuple[float, Scored]]] = {}
+    for one in scored:
+        value = one.values.get("psnr")
+        if isinstance(value, float) and not math.isnan(value):
+            ranked.setdefault(one.job.views[0].group, []).append((value, one))
+    for group, own in ranked.items():
+        own.sort(key=lambda item: item[0])
+        yield f"<h2>Renders of {escape(group)}</h2>"
+        yield '<p class="dim">Render, truth, and error: white is 64 of 255 levels or more, grey is not scored.</p>'
+        for words, places in _places(len(own)).items():
+            for place in places:
+                value, one = own[place]
+                yield _triple(f"{words}: {value:.2f} dB", one.job.views[0], inputs)
+
+
+def _places(count: int) -> dict[str, range]:
+    """Which of so many sorted ones are shown, none twice."""
+    each = min(_EACH, max(count // 3, 1))
+    middle = max((count - each) // 2, 0)
+    found = {"worst": range(min(each, count))}
+    if count > 2:
+        found["median"] = range(middle, middle + each)
+    if count > 1:
+        found["best"] = range(count - each, count)
+    return found
+
+
+def _triple(words: str, view: View, inputs: Inputs) -> str:
+    render, truth, scored = inputs.render(view), inputs.truth.picture(view), inputs.scored(view)
+    pictures = (("render", render), ("truth", truth), ("error", error_map(render, truth, scored)))
+    figures = ""
+    for name, picture in pictures:
+        inlined = inlined_picture(picture, f"{name} of {view.path}", _WIDTH_PX)
+        figures += f"<figure>{inlined}<figcaption>{name}</figcaption></figure>"
+    return (
+        f'<p><b>{escape(words)}</b> <span class="dim">{escape(view.camera)}, frame {view.frame_index} of '
+        f"{escape(view.traversal_id)}, {escape(view.light)}, {escape(view.weather)}</span></p>"
+        f'<div class="triple">{figures}</div>'
+    )

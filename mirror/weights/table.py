@@ -1,0 +1,127 @@
+"""The files of weights that are known, with their hashes, sizes, sources and licences; `docs/weights.md` shows them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class WeightsFile:
+    """A published file of weights.
+
+    Attributes:
+        name: what this project calls it.
+        filename: what its publisher calls it.
+        sha256: of the file; None: no hash is published, and what is found is reported by the hash it has.
+        size: bytes; None: not known.
+        url: where it can be downloaded; None: only in packages.
+        packages: installed packages that carry it, as (package, path in it).
+        licence: of the weights, as the publisher states it.
+        purpose: the metrics that need it.
+    """
+
+    name: str
+    filename: str
+    sha256: str | None
+    size: int | None
+    licence: str
+    purpose: str
+    url: str | None = None
+    packages: tuple[tuple[str, str], ...] = ()
+
+
+def _heads(net: str, sha256: str, size: int) -> WeightsFile:
+    in_torchmetrics = f"functional/image/lpips_models/{net}.pth"
+    return WeightsFile(
+        name=f"lpips-heads-{net}",
+        filename=f"lpips_v0.1_{net}.pth",
+        sha256=sha256,
+        size=size,
+        licence="BSD-2-Clause",
+        purpose=f"lpips ({net})",
+        packages=(("lpips", f"weights/v0.1/{net}.pth"), ("torchmetrics", in_torchmetrics)),
+    )
+
+
+def _shift_tolerant(net: str, sha256: str, size: int) -> WeightsFile:
+    filename = f"{net}_shift_tolerant.pth"
+    return WeightsFile(
+        name=f"st-lpips-{net}",
+        filename=filename,
+        sha256=sha256,
+        size=size,
+        licence="BSD-2-Clause",
+        purpose=f"st_lpips ({net})",
+        packages=(("stlpips_pytorch", f"weights/vST0.0/{filename}"),),
+    )
+
+
+def _torchvision(name: str, filename: str, sha256: str, size: int | None, purpose: str) -> WeightsFile:
+    return WeightsFile(
+        name=name,
+        filename=filename,
+        sha256=sha256,
+        size=size,
+        licence="BSD-3-Clause (torchvision); trained on ImageNet",
+        purpose=purpose,
+        url=f"https://download.pytorch.org/models/{filename}",
+    )
+
+
+_FILES = (
+    _heads("alex", "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0", 6009),
+    _heads("vgg", "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868", 7289),
+    _heads("squeeze", "4a5350f23600cb79923ce65bb07cbf57dca461329894153e05a1346bd531cf76", 10811),
+    _torchvision(
+        "alexnet",
+        "alexnet-owt-7be5be79.pth",
+        "7be5be791159472b1fbf3c69796f7cb30dca7ad8466c2df70058c37116cdee02",
+        244408911,
+        "lpips (alex)",
+    ),
+    _torchvision(
+        "vgg16",
+        "vgg16-397923af.pth",
+        "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0",
+        553433881,
+        "lpips (vgg)",
+    ),
+    _torchvision(
+        "squeezenet1_1",
+        "squeezenet1_1-b8a52dc0.pth",
+        "b8a52dc049b60e4b6ab68ad0df457362afab8b6304b2febdc1650a5dab4d7e7b",
+        None,
+        "lpips (squeeze)",
+    ),
+    _shift_tolerant("alex", "b356b382f96010f77d085ee8343ecd9fd322d0a56e8de2b2d0549fafcad8b9ee", 9899296),
+    _shift_tolerant("vgg", "44597da68f49c1837c100ff52299050f274d102eb102e5837178c79be6f0e250", 58907298),
+    WeightsFile(
+        name="inception-fid",
+        filename="pt_inception-2015-12-05-6726825d.pth",
+        sha256="6726825d0af5f729cebd5821db510b11b1cfad8faad88a03f1befd49fb9129b2",
+        size=95628359,
+        licence="Apache-2.0 (pytorch-fid, ported from TensorFlow)",
+        purpose="fid, kid",
+        url="https://github.com/mseitzer/pytorch-fid/releases/download/fid_weights/pt_inception-2015-12-05-6726825d.pth",
+    ),
+    WeightsFile(
+        name="i3d-torchscript",
+        filename="i3d_torchscript.pt",
+        sha256="bec6519f66ea534e953026b4ae2c65553c17bf105611c746d904657e5860a5e2",
+        size=51235320,
+        licence="Apache-2.0 (kinetics-i3d); ported in fvd-comparison",
+        purpose="fvd",
+        url="https://www.dropbox.com/s/ge9e5ujwgetktms/i3d_torchscript.pt?dl=1",
+    ),
+    WeightsFile(
+        name="i3d-state-dict",
+        filename="i3d_pretrained_400.pt",
+        sha256=None,
+        size=None,
+        licence="Apache-2.0 (kinetics-i3d); ported in VideoGPT",
+        purpose="fvd (unpinned)",
+        url="https://github.com/songweige/TATS/raw/main/tats/fvd/i3d_pretrained_400.pt",
+    ),
+)
+
+KNOWN = {file.name: file for file in _FILES}

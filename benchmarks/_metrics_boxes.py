@@ -24,6 +24,7 @@ from tests.metrics.detection.scenes import random_scene
 PAIRS = 100_000
 CHECKED = 200
 FEWER = 500
+# Bars: 250 000 pairs a second where shapely does 49 000; 0.1 s of matching where loops over boxes take 2.99 s.
 
 
 def rows() -> Iterator[Row]:
@@ -110,7 +111,9 @@ def upright(one: Boxes, other: Boxes, truth: Float64) -> Row:
     peer = Peer("shapely, vectorised", best_ms(shapely, 1) * 10, error(shapely()))
     ours = box_iou_3d(first, lwh, second, lwh2)
     ms = best_ms(lambda: box_iou_3d(first, lwh, second, lwh2))
-    return Row("3D IoU, upright", f"{PAIRS} pairs", ms, error(ours), (peer,), bar=PAIRS / 250.0, error_bar=1e-12)
+    return Row(
+        "3D IoU, upright", f"{PAIRS} pairs", ms, error(ours), (peer,), bar=peer.ms * 49.0 / 250.0, error_bar=1e-12
+    )
 
 
 def outline(pose: Poses, lwh: Float64) -> Float64:
@@ -156,6 +159,6 @@ def matching() -> Row:
         float(differ),
         peers,
         "values",
-        bar=100.0,
+        bar=loops * 0.1 / 2.99,
         error_bar=1.0,
     )

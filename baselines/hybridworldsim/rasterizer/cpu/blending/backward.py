@@ -7,7 +7,7 @@ pair of tile and Gaussian has a line of its own, which `collect` adds up in the 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -40,7 +40,6 @@ from hybridworldsim.rasterizer.cpu.machine.vectors import (
     store,
     store_past,
     take,
-    total,
     totals,
 )
 from mirror.arrays import Float32, Float64, Int32, Int64
@@ -50,6 +49,18 @@ SUMS: Final = 8
 where s is minus the gradient to half the ellipse's form; the sums of the features' gradients follow."""
 
 _LN4: Final = 2.0 * math.log(2.0)
+
+
+@kernel(inline="always")
+def four(vectors: Float32, first: int) -> Any:
+    """Four vectors of many."""
+    at = first * LANES
+    return (
+        load(vectors, at),
+        load(vectors, at + LANES),
+        load(vectors, at + 2 * LANES),
+        load(vectors, at + 3 * LANES),
+    )
 
 
 @kernel()
@@ -99,7 +110,7 @@ def blend_tiles_backward(
         last: (T * 256,) the number in its tile of the hindmost Gaussian of a pixel.
         scratch: (BATCH * PLACED,).
         reached: (BATCH,).
-        more: (channels * LANES,).
+        more: ((line - SUMS) * LANES,), zero.
         lines: (pairs * line,) written.
         line: its length.
         absolute: whether the sums without signs are wanted.
@@ -183,9 +194,15 @@ def blend_tiles_backward(
                     if absolute:
                         abs_u = abs_u + magnitude(s_u)
                         abs_v = abs_v + magnitude(fma(s_u, f12, s_v * f22))
-                store_past(lines, to_line, totals((s0, su, sv, suu, suv, svv, abs_u, abs_v, by0, by1, by2, by3)))
-                for channel in range(4, channels):
-                    lines[to_line + SUMS + channel] = total(load(more, channel * LANES))
+                sums = (s0, su, sv, suu, suv, svv, abs_u, abs_v, by0, by1, by2, by3)
+                if channels <= 4:
+                    store_past(lines, to_line, totals(sums))
+                    continue
+                store_past(lines, to_line, totals(sums + four(more, 4)))
+                for first in range(LANES - SUMS, line - SUMS, LANES):
+                    ones = four(more, first) + four(more, first + 4)
+                    others = four(more, first + 8) + four(more, first + 12)
+                    store_past(lines, to_line + SUMS + first, totals(ones + others))
     settle()
 
 

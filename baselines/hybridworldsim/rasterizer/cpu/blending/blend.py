@@ -16,7 +16,7 @@ from hybridworldsim.rasterizer.cpu.blending.forward import BATCH, PLACED, blend_
 from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
 from hybridworldsim.rasterizer.cpu.blending.splats import Splats, splats_of
 from hybridworldsim.rasterizer.cpu.blending.tiles import Tiles, tiles_of
-from hybridworldsim.rasterizer.cpu.machine.memory import room
+from hybridworldsim.rasterizer.cpu.machine.memory import filled, room
 from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
 from hybridworldsim.rasterizer.presets import Preset
 from hybridworldsim.rasterizer.projected import Projected
@@ -243,7 +243,7 @@ def _go_back(
         blend_tiles_backward(
             numbers[row], tiles.begins, tiles.ids, tiles.turns, firsts, part.passed, part.until, splats.rows,
             splats.stride, splats.channels, canvas.tiles_x, alpha_max, light, behind, to_colours, canvas.last,
-            room(BATCH * PLACED), room(BATCH, np.int32), room(splats.channels * LANES), lines, line, absgrad,
+            room(BATCH * PLACED), room(BATCH, np.int32), filled((line - SUMS) * LANES, 0.0), lines, line, absgrad,
         )  # fmt: skip
 
     in_parallel(write, canvas.tiles_y)

@@ -10,6 +10,7 @@ from typing import Final
 
 import tyro
 
+from leaderboard.refused import RefusedError
 from mirror.errors import ExitCode, MirrorError, UsageError
 
 FOLDER: Final = Path(__file__).parent
@@ -53,9 +54,12 @@ def main(argv: Sequence[str]) -> int:
         return ExitCode.DONE if argv and argv[0] in ("-h", "--help") else ExitCode.COULD_NOT_RUN
     try:
         return commands[argv[0]](argv[1:])
+    except RefusedError as error:
+        print(f"leaderboard {argv[0]}: refused: {error}", file=sys.stderr)
+        return ExitCode.FINDINGS
     except MirrorError as error:
         print(f"leaderboard {argv[0]}: {error}", file=sys.stderr)
-        return ExitCode.FINDINGS if type(error).__name__ == "RefusedError" else ExitCode.COULD_NOT_RUN
+        return ExitCode.COULD_NOT_RUN
 
 
 def _build(argv: Sequence[str]) -> int:
@@ -68,11 +72,15 @@ def _build(argv: Sequence[str]) -> int:
 
 def _add(argv: Sequence[str]) -> int:
     arguments = tyro.cli(Add, args=list(argv), prog="python -m leaderboard add")
+    from leaderboard.add import add_result
+    from leaderboard.pictures import Shown
+
     if (arguments.submission is None) != (arguments.truth is None):
         raise UsageError("--submission and --truth go together", expected="both, or neither")
-    from leaderboard.add import add_result
-
-    entry = add_result(arguments.result, arguments.board, arguments.dataset, setting=arguments.setting)
+    shown = None
+    if arguments.submission is not None and arguments.truth is not None:
+        shown = Shown(arguments.submission, arguments.truth)
+    entry = add_result(arguments.result, arguments.board, arguments.dataset, setting=arguments.setting, shown=shown)
     print(f"entry: {entry}")
     return ExitCode.DONE
 

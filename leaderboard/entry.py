@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, RootModel, model_validator
 
@@ -14,6 +14,9 @@ from mirror.errors import DatasetError, SchemaError
 from mirror.evaluation.protocol import protocol_names
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json, sha256_bytes
+
+PICTURES: Final = "pictures"
+"""Folder of pictures, beside that of the entries and in the site."""
 
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f<>]+$")]

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from leaderboard.boards import Board, boards_of
-from leaderboard.entry import Entry, Measured, load_entries
+from leaderboard.entry import PICTURES, Entry, Measured, load_entries
 from leaderboard.site.guide import GUIDE
 from leaderboard.site.plot import time_quality_plot
-from leaderboard.site.slider import PICTURES, board_slider, picture_files
+from leaderboard.site.slider import board_slider, picture_files
 from leaderboard.site.tables import board_table
 from mirror.errors import DatasetError
 from mirror.evaluation.protocol import load_protocol

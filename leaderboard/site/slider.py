@@ -8,10 +8,7 @@ from html import escape
 from typing import Final
 
 from leaderboard.boards import Board
-from leaderboard.entry import Measured, Pair
-
-PICTURES: Final = "pictures"
-"""Folder of pictures, in the site and beside the entries."""
+from leaderboard.entry import PICTURES, Measured, Pair
 
 _TRUTH: Final = "recorded"
 

@@ -1,0 +1,226 @@
+"""From a ``result.json`` to an entry: held against its own hashes, the protocol, and what is possible at all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from pydantic import TypeAdapter, ValidationError
+
+from leaderboard.entry import PICTURES, Figure, Link, Measured, identity, load_entries
+from leaderboard.measures import MEASURES
+from leaderboard.pictures import Shown, copy_pairs
+from leaderboard.recount import require_counted
+from leaderboard.refused import RefusedError
+from mirror.errors import DatasetError
+from mirror.evaluation.protocol import load_protocol, protocol_names
+from mirror.evaluation.result import Result
+from mirror.evaluation.submission.untrusted import parse_untrusted
+from mirror.schema.files import write_json
+from mirror.version import __version__
+
+_MOST_BYTES: Final = 64 << 20
+_LINK: Final[TypeAdapter[str]] = TypeAdapter(Link)
+_NOTE_LETTERS: Final = 400
+_LEFT_OUT: Final = ("psnr_pooled",)
+"""Figures beside the protocol's, which stand in the result alone."""
+
+
+def add_result(
+    path: Path, board: Path, dataset: str, *, setting: str | None = None, shown: Shown | None = None
+) -> Path:
+    """Validate a result and write its entry.
+
+    Args:
+        path: ``result.json``.
+        board: folder that holds ``entries`` and ``pictures``.
+        dataset: what the data set is called on the board.
+        setting: what tells this row from others of the same method and version.
+        shown: where renders and their truth are, to show some of them.
+
+    Returns:
+        The new entry's file.
+
+    Raises:
+        RefusedError: the result does not hold, or stands on the board already; what is wrong is named.
+        DatasetError: the file cannot be read, or the entry cannot be written.
+        SchemaError: an entry that is there already is broken.
+    """
+    result = read_result(path)
+    require_counted(result, path)
+    entry = entry_of(result, dataset, file=path, setting=setting)
+    for other in load_entries(board / "entries"):
+        if isinstance(other, Measured):
+            _require_new(entry, other, path)
+    if shown is not None:
+        pairs = copy_pairs(result, shown.submission, shown.truth, board / PICTURES)
+        entry = entry.model_copy(update={"pairs": pairs}).sealed()
+    out = board / "entries" / f"measured-{_slug(entry.dataset)}-{_slug(entry.method)}-{entry.result_hash[:12]}.json"
+    write_json(out, entry)
+    return out
+
+
+def read_result(path: Path) -> Result:
+    """A result, held against its own hashes.
+
+    Raises:
+        DatasetError: it cannot be read.
+        RefusedError: it is no result, or its parts do not fit each other.
+        UntrustedError: it is too large, or no JSON.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+    except OSError as error:
+        raise DatasetError(f"cannot be read: {error.strerror}", file=path, expected="a result.json") from error
+    raw = parse_untrusted(data, str(path), _MOST_BYTES)
+    try:
+        result = Result.model_validate(raw)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RefusedError(
+            f"{first['msg']} (got {first.get('input')!r:.80})",
+            file=path,
+            place=".".join(str(part) for part in first["loc"]) or "the whole document",
+            expected="a result.json of `mirror evaluate`",
+        ) from error
+    _require_whole(result, path)
+    return result
+
+
+def entry_of(result: Result, dataset: str, *, file: Path, setting: str | None = None) -> Measured:
+    """The entry of a result.
+
+    Raises:
+        RefusedError: the protocol is not the board's, or a figure is unknown or impossible.
+    """
+    _require_protocol(result, file)
+    method, runtime = result.submission.method, result.submission.runtime
+    try:
+        entry = Measured(
+            method=method.name,
+            version=method.version,
+            link=_link(method.url),
+            protocol=result.protocol.name,
+            protocol_version=result.protocol.version,
+            protocol_hash=result.protocol_hash,
+            dataset=dataset,
+            dataset_hash=result.dataset.dataset_hash,
+            split=result.dataset.split,
+            setting=setting,
+            result_hash=result.hash,
+            toolkit=result.versions.get("mirror", __version__),
+            frames_per_second=None if runtime is None else runtime.frames_per_second,
+            device=None if runtime is None else runtime.device,
+            figures=tuple(_figures(result, file)),
+            notes=tuple(_plain(note) for note in result.warnings),
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RefusedError(
+            str(first["msg"]), file=file, place=".".join(map(str, first["loc"])), expected="what an entry can hold"
+        ) from error
+    if all(figure.value is None for figure in entry.figures):
+        raise RefusedError("has no figure with a value", file=file, place="figures", expected="a scored submission")
+    return entry.sealed()
+
+
+def _require_whole(result: Result, file: Path) -> None:
+    """What a result says twice must be the same twice."""
+    submission = result.submission
+    twice = {
+        "protocol_hash": (result.protocol_hash, result.protocol.hash, "the hash of the protocol in it"),
+        "submission.protocol": (submission.protocol, result.protocol.name, "the protocol in it"),
+        "submission.protocol_hash": (submission.protocol_hash, result.protocol_hash, "the result's"),
+        "submission.dataset_hash": (submission.dataset_hash, result.dataset.dataset_hash, "the result's"),
+        "submission.plan_hash": (submission.plan_hash, result.dataset.plan_hash, "the result's"),
+        "submission.split": (submission.split, result.dataset.split, "the result's"),
+    }
+    for place, (said, meant, whose) in twice.items():
+        if said != meant:
+            raise RefusedError(
+                f"{said!r} is not {whose}: the result was put together or changed by hand",
+                file=file,
+                place=place,
+                expected=meant,
+                remedy="evaluate the submission again: mirror evaluate",
+            )
+
+
+def _require_protocol(result: Result, file: Path) -> None:
+    name, known = result.protocol.name, protocol_names()
+    if name not in known:
+        raise RefusedError(
+            f"unknown protocol {name!r}", file=file, place="protocol.name", expected=f"one of {', '.join(known)}"
+        )
+    ours = load_protocol(name)
+    if ours.hash != result.protocol_hash:
+        raise RefusedError(
+            f"protocol {name} version {result.protocol.version} is not the board's version {ours.version}",
+            file=file,
+            place="protocol_hash",
+            expected=ours.hash,
+            remedy="evaluate the submission again with this version of the toolkit",
+        )
+
+
+def _figures(result: Result, file: Path) -> Iterator[Figure]:
+    groups = {group.name for group in result.protocol.groups}
+    for number, figure in enumerate(result.figures):
+        if figure.level != "group" or figure.metric in _LEFT_OUT:
+            continue
+        place = f"figures.{number}"
+        if figure.group not in groups:
+            raise RefusedError(f"the protocol has no group {figure.group!r}", file=file, place=place)
+        if figure.metric in MEASURES and figure.better != MEASURES[figure.metric].better:
+            raise RefusedError(f"{figure.metric} is better {figure.better}, it says", file=file, place=place)
+        try:
+            yield Figure(
+                group=figure.group,
+                metric=figure.metric,
+                value=figure.value,
+                low=figure.low if figure.high is not None else None,
+                high=figure.high if figure.low is not None else None,
+                n=figure.n,
+                n_infinite=figure.n_inf,
+                note=_plain(figure.reason or figure.note or "") or None,
+            )
+        except ValidationError as error:
+            raise RefusedError(str(error.errors()[0]["msg"]), file=file, place=place) from error
+    for metric, reason in result.unavailable.items():
+        for group in result.protocol.groups:
+            yield Figure(
+                group=group.name, metric=metric, value=None, note=_plain(f"unavailable: {reason.partition('; ')[0]}")
+            )
+
+
+def _require_new(entry: Measured, other: Measured, file: Path) -> None:
+    if other.result_hash == entry.result_hash:
+        raise RefusedError(
+            f"result {entry.result_hash[:12]} of {entry.method} stands on the board already", file=file, place="figures"
+        )
+    if identity(other) == identity(entry):
+        raise RefusedError(
+            f"{entry.method} {entry.version} stands on the board already, for this protocol, data set and split",
+            file=file,
+            place="submission.method",
+            remedy="give another version in the manifest, tell it apart with --setting, or remove the old entry",
+        )
+
+
+def _link(url: str) -> str | None:
+    try:
+        return _LINK.validate_python(url)
+    except ValidationError:
+        return None
+
+
+def _plain(text: str) -> str:
+    """One line, no control characters, not too long."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())[:_NOTE_LETTERS]
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:40] or "x"

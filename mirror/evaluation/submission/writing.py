@@ -1,0 +1,76 @@
+"""Writes the renders of a method as a submission."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError, UsageError
+from mirror.evaluation.progress import Progress, Silent
+from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.png import encode_png
+from mirror.evaluation.submission.template import expected_files, manifest_for, write_manifest
+from mirror.evaluation.views.plan import Plan
+from mirror.evaluation.views.view import View
+from mirror.schema.files import write_bytes
+
+Render: TypeAlias = tuple[Sequence[View], UInt8]
+"""A picture (H, W, 3), RGB, and the views that it is the render of."""
+
+Renderer: TypeAlias = Callable[[Dataset, Plan], Iterable[Render]]
+"""Renders every view of a plan once, in any order."""
+
+
+def write_submission(
+    dataset: Dataset,
+    plan: Plan,
+    renderer: Renderer,
+    method: Method,
+    appearance: Appearance,
+    out: Path,
+    progress: Progress | None = None,
+) -> int:
+    """Render a plan's views one by one and write them as a submission; the manifest is written last.
+
+    Args:
+        dataset: what the renderer may look at.
+        plan: what is asked.
+        renderer: makes the pictures; the time that it takes goes into the manifest.
+        method: for the manifest.
+        appearance: for the manifest.
+        out: a new or an empty folder.
+        progress: told of each view.
+
+    Returns:
+        How many views were rendered.
+
+    Raises:
+        UsageError: the protocol asks for no renders, or the folder holds something.
+        DatasetError: the folder cannot be written, or the renderer left views out.
+    """
+    expected = expected_files(plan)
+    if not expected or None in expected.values():
+        raise UsageError(f"protocol {plan.protocol.name} asks for no renders", expected="a protocol that does")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
+    progress = progress or Silent()
+    progress.start("rendering", len(plan.views))
+    written, taken, begin = 0, 0.0, time.perf_counter()
+    for views, picture in renderer(dataset, plan):
+        taken += time.perf_counter() - begin
+        data = encode_png(picture)
+        for view in views:
+            write_bytes(out / view.path, data)
+        written += len(views)
+        progress.advance(len(views))
+        begin = time.perf_counter()
+    if written != len(expected):
+        raise DatasetError(f"{written} of {len(expected)} views were rendered", file=out, expected="every view, once")
+    runtime = Runtime(device=f"{platform.machine()} CPU", frames_per_second=written / max(taken, 1e-9))
+    write_manifest(out, manifest_for(plan, method, appearance, runtime))
+    return written

@@ -179,8 +179,8 @@ class Fvd(Document):
 class EditIou(Document):
     """IoU of an edited region with its target box.
 
-    Mask against ``hull``; tight box against ``box``; mask against hull as a share of the best that an exact mask can
-    reach (``ceiling``).
+    ``hull``: the region against the box's convex hull. ``box``: their tight upright rectangles. ``ceiling``: the region
+    against the hull's rectangle, as a share of what the hull itself reaches, since no vehicle fills its rectangle.
     """
 
     metric: Literal["edit_iou"]
@@ -188,11 +188,19 @@ class EditIou(Document):
 
 
 class Detection(Document):
-    """nuScenes detection figures: AP over distances, true-positive errors, NDS; over the ``classes`` of the truth."""
+    """nuScenes detection figures: AP over distances of centres, true-positive errors, NDS.
+
+    Attributes:
+        metric: tag.
+        absent: classes that no true box has: ``present`` leaves them out, ``devkit`` counts them as 0.
+        class_range_m: classes, and up to which distance from the ego each is judged.
+        max_boxes_per_frame: more are refused.
+    """
 
     metric: Literal["nuscenes_detection"]
-    classes: Literal["present"] = "present"
-    max_distance_m: float = Field(default=50.0, gt=0)
+    absent: Literal["present", "devkit"]
+    class_range_m: dict[str, float]
+    max_boxes_per_frame: int = Field(default=500, ge=1, le=10_000)
 
 
 class Reported(Document):

@@ -36,7 +36,6 @@ from mirror.weights.resolve import WeightResolver
 WORK: Final = "work"
 _PACKAGES: Final = ("numpy", "opencv-contrib-python-headless", "scipy", "torch", "numba", "pyarrow")
 _NO_TORCH: Final = "torch is not installed: pip install 'mirror-dataset[models]'"
-_NO_HIDDEN: Final = "there is no truth of moved poses: give the organiser's folder with --hidden (docs/evaluation.md)"
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def evaluate(
     check = check_submission(files, plan, advance=progress.advance)
     if check.problems or check.manifest is None:
         return Evaluation(plan, check)
-    unavailable, weights = _availability(plan, options)
+    unavailable, weights = _availability(plan, check.manifest, options)
     _require(options.require, protocol, unavailable)
     inputs = Inputs(
         protocol=protocol,
@@ -129,7 +128,8 @@ def evaluate(
         extractor=options.extractor,
     )
     scorer = scorer_of(protocol.task)
-    jobs = scorer.jobs(plan, inputs) if len(unavailable) < len(protocol.metrics) else []
+    some = len(unavailable) < len(protocol.metrics)
+    jobs = scorer.jobs(plan, inputs) if some else []
     progress.start("scoring", len(jobs))
     outcome = score_jobs(
         jobs, inputs, Log(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
@@ -149,7 +149,7 @@ def evaluate(
         ),
         submission=check.manifest,
         submission_hash=check.hash,
-        figures=tuple(scorer.figures(plan, outcome.scored, inputs)) if jobs else (),
+        figures=tuple(scorer.figures(plan, outcome.scored, inputs)) if some else (),
         unavailable=unavailable,
         weights=weights,
         versions=_versions(),
@@ -161,13 +161,14 @@ def evaluate(
     return Evaluation(plan, check, result, inputs, outcome.scored, outcome.reused)
 
 
-def _availability(plan: Plan, options: Options) -> tuple[dict[str, str], dict[str, str]]:
+def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) -> tuple[dict[str, str], dict[str, str]]:
     """Metrics that cannot be had, with the way to get them, and the hashes of the weights of the others."""
-    if plan.protocol.task == "lane-shift" and options.hidden is None:
-        return dict.fromkeys(plan.protocol.metric_names, _NO_HIDDEN), {}
-    unavailable: dict[str, str] = {}
+    scorer = scorer_of(plan.protocol.task)
+    unavailable = dict(scorer.unavailable(plan, manifest, options.hidden))
     weights: dict[str, str] = {}
-    for metric, names in scorer_of(plan.protocol.task).needs(plan).items():
+    for metric, names in scorer.needs(plan).items():
+        if metric in unavailable:
+            continue
         if importlib.util.find_spec("torch") is None:
             unavailable[metric] = _NO_TORCH
             continue

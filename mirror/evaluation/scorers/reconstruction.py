@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mirror.arrays import Bool, UInt8
@@ -12,6 +13,7 @@ from mirror.evaluation.protocol import Lpips, Metric, Psnr, PsnrCc, Ssim, metric
 from mirror.evaluation.result import Figure, finite
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.views.plan import Plan
 from mirror.metrics.images.colour_correction import psnr_cc
 from mirror.metrics.images.psnr import psnr
@@ -21,6 +23,7 @@ from mirror.metrics.score import EMPTY_MASK, Score
 if TYPE_CHECKING:
     from mirror.metrics.features.perceptual import PerceptualDistance
 
+_NO_HIDDEN: Final = "nobody recorded pictures of moved cameras: give the organiser's with --hidden FOLDER"
 _MEASURES: Final = {
     "psnr": Measure("psnr", "dB", "higher"),
     "psnr_cc": Measure("psnr_cc", "dB", "higher"),
@@ -41,6 +44,11 @@ class Reconstruction:
             for metric in plan.protocol.metrics
             if isinstance(metric, Lpips)
         }
+
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
+        """Pictures of moved cameras were not recorded: they are an organiser's, or there are none."""
+        moved = any(group.ego_shift_m for group in plan.protocol.groups)
+        return dict.fromkeys(plan.protocol.metric_names, _NO_HIDDEN) if moved and hidden is None else {}
 
     def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
         """One a view."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, TypeAlias
 
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import Inputs
+from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
 
@@ -50,6 +52,9 @@ class Scorer(Protocol):
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Names of the weights that each metric needs; a metric that needs none may be left out."""
+
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
+        """Metrics that cannot be had for another reason than weights, and how to get them."""
 
     def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
         """The work to do, in an order in which neighbours share what they read."""

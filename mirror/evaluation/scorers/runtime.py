@@ -1,0 +1,84 @@
+"""What a method costs, as its submission reports it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from mirror.evaluation.protocol import metric_name
+from mirror.evaluation.result import Figure
+from mirror.evaluation.scorers.inputs import Inputs
+from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.submission.manifest import Runtime as Reported
+from mirror.evaluation.submission.manifest import SubmissionManifest
+from mirror.evaluation.views.plan import Plan
+
+_UNITS: Final[Mapping[str, tuple[str, str]]] = {
+    "frames_per_second": ("Hz", "higher"),
+    "model_bytes_per_100m": ("B", "lower"),
+    "training_s": ("s", "lower"),
+    "peak_memory_bytes": ("B", "lower"),
+}
+_HOW: Final = "state it in the manifest under runtime"
+
+
+class Runtime:
+    """See the module."""
+
+    version = 1
+
+    def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
+        """No weights."""
+        return {}
+
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
+        """What the manifest does not state."""
+        return {name: _HOW for name in plan.protocol.metric_names if reported(manifest.runtime, name) is None}
+
+    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+        """None: nothing is read."""
+        return []
+
+    def score(self, job: Job, inputs: Inputs) -> Values:
+        """Nothing."""
+        return {}
+
+    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+        """What the manifest states."""
+        runtime = inputs.manifest.runtime
+        found = []
+        for metric in plan.protocol.metrics:
+            name = metric_name(metric)
+            value = reported(runtime, name)
+            if value is None or runtime is None:
+                continue
+            unit, better = _UNITS[name]
+            found.append(
+                Figure(
+                    metric=name,
+                    group="reported",
+                    value=value,
+                    unit=unit,
+                    better="higher" if better == "higher" else "lower",
+                    n=1,
+                    interval_reason="reported by the submission",
+                    note=f"reported, on {runtime.device}",
+                )
+            )
+        return found
+
+
+def reported(runtime: Reported | None, name: str) -> float | None:
+    """One figure of a manifest; None: it does not state it."""
+    if runtime is None:
+        return None
+    if name == "model_bytes_per_100m":
+        if runtime.model_bytes is None or runtime.driven_m is None:
+            return None
+        return 100.0 * runtime.model_bytes / runtime.driven_m
+    value: float | None = getattr(runtime, name)
+    return value
+
+
+SCORER: Final = Runtime()

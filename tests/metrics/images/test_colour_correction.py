@@ -8,34 +8,11 @@ from hypothesis import strategies as st
 from mirror.errors import UsageError
 from mirror.metrics.images.colour_correction import correct_colours, psnr_cc
 from mirror.metrics.images.psnr import psnr
-from tests.metrics.images.pictures import ellipse, street
-
-EPSILON = 0.5 / 255
-
-
-def by_lstsq(render, truth, mask=None, iterations=5):
-    """The definition, with numpy's singular value decomposition of every pixel's terms."""
-    mask = np.ones(render.shape[:2], bool) if mask is None else mask
-    colours, target = render[mask].astype(np.float64), truth[mask].astype(np.float64)
-    started, ranks = colours, []
-    for _ in range(iterations):
-        r, g, b = colours.T
-        terms = np.stack([r * r, r * g, r * b, g * g, g * b, b * b, r, g, b, np.ones(len(r))], axis=1)
-        warped, found = [], []
-        for channel in range(3):
-            used = np.ones(len(r), bool)
-            for values in (started, colours, target):
-                used &= (values[:, channel] >= EPSILON) & (values[:, channel] <= 1 - EPSILON)
-            warp, _, rank, _ = np.linalg.lstsq(terms * used[:, None], target[:, channel] * used, rcond=1e-9)
-            warped.append(terms @ warp)
-            found.append(rank)
-        colours = np.clip(np.stack(warped, axis=1), 0, 1)
-        ranks.append(found)
-    return colours, 10 * math.log10(1 / np.mean((colours - target) ** 2)), ranks
+from tests.metrics.images.references import corrected_by_lstsq, ellipse, street
 
 
 def check(render, truth, mask=None, error=1e-6):
-    colours, expected, ranks = by_lstsq(render / 255, truth / 255, mask)
+    colours, expected, ranks = corrected_by_lstsq(render / 255, truth / 255, mask)
     found = psnr_cc(render, truth, mask=mask)
     assert found.db == pytest.approx(expected, abs=error)
     correction = correct_colours(render, truth, mask=mask)
@@ -90,7 +67,7 @@ def test_nearly_grey_pictures_lose_no_digits(spread):
     grey = rng.uniform(0.2, 0.8, (60, 60, 1))
     render = grey + spread * rng.standard_normal((60, 60, 3))
     truth = np.clip(0.9 * render**1.2 + 0.02 * rng.standard_normal(render.shape), 0.01, 0.99)
-    _, expected, _ = by_lstsq(render, truth)
+    _, expected, _ = corrected_by_lstsq(render, truth)
     found = psnr_cc(render, truth, data_range=1.0)
     assert found.full_rank
     assert found.db == pytest.approx(expected, abs=1e-6)
@@ -111,7 +88,7 @@ def test_grey_pictures_have_rank_three_and_two_colours_two():
     grey = np.repeat(np.clip(render[..., :1], 1, 254), 3, axis=2)
     first = correct_colours(grey, truth, iterations=1)
     assert first.ranks.tolist() == [[3, 3, 3]]
-    np.testing.assert_allclose(first.colours, by_lstsq(grey / 255, truth / 255, iterations=1)[0], atol=1e-9)
+    np.testing.assert_allclose(first.colours, corrected_by_lstsq(grey / 255, truth / 255, iterations=1)[0], atol=1e-9)
     two = np.where(grey > 120, np.uint8([200, 100, 50]), np.uint8([20, 30, 70]))
     assert check(two, truth).rank == 2
 
@@ -170,6 +147,6 @@ def test_pictures_of_few_colours(seed, colours, spread):
     palette = rng.integers(20, 200, (colours, 3))
     render = (palette[rng.integers(colours, size=(30, 40))] + rng.integers(0, 2, (30, 40, 1)) * spread).astype(np.uint8)
     truth = np.clip(render.astype(int) + rng.integers(-10, 11, render.shape), 1, 254).astype(np.uint8)
-    expected = by_lstsq(render / 255, truth / 255, iterations=1)[0]
+    expected = corrected_by_lstsq(render / 255, truth / 255, iterations=1)[0]
     found = correct_colours(render, truth, iterations=1).colours
     np.testing.assert_allclose(found, expected, atol=1e-7)

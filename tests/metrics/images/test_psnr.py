@@ -11,7 +11,7 @@ from skimage.metrics import peak_signal_noise_ratio
 
 from mirror.errors import UsageError
 from mirror.metrics.images.psnr import Psnr, psnr
-from tests.metrics.images.pictures import street
+from tests.metrics.images.references import street
 
 
 def exact(render, truth, data_range, mask=None):

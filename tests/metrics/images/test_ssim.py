@@ -12,51 +12,14 @@ from skimage.metrics import structural_similarity
 from mirror.errors import UsageError
 from mirror.metrics.images.ssim import PRESETS, Ssim, ssim, ssim_map
 from mirror.metrics.images.ssim_map import SsimSettings
-from tests.metrics.images.pictures import ellipse, street
-
-PADS = {"reflect": "reflect", "symmetric": "symmetric", "zero": "constant"}
-
-
-def textbook(render, truth, how, data_range, known=None):
-    """Equation 13 of Wang et al. 2004, window by window, in long double; NaN where a window leaves the picture."""
-    radius = how.size // 2
-    offsets = np.arange(-radius, radius + 1, dtype=np.longdouble)
-    line = np.ones(how.size, np.longdouble)
-    if how.window == "gaussian":
-        line = np.exp(-(offsets**2) / (2 * np.longdouble(how.sigma_px) ** 2))
-    window = np.outer(line, line)[..., None]
-    render, truth = render.astype(np.longdouble), truth.astype(np.longdouble)
-    known = np.ones(render.shape[:2], np.longdouble) if known is None else known.astype(np.longdouble)
-    edge = radius if how.border == "valid" else 0
-    if not edge:
-        pad = ((radius, radius), (radius, radius), (0, 0))
-        render, truth = (np.pad(picture, pad, PADS[how.border]) for picture in (render, truth))
-        known = np.pad(known, pad[:2], PADS[how.border], **({"constant_values": 1} if how.border == "zero" else {}))
-    height, width = (length - 2 * radius for length in render.shape[:2])
-    found = np.full((height, width, render.shape[2]), np.nan, np.longdouble)
-    c1, c2 = (np.longdouble(how.k1) * data_range) ** 2, (np.longdouble(how.k2) * data_range) ** 2
-    for y, x in np.ndindex(height, width):
-        part = slice(y, y + how.size), slice(x, x + how.size)
-        weight = window * known[part][..., None]
-        total = weight.sum()
-        if total == 0:
-            continue
-        a, b = (np.where(known[part][..., None] > 0, picture[part], 0) for picture in (render, truth))
-        ma, mb = (weight * a).sum((0, 1)) / total, (weight * b).sum((0, 1)) / total
-        va, vb = (weight * (a - ma) ** 2).sum((0, 1)) / total, (weight * (b - mb) ** 2).sum((0, 1)) / total
-        cov = (weight * (a - ma) * (b - mb)).sum((0, 1)) / total
-        if how.sample_covariance:
-            gain = total / max(total - 1, 1)
-            va, vb, cov = va * gain, vb * gain, cov * gain
-        found[y, x] = (2 * ma * mb + c1) * (2 * cov + c2) / ((ma**2 + mb**2 + c1) * (va + vb + c2))
-    return np.pad(found, ((edge, edge), (edge, edge), (0, 0)), constant_values=np.nan)
+from tests.metrics.images.references import ellipse, exact_ssim, street
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize(("precision", "error"), [("float64", 1e-12), ("float32", 2e-4)])
 def test_the_map_is_the_textbook_s(preset, precision, error):
     render, truth = street(70, 40)
-    expected = textbook(render, truth, PRESETS[preset], 255)
+    expected = exact_ssim(render, truth, PRESETS[preset], 255)
     found = ssim_map(render, truth, preset=preset, precision=precision)
     assert found.dtype == precision
     np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
@@ -70,7 +33,7 @@ def test_the_map_is_right_where_contrast_is_greatest():
     rng = np.random.default_rng(0)
     render, truth = (rng.integers(0, 2, (40, 40, 1), np.uint8) * np.uint8(255) for _ in range(2))
     render[:15], truth[:15] = 0, 255
-    expected = textbook(render, truth, PRESETS["gaussian11"], 255)
+    expected = exact_ssim(render, truth, PRESETS["gaussian11"], 255)
     assert np.nanmax(abs(ssim_map(render, truth) - expected)) <= 1e-12
 
 
@@ -150,7 +113,7 @@ def test_erode_leaves_windows_that_see_beyond_the_mask_out(preset):
 def test_normalised_windows_see_only_the_mask(preset, precision, error):
     render, truth = street(40, 45)
     mask = ellipse(40, 45, slice(2, 35), slice(5, 45)) & (np.random.default_rng(0).random((40, 45)) < 0.7)
-    expected = textbook(render, truth, PRESETS[preset], 255, mask)[mask]
+    expected = exact_ssim(render, truth, PRESETS[preset], 255, mask)[mask]
     options = {"preset": preset, "mask_mode": "normalised", "mask": mask, "precision": precision}
     found = ssim(render, truth, **options)
     assert found == pytest.approx(float(np.nanmean(expected)), abs=error)
@@ -221,7 +184,7 @@ def test_offsets(offset, precision, error):
     rng = np.random.default_rng(0)
     truth, render = (np.rint(rng.random((20, 24, 3)) * 2**20) / 2**20 + offset for _ in range(2))
     found = ssim_map(render, truth, data_range=1.0, precision=precision)
-    assert np.nanmax(abs(found - textbook(render, truth, PRESETS["gaussian11"], 1))) <= error
+    assert np.nanmax(abs(found - exact_ssim(render, truth, PRESETS["gaussian11"], 1))) <= error
 
 
 def test_flat_tiny_and_saturated_pictures():

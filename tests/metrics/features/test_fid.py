@@ -1,0 +1,143 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from mirror.errors import UsageError
+from mirror.metrics.features.cache import FeatureCache, feature_key
+from mirror.metrics.features.extractor import extract, to_bytes
+from mirror.metrics.features.fid import InceptionFeatures, fid, fid_of_features, load_inception
+from mirror.metrics.features.frechet import frechet_distance
+from mirror.metrics.networks.inception import FidInception
+from mirror.metrics.networks.state import load_strictly
+from mirror.weights import resolve
+from mirror.weights.errors import WeightsUnavailableError
+from mirror.weights.resolve import WeightResolver, file_sha256
+from mirror.weights.table import KNOWN
+from tests.metrics.networks.test_inception import published_sizes, random_state
+
+
+@pytest.fixture(scope="module")
+def state():
+    return random_state(published_sizes())
+
+
+@pytest.fixture(scope="module")
+def smoke(state):
+    network = FidInception()
+    load_strictly(network, state)
+    return InceptionFeatures(network, name="smoke", batch=2)
+
+
+def pictures(count, seed=0, size=(40, 60)):
+    return np.random.default_rng(seed).integers(0, 256, (count, *size, 3), dtype=np.uint8)
+
+
+def test_figure(smoke):
+    a, b = pictures(5), pictures(4, seed=1) // 2
+    got = fid(iter(a), iter(b), smoke)
+    features = extract(smoke, a), extract(smoke, b)
+    assert got.value == pytest.approx(frechet_distance(*features).value, rel=1e-6)
+    assert (got.name, got.mode, got.frechet.n) == ("smoke", "clean", (5, 4))
+    assert got.kernel is not None
+    assert got.kernel.n == (5, 4)
+    assert "fewer than 2048" in got.warning
+
+
+def test_identical_sets(smoke):
+    a = pictures(3)
+    got = fid(a, a, smoke)
+    assert got.value == 0.0
+    assert got.kernel is None
+
+
+def test_batches_and_sizes_make_no_difference(smoke):
+    mixed = [pictures(1, size=size)[0] for size in ((40, 60), (20, 20), (60, 40))]
+    together = extract(smoke, mixed)
+    alone = np.concatenate([extract(smoke, [each]) for each in mixed])
+    np.testing.assert_allclose(together, alone, atol=1e-4 * np.abs(alone).max())
+    assert together.shape == (3, 2048)
+
+
+def test_floats_are_rounded():
+    levels = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    np.testing.assert_array_equal(to_bytes(levels / 255.0), levels)
+    np.testing.assert_array_equal(to_bytes(levels.astype(np.float32) / np.float32(255)), levels)
+    assert to_bytes(np.array([0.499 / 255, 0.501 / 255])).tolist() == [0, 1]
+
+
+def test_cache(smoke, tmp_path):
+    cache = FeatureCache(tmp_path / "features")
+    a = pictures(3)
+    before = smoke.computed
+    first = extract(smoke, a, cache)
+    assert (smoke.computed - before, cache.hits, cache.misses) == (3, 0, 3)
+    again = extract(smoke, a[::-1], FeatureCache(tmp_path / "features"))
+    np.testing.assert_array_equal(again, first[::-1])
+    assert smoke.computed - before == 3
+    damaged = next((tmp_path / "features").rglob("*.feature"))
+    damaged.write_bytes(damaged.read_bytes()[:-1] + b"\0")
+    np.testing.assert_allclose(extract(smoke, a, cache), first, atol=1e-4 * np.abs(first).max())
+    assert smoke.computed - before == 4
+
+
+def test_keys_hold_all_that_matters():
+    a = pictures(1)[0]
+    keys = {
+        feature_key(a, "clean"),
+        feature_key(a, "tf1"),
+        feature_key(a.reshape(60, 40, 3), "clean"),
+        feature_key(a.astype(np.int16), "clean"),
+        feature_key(a ^ 1, "clean"),
+    }
+    assert len(keys) == 5
+    assert feature_key(np.asfortranarray(a), "clean") == feature_key(a, "clean")
+
+
+def test_modes_have_their_own_identity(state):
+    network = FidInception()
+    assert InceptionFeatures(network, "tf1", name="x").identity != InceptionFeatures(network, name="x").identity
+
+
+def test_errors(smoke):
+    a = pictures(3)
+    for call in (
+        lambda: fid(a, a[:1], smoke),
+        lambda: fid([], a, smoke),
+        lambda: extract(smoke, [a[0, :, :, 0]]),
+        lambda: extract(smoke, [a[0].astype(np.int32)]),
+        lambda: extract(smoke, [a[0] / 100.0]),
+        lambda: extract(smoke, [a[0] * np.nan]),
+        lambda: extract(smoke, [a[0][:0]]),
+        lambda: InceptionFeatures(FidInception(), "bilinear", name="smoke"),
+        lambda: InceptionFeatures(FidInception(), name="fid"),
+    ):
+        with pytest.raises(UsageError):
+            call()
+
+
+def test_published_file(state, smoke, tmp_path, monkeypatch):
+    path = tmp_path / "inception.pth"
+    torch.save(state, path)
+    known = dataclasses.replace(KNOWN["inception-fid"], sha256=file_sha256(path), size=None)
+    monkeypatch.setattr(resolve, "KNOWN", KNOWN | {"inception-fid": known})
+    network = load_inception("clean", WeightResolver({"inception-fid": path}))
+    assert network.name == "fid"
+    assert network.weights == {"inception-fid": known.sha256}
+    a = pictures(2)
+    np.testing.assert_array_equal(extract(network, a), extract(smoke, a))
+
+
+def test_missing_weights(tmp_path, monkeypatch):
+    for name in ("XDG_CACHE_HOME", "TORCH_HOME"):
+        monkeypatch.setenv(name, str(tmp_path))
+    monkeypatch.delenv("MIRROR_WEIGHTS", raising=False)
+    with pytest.raises(WeightsUnavailableError, match="6726825d0af5f729"):
+        load_inception()
+
+
+def test_many_pictures_warn_no_more(smoke):
+    draw = np.random.default_rng(0)
+    features = draw.standard_normal((2048, 6)), draw.standard_normal((2100, 6))
+    assert fid_of_features(*features, smoke).warning is None

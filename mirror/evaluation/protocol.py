@@ -219,13 +219,15 @@ class Intervals(Document):
 
     Attributes:
         level: of confidence.
-        resamples: how many.
+        resamples: how many, of means of pictures.
+        set_resamples: how many, of distances between sets, each of which takes seconds.
         block_frames: frames a block; all cameras of a frame stay together.
         seed: of the draw.
     """
 
     level: float = Field(default=0.95, gt=0, lt=1)
     resamples: int = Field(default=1000, ge=100, le=100_000)
+    set_resamples: int = Field(default=50, ge=20, le=10_000)
     block_frames: int = Field(default=5, ge=1)
     seed: int = 0
 

@@ -1,4 +1,4 @@
-"""``mirror submission new DATASET`` and ``mirror submission check SUBMISSION``."""
+"""``mirror submission new DATASET``, ``check SUBMISSION`` and ``hidden DATASET``."""
 
 from __future__ import annotations
 
@@ -55,14 +55,36 @@ class Check:
     """Print the report as JSON."""
 
 
+@dataclass(frozen=True)
+class Hidden:
+    """Render the true pictures of moved cameras of a synthetic street: what an organiser gives to evaluate --hidden."""
+
+    dataset: tyro.conf.Positional[str]
+    """The dataset's folder or URL, of recordings that `mirror synth` wrote."""
+    split: str
+    """Name of the split."""
+    preset: str
+    """That `mirror synth` was run with."""
+    out: Path
+    """A new or an empty folder. Keep it to yourself."""
+    seed: int = 0
+    """That `mirror synth` was run with."""
+    protocol: str = "lane-shift"
+    """Name of the protocol, or the path of a protocol's .toml."""
+    json: bool = False
+    """Print what was written as JSON."""
+
+
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     words = list(argv)
-    verbs: dict[str, Callable[..., New | Check]] = {"new": New, "check": Check}
+    verbs: dict[str, Callable[..., New | Check | Hidden]] = {"new": New, "check": Check, "hidden": Hidden}
     if words and words[0] not in (*verbs, "-h", "--help"):
-        raise UsageError(f"no `mirror submission {words[0]}`", expected="`new` or `check`")
+        raise UsageError(f"no `mirror submission {words[0]}`", expected="`new`, `check` or `hidden`")
     chosen = tyro.extras.subcommand_cli_from_dict(verbs, args=words, prog="mirror submission")
-    return _new(chosen) if isinstance(chosen, New) else _check(chosen)
+    if isinstance(chosen, New):
+        return _new(chosen)
+    return _check(chosen) if isinstance(chosen, Check) else _hidden(chosen)
 
 
 def _new(arguments: New) -> int:
@@ -109,6 +131,23 @@ def _check(arguments: Check) -> int:
     else:
         print_report(report, arguments.submission)
     return ExitCode.FINDINGS if report.problems else ExitCode.DONE
+
+
+def _hidden(arguments: Hidden) -> int:
+    import mirror
+    from mirror.cli.progress import progress_bar
+    from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.truth.synthetic import write_hidden_truth
+    from mirror.evaluation.views import plan_views
+
+    dataset = mirror.open(arguments.dataset)
+    plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)
+    with progress_bar(quiet=arguments.json) as bar:
+        bar.start("pictures", len(plan.views))
+        count = write_hidden_truth(dataset, plan, arguments.preset, arguments.seed, arguments.out, bar.advance)
+    said = {"out": str(arguments.out), "pictures": count}
+    print(json.dumps(said) if arguments.json else f"{count} true pictures in {arguments.out}: keep them to yourself")
+    return ExitCode.DONE
 
 
 def plain_report(report: CheckReport) -> dict[str, object]:

@@ -1,0 +1,118 @@
+"""True pictures of moved cameras of a synthetic street: what an organiser keeps, and nobody recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError, UsageError
+from mirror.evaluation.submission.png import encode_png
+from mirror.evaluation.truth.raster import raster_of
+from mirror.evaluation.truth.source import TruthSource
+from mirror.evaluation.views.plan import Plan, require_group
+from mirror.evaluation.views.view import View
+from mirror.geometry.poses import Poses
+from mirror.schema.files import write_bytes
+
+if TYPE_CHECKING:
+    from mirror.synth.fleet.drive import SynthDrive
+    from mirror.synth.render.scene import Instant
+    from mirror.synth.writing.shots import Shots
+
+
+def write_hidden_truth(
+    dataset: Dataset,
+    plan: Plan,
+    preset: str,
+    seed: int,
+    out: Path,
+    advance: Callable[[int], None] = lambda _: None,
+) -> int:
+    """Render the truth of a plan's views, in the layout of a submission.
+
+    The street is rendered from the true pose of each picture, moved as the view's group says; the vehicle itself moves
+    with its cameras. The picture is then taken into the view's raster by the dataset's calibration, as recorded ones
+    are: what that is off by is part of the truth of both.
+
+    Args:
+        dataset: of recordings that ``mirror synth`` wrote.
+        plan: which views; their groups move cameras and nothing else.
+        preset: that the recordings were made with.
+        seed: that the recordings were made with.
+        out: a new or an empty folder.
+        advance: told of each view.
+
+    Returns:
+        How many pictures were written.
+
+    Raises:
+        UsageError: a group edits vehicles, the folder holds something, or there is no such preset or drive.
+        DatasetError: a picture is not one of the preset's, or the folder cannot be written.
+    """
+    if any(group.vehicle_shift_m is not None or group.without_vehicles for group in plan.protocol.groups):
+        raise UsageError(f"protocol {plan.protocol.name} edits vehicles", expected="one that only moves cameras")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
+    table = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
+    drives = {row["traversal_id"]: row["drive_id"] for row in table}
+    truth = TruthSource(dataset, plan.protocol, plan.layers)
+    # Neighbours in time share what stands where.
+    for view in sorted(plan.views, key=lambda one: (one.traversal_id, one.timestamp_ns, one.group)):
+        _, image = truth.recorded(view)
+        recorded = _rendered(view, plan, preset, seed, drives[view.traversal_id])
+        pixels = raster_of(image.camera_model, plan.protocol.pixels).picture(recorded)
+        write_bytes(out / view.path, encode_png(pixels))
+        advance(1)
+    return len(plan.views)
+
+
+def _rendered(view: View, plan: Plan, preset: str, seed: int, drive_id: str) -> UInt8:
+    """What the moved camera would have recorded, RGB."""
+    drive, shots = _drive(preset, seed, drive_id)
+    stamps = shots.recorded_ns.get(view.camera, np.empty(0, np.int64))
+    at = np.flatnonzero(stamps == view.timestamp_ns)
+    if not len(at):
+        raise DatasetError(
+            f"drive {drive_id} of preset {preset}, seed {seed}, has no picture at {view.timestamp_ns}",
+            place=f"camera {view.camera}",
+            expected="the preset and seed that the recordings were made with",
+        )
+    true_ns = int(shots.true_ns[view.camera][at[0]])
+    shift_m = require_group(plan.protocol, view.group).ego_shift_m
+    aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, shift_m, 0.0]]))
+    instant = _instant(preset, seed, drive_id, true_ns, shift_m)
+    world_SE3_ego = drive.world_SE3_ego(np.array([true_ns])) @ aside
+    picture = drive.stage.picture(
+        instant,
+        drive.lenses[view.camera],
+        world_SE3_ego @ drive.vehicle.ego_SE3_camera[view.camera],
+        look=drive.looks[view.camera],
+        seed=true_ns % (1 << 31),
+        drops=drive.drops.get(view.camera),
+    )
+    return np.ascontiguousarray(picture.bgr[..., ::-1])
+
+
+@lru_cache(2)
+def _drive(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, Shots]:
+    from mirror.synth.fleet.drives import drive_named
+    from mirror.synth.writing.shots import shots_of
+
+    drive = drive_named(preset, seed, drive_id)
+    drive.prepare()
+    return drive, shots_of(drive, drive.preset.errors)
+
+
+@lru_cache(8)
+def _instant(preset: str, seed: int, drive_id: str, true_ns: int, shift_m: float) -> Instant:
+    """All that there is, with the recording vehicle beside where it was."""
+    drive, _ = _drive(preset, seed, drive_id)
+    stamps = np.array([true_ns])
+    aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, shift_m, 0.0]]))
+    return drive.stage.at(float(drive.seconds(stamps)[0]), drive.world_SE3_ego(stamps) @ aside)

@@ -37,6 +37,8 @@ class Arguments:
     flow, boxes, poses."""
     errors: Literal["default", "none"] = "default"
     """Whether what is recorded differs from the truth, as a fleet's does."""
+    without: str = ""
+    """Effects that are left out of the pictures, such as noise,motion_blur; docs/synth.md names them all."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Threads."""
     json: bool = False
@@ -48,7 +50,7 @@ def main(argv: Sequence[str]) -> int:
     arguments = tyro.cli(Arguments, args=list(argv), prog="mirror synth")
 
     from mirror.cli.progress import progress_bar
-    from mirror.synth import Errors, write_recordings
+    from mirror.synth import Effects, Errors, write_recordings
     from mirror.synth.writing.truth import truth_kinds
 
     with progress_bar(quiet=arguments.json) as bar:
@@ -59,6 +61,7 @@ def main(argv: Sequence[str]) -> int:
             scenes=arguments.scenes,
             traversals=arguments.traversals,
             errors=Errors.none() if arguments.errors == "none" else None,
+            effects=Effects.without(arguments.without.split(",")) if arguments.without else None,
             truth=truth_kinds(arguments.truth),
             workers=arguments.workers,
             progress=bar,

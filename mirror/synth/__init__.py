@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mirror.synth.errors import Errors
 from mirror.synth.fleet import PRESETS
+from mirror.synth.light.condition import Condition, Effects
 from mirror.synth.writing import Written, write_recordings
 
-__all__ = ["PRESETS", "Errors", "Written", "write_recordings"]
+__all__ = ["PRESETS", "Condition", "Effects", "Errors", "Written", "write_recordings"]

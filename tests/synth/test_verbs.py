@@ -1,13 +1,18 @@
 """``mirror synth`` and ``mirror demo`` as they are typed."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 import mirror.cli.main
 from mirror.cli.demo import main as demo
 from mirror.cli.main import main
+from mirror.synth import Effects
+from mirror.synth.fleet.drives import drives_of
 
 
 def test_synth_writes_recordings_that_ingest_can_judge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -21,6 +26,27 @@ def test_synth_writes_recordings_that_ingest_can_judge(tmp_path: Path, capsys: p
     assert sorted(drive["accepted"] for drive in drives.values()) == [0, 1]
     assert main(["synth", "--out", str(out), "--preset", "tiny"]) == 2
     assert "not an empty folder" in capsys.readouterr().err
+
+
+def test_effects_are_left_out_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "plain"
+    words = ["synth", "--out", str(out), "--preset", "tiny", "--traversals", "1", "--json", "--errors", "none"]
+    assert main([*words, "--without", "noise,traffic,vignetting"]) == 0
+    drive = drives_of("tiny", 0, traversals=1)[1][0]
+    effects = Effects(noise=False, traffic=False, vignetting=False)
+    shown = replace(drive, condition=replace(drive.condition, effects=effects))
+    pictures = sorted((out / drive.drive_id / "images" / "front_wide").iterdir())
+    written = cv2.imread(str(pictures[0]))
+    stamp = int(pictures[0].stem)
+    apart = [np.abs(written - one.picture("front_wide", stamp).bgr.astype(int)).mean() for one in (shown, drive)]
+    assert apart[0] < 0.75 * apart[1]
+    assert main([*words[:2], str(tmp_path / "other"), "--without", "noise,fog"]) == 2
+    said = capsys.readouterr().err
+    assert "no effect 'fog'" in said
+    assert "motion_blur" in said
+    assert not (tmp_path / "other").exists()
+    assert main([*words[:2], str(tmp_path / "other"), "--preset", "paper", "--without", "noise"]) == 2
+    assert "take another preset" in capsys.readouterr().err
 
 
 def test_demo_runs_the_verbs_in_order_and_stops_at_the_first_that_fails(

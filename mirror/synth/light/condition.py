@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Literal
 
+from mirror.errors import UsageError
 from mirror.recordings.light import Light
 
 Weather = Literal["clear", "clouds", "rain"]
@@ -56,6 +58,19 @@ class Effects:
     def none(cls) -> Effects:
         """Nothing of it: switch on what is asked about with `dataclasses.replace`."""
         return cls(**{effect.name: False for effect in fields(cls)})
+
+    @classmethod
+    def without(cls, names: Iterable[str]) -> Effects:
+        """All but some.
+
+        Raises:
+            UsageError: there is no effect of a name.
+        """
+        known, missing = [effect.name for effect in fields(cls)], tuple(names)
+        for name in missing:
+            if name not in known:
+                raise UsageError(f"no effect {name!r}", expected="some of " + ", ".join(known))
+        return cls(**dict.fromkeys(missing, False))
 
 
 @dataclass(frozen=True)

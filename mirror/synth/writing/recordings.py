@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ from mirror.schema.files import write_json
 from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import drives_of
+from mirror.synth.light.condition import Effects
 from mirror.synth.writing.pictures import Frame, refer_to_pictures, write_cameras, write_frames
 from mirror.synth.writing.poses import pose_stamps, write_poses
 from mirror.synth.writing.shots import Shots, shots_of
@@ -57,6 +58,7 @@ def write_recordings(
     scenes: int | None = None,
     traversals: int | None = None,
     errors: Errors | None = None,
+    effects: Effects | None = None,
     truth: Sequence[TruthKind] = (),
     workers: int | None = None,
     progress: Progress | None = None,
@@ -72,6 +74,7 @@ def write_recordings(
         scenes: how many scenes; default: all that the preset has.
         traversals: how many drives with pictures through each; default: the preset's.
         errors: by which what is recorded differs from the truth; default: the preset's.
+        effects: what is shown of light, weather and cameras; default: all.
         truth: kinds of truth to be written beside each recording.
         workers: threads; default: as many as there are processors.
         progress: is told of every picture; None: nobody is.
@@ -82,6 +85,14 @@ def write_recordings(
     """
     settings, drives = drives_of(preset, seed, scenes, traversals)
     errors = settings.errors if errors is None else errors
+    if effects is not None:
+        if settings.on_demand:
+            raise UsageError(
+                f"effects left out of preset {preset!r}",
+                expected="all: its pictures are rendered when they are loaded",
+                remedy="take another preset",
+            )
+        drives = [replace(drive, condition=replace(drive.condition, effects=effects)) for drive in drives]
     if settings.on_demand and RENDERED & set(truth):
         raise UsageError(
             f"truth of kinds {', '.join(sorted(RENDERED & set(truth)))} with preset {preset!r}",

@@ -49,8 +49,8 @@ def add_result(
         SchemaError: an entry that is there already is broken.
     """
     result = read_result(path)
-    require_counted(result, path)
     entry = entry_of(result, dataset, file=path, setting=setting)
+    require_counted(result, path)
     for other in load_entries(board / "entries"):
         if isinstance(other, Measured):
             _require_new(entry, other, path)

@@ -32,7 +32,7 @@ def require_counted(result: Result, path: Path) -> None:
 
     Raises:
         DatasetError: the table is missing or broken.
-        RefusedError: a figure is not the mean of its pictures, or not of as many.
+        RefusedError: a figure is not the mean of its pictures, not of as many, or left out.
     """
     rows = _rows(path.parent / IMAGES)
     columns = set(rows[0]) if rows else set()
@@ -40,6 +40,16 @@ def require_counted(result: Result, path: Path) -> None:
         if figure.level == "group" and figure.metric in columns:
             own = [row for row in rows if row["group"] == figure.group]
             _require(result, figure, own, path, f"figures.{number}")
+    there = {(figure.group, figure.metric) for figure in result.figures if figure.level == "group"}
+    for metric in sorted(columns & set(result.protocol.metric_names)):
+        for group in dict.fromkeys(row["group"] for row in rows):
+            if (group, metric) not in there:
+                raise RefusedError(
+                    f"{metric} of {group} was measured, by {IMAGES}, and is not there",
+                    file=path,
+                    place="figures",
+                    remedy="evaluate the submission again: mirror evaluate",
+                )
 
 
 def _require(result: Result, figure: Figure, rows: Sequence[Mapping[str, Any]], path: Path, place: str) -> None:

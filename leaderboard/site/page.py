@@ -94,8 +94,12 @@ def _section(protocol: str, boards: Sequence[Board], entries: Sequence[Entry]) -
 
 
 def _heading(board: Board) -> str:
-    split = f"<small>split {escape(board.split)}</small>" if board.split else ""
-    return f'<h3 id="{board.id}">{escape(board.title)}{split}</h3>'
+    evidence = ""
+    if board.split is not None and board.hashes is not None:
+        hashes = zip(("protocol", "data"), board.hashes)
+        codes = "".join(f' · {name} <code title="{whole}">{whole[:8]}</code>' for name, whole in hashes)
+        evidence = f"<small>split {escape(board.split)}{codes}</small>"
+    return f'<h3 id="{board.id}">{escape(board.title)}{evidence}</h3>'
 
 
 def _copy_pictures(names: Iterable[str], source: Path, out: Path) -> None:

@@ -37,12 +37,11 @@ def time_quality_plot(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
         boards: of one protocol; each has its own colour, since values of different data cannot be compared.
         entries: all that there are: render times may stand in another one of the same method.
     """
-    column = max(
-        {board.ranked_by for board in boards}, key=lambda one: len(_points(boards, one, entries)), default=None
-    )
-    points = [] if column is None else _points(boards, column, entries)
-    if column is None or not points:
+    columns = dict.fromkeys(board.ranked_by for board in boards)
+    column = next((one for one in columns if _points(boards, one, entries)), None)
+    if column is None:
         return ""
+    points = _points(boards, column, entries)
     measure = MEASURES[column[1]]
     head = f"{group_title(column[0])}: {measure.head} {measure.arrow}"
     x, y = _log_axis([point.seconds for point in points]), _linear_axis([point.value for point in points])

@@ -9,7 +9,7 @@ from itertools import groupby
 from typing import Final
 
 from leaderboard.boards import FLOOR, Board, Column, figure_of
-from leaderboard.entry import Entry, Figure, Measured, Reported
+from leaderboard.entry import Entry, Figure, Reported
 from leaderboard.measures import MEASURES
 
 _SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
@@ -129,12 +129,8 @@ def _source(entry: Entry) -> str:
             f'<span class="tag reported">reported</span><small>{escape(paper.title)}, Table {paper.table}, '
             f"“{escape(paper.row)}”</small>"
         )
-    return f'<span class="tag measured">measured</span><small>{_evidence(entry)}</small>'
-
-
-def _evidence(entry: Measured) -> str:
-    hashes = {"result": entry.result_hash, "protocol": entry.protocol_hash, "data": entry.dataset_hash}
-    return "<br>".join(f'{name} <code title="{whole}">{whole[:8]}</code>' for name, whole in hashes.items())
+    code = f'<code title="{entry.result_hash}">{entry.result_hash[:8]}</code>'
+    return f'<span class="tag measured">measured</span><small>result {code}</small>'
 
 
 def _opens_group(columns: Sequence[Column], column: Column) -> bool:

@@ -1,0 +1,81 @@
+"""A board with reported and measured entries and pictures."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from leaderboard.entry import Figure, Measured, Pair
+from mirror.evaluation.protocol import load_protocol
+from mirror.schema.files import write_json
+from tests.leaderboard.browser import NAMES, Browser, find_browser
+
+REPOSITORY = Path(__file__).parents[2]
+ENTRIES = REPOSITORY / "leaderboard" / "entries"
+
+
+def measured(method: str, psnr: float, **changes: object) -> Measured:
+    protocol = load_protocol("static-reconstruction")
+    figures = (
+        Figure(group="training", metric="psnr", value=psnr + 2, low=psnr + 1.5, high=psnr + 2.5, n=70),
+        Figure(group="novel", metric="psnr", value=psnr, low=psnr - 0.5, high=psnr + 0.5, n=35, n_infinite=1),
+        Figure(group="novel", metric="psnr_cc", value=psnr + 1, low=psnr + 0.5, high=psnr + 1.5, n=35),
+        Figure(group="novel", metric="ssim", value=psnr / 40, low=psnr / 41, high=psnr / 39, n=35),
+        Figure(group="novel", metric="lpips_alex", value=None, note="unavailable: alexnet weights (docs/weights.md)"),
+    )
+    plain = {
+        "method": method,
+        "version": "1",
+        "protocol": protocol.name,
+        "protocol_version": protocol.version,
+        "protocol_hash": protocol.hash,
+        "dataset": "synthetic street",
+        "dataset_hash": "ab" * 32,
+        "split": "novel",
+        "result_hash": "cd" * 32,
+        "toolkit": "mirror 0.1.0",
+        "frames_per_second": 400.0 / psnr,
+        "figures": figures,
+        "pairs": tuple(
+            Pair(
+                view=f"view {number}",
+                render=f"street/{re.sub('[^a-z0-9_]', '', method.lower())}-{number}.jpg",
+                truth=f"street/truth-{number}.jpg",
+            )
+            for number in range(2)
+        ),
+        **changes,
+    }
+    return Measured.model_validate(plain).sealed()
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Path:
+    """A folder of entries and pictures."""
+    folder = tmp_path / "board"
+    shutil.copytree(ENTRIES, folder / "entries", ignore=shutil.ignore_patterns("measured-*"))
+    for method, psnr in (("nearest_frame", 12.5), ("mean_color", 11.25), ("HybridWorldSim", 19.75)):
+        write_json(folder / "entries" / f"measured-{method}.json", measured(method, psnr))
+    (folder / "pictures" / "street").mkdir(parents=True)
+    for number, name in enumerate(("truth", "nearest_frame", "mean_color", "HybridWorldSim")):
+        for view in range(2):
+            picture = np.full((270, 480, 3), (60 * number, 90, 220 - 60 * view), np.uint8)
+            cv2.putText(picture, f"{name} {view}", (20, 140), cv2.FONT_HERSHEY_SIMPLEX, 1.2, (255, 255, 255), 2)
+            cv2.imwrite(str(folder / "pictures" / "street" / f"{name.lower()}-{view}.jpg"), picture)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    program = find_browser()
+    if program is None:
+        pytest.skip(f"no browser: none of {', '.join(NAMES)} is installed")
+    one = Browser(program, tmp_path_factory.mktemp("profile"))
+    yield one
+    one.close()

@@ -1,0 +1,222 @@
+"""Results that may stand on the board, and all that may be wrong with one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from leaderboard.__main__ import main
+from leaderboard.add import add_result
+from leaderboard.entry import Measured, load_entries
+from leaderboard.refused import RefusedError
+from mirror.errors import DatasetError, ExitCode, MirrorError
+from mirror.evaluation.protocol import load_protocol
+from mirror.schema.files import sha256_bytes
+
+PROTOCOL = load_protocol("static-reconstruction")
+PSNR = {"training": [20.0, 22.0, 24.0], "novel": [10.0, 12.0, float("inf"), None]}
+HASHES = {"dataset_hash": "ab" * 32, "plan_hash": "cd" * 32}
+
+
+def result() -> dict[str, Any]:
+    """A result of PSNR alone: of ``novel``, one picture equals the truth and one has no value."""
+    answered = {"protocol": PROTOCOL.name, "protocol_hash": PROTOCOL.hash, "split": "novel", **HASHES}
+    shared = {"metric": "psnr", "unit": "dB", "better": "higher"}
+    return {
+        "protocol": PROTOCOL.model_dump(mode="json"),
+        "protocol_hash": PROTOCOL.hash,
+        "dataset": {"split": "novel", **HASHES},
+        "submission": {
+            **answered,
+            "method": {"name": "a method", "version": "3", "url": "http://not.secure"},
+            "appearance": {"policy": "none"},
+            "runtime": {"device": "a processor", "frames_per_second": 50.0},
+        },
+        "submission_hash": "ef" * 32,
+        "figures": [
+            # Traversals count alike: (20 + 22) / 2 and 24.
+            {**shared, "group": "training", "value": 22.5, "n": 3, "low": 20.0, "high": 25.0},
+            {**shared, "group": "training", "value": 24.0, "n": 1, "level": "traversal", "key": "two"},
+            {**shared, "group": "novel", "value": 11.0, "n": 4, "n_inf": 1, "n_missing": 1},
+            {**shared, "group": "novel", "metric": "psnr_pooled", "value": 11.2, "n": 3},
+        ],
+        "unavailable": {"lpips_alex": "alexnet is not there; get it somewhere"},
+        "weights": {},
+        "versions": {"mirror": "0.1.0"},
+        "warnings": ["a warning"],
+    }
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Where a result lies, with its table of pictures."""
+    rows = [
+        {
+            "group": group,
+            "scene_id": "s",
+            "traversal_id": "two" if group == "training" and place == 2 else "one",
+            "psnr": value,
+        }
+        for group, values in PSNR.items()
+        for place, value in enumerate(values)
+    ]
+    out = tmp_path / "result"
+    out.mkdir()
+    pq.write_table(pa.Table.from_pylist(rows), out / "images.parquet")
+    return out
+
+
+def write(folder: Path, plain: dict[str, Any]) -> Path:
+    path = folder / "result.json"
+    path.write_text(json.dumps(plain))
+    return path
+
+
+def test_a_sound_result_stands_on_the_board(folder: Path, board: Path) -> None:
+    path = add_result(write(folder, result()), board, "a street", setting="slow")
+    (entry,) = [one for one in load_entries(board / "entries") if one.method == "a method"]
+    assert isinstance(entry, Measured)
+    assert path.name.startswith("measured-a-street-a-method-")
+    assert (entry.dataset, entry.setting, entry.version, entry.link) == ("a street", "slow", "3", None)
+    assert (entry.protocol_hash, entry.dataset_hash) == (PROTOCOL.hash, HASHES["dataset_hash"])
+    figures = {(one.group, one.metric): one for one in entry.figures}
+    assert figures["training", "psnr"].value == 22.5
+    assert figures["novel", "psnr"].n_infinite == 1
+    assert figures["novel", "lpips_alex"].value is None
+    assert figures["novel", "lpips_alex"].note == "unavailable: alexnet is not there"
+    assert ("novel", "psnr_pooled") not in figures
+    assert entry.frames_per_second == 50.0
+    assert entry.notes == ("a warning",)
+
+
+def test_the_same_result_twice(folder: Path, board: Path) -> None:
+    path = write(folder, result())
+    add_result(path, board, "a street")
+    with pytest.raises(RefusedError, match="stands on the board already"):
+        add_result(path, board, "another name")
+
+
+def test_the_same_method_twice_needs_another_version_or_setting(folder: Path, board: Path) -> None:
+    add_result(write(folder, result()), board, "a street")
+    again = {**result(), "warnings": []}
+    with pytest.raises(RefusedError, match="a method 3 stands on the board already"):
+        add_result(write(folder, again), board, "a street")
+    add_result(write(folder, again), board, "a street", setting="again")
+    again["submission"]["method"]["version"] = "4"
+    add_result(write(folder, again), board, "a street")
+    assert sum(one.method == "a method" for one in load_entries(board / "entries")) == 3
+
+
+def set_in(*keys: Any) -> Callable[[dict[str, Any]], None]:
+    """Sets what the last of the keys is, at the place that the others lead to."""
+
+    def change(plain: dict[str, Any]) -> None:
+        *way, last, value = keys
+        for key in way:
+            plain = plain[key]
+        plain[last] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (set_in("figures", 0, "value", 30.0), "psnr of training is 30.0, which is not the mean of its pictures"),
+        (set_in("figures", 0, "value", None), "psnr of training is None, which is not"),
+        (set_in("figures", 0, "n", 300), "is said to be of 300 pictures"),
+        (set_in("figures", 2, "n_inf", 0), "is said to be of 4 pictures, 0 of them infinite"),
+        (set_in("figures", 0, "group", "hidden"), "no group 'hidden'"),
+        (set_in("figures", 0, "metric", "beauty"), "'beauty' is not known"),
+        (set_in("figures", 0, "better", "lower"), "psnr is better lower, it says"),
+        (set_in("figures", 0, "low", 26.0), "ends before it begins"),
+        (
+            set_in("figures", 3, {"metric": "ssim", "group": "novel", "value": 2.0, "better": "higher", "n": 1}),
+            "outside",
+        ),
+        (set_in("figures", []), "has no figure"),
+        (set_in("figures", 2, "level", "scene"), "psnr of novel was measured"),
+        (set_in("protocol", "masks", "ego", False), "not the hash of the protocol in it"),
+        (set_in("protocol_hash", "00" * 32), "changed by hand"),
+        (set_in("submission", "dataset_hash", "00" * 32), "changed by hand"),
+        (set_in("submission", "plan_hash", "00" * 32), "changed by hand"),
+        (set_in("submission", "split", "easy"), "changed by hand"),
+        (set_in("submission", "method", "name", "<b>"), "pattern"),
+        (set_in("format", "other"), "mirror-result"),
+        (set_in("more", 1), "Extra inputs"),
+        (set_in("figures", 0, "value", "1e400"), "finite"),
+    ],
+)
+def test_what_does_not_hold_is_named(
+    folder: Path, board: Path, change: Callable[[dict[str, Any]], None], message: str
+) -> None:
+    plain = result()
+    change(plain)
+    before = sorted(board.rglob("*"))
+    with pytest.raises(RefusedError, match=message):
+        add_result(write(folder, plain), board, "a street")
+    assert sorted(board.rglob("*")) == before
+
+
+def test_another_version_of_the_protocol(folder: Path, board: Path) -> None:
+    plain = result()
+    plain["protocol"]["masks"]["ego"] = False
+    other = PROTOCOL.model_validate(plain["protocol"]).hash
+    plain["protocol_hash"] = plain["submission"]["protocol_hash"] = other
+    with pytest.raises(RefusedError, match="is not the board's version 1"):
+        add_result(write(folder, plain), board, "a street")
+    plain["protocol"]["name"] = plain["submission"]["protocol"] = "own"
+    own = PROTOCOL.model_validate(plain["protocol"]).hash
+    plain["protocol_hash"] = plain["submission"]["protocol_hash"] = own
+    with pytest.raises(RefusedError, match="unknown protocol 'own'"):
+        add_result(write(folder, plain), board, "a street")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, '{"figures": NaN}', "null", "\udce9"])
+def test_no_json(folder: Path, board: Path, text: str) -> None:
+    path = folder / "result.json"
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(MirrorError, match=r"result\.json"):
+        add_result(path, board, "a street")
+
+
+def test_missing_files(folder: Path, board: Path) -> None:
+    with pytest.raises(DatasetError, match="cannot be read"):
+        add_result(folder / "none.json", board, "a street")
+    path = write(folder, result())
+    (folder / "images.parquet").write_bytes(b"PAR1")
+    with pytest.raises(DatasetError, match=r"images\.parquet: cannot be read"):
+        add_result(path, board, "a street")
+    (folder / "images.parquet").unlink()
+    with pytest.raises(DatasetError, match=r"images\.parquet: cannot be read"):
+        add_result(path, board, "a street")
+
+
+def test_commands(folder: Path, board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(write(folder, result()))
+    options = ["--dataset", "a street", "--board", str(board)]
+    assert main(["add", path, *options]) == ExitCode.DONE
+    assert main(["add", path, *options]) == ExitCode.FINDINGS
+    assert "refused" in capsys.readouterr().err
+    assert main(["add", str(tmp_path / "none"), *options]) == ExitCode.COULD_NOT_RUN
+    assert main(["add", path, *options, "--submission", str(tmp_path)]) == ExitCode.COULD_NOT_RUN
+    assert main(["build", "--board", str(board), "--out", str(tmp_path / "site")]) == ExitCode.DONE
+    assert "a method" in (tmp_path / "site" / "index.html").read_text()
+    assert main([]) == ExitCode.COULD_NOT_RUN
+    assert main(["--help"]) == ExitCode.DONE
+
+
+def test_the_result_hash_is_of_its_content(folder: Path, board: Path) -> None:
+    path = add_result(write(folder, result()), board, "a street")
+    entry = json.loads(path.read_text())
+    # By the definition: canonical JSON of the whole document, defaults included.
+    from mirror.evaluation.result import Result
+
+    plain = Result.model_validate(result()).model_dump(mode="json")
+    assert entry["result_hash"] == sha256_bytes(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode())

@@ -1,0 +1,145 @@
+"""Which entries stand together, in what order, and what is best."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from leaderboard.boards import boards_of, seconds_per_picture, value_of
+from leaderboard.entry import Figure, Measured, load_entries
+from leaderboard.measures import MEASURES
+from mirror.errors import DatasetError, MirrorError, SchemaError
+from mirror.evaluation.protocol import load_protocol, protocol_names
+from mirror.schema.files import write_json
+from tests.leaderboard.conftest import ENTRIES, measured
+
+
+def test_measured_and_reported_never_share_a_table(board: Path) -> None:
+    for one in boards_of(load_entries(board / "entries")):
+        assert len({entry.kind for entry in one.entries}) == 1
+
+
+def test_other_hashes_make_another_table() -> None:
+    entries = [
+        measured("a", 20.0),
+        measured("b", 21.0),
+        measured("c", 22.0, dataset_hash="ef" * 32),
+        measured("d", 23.0, split="other"),
+        measured("e", 24.0, protocol_hash="01" * 32),
+    ]
+    assert [len(one.entries) for one in boards_of(entries)].count(2) == 1
+    assert len(boards_of(entries)) == 4
+    assert len({one.id for one in boards_of(entries)}) == 4
+
+
+def test_best_first_by_the_protocols_column() -> None:
+    (board,) = boards_of([measured("low", 10.0), measured("high", 30.0), measured("middle", 20.0)])
+    assert board.ranked_by == ("novel", "psnr_cc")
+    assert [entry.method for entry in board.entries] == ["high", "middle", "low"]
+    assert board.best(("novel", "psnr")) == 30.0
+    assert board.best(("novel", "lpips_alex")) is None
+
+
+def test_lower_is_better_where_it_is() -> None:
+    boards = [one for one in boards_of(load_entries(ENTRIES)) if one.protocol == "vehicle-translation"]
+    for board in boards:
+        assert [entry.method for entry in board.entries] == ["HybridWorldSim", "DriveEditor"]
+        for column in board.columns:
+            assert board.best(column) == min(value_of(entry, column) for entry in board.entries)
+
+
+def test_columns_are_in_the_protocols_order() -> None:
+    (board,) = boards_of([measured("a", 10.0)])
+    assert board.columns == (
+        ("training", "psnr"),
+        ("novel", "psnr"),
+        ("novel", "psnr_cc"),
+        ("novel", "ssim"),
+        ("novel", "lpips_alex"),
+    )
+    offsets = [one for one in boards_of(load_entries(ENTRIES)) if one.title == "MIRROR"][1]
+    assert [group for group, _ in offsets.columns] == ["right-3m", "right-1.5m", "0m", "left-1.5m", "left-3m"]
+
+
+def test_the_speed_of_the_static_scene_is_not_that_of_generation() -> None:
+    entries = load_entries(ENTRIES)
+    known = {(one.method, one.protocol) for one in entries if seconds_per_picture(one, entries) is not None}
+    assert known == {("HybridWorldSim", "static-reconstruction")}
+    assert seconds_per_picture(measured("a", 20.0), []) == pytest.approx(1 / 20.0)
+
+
+def test_every_metric_of_every_protocol_is_known() -> None:
+    composite = {"nuscenes_detection"}
+    for name in protocol_names():
+        assert set(load_protocol(name).metric_names) - composite <= set(MEASURES), name
+
+
+def test_an_entry_that_was_changed_is_refused_by_name(board: Path) -> None:
+    path = board / "entries" / "measured-mean_color.json"
+    plain = json.loads(path.read_text())
+    plain["figures"][1]["value"] = 40.0
+    path.write_text(json.dumps(plain))
+    with pytest.raises(SchemaError, match=r"measured-mean_color\.json: seal: was changed"):
+        load_entries(board / "entries")
+
+
+def test_two_entries_for_the_same_are_refused_by_name(board: Path) -> None:
+    write_json(board / "entries" / "measured-again.json", measured("mean_color", 35.0, result_hash="99" * 32))
+    with pytest.raises(SchemaError, match=r"stands for the same as measured-again\.json"):
+        load_entries(board / "entries")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"metric": "beauty"}, "not known"),
+        ({"metric": "ssim", "value": 1.5}, "outside -1 to 1"),
+        ({"value": float("nan")}, "finite"),
+        ({"value": float("inf")}, "finite"),
+        ({"value": None}, "no note"),
+        ({"value": -3.0}, "outside 0 to inf"),
+        ({"low": 1.0}, "half a confidence interval"),
+        ({"low": 3.0, "high": 1.0}, "ends before"),
+    ],
+)
+def test_impossible_figures(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Figure.model_validate({"group": "novel", "metric": "psnr", "value": 20.0, **changes})
+
+
+@pytest.mark.parametrize("link", ["javascript:alert(1)", "http://a.b", "https://a.b/\"onclick='x'", "https://a.b/\n"])
+def test_links_are_plain(link: str) -> None:
+    with pytest.raises(ValueError):
+        measured("a", 20.0, link=link)
+
+
+@pytest.mark.parametrize("name", ["../x.jpg", "/x.jpg", "a/b/c.jpg", "x.svg", "a/../b.jpg", "x.jpg\n"])
+def test_pictures_stay_in_their_folder(name: str) -> None:
+    with pytest.raises(ValueError):
+        measured("a", 20.0, pairs=({"view": "v", "render": name, "truth": "t.jpg"},))
+
+
+def test_unknown_protocol_and_no_folder(board: Path) -> None:
+    write_json(board / "entries" / "measured-x.json", measured("x", 20.0, protocol="beauty"))
+    with pytest.raises(SchemaError, match="unknown protocol 'beauty'"):
+        load_entries(board / "entries")
+    with pytest.raises(DatasetError, match="no such folder"):
+        load_entries(board / "nothing")
+
+
+def test_not_json(board: Path) -> None:
+    (board / "entries" / "broken.json").write_text("{")
+    with pytest.raises(MirrorError, match=r"broken\.json"):
+        load_entries(board / "entries")
+
+
+@pytest.mark.filterwarnings("ignore:Pydantic serializer warnings")
+def test_seal_covers_everything_but_itself() -> None:
+    one = measured("a", 20.0)
+    assert one.seal == one.content_hash
+    for name in Measured.model_fields:
+        if name not in ("seal", "kind"):
+            changed = one.model_copy(update={name: "other"})
+            assert changed.content_hash != one.content_hash, name

@@ -1,0 +1,205 @@
+"""The page: as text, and in a browser."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from leaderboard.entry import load_entries
+from leaderboard.site.page import build, build_site
+from mirror.errors import DatasetError
+from tests.leaderboard.browser import Browser
+from tests.leaderboard.conftest import ENTRIES, REPOSITORY, measured
+
+MOST_BYTES = 120_000
+
+
+class Tags(HTMLParser):
+    """All tags, and whether each that must be closed is."""
+
+    VOID: ClassVar = {"meta", "img", "input", "br", "link", "hr"}
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_page_is_whole_small_and_alone(board: Path, tmp_path: Path) -> None:
+    page = build(board, tmp_path / "site")
+    text = page.read_text()
+    assert len(text.encode()) < MOST_BYTES
+    tags = Tags(text)
+    assert tags.open == []
+    for tag, attributes in tags.found:
+        assert tag not in ("link", "iframe", "object", "embed", "form")
+        assert "style" not in attributes
+        assert not any(name.startswith("on") for name in attributes)
+        if "src" in attributes:
+            assert (page.parent / str(attributes["src"])).is_file()
+        if tag == "img":
+            assert attributes.get("alt")
+        if tag == "a":
+            target = str(attributes["href"])
+            assert target.startswith(("#", "https://"))
+            if target.startswith("#"):
+                assert target[1:] in {attributes.get("id") for _, attributes in tags.found}
+    ids = [attributes["id"] for _, attributes in tags.found if "id" in attributes]
+    assert len(set(ids)) == len(ids)
+
+
+def test_same_entries_same_bytes(board: Path, tmp_path: Path) -> None:
+    assert build(board, tmp_path / "a").read_bytes() == build(board, tmp_path / "b").read_bytes()
+
+
+def test_words_of_others_are_text(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="pattern"):
+        measured("a</script>", 20.0)
+    quoted = measured("\"x' onload=y &amp;", 20.0, pairs=(), notes=("</script><script>alert(1)</script>",))
+    text = build_site([quoted], tmp_path, tmp_path / "site").read_text()
+    assert "&lt;/script&gt;&lt;script&gt;alert(1)" in text
+    assert "&quot;x&#x27; onload=y &amp;amp;" in text
+    assert text.count("<script") == 1
+
+
+def test_a_missing_picture_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"(truth|a)-0\.jpg"):
+        build_site([measured("a", 20.0)], tmp_path, tmp_path / "site")
+
+
+def test_shipped_board_builds(tmp_path: Path) -> None:
+    text = build(REPOSITORY / "leaderboard", tmp_path).read_text()
+    for entry in load_entries(ENTRIES):
+        assert entry.method in text
+    assert "17.73" in text
+    assert "0.71" in text
+
+
+def test_no_entries_at_all(tmp_path: Path) -> None:
+    assert "0 entries" in build_site([], tmp_path, tmp_path / "site").read_text()
+
+
+def test_plot_needs_time_and_value(tmp_path: Path) -> None:
+    slow = measured("a", 20.0, pairs=(), frames_per_second=None)
+    assert "<svg" not in build_site([slow], tmp_path, tmp_path / "a").read_text()
+    fast = measured("a", 20.0, pairs=())
+    assert "<circle" in build_site([fast], tmp_path, tmp_path / "b").read_text()
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (1280, True), (390, False), (320, True)])
+def test_nothing_overflows_or_complains(browser: Browser, board: Path, tmp_path: Path, width: int, dark: bool) -> None:
+    page = build(board, tmp_path / "site")
+    browser.open(page, width=width, dark=dark)
+    assert browser.script("document.documentElement.scrollWidth") <= width
+    assert browser.complaints() == []
+    assert all(url.startswith(page.parent.resolve().as_uri()) for url in browser.requested())
+    browser.script("document.querySelectorAll('img').forEach(image => { image.loading = 'eager' })")
+    loaded = "Promise.all([...document.images].map(one => one.decode().then(() => one.naturalWidth)))"
+    assert all(size == 480 for size in browser.script(loaded))
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_text_can_be_read(browser: Browser, board: Path, tmp_path: Path, dark: bool) -> None:
+    """Contrast of text and its ground: 4.5 at least, as WCAG AA has it."""
+    browser.open(build(board, tmp_path / "site"), dark=dark)
+    script = f"""[...document.querySelectorAll('{TEXTS}')].map(one => {{
+      const bare = (it) => getComputedStyle(it).backgroundColor === 'rgba(0, 0, 0, 0)';
+      let ground = one;
+      while (ground.parentElement && bare(ground)) ground = ground.parentElement;
+      if (bare(ground)) ground = document.body;
+      return [getComputedStyle(one).color, getComputedStyle(ground).backgroundColor, one.textContent.slice(0, 30)];
+    }})"""
+    for ink, ground, text in browser.script(script):
+        assert contrast(ink, ground) >= 4.5, (ink, ground, text)
+
+
+TEXTS = "h1,h2,h3,p,td,th,button,small,a,li,.tag,label,figcaption"
+
+
+def contrast(one: str, other: str) -> float:
+    lights = sorted(luminance(*map(int, re.findall(r"\d+", colour)[:3])) for colour in (one, other))
+    return (lights[1] + 0.05) / (lights[0] + 0.05)
+
+
+def luminance(*rgb: int) -> float:
+    linear = [v / 12.92 if v <= 0.03928 else ((v + 0.055) / 1.055) ** 2.4 for v in (c / 255 for c in rgb)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+METHODS = "[...document.querySelector('table.board').tBodies[0].rows].map(row => row.cells[0].dataset.value)"
+HEADS = "[...document.querySelector('table.board').querySelectorAll('thead th button')]"
+
+
+def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
+    browser.open(build(board, tmp_path / "site"))
+    best = ["hybridworldsim", "nearest_frame", "mean_color"]
+    assert browser.script(METHODS) == best
+    # The ranked column turns round; another begins with its best; what has no value stays last and in order.
+    browser.script(f"{HEADS}[3].click()")
+    assert browser.script(METHODS) == best[::-1]
+    assert (
+        browser.script("document.querySelector('table.board th[aria-sort]').getAttribute('aria-sort')") == "ascending"
+    )
+    browser.script(f"{HEADS}[1].click()")
+    assert browser.script(METHODS) == best
+    assert browser.script("document.querySelectorAll('table.board th[aria-sort]').length") >= 1
+    browser.script(f"{HEADS}[0].click()")
+    assert browser.script(METHODS) == sorted(best)
+    browser.script(f"{HEADS}[5].click()")
+    assert browser.script(METHODS) == sorted(best)
+
+
+def test_heads_sort_by_keyboard(browser: Browser, board: Path, tmp_path: Path) -> None:
+    browser.open(build(board, tmp_path / "site"))
+    browser.script(f"{HEADS}[3].focus()")
+    for kind in ("keyDown", "keyUp"):
+        browser.call(
+            "Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13, text="\r"
+        )
+    assert browser.script(METHODS) == ["mean_color", "nearest_frame", "hybridworldsim"]
+
+
+def test_slider_moves_and_shows_what_is_chosen(browser: Browser, board: Path, tmp_path: Path) -> None:
+    browser.open(build(board, tmp_path / "site"))
+    source = "document.querySelector('.stage img.{}').getAttribute('src')"
+    assert browser.script(source.format("left")) == "pictures/street/truth-0.jpg"
+    assert browser.script(source.format("right")) == "pictures/street/hybridworldsim-0.jpg"
+    choose = "(() => {{ const s = document.querySelectorAll('.slider select')[{}]; s.selectedIndex = {};"
+    choose += " s.dispatchEvent(new Event('change')) }})()"
+    browser.script(choose.format(0, 1))
+    browser.script(choose.format(1, 2))
+    assert browser.script(source.format("left")) == "pictures/street/nearest_frame-1.jpg"
+    assert browser.script(source.format("right")) == "pictures/street/hybridworldsim-1.jpg"
+    browser.script("document.querySelector('.stage').scrollIntoView()")
+    left, top, width, height = browser.script(
+        "(r => [r.x, r.y, r.width, r.height])(document.querySelector('.stage').getBoundingClientRect())"
+    )
+    for kind in ("mousePressed", "mouseReleased"):
+        place = {"x": left + 0.25 * width, "y": top + 0.5 * height}
+        browser.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **place)
+    at = browser.script("parseFloat(getComputedStyle(document.querySelector('.stage')).getPropertyValue('--at'))")
+    assert at == pytest.approx(25, abs=3)
+
+
+def test_tables_stand_without_scripts(browser: Browser, board: Path, tmp_path: Path) -> None:
+    browser.call("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.open(build(board, tmp_path / "site"))
+        root = browser.call("DOM.getDocument")["root"]["nodeId"]
+        rows = browser.call("DOM.querySelectorAll", nodeId=root, selector="table.board tbody tr")["nodeIds"]
+        assert len(rows) == len(load_entries(board / "entries"))
+    finally:
+        browser.call("Emulation.setScriptExecutionDisabled", value=False)

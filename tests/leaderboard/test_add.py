@@ -21,13 +21,13 @@ from mirror.schema.files import sha256_bytes
 
 PROTOCOL = load_protocol("static-reconstruction")
 PSNR = {"training": [20.0, 22.0, 24.0], "novel": [10.0, 12.0, float("inf"), None]}
+SHARED = {"metric": "psnr", "unit": "dB", "better": "higher"}
 HASHES = {"dataset_hash": "ab" * 32, "plan_hash": "cd" * 32}
 
 
 def result() -> dict[str, Any]:
     """A result of PSNR alone: of ``novel``, one picture equals the truth and one has no value."""
     answered = {"protocol": PROTOCOL.name, "protocol_hash": PROTOCOL.hash, "split": "novel", **HASHES}
-    shared = {"metric": "psnr", "unit": "dB", "better": "higher"}
     return {
         "protocol": PROTOCOL.model_dump(mode="json"),
         "protocol_hash": PROTOCOL.hash,
@@ -41,10 +41,10 @@ def result() -> dict[str, Any]:
         "submission_hash": "ef" * 32,
         "figures": [
             # Traversals count alike: (20 + 22) / 2 and 24.
-            {**shared, "group": "training", "value": 22.5, "n": 3, "low": 20.0, "high": 25.0},
-            {**shared, "group": "training", "value": 24.0, "n": 1, "level": "traversal", "key": "two"},
-            {**shared, "group": "novel", "value": 11.0, "n": 4, "n_inf": 1, "n_missing": 1},
-            {**shared, "group": "novel", "metric": "psnr_pooled", "value": 11.2, "n": 3},
+            {**SHARED, "group": "training", "value": 22.5, "n": 3, "low": 20.0, "high": 25.0},
+            {**SHARED, "group": "training", "value": 24.0, "n": 1, "level": "traversal", "key": "two"},
+            {**SHARED, "group": "novel", "value": 11.0, "n": 4, "n_inf": 1, "n_missing": 1},
+            {**SHARED, "group": "novel", "metric": "psnr_pooled", "value": 11.2, "n": 3},
         ],
         "unavailable": {"lpips_alex": "alexnet is not there; get it somewhere"},
         "weights": {},
@@ -129,7 +129,10 @@ def set_in(*keys: Any) -> Callable[[dict[str, Any]], None]:
     ("change", "message"),
     [
         (set_in("figures", 0, "value", 30.0), "psnr of training is 30.0, which is not the mean of its pictures"),
-        (set_in("figures", 0, "value", None), "psnr of training is None, which is not"),
+        (
+            set_in("figures", 0, {**SHARED, "group": "training", "value": None, "reason": "so", "n": 3}),
+            "psnr of training is None, which is not",
+        ),
         (set_in("figures", 0, "n", 300), "is said to be of 300 pictures"),
         (set_in("figures", 2, "n_inf", 0), "is said to be of 4 pictures, 0 of them infinite"),
         (set_in("figures", 0, "group", "hidden"), "no group 'hidden'"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nearest_frame.nearest import METRES_A_RADIAN, nearest, render
+from nearest_frame.matching import METRES_A_RADIAN, nearest, render
 from nearest_frame.submission import APPEARANCE, METHOD
 
 __all__ = ["APPEARANCE", "METHOD", "METRES_A_RADIAN", "nearest", "render"]

@@ -1,0 +1,82 @@
+"""The mean colour of a camera's training pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mean_color import APPEARANCE, METHOD, MOST_PICTURES, mean_colour, render
+from mirror.dataset import Dataset
+from mirror.errors import DatasetError
+from mirror.evaluation.protocol import Protocol
+from mirror.evaluation.submission.check import check_submission
+from mirror.evaluation.submission.untrusted import open_untrusted
+from mirror.evaluation.submission.writing import write_submission
+from mirror.evaluation.training import training_pictures
+from mirror.evaluation.views import plan_views
+from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
+
+
+class Still:
+    """A picture of noise."""
+
+    opened = 0
+
+    def __init__(self, seed: int, size: tuple[int, int] = (7, 9)) -> None:
+        self.pixels = np.random.default_rng(seed).integers(0, 256, (*size, 3)).astype(np.uint8)
+
+    def decode(self) -> np.ndarray:
+        Still.opened += 1
+        return self.pixels
+
+
+@pytest.mark.parametrize("count", [1, 2, 17])
+def test_mean_of_all_pixels(count: int) -> None:
+    pictures = [Still(seed) for seed in range(count)]
+    expected = np.concatenate([one.pixels.reshape(-1, 3) for one in pictures]).astype(np.float64).mean(axis=0)
+    assert mean_colour(pictures) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_saturated(value: int) -> None:
+    one = Still(0)
+    one.pixels[:] = value
+    assert mean_colour([one]).tolist() == [value] * 3
+
+
+def test_of_many_pictures_some_are_opened() -> None:
+    pictures = [Still(seed, (1, 1)) for seed in range(3 * MOST_PICTURES)]
+    Still.opened = 0
+    mean_colour(pictures)
+    assert Still.opened == MOST_PICTURES
+
+
+def test_views_are_one_colour(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:
+    plan = plan_views(dataset, protocol, "novel")
+    # Every training drive has as many pictures that are not asked for.
+    expected = np.mean([colour for _, _, _, colour, role in DRIVES if role == "train"], axis=0)
+    for _, picture in render(dataset, plan):
+        assert (picture == picture[0, 0]).all()
+        assert np.abs(picture[0, 0] - expected).max() <= 2
+    out = tmp_path / "submission"
+    write_submission(dataset, plan, render, METHOD, APPEARANCE, out)
+    assert check_submission(open_untrusted(out), plan).problems == ()
+
+
+def test_training_pictures_are_those_that_are_not_asked_for(dataset: Dataset, protocol: Protocol) -> None:
+    found = training_pictures(dataset, plan_views(dataset, protocol, "novel"))
+    assert set(found) == {("street", camera) for camera in CAMERAS}
+    # Frames 0, 5, 10 and the last are asked for, of three training drives.
+    for own in found.values():
+        assert len(own.images) == len(own.world_SE3_camera) == 3 * (FRAMES - 4)
+
+
+def test_a_camera_without_training_pictures_is_named(dataset: Dataset, protocol: Protocol) -> None:
+    plain = protocol.model_dump(mode="json")
+    # All frames are asked for: none is left.
+    plain["frames"]["every"] = 1
+    plan = plan_views(dataset, Protocol.model_validate(plain), "novel")
+    with pytest.raises(DatasetError, match=r"camera front_wide has no training picture in scene street \(2 such"):
+        training_pictures(dataset, plan)

@@ -1,0 +1,173 @@
+"""The nearest pose, and the picture that was taken there."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mirror.dataset import Dataset
+from mirror.dataset.frames import Image
+from mirror.errors import DatasetError, ExitCode, UsageError
+from mirror.evaluation.protocol import Protocol, load_protocol
+from mirror.evaluation.run import evaluate
+from mirror.evaluation.submission.check import check_submission
+from mirror.evaluation.submission.untrusted import open_untrusted
+from mirror.evaluation.submission.writing import write_submission
+from mirror.evaluation.views import plan_views
+from mirror.geometry.poses import Poses
+from nearest_frame import APPEARANCE, METHOD, METRES_A_RADIAN, nearest, render
+from nearest_frame import __main__ as command
+from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
+
+COLOURS = {name: np.array(colour) for name, _, _, colour, _ in DRIVES}
+
+
+def random_poses(generator: np.random.Generator, count: int, spread_m: float = 30.0) -> Poses:
+    return Poses(generator.normal(size=(count, 4)), generator.uniform(-spread_m, spread_m, (count, 3)))
+
+
+def brute_force(wanted: Poses, there: Poses) -> list[int]:
+    """By the definition, pose by pose, with another library's rotations."""
+    found = []
+    for ours, at in zip(wanted.rotation, wanted.translation):
+        looking = Rotation.from_quat(ours, scalar_first=True).apply([0.0, 0.0, 1.0])
+        costs = []
+        for theirs, place in zip(there.rotation, there.translation):
+            other = Rotation.from_quat(theirs, scalar_first=True).apply([0.0, 0.0, 1.0])
+            angle = np.arccos(np.clip(looking @ other, -1.0, 1.0))
+            costs.append(np.sum((at - place) ** 2) + (METRES_A_RADIAN * 2.0 * np.sin(angle / 2.0)) ** 2)
+        found.append(int(np.argmin(costs)))
+    return found
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 20), st.sampled_from([0.0, 1e5, 1e8]))
+def test_nearest_is_that_of_the_definition(seed: int, wanted: int, there: int, offset_m: float) -> None:
+    generator = np.random.default_rng(seed)
+    ours, theirs = random_poses(generator, wanted), random_poses(generator, there)
+    expected = brute_force(ours, theirs)
+    shift = np.array([offset_m, -offset_m, offset_m])
+    moved = [Poses(poses.rotation, poses.translation + shift) for poses in (ours, theirs)]
+    assert nearest(*moved).tolist() == expected
+
+
+def test_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = np.random.default_rng(3)
+    ours, theirs = random_poses(generator, 50), random_poses(generator, 40)
+    whole = nearest(ours, theirs)
+    monkeypatch.setattr("nearest_frame.matching._PAIRS", 7)
+    assert nearest(ours, theirs).tolist() == whole.tolist()
+
+
+def test_equally_near_and_none_at_all() -> None:
+    same = Poses(np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)), np.zeros((3, 3)))
+    assert nearest(same, same).tolist() == [0, 0, 0]
+    assert nearest(Poses(np.empty((0, 4)), np.empty((0, 3))), same).tolist() == []
+
+
+def test_a_turn_counts_as_metres() -> None:
+    turned = Rotation.from_euler("y", 0.5).as_quat(scalar_first=True)
+    there = Poses(np.array([turned, [1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [4.9, 0.0, 0.0]]))
+    assert nearest(Poses.identity(), there).tolist() == [1]
+    farther = Poses(there.rotation, np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
+    assert nearest(Poses.identity(), farther).tolist() == [0]
+
+
+def test_views_show_the_nearest_drive_of_the_same_way(dataset: Dataset, protocol: Protocol) -> None:
+    plan = plan_views(dataset, protocol, "novel")
+    shown = {view.path: picture for views, picture in render(dataset, plan) for view in views}
+    assert set(shown) == {view.path for view in plan.views}
+    for view in plan.views:
+        if view.group == "novel":
+            # The oncoming one came nearer, and looked the other way.
+            assert np.abs(shown[view.path].mean(axis=(0, 1)) - COLOURS["near"]).max() < 3
+        drive = view.traversal_id.split(".")[1]
+        if view.group == "training":
+            assert np.abs(shown[view.path].mean(axis=(0, 1)) - COLOURS[drive]).max() < 3
+
+
+def test_pictures_are_opened_once_and_none_that_is_asked_for(
+    dataset: Dataset, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: Counter[tuple[str, str, int]] = Counter()
+    decode = Image.decode
+
+    def counted(self: Image, *, verify: bool = False) -> object:
+        opened[self.uri.split("/")[1], self.camera, self.timestamp_ns] += 1
+        return decode(self, verify=verify)
+
+    monkeypatch.setattr(Image, "decode", counted)
+    plan = plan_views(dataset, protocol, "novel")
+    list(render(dataset, plan))
+    assert set(opened.values()) == {1}
+    asked = {(view.traversal_id, view.camera, view.timestamp_ns) for view in plan.views}
+    assert not asked & set(opened)
+    # One neighbour of each training view and one match of each held-out view, at most.
+    assert len(opened) <= len(plan.views)
+
+
+def test_only_what_is_needed_is_read(dataset: Dataset, protocol: Protocol) -> None:
+    plain = protocol.model_dump(mode="json")
+    plain["groups"] = [group for group in plain["groups"] if group["name"] == "novel"]
+    plan = plan_views(dataset, Protocol.model_validate(plain), "novel")
+    for path in Path(dataset.root).glob("traversals/*/recorded/*/*.jpg"):
+        if ".near." not in str(path):
+            path.unlink()
+    assert sum(len(views) for views, _ in render(dataset, plan)) == len(plan.views)
+
+
+def test_moved_cameras_may_be_shown_their_own_picture(dataset: Dataset) -> None:
+    plan = plan_views(dataset, load_protocol("lane-shift"), "novel")
+    for views, picture in render(dataset, plan):
+        for view in views:
+            drive = view.traversal_id.split(".")[1]
+            if view.group in ("right-1m", "left-1m"):
+                assert np.abs(picture.mean(axis=(0, 1)) - COLOURS[drive]).max() < 3
+
+
+def test_the_submission_is_sound_and_scored(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:
+    plan = plan_views(dataset, protocol, "novel")
+    out = tmp_path / "submission"
+    assert write_submission(dataset, plan, render, METHOD, APPEARANCE, out) == len(plan.views)
+    report = check_submission(open_untrusted(out), plan)
+    assert report.problems == ()
+    assert report.manifest is not None
+    assert report.manifest.runtime is not None
+    assert report.manifest.runtime.frames_per_second is not None
+    done = evaluate(out, dataset.root, protocol, "novel", tmp_path / "result")
+    assert done.result is not None
+    values = {figure.group: figure.value for figure in done.result.figures if figure.level == "group"}
+    # One flat colour against another: the mean square is known.
+    error = np.mean((COLOURS["near"] - COLOURS["new"]) ** 2.0)
+    assert values["novel"] == pytest.approx(10 * np.log10(255**2 / error), abs=0.2)
+    with pytest.raises(UsageError, match="not an empty folder"):
+        write_submission(dataset, plan, render, METHOD, APPEARANCE, out)
+
+
+def test_a_renderer_that_leaves_views_out(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:
+    plan = plan_views(dataset, protocol, "novel")
+    with pytest.raises(DatasetError, match="0 of"):
+        write_submission(dataset, plan, lambda *_: (), METHOD, APPEARANCE, tmp_path / "out")
+    assert not (tmp_path / "out" / "manifest.json").exists()
+
+
+def test_protocols_without_renders(dataset: Dataset, tmp_path: Path) -> None:
+    for name in ("annotation", "runtime"):
+        plan = plan_views(dataset, load_protocol(name), "novel")
+        with pytest.raises(UsageError, match="asks for no renders"):
+            write_submission(dataset, plan, render, METHOD, APPEARANCE, tmp_path / name)
+
+
+def test_command(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [dataset.root, "--split", "novel", "--out", str(tmp_path / "out")]
+    assert command.method_main(words, render, METHOD, APPEARANCE) == ExitCode.DONE
+    views = len(CAMERAS) * (4 * 4)
+    assert FRAMES == 12
+    assert f"{views} renders" in capsys.readouterr().out
+    assert command.method_main(words, render, METHOD, APPEARANCE) == ExitCode.COULD_NOT_RUN
+    assert "nearest_frame: " in capsys.readouterr().err

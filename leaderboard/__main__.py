@@ -25,6 +25,8 @@ class Build:
     """Folder of the site."""
     board: Path = FOLDER
     """Folder that holds `entries` and `pictures`."""
+    also: tuple[Path, ...] = ()
+    """More such folders; their entries stand in for the same ones of those before."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ def _build(argv: Sequence[str]) -> int:
     arguments = tyro.cli(Build, args=list(argv), prog="python -m leaderboard build")
     from leaderboard.site.page import build
 
-    print(f"site: {build(arguments.board, arguments.out)}")
+    print(f"site: {build((arguments.board, *arguments.also), arguments.out)}")
     return ExitCode.DONE
 
 

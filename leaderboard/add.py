@@ -35,7 +35,7 @@ def add_result(
 
     Args:
         path: ``result.json``.
-        board: folder that holds ``entries`` and ``pictures``.
+        board: folder that holds ``entries`` and ``pictures``; made if it is not there.
         dataset: what the data set is called on the board.
         setting: what tells this row from others of the same method and version.
         shown: where renders and their truth are, to show some of them.
@@ -51,7 +51,7 @@ def add_result(
     result = read_result(path)
     entry = entry_of(result, dataset, file=path, setting=setting)
     require_counted(result, path)
-    for other in load_entries(board / "entries"):
+    for other in load_entries(board / "entries") if (board / "entries").exists() else ():
         if isinstance(other, Measured):
             _require_new(entry, other, path)
     if shown is not None:

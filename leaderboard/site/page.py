@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import shutil
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
@@ -13,14 +12,14 @@ from pathlib import Path
 from typing import Final
 
 from leaderboard.boards import Board, boards_of
-from leaderboard.entry import PICTURES, Entry, Measured, load_entries
+from leaderboard.entry import PICTURES, Entry, Measured, identity, load_entries
 from leaderboard.site.guide import GUIDE
 from leaderboard.site.plot import time_quality_plot
 from leaderboard.site.slider import board_slider, picture_files
 from leaderboard.site.tables import board_table
 from mirror.errors import DatasetError
 from mirror.evaluation.protocol import load_protocol
-from mirror.schema.files import unwritable, write_bytes
+from mirror.schema.files import write_bytes
 from mirror.version import __version__
 
 _TITLE: Final = "MIRROR leaderboard"
@@ -33,12 +32,12 @@ _KINDS: Final = (
 )
 
 
-def build_site(entries: Sequence[Entry], pictures: Path, out: Path) -> Path:
+def build_site(entries: Sequence[Entry], pictures: Sequence[Path], out: Path) -> Path:
     """Write the site.
 
     Args:
         entries: what stands on the board.
-        pictures: folder of the pictures that entries name.
+        pictures: folders of the pictures that entries name.
         out: folder of the site; its page and pictures are replaced, other files are left alone.
 
     Returns:
@@ -102,21 +101,22 @@ def _heading(board: Board) -> str:
     return f'<h3 id="{board.id}">{escape(board.title)}{evidence}</h3>'
 
 
-def _copy_pictures(names: Iterable[str], source: Path, out: Path) -> None:
+def _copy_pictures(names: Iterable[str], sources: Sequence[Path], out: Path) -> None:
     for name in names:
-        if not (source / name).is_file():
-            raise DatasetError("missing", file=source / name, expected="a picture that an entry names")
-        try:
-            (out / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source / name, out / name)
-        except OSError as error:
-            raise unwritable(out / name, error) from error
+        found = next((source / name for source in sources if (source / name).is_file()), None)
+        if found is None:
+            raise DatasetError("missing", file=name, expected=f"in {' or '.join(map(str, sources)) or 'some folder'}")
+        write_bytes(out / name, found.read_bytes())
 
 
 def _source_hash(text: str) -> str:
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
-def build(folder: Path, out: Path) -> Path:
-    """Build the site of a folder that holds ``entries`` and ``pictures``; see `build_site` and `load_entries`."""
-    return build_site(load_entries(folder / "entries"), folder / PICTURES, out)
+def build(boards: Sequence[Path], out: Path) -> Path:
+    """Build the site of folders that hold ``entries`` and ``pictures``; see `build_site` and `load_entries`.
+
+    An entry of a later folder stands in for one of an earlier folder that is for the same.
+    """
+    entries = {identity(entry): entry for board in boards for entry in load_entries(board / "entries")}
+    return build_site(list(entries.values()), [board / PICTURES for board in boards], out)

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import shutil
+import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import tyro
 
 from mirror.errors import ExitCode, UsageError
 
+_LEADERBOARD: Final = Path(__file__).parents[2] / "leaderboard"
+_NO_BOARD: Final = "the board is built from a checkout of the repository"
+_BASELINES: Final = ("nearest_frame", "mean_color")
 _MARK = ".made-by-mirror-demo"
 _NOTE = "`mirror demo` may remove this folder and make it anew.\n"
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Make recordings of a synthetic street, then run the verbs that turn them into a dataset, a split and a report.
+    """Make recordings of a synthetic street, and run the verbs that turn them into a dataset, a split and a report.
 
+    Then two baselines are scored on the traversal that was held out, and stand on a board beside the paper's tables.
     Every command is shown as it would be typed. Run again, it makes its own folder anew.
     """
 
@@ -37,42 +44,58 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = tyro.cli(Arguments, args=list(argv), prog="mirror demo")
 
-    from mirror.cli.main import main as mirror
-
     begin = time.monotonic()
     _clear(arguments.out)
     for words in _commands(arguments):
-        print(f"\n$ mirror {_typed(words)}", flush=True)
+        print(f"\n$ {_typed(words)}", flush=True)
         # What a shell does with the pattern.
         opened = [str(path) for word in words for path in (_matching(word) if "*" in word else [word])]
-        code = mirror(opened)
+        code = run(opened)
         if code != ExitCode.DONE:
-            print(f"mirror demo: `mirror {words[0]}` ended with {code}", file=sys.stderr)
+            print(f"mirror demo: `{' '.join(words[:3])}` ended with {code}", file=sys.stderr)
             return code
-    report = arguments.out / "report.html"
-    print(f"\nDone in {time.monotonic() - begin:.0f} s: {arguments.out / 'dataset'} is a dataset, {report} its report.")
+    out = arguments.out
+    print(
+        f"\nDone in {time.monotonic() - begin:.0f} s: {out / 'dataset'} is a dataset, {out / 'report.html'} its report,"
+    )
+    print(f"{out / 'results'} what two baselines score on it", end="")
+    print(f", {out / 'site' / 'index.html'} the board." if _LEADERBOARD.exists() else f"; {_NO_BOARD}.")
     return ExitCode.DONE
 
 
+def run(words: Sequence[str]) -> int:
+    """Run ``mirror VERB ...`` here, or ``python -m MODULE ...`` with this interpreter."""
+    if words[0] == "mirror":
+        from mirror.cli.main import main as mirror
+
+        return mirror(words[1:])
+    # The board lies beside the toolkit and is not installed with it.
+    paths = os.pathsep.join(filter(None, (str(_LEADERBOARD.parent), os.environ.get("PYTHONPATH"))))
+    return subprocess.run([sys.executable, *words[1:]], env={**os.environ, "PYTHONPATH": paths}, check=False).returncode
+
+
 def _commands(arguments: Arguments) -> Iterator[list[str]]:
-    recordings, dataset = arguments.out / "recordings", str(arguments.out / "dataset")
-    seed = str(arguments.seed)
+    out = arguments.out
+    recordings, dataset, seed = out / "recordings", str(out / "dataset"), str(arguments.seed)
     preset = "quick" if arguments.quick else "demo"
-    yield ["synth", "--out", str(recordings), "--preset", preset, "--seed", seed]
-    yield [
-        "ingest",
-        str(recordings / "*-*"),
-        "--rois",
-        str(recordings / "rois.geojson"),
-        "--out",
-        dataset,
-        "--licence",
-        "CC0-1.0",
-    ]
-    yield ["split", dataset, "novel", "--seed", seed]
-    yield ["stats", dataset]
-    yield ["check", dataset]
-    yield ["report", dataset, "--out", str(arguments.out / "report.html")]
+    rois = str(recordings / "rois.geojson")
+    yield ["mirror", "synth", "--out", str(recordings), "--preset", preset, "--seed", seed]
+    yield ["mirror", "ingest", str(recordings / "*-*"), "--rois", rois, "--out", dataset, "--licence", "CC0-1.0"]
+    yield ["mirror", "split", dataset, "novel", "--seed", seed]
+    yield ["mirror", "stats", dataset]
+    yield ["mirror", "check", dataset]
+    yield ["mirror", "report", dataset, "--out", str(out / "report.html")]
+    board = str(out / "board")
+    for method in _BASELINES:
+        submission, result = str(out / "submissions" / method), out / "results" / method
+        yield ["python", "-m", method, dataset, "--split", "novel", "--out", submission]
+        yield ["mirror", "evaluate", submission, "--truth", dataset, "--out", str(result), "--report"]
+        if _LEADERBOARD.exists():
+            shown = ["--submission", submission, "--truth", dataset, "--board", board]
+            name = ["--dataset", f"synthetic street ({preset}, seed {seed})"]
+            yield ["python", "-m", "leaderboard", "add", str(result / "result.json"), *name, *shown]
+    if _LEADERBOARD.exists():
+        yield ["python", "-m", "leaderboard", "build", "--also", board, "--out", str(out / "site")]
 
 
 def _typed(words: Sequence[str]) -> str:

@@ -12,6 +12,7 @@ import pytest
 from leaderboard.entry import load_entries
 from leaderboard.site.page import build, build_site
 from mirror.errors import DatasetError
+from mirror.schema.files import write_json
 from tests.leaderboard.browser import Browser
 from tests.leaderboard.conftest import ENTRIES, REPOSITORY, measured
 
@@ -39,7 +40,7 @@ class Tags(HTMLParser):
 
 
 def test_page_is_whole_small_and_alone(board: Path, tmp_path: Path) -> None:
-    page = build(board, tmp_path / "site")
+    page = build([board], tmp_path / "site")
     text = page.read_text()
     assert len(text.encode()) < MOST_BYTES
     tags = Tags(text)
@@ -62,14 +63,14 @@ def test_page_is_whole_small_and_alone(board: Path, tmp_path: Path) -> None:
 
 
 def test_same_entries_same_bytes(board: Path, tmp_path: Path) -> None:
-    assert build(board, tmp_path / "a").read_bytes() == build(board, tmp_path / "b").read_bytes()
+    assert build([board], tmp_path / "a").read_bytes() == build([board], tmp_path / "b").read_bytes()
 
 
 def test_words_of_others_are_text(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="pattern"):
         measured("a</script>", 20.0)
     quoted = measured("\"x' onload=y &amp;", 20.0, pairs=(), notes=("</script><script>alert(1)</script>",))
-    text = build_site([quoted], tmp_path, tmp_path / "site").read_text()
+    text = build_site([quoted], [tmp_path], tmp_path / "site").read_text()
     assert "&lt;/script&gt;&lt;script&gt;alert(1)" in text
     assert "&quot;x&#x27; onload=y &amp;amp;" in text
     assert text.count("<script") == 1
@@ -77,31 +78,40 @@ def test_words_of_others_are_text(tmp_path: Path) -> None:
 
 def test_a_missing_picture_is_named(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"(truth|a)-0\.jpg"):
-        build_site([measured("a", 20.0)], tmp_path, tmp_path / "site")
+        build_site([measured("a", 20.0)], [tmp_path], tmp_path / "site")
 
 
 def test_shipped_board_builds(tmp_path: Path) -> None:
-    text = build(REPOSITORY / "leaderboard", tmp_path).read_text()
+    text = build([REPOSITORY / "leaderboard"], tmp_path).read_text()
     for entry in load_entries(ENTRIES):
         assert entry.method in text
     assert "17.73" in text
     assert "0.71" in text
 
 
+def test_entries_of_later_folders_stand_in(board: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own" / "entries"
+    write_json(own / "measured-again.json", measured("mean_color", 35.0, result_hash="99" * 32, pairs=()))
+    text = build([board, own.parent], tmp_path / "site").read_text()
+    assert "99999999" in text
+    assert text.count('data-value="mean_color"') == 1
+    assert text.count('data-value="nearest_frame"') == 1
+
+
 def test_no_entries_at_all(tmp_path: Path) -> None:
-    assert "0 entries" in build_site([], tmp_path, tmp_path / "site").read_text()
+    assert "0 entries" in build_site([], [tmp_path], tmp_path / "site").read_text()
 
 
 def test_plot_needs_time_and_value(tmp_path: Path) -> None:
     slow = measured("a", 20.0, pairs=(), frames_per_second=None)
-    assert "<svg" not in build_site([slow], tmp_path, tmp_path / "a").read_text()
+    assert "<svg" not in build_site([slow], [tmp_path], tmp_path / "a").read_text()
     fast = measured("a", 20.0, pairs=())
-    assert "<circle" in build_site([fast], tmp_path, tmp_path / "b").read_text()
+    assert "<circle" in build_site([fast], [tmp_path], tmp_path / "b").read_text()
 
 
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (1280, True), (390, False), (320, True)])
 def test_nothing_overflows_or_complains(browser: Browser, board: Path, tmp_path: Path, width: int, dark: bool) -> None:
-    page = build(board, tmp_path / "site")
+    page = build([board], tmp_path / "site")
     browser.open(page, width=width, dark=dark)
     assert browser.script("document.documentElement.scrollWidth") <= width
     assert browser.complaints() == []
@@ -114,7 +124,7 @@ def test_nothing_overflows_or_complains(browser: Browser, board: Path, tmp_path:
 @pytest.mark.parametrize("dark", [False, True])
 def test_text_can_be_read(browser: Browser, board: Path, tmp_path: Path, dark: bool) -> None:
     """Contrast of text and its ground: 4.5 at least, as WCAG AA has it."""
-    browser.open(build(board, tmp_path / "site"), dark=dark)
+    browser.open(build([board], tmp_path / "site"), dark=dark)
     script = f"""[...document.querySelectorAll('{TEXTS}')].map(one => {{
       const bare = (it) => getComputedStyle(it).backgroundColor === 'rgba(0, 0, 0, 0)';
       let ground = one;
@@ -144,7 +154,7 @@ HEADS = "[...document.querySelector('table.board').querySelectorAll('thead th bu
 
 
 def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
-    browser.open(build(board, tmp_path / "site"))
+    browser.open(build([board], tmp_path / "site"))
     best = ["hybridworldsim", "nearest_frame", "mean_color"]
     assert browser.script(METHODS) == best
     # The ranked column turns round; another begins with its best; what has no value stays last and in order.
@@ -163,7 +173,7 @@ def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
 
 
 def test_heads_sort_by_keyboard(browser: Browser, board: Path, tmp_path: Path) -> None:
-    browser.open(build(board, tmp_path / "site"))
+    browser.open(build([board], tmp_path / "site"))
     browser.script(f"{HEADS}[3].focus()")
     for kind in ("keyDown", "keyUp"):
         browser.call(
@@ -173,7 +183,7 @@ def test_heads_sort_by_keyboard(browser: Browser, board: Path, tmp_path: Path) -
 
 
 def test_slider_moves_and_shows_what_is_chosen(browser: Browser, board: Path, tmp_path: Path) -> None:
-    browser.open(build(board, tmp_path / "site"))
+    browser.open(build([board], tmp_path / "site"))
     source = "document.querySelector('.stage img.{}').getAttribute('src')"
     assert browser.script(source.format("left")) == "pictures/street/truth-0.jpg"
     assert browser.script(source.format("right")) == "pictures/street/hybridworldsim-0.jpg"
@@ -197,7 +207,7 @@ def test_slider_moves_and_shows_what_is_chosen(browser: Browser, board: Path, tm
 def test_tables_stand_without_scripts(browser: Browser, board: Path, tmp_path: Path) -> None:
     browser.call("Emulation.setScriptExecutionDisabled", value=True)
     try:
-        browser.open(build(board, tmp_path / "site"))
+        browser.open(build([board], tmp_path / "site"))
         root = browser.call("DOM.getDocument")["root"]["nodeId"]
         rows = browser.call("DOM.querySelectorAll", nodeId=root, selector="table.board tbody tr")["nodeIds"]
         assert len(rows) == len(load_entries(board / "entries"))

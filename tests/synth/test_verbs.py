@@ -56,16 +56,16 @@ def test_demo_runs_the_verbs_in_order_and_stops_at_the_first_that_fails(
 
     def run(words: list[str]) -> int:
         ran.append(words)
-        if words[0] == "synth":
+        if words[1] == "synth":
             for name in ("town-02", "town-01"):
                 (tmp_path / "demo" / "recordings" / name).mkdir(parents=True)
-        return 1 if words[0] == "check" else 0
+        return 1 if words[1] == "check" else 0
 
-    monkeypatch.setattr(mirror.cli.main, "main", run)
+    monkeypatch.setattr(mirror.cli.demo, "run", run)
     assert demo(["--out", str(tmp_path / "demo"), "--quick"]) == 1
-    assert [words[0] for words in ran] == ["synth", "ingest", "split", "stats", "check"]
+    assert [words[:2] for words in ran] == [["mirror", verb] for verb in ("synth", "ingest", "split", "stats", "check")]
     recordings = tmp_path / "demo" / "recordings"
-    assert ran[1][1:3] == [str(recordings / "town-01"), str(recordings / "town-02")]
+    assert ran[1][2:4] == [str(recordings / "town-01"), str(recordings / "town-02")]
     typed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("$ ")]
     assert len(typed) == len(ran)
     assert f"$ mirror ingest {recordings}/*-*" in typed[1]
@@ -74,9 +74,12 @@ def test_demo_runs_the_verbs_in_order_and_stops_at_the_first_that_fails(
 def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(mirror.cli.main, "main", lambda words: 0)
+    ran: list[list[str]] = []
+    monkeypatch.setattr(mirror.cli.demo, "run", lambda words: ran.append(words) or 0)
     own = tmp_path / "own"
     assert demo(["--out", str(own)]) == 0
+    modules = [words[2] for words in ran if words[0] == "python"]
+    assert modules == ["nearest_frame", "leaderboard", "mean_color", "leaderboard", "leaderboard"]
     (own / "old.txt").write_text("from the last demo")
     assert demo(["--out", str(own)]) == 0
     assert not (own / "old.txt").exists()

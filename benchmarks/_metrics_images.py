@@ -1,7 +1,8 @@
 """PSNR, colour-corrected PSNR and SSIM: time and error, ours and the peers', in one run.
 
 Times are the least of the main thread's own, so that other work on the machine does not count. Errors: of PSNR in dB
-to integers or to numpy's float64 least squares; of SSIM the largest of the map, to long double.
+to integers or to numpy's float64 least squares; of SSIM the largest of the map, to long double. All start from the same
+uint8 pictures.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ SIZE: Final = "960x540 RGB"
 # What was asked for, as part of what the named peer took where both were measured.
 PSNR_RATIO: Final = 0.15 / 2.99
 PSNR_CC_RATIO: Final = 350.0 / 920.0
+_FIDELITY: Final = ("feature_extractor_inceptionv3", "helpers", "interpolate_compat_tensorflow")
 SSIM64_RATIO, SSIM32_RATIO, MASKED_RATIO = 45.0 / 215.0, 20.0 / 83.0, 3.0 / 62.0
 
 
@@ -53,14 +55,12 @@ def psnr_rows(render: UInt8, truth: UInt8) -> Iterator[Row]:
     peers = []
     torch, torchmetrics, skimage = _torch_metrics()
     if torchmetrics is not None:
-        tensors = [torch.from_numpy(picture.astype(np.float32)) for picture in (render, truth)]
-        peers.append(
-            _peer(
-                "torchmetrics, float32",
-                lambda: float(torchmetrics.peak_signal_noise_ratio(*tensors, data_range=255.0)),
-                exact,
-            )
-        )
+
+        def measure() -> float:
+            tensors = [torch.from_numpy(picture).float() for picture in (render, truth)]
+            return float(torchmetrics.peak_signal_noise_ratio(*tensors, data_range=255.0))
+
+        peers.append(_peer("torchmetrics, float32", measure, exact))
     bar = peers[0].ms * PSNR_RATIO if peers else None
     if skimage is not None:
         peers.append(_peer("skimage", lambda: skimage.peak_signal_noise_ratio(truth, render), exact))
@@ -98,11 +98,12 @@ def ssim_rows(render: UInt8, truth: UInt8) -> Iterator[Row]:
         if skimage is None:
             return []
         given = {"data_range": 255.0, "channel_axis": -1, **options}
-        pair: tuple[AnyArray, AnyArray] = (render.astype(dtype), truth.astype(dtype))
-        exact = exact_map(preset)
-        found = skimage.structural_similarity(*pair, full=True, **given)[1]
-        ms = thread_ms(lambda: skimage.structural_similarity(*pair, **given))
-        return [Peer(name, ms, float(np.nanmax(abs(found - exact))))]
+
+        def measure(**more: Any) -> Any:
+            return skimage.structural_similarity(render.astype(dtype), truth.astype(dtype), **given, **more)
+
+        error = float(np.nanmax(abs(measure(full=True)[1] - exact_map(preset))))
+        return [Peer(name, thread_ms(measure), error)]
 
     @cache
     def exact_map(preset: str) -> AnyArray:
@@ -114,25 +115,25 @@ def ssim_rows(render: UInt8, truth: UInt8) -> Iterator[Row]:
         bar = peers[0].ms * ratio if peers and ratio is not None else None
         return Row(name, SIZE, ms, error, tuple(peers), "of the map", bar=bar, error_bar=error_bar)
 
-    tensors = []
-    if torch is not None:
-        tensors = [torch.from_numpy(picture / np.float32(255)).permute(2, 0, 1)[None] for picture in (render, truth)]
+    def tensors() -> list[Any]:
+        return [torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255 for picture in (render, truth)]
+
     peers = of_skimage("skimage, float64", np.float64, "gaussian11", **gaussian)
     yield ours("SSIM gaussian11, float64", "gaussian11", "float64", peers, SSIM64_RATIO, 1e-12)
     peers = of_skimage("skimage, float32", np.float32, "gaussian11", **gaussian)
     if msssim is not None:
-        peers.append(Peer("pytorch-msssim, float32", thread_ms(lambda: msssim.ssim(*tensors, data_range=1.0))))
+        peers.append(Peer("pytorch-msssim, float32", thread_ms(lambda: msssim.ssim(*tensors(), data_range=1.0))))
     if piq is not None:
-        peers.append(Peer("piq, float32", thread_ms(lambda: piq.ssim(*tensors, data_range=1.0, downsample=False))))
+        peers.append(Peer("piq, float32", thread_ms(lambda: piq.ssim(*tensors(), data_range=1.0, downsample=False))))
     yield ours("SSIM gaussian11, float32", "gaussian11", "float32", peers, SSIM32_RATIO, 2e-4)
     peers = of_skimage("skimage, float64", np.float64, "uniform7")
     yield ours("SSIM uniform7, float64", "uniform7", "float64", peers, None, 1e-12)
     peers = []
     if torchmetrics is not None:
         measure = torchmetrics.structural_similarity_index_measure
-        full = measure(*tensors, data_range=1.0, return_full_image=True)[1][0].permute(1, 2, 0).numpy()
+        full = measure(*tensors(), data_range=1.0, return_full_image=True)[1][0].permute(1, 2, 0).numpy()
         error = float(abs(full - exact_map("torchmetrics")).max())
-        peers.append(Peer("torchmetrics, float32", thread_ms(lambda: measure(*tensors, data_range=1.0)), error))
+        peers.append(Peer("torchmetrics, float32", thread_ms(lambda: measure(*tensors(), data_range=1.0)), error))
     yield ours("SSIM torchmetrics, float32", "torchmetrics", "float32", peers, None, 2e-4)
     yield ours("SSIM 3dgs, float32", "3dgs", "float32", [], None, 2e-4)
 
@@ -143,10 +144,13 @@ def masked(render: UInt8, truth: UInt8) -> Row:
     exact = float(exact_ssim(render, truth, PRESETS["gaussian11"], 255)[mask].mean())
     skimage, peers = _library("skimage.metrics"), []
     if skimage is not None:
-        pair = render.astype(np.float32) / 255, truth.astype(np.float32) / 255
-        options = {"data_range": 1.0, "channel_axis": -1, "full": True}
-        ms = thread_ms(lambda: skimage.structural_similarity(*pair, **options)[1][mask].mean())
-        peers.append(Peer("skimage uniform7 float32, whole map", ms))
+        options = {"data_range": 255.0, "channel_axis": -1, "full": True}
+
+        def whole() -> float:
+            pair = render.astype(np.float32), truth.astype(np.float32)
+            return float(skimage.structural_similarity(*pair, **options)[1][mask].mean())
+
+        peers.append(Peer("skimage uniform7 float32, whole map", thread_ms(whole)))
     bar = peers[0].ms * MASKED_RATIO if peers else None
     ms, error = thread_ms(lambda: ssim(render, truth, mask=mask), 50), abs(ssim(render, truth, mask=mask) - exact)
     return Row("SSIM of a masked object, float64", "120x70 px", ms, error, tuple(peers), bar=bar, error_bar=1e-12)
@@ -194,7 +198,17 @@ def _peer(name: str, call: Callable[[], float], exact: float, repeats: int = 5) 
 
 
 def _torch_metrics() -> tuple[Any, Any, Any]:
-    return _library("torch"), _library("torchmetrics.functional.image"), _library("skimage.metrics")
+    """torch, torchmetrics and skimage.
+
+    Where torch-fidelity is installed, torchmetrics imports it, and that wants torchvision: names in its place will do.
+    """
+    fidelity = ("torch_fidelity", *(f"torch_fidelity.{name}" for name in _FIDELITY))
+    stubs = {name: _Stub(name) for name in fidelity if name not in sys.modules}
+    sys.modules.update(stubs)
+    found = _library("torchmetrics.functional.image")
+    for name in stubs:
+        del sys.modules[name]
+    return _library("torch"), found, _library("skimage.metrics")
 
 
 @cache
@@ -205,6 +219,15 @@ def _library(name: str) -> Any:
     except ImportError as error:
         print(f"no figures of {name}: {error}", file=sys.stderr)
         return None
+
+
+class _Stub(types.ModuleType):
+    """A module in which every name is a class."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return object
 
 
 def _piq() -> Any:

@@ -11,7 +11,7 @@ from mirror.arrays import AnyArray, Bool
 from mirror.errors import UsageError
 
 _DTYPES: Final = ("uint8", "uint16", "float32", "float64")
-_LEAST, _MOST = 1e-100, 1e100
+_LEAST, _MOST = 1e-60, 1e60
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range
 
     Raises:
         UsageError: shapes or types differ or are of another kind, a picture has no pixels, or the range is missing or
-            beyond 1e-100 to 1e100.
+            beyond 1e-60 to 1e60.
     """
     if render.shape != truth.shape or render.ndim not in (2, 3):
         raise UsageError(f"render {render.shape} and truth {truth.shape}", expected="one shape, (H, W) or (H, W, C)")
@@ -96,7 +96,7 @@ def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range
             )
         data_range = float(np.iinfo(render.dtype).max)
     if not _LEAST <= data_range <= _MOST:
-        raise UsageError(f"data_range {data_range}", expected=f"{_LEAST} to {_MOST}, whose squares float64 holds")
+        raise UsageError(f"data_range {data_range}", expected=f"{_LEAST} to {_MOST}, whose fourth power float64 holds")
     if render.ndim == 2:
         render, truth = render[..., None], truth[..., None]
     return Pair(render, truth, mask, float(data_range))

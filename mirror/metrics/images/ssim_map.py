@@ -1,4 +1,4 @@
-"""The map of structural similarity: four separable filters a tile, on centred pixels.
+"""The map of structural similarity: four separable filters on centred pixels.
 
 With ``d = render - truth``, windowed means ``m`` and variances ``v``,
 
@@ -20,6 +20,7 @@ import numpy as np
 
 from mirror.arrays import AnyArray, Bool, Float64
 from mirror.errors import UsageError
+from mirror.metrics.images.ssim_kernels import similarity
 
 Border: TypeAlias = Literal["valid", "reflect", "symmetric", "zero"]
 Precision: TypeAlias = Literal["float64", "float32"]
@@ -80,7 +81,7 @@ def map_tiles(
     precision: Precision,
     data_range: float,
 ) -> Iterator[AnyArray]:
-    """Part of the map, 64 rows at a time, so that what belongs to a tile stays in the processor's cache.
+    """Part of the map, 64 rows at a time: nothing as large as the picture is made.
 
     Args:
         render: (H, W, C) whole picture.
@@ -98,8 +99,8 @@ def map_tiles(
     Raises:
         UsageError: the range is out of the precision's reach.
     """
-    if precision == "float32" and not 1e-12 <= data_range <= 1e12:
-        raise UsageError(f"data_range {data_range} in float32", expected="1e-12 to 1e12", remedy="take float64")
+    if precision == "float32" and not 1e-6 <= data_range <= 1e6:
+        raise UsageError(f"data_range {data_range} in float32", expected="1e-6 to 1e6", remedy="take float64")
     across, sides = _reach(columns, settings.radius, render.shape[1])
     whole = (_reach(rows, settings.radius, render.shape[0])[0], across)
     centre = _centre(render[whole], truth[whole], None if known is None else known[whole])
@@ -109,15 +110,11 @@ def map_tiles(
         tile = slice(start, min(start + _TILE_ROWS, rows.stop))
         along, ends = _reach(tile, settings.radius, render.shape[0])
         inside, pad = (along, across), (ends, sides)
-        taking_part = None if known is None else known[inside]
-        with np.errstate(invalid="ignore", over="ignore"):
-            shifted = [
-                _pad(_shift(picture[inside], centre, taking_part, dtype), pad, settings.border, -centre)
-                for picture in (render, truth)
-            ]
-            weights = None if taking_part is None else _pad(taking_part.astype(dtype), pad, settings.border, 1.0)
-            found = _tile(shifted[0], shifted[1], weights, centre, settings, constants)
-        yield found
+        pictures = [
+            _pad(np.ascontiguousarray(picture[inside]), pad, settings.border, 0.0) for picture in (render, truth)
+        ]
+        weights = None if known is None else _pad(known[inside].astype(dtype), pad, settings.border, 1.0)
+        yield _tile(pictures[0], pictures[1], weights, centre, settings, constants, dtype)
 
 
 def _tile(
@@ -127,61 +124,32 @@ def _tile(
     centre: float,
     settings: SsimSettings,
     constants: tuple[float, float],
+    dtype: np.dtype[Any],
 ) -> AnyArray:
-    c1, c2 = constants
-    pixels: Any = settings.size**2
-    difference = render - truth
-    powers = render * render
-    powers += truth * truth
-    mean, mean_difference = _filter(render, settings), _filter(difference, settings)
-    power, power_difference = _filter(powers, settings), _filter(np.multiply(difference, difference), settings)
-    if known is not None:
-        share = np.maximum(_filter(known[..., None], settings), np.finfo(known.dtype).tiny)
-        for filtered in (mean, mean_difference, power, power_difference):
-            filtered /= share
-        pixels = pixels * share
-    # From here on in place: power becomes the variances' sum, power_difference the structure term.
-    mean_truth = mean - mean_difference
-    mean_difference *= mean_difference
-    power -= mean * mean
-    power -= mean_truth * mean_truth
-    np.maximum(power, 0.0, out=power)
-    power_difference -= mean_difference
-    np.maximum(power_difference, 0.0, out=power_difference)
-    if settings.sample_covariance:
-        gain = pixels / np.maximum(pixels - 1.0, 1.0)
-        power *= gain
-        power_difference *= gain
-    power += c2
-    power_difference /= power
-    np.subtract(1.0, power_difference, out=power_difference)
-    mean += centre
-    mean *= mean
-    mean_truth += centre
-    mean_truth *= mean_truth
-    mean += mean_truth
-    mean += c1
-    mean_difference /= mean
-    np.subtract(1.0, mean_difference, out=mean_difference)
-    mean_difference *= power_difference
-    return mean_difference
-
-
-def _filter(picture: AnyArray, settings: SsimSettings) -> AnyArray:
-    """Windowed mean at every pixel that has its whole window."""
-    kernel, radius = _kernel(settings.window, settings.size, settings.sigma_px), settings.radius
-    depth = cv2.CV_64F if picture.dtype == np.float64 else cv2.CV_32F
-    filtered = cv2.sepFilter2D(picture, depth, kernel, kernel, borderType=cv2.BORDER_REPLICATE)
-    rows, columns = picture.shape[:2]
-    return filtered.reshape(picture.shape)[radius : rows - radius, radius : columns - radius]
+    height, width, channels = render.shape
+    reach, kind = 2 * settings.radius, dtype.type
+    found = np.empty((height - reach, width - reach, channels), kind)
+    similarity(
+        render.reshape(height, -1),
+        truth.reshape(height, -1),
+        None if known is None else np.repeat(known, channels, axis=1),
+        channels,
+        np.result_type(render.dtype, dtype).type(centre),
+        _taps(settings.window, settings.size, settings.sigma_px).astype(kind),
+        kind(constants[0]),
+        kind(constants[1]),
+        settings.sample_covariance,
+        found.reshape(len(found), -1),
+    )
+    return found
 
 
 @lru_cache
-def _kernel(window: str, size: int, sigma_px: float) -> Float64:
+def _taps(window: str, size: int, sigma_px: float) -> Float64:
     if window == "uniform":
         return np.full(size, 1.0 / size)
-    kernel = np.exp(-0.5 * (np.arange(size) - size // 2) ** 2 / sigma_px**2)
-    return kernel / kernel.sum()
+    taps = np.exp(-0.5 * (np.arange(size) - size // 2) ** 2 / sigma_px**2)
+    return taps / taps.sum()
 
 
 def _reach(part: slice, radius: int, length: int) -> tuple[slice, tuple[int, int]]:
@@ -200,18 +168,9 @@ def _centre(render: AnyArray, truth: AnyArray, known: Bool | None) -> float:
     return low + 0.5 * (high - low)
 
 
-def _shift(picture: AnyArray, centre: float, known: Bool | None, dtype: np.dtype[Any]) -> AnyArray:
-    shifted = picture.astype(np.result_type(picture.dtype, dtype))
-    shifted -= centre
-    if known is not None:
-        shifted[~known] = 0.0
-    return shifted.astype(dtype, copy=False)
-
-
 def _pad(picture: AnyArray, pad: tuple[tuple[int, int], ...], border: Border, beyond: float) -> AnyArray:
     (top, bottom), (left, right) = pad
     if not (top or bottom or left or right):
         return picture
-    channels = 1 if picture.ndim == 2 else picture.shape[2]
-    padded = cv2.copyMakeBorder(picture, top, bottom, left, right, _BORDERS[border], value=[beyond] * channels)
+    padded = cv2.copyMakeBorder(picture, top, bottom, left, right, _BORDERS[border], value=beyond)
     return padded.reshape(padded.shape[:2] + picture.shape[2:])

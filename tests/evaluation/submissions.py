@@ -1,0 +1,80 @@
+"""Submissions for tests: small protocols, and renders made of the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.evaluation.protocol import Protocol, parse_protocol
+from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.png import encode_png
+from mirror.evaluation.submission.template import manifest_for, write_manifest
+from mirror.evaluation.truth.source import TruthSource
+from mirror.evaluation.views import Plan, View, plan_views
+
+SPLIT = "novel"
+
+_TEXT = """
+name = "small"
+version = 1
+task = "{task}"
+description = "for tests"
+averaging = ["traversal", "scene"]
+{groups}
+[frames]
+every = {every}
+last = false
+cameras = ["front_wide", "front_left"]
+[pixels]
+space = "{space}"
+max_width_px = {width}
+[masks]
+ego = true
+dynamic = ["boxes"]
+{metrics}
+[intervals]
+resamples = 200
+block_frames = {block}
+"""
+_PSNR = '[[metrics]]\nmetric = "psnr"\n'
+_SSIM = '[[metrics]]\nmetric = "ssim"\npreset = "gaussian11"\nmask = "map"\n'
+
+
+def small(
+    *,
+    task: str = "reconstruction",
+    groups: str = '[[groups]]\nname = "novel"\nroles = ["held_out"]\n',
+    every: int = 5,
+    space: str = "undistorted",
+    width: int = 120,
+    metrics: str = _PSNR + _SSIM,
+    block: int = 1,
+) -> Protocol:
+    """A protocol of few pictures."""
+    text = _TEXT.format(task=task, groups=groups, every=every, space=space, width=width, metrics=metrics, block=block)
+    return parse_protocol(text.encode(), "small.toml")
+
+
+def write_renders(
+    dataset: Dataset,
+    protocol: Protocol,
+    out: Path,
+    change: Callable[[View, UInt8], UInt8] = lambda _, truth: truth,
+    *,
+    name: str = "changed truth",
+    appearance: Appearance | None = None,
+    runtime: Runtime | None = None,
+) -> Plan:
+    """A submission whose renders are the truth, changed."""
+    plan = plan_views(dataset, protocol, SPLIT)
+    truth = TruthSource(dataset, protocol, plan.layers)
+    for view in plan.views:
+        file = out / view.path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(encode_png(change(view, truth.picture(view))))
+    manifest = manifest_for(plan, Method(name=name), appearance or Appearance(policy="none"), runtime)
+    out.mkdir(exist_ok=True)
+    write_manifest(out, manifest)
+    return plan

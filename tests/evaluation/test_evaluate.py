@@ -1,0 +1,234 @@
+"""Evaluation from end to end: right figures, resumed, in two processes, refused where something is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from mirror.arrays import UInt8
+from mirror.cli.main import main
+from mirror.dataset.dataset import Dataset
+from mirror.errors import UsageError
+from mirror.evaluation.compare import compare
+from mirror.evaluation.protocol import load_protocol
+from mirror.evaluation.run import Options, evaluate, read_result
+from mirror.evaluation.submission.manifest import Appearance, Rectangle
+from mirror.evaluation.truth.source import TruthSource
+from mirror.evaluation.views import View
+from mirror.evaluation.workers import Log
+from mirror.geometry.box_projection import project_boxes
+from tests.evaluation.submissions import SPLIT, small, write_renders
+from tests.evaluation.test_png import chunk, png
+
+ALONE = Options(workers=1)
+
+
+def noisy(sigma: float):
+    def change(view: View, truth: UInt8) -> UInt8:
+        noise = np.random.default_rng(zlib.crc32(view.path.encode())).normal(0.0, sigma, truth.shape)
+        return np.clip(np.round(truth + noise), 0, 255).astype(np.uint8)
+
+    return change
+
+
+@pytest.fixture(scope="module")
+def folder(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("evaluate")
+    for sigma in (4, 12):
+        write_renders(dataset, small(every=2), folder / f"noise{sigma}", noisy(sigma), name=f"noise {sigma}")
+    return folder
+
+
+def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, folder: Path, tmp_path: Path) -> None:
+    protocol = small(every=2)
+    done = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path, ALONE)
+    assert done.result is not None
+    rows = {row["path"]: row for row in pq.read_table(tmp_path / "images.parquet").to_pylist()}
+    assert len(rows) == len(done.plan.views)
+    truth = TruthSource(dataset, protocol, done.plan.layers)
+    traversals: dict[str, list[float]] = {}
+    for view in done.plan.views:
+        render = cv2.imread(str(folder / "noise4" / view.path))[..., ::-1].astype(np.float64)
+        frame, image = truth.recorded(view)
+        # By another way: rays of the raster's pixels are looked up in the recorded picture.
+        lens, scored = image.camera_model, truth.scored(view)
+        uv = lens.project(view.lens.rays().direction).uv_px
+        margins = np.stack([uv[..., 0], lens.width_px - uv[..., 0], uv[..., 1], lens.height_px - uv[..., 1]])
+        must = (margins > 4.0).all(axis=0)
+        assert not scored[~(margins >= 0.0).all(axis=0)].any()
+        own = image.static_mask()
+        if own is not None:
+            near = cv2.dilate(own, np.ones((9, 9), np.uint8))
+            at = tuple(np.where(must, uv[..., axis], 0.0).astype(int) for axis in (1, 0))
+            assert not scored[must & (own[at] > 0)].any()
+            must &= near[at] == 0
+        boxes = frame.boxes("world")
+        projected = project_boxes(view.lens, view.pose.inverse() @ boxes.pose, boxes.size_m)
+        for row in np.flatnonzero(projected.visible):
+            u0, v0, u1, v1 = projected.bounds_px[row].astype(int)
+            must[v0 : v1 + 1, u0 : u1 + 1] = False
+            middle = projected.hull(int(row)).mean(axis=0).astype(int)
+            if (middle >= 0).all() and (middle < (view.width_px, view.height_px)).all():
+                assert not scored[middle[1], middle[0]]
+        assert must.any()
+        assert scored[must].all()
+        row_of = rows[view.path]
+        assert row_of["pixels"] == view.width_px * view.height_px
+        assert row_of["scored_px"] == scored.sum()
+        picture = truth.picture(view).astype(np.float64)
+        error = np.mean((render[scored] - picture[scored]) ** 2)
+        assert row_of["psnr"] == pytest.approx(10 * math.log10(255**2 / error), abs=1e-9)
+        traversals.setdefault(view.traversal_id, []).append(row_of["psnr"])
+    figure = next(one for one in done.result.figures if one.metric == "psnr" and one.level == "group")
+    assert figure.value == pytest.approx(np.mean([np.mean(values) for values in traversals.values()]))
+    assert figure.n == len(rows)
+    assert done.result == read_result(tmp_path)
+    assert read_result(tmp_path).hash == done.result.hash
+
+
+def test_two_processes_and_a_resumed_run_find_the_same(root: Path, folder: Path, tmp_path: Path) -> None:
+    protocol = small(every=2)
+    one = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "one", ALONE)
+    two = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "two", Options(workers=2))
+    assert one.result == two.result
+    assert one.reused == two.reused == 0
+    # As if it had been killed while it wrote its third line.
+    log = tmp_path / "two" / "work" / "scored.jsonl"
+    lines = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(b"".join(lines[:2]) + lines[2][:40])
+    again = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "two", ALONE)
+    assert again.reused == 2
+    assert again.result == one.result
+    assert len(Log(log).known) == len(one.plan.views)
+
+
+def test_what_changed_is_scored_again(root: Path, dataset: Dataset, tmp_path: Path) -> None:
+    protocol = small(every=5)
+    plan = write_renders(dataset, protocol, tmp_path / "s", noisy(4))
+    evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    write_renders(
+        dataset, protocol, tmp_path / "s", lambda view, truth: noisy(8 if view == plan.views[0] else 4)(view, truth)
+    )
+    again = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert again.reused == len(plan.views) - 1
+    other = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "fresh", ALONE)
+    assert other.result == again.result
+
+
+def test_renders_equal_to_the_truth_are_counted_not_averaged(root: Path, dataset: Dataset, tmp_path: Path) -> None:
+    protocol = small()
+    write_renders(dataset, protocol, tmp_path / "s")
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert done.result is not None
+    figures = {one.metric: one for one in done.result.figures if one.level == "group"}
+    assert figures["psnr"].value is None
+    assert figures["psnr"].n_inf == figures["psnr"].n > 0
+    assert figures["ssim"].value == pytest.approx(1.0)
+    assert figures["psnr_pooled"].value is None
+
+
+def test_held_out_pixels_that_were_fitted_to_are_not_scored(root: Path, dataset: Dataset, tmp_path: Path) -> None:
+    def half(view: View, truth: UInt8) -> UInt8:
+        spoilt = truth.copy()
+        spoilt[:, : math.ceil(truth.shape[1] / 2)] = 255 - spoilt[:, : math.ceil(truth.shape[1] / 2)]
+        return spoilt
+
+    left = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
+    appearance = Appearance(policy="fitted", held_out_pixels=(left,))
+    write_renders(dataset, small(), tmp_path / "s", half, appearance=appearance)
+    done = evaluate(tmp_path / "s", root, small(), SPLIT, tmp_path / "out", ALONE)
+    assert done.result is not None
+    figure = next(one for one in done.result.figures if one.metric == "psnr")
+    assert figure.n_inf == figure.n
+    assert any("held-out pixels" in warning for warning in done.result.warnings)
+
+
+def test_a_render_that_only_decoding_shows_to_be_broken_stops_the_scoring(
+    root: Path, dataset: Dataset, tmp_path: Path
+) -> None:
+    plan = write_renders(dataset, small(), tmp_path / "s")
+    view = plan.views[1]
+    bad = png(chunk(b"IDAT", zlib.compress(bytes(10))[:-4] + b"\0\0\0\0"), width=view.width_px, height=view.height_px)
+    (tmp_path / "s" / view.path).write_bytes(bad)
+    done = evaluate(tmp_path / "s", root, small(), SPLIT, tmp_path / "out", ALONE)
+    assert done.result is None
+    assert [problem.path for problem in done.check.problems] == [view.path]
+    assert not (tmp_path / "out" / "result.json").exists()
+
+
+def test_unavailable_metrics_are_said_and_may_be_required(
+    root: Path, dataset: Dataset, tmp_path: Path, monkeypatch
+) -> None:
+    for name in ("MIRROR_WEIGHTS", "TORCH_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "nothing"))
+    protocol = small(metrics='[[metrics]]\nmetric = "psnr"\n[[metrics]]\nmetric = "lpips"\nnet = "vgg"\nmask = "map"\n')
+    write_renders(dataset, protocol, tmp_path / "s", noisy(4))
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert done.result is not None
+    assert "vgg16-397923af.pth" in done.result.unavailable["lpips_vgg"]
+    assert {figure.metric for figure in done.result.figures} == {"psnr", "psnr_pooled"}
+    for name in ("lpips", "lpips_vgg"):
+        with pytest.raises(UsageError, match="required and unavailable"):
+            evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, require=[name]))
+    with pytest.raises(UsageError, match="no metric"):
+        evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, require=["fid"]))
+
+
+def test_the_verbs(
+    root: Path, folder: Path, dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    protocol = load_protocol("static-reconstruction-omnire")
+    for sigma in (3, 9):
+        write_renders(dataset, protocol, tmp_path / f"s{sigma}", noisy(sigma), name=f"<b>{sigma}</b>")
+    words = ["--truth", str(root), "--workers", "1"]
+    assert main(["evaluate", str(tmp_path / "s3"), *words, "--report", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["result"]["protocol"]["name"] == protocol.name
+    page = Path(said["report"]).read_text()
+    assert "<b>3</b>" not in page
+    assert "&lt;b&gt;3&lt;/b&gt;" in page
+    assert page.count("data:image/jpeg") % 3 == 0
+    assert "worst" in page
+    assert main(["evaluate", str(tmp_path / "s9"), *words]) == 0
+    text = capsys.readouterr().out
+    assert "psnr" in text
+    assert "unavailable" in text
+    assert main(["evaluate", str(tmp_path / "s9"), *words, "--require", "lpips"]) in (0, 2)
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "s3-results"), str(tmp_path / "s9-results"), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["others"][0]["rows"]
+    assert all(row["difference"] < 0 for row in rows if row["metric"] == "psnr")
+    assert main(["compare", str(tmp_path / "s3-results"), str(tmp_path / "s9-results")]) == 0
+    (tmp_path / "s9" / "renders").rename(tmp_path / "s9" / "moved")
+    assert main(["evaluate", str(tmp_path / "s9"), *words]) == 1
+    assert "missing" in capsys.readouterr().out
+    assert main(["evaluate", str(folder / "noise4"), *words]) == 2
+
+
+def test_paired_differences_are_surer_than_either(root: Path, folder: Path, tmp_path: Path) -> None:
+    protocol = small(every=2)
+    for name in ("noise4", "noise12"):
+        evaluate(folder / name, root, protocol, SPLIT, tmp_path / name, ALONE)
+    first, (other,) = compare([tmp_path / "noise4", tmp_path / "noise12"])
+    assert first.submission.method.name == "noise 4"
+    row = next(row for row in other.rows if row.metric == "psnr")
+    assert row.better == "first"
+    assert row.difference is not None
+    assert row.low is not None
+    assert row.high is not None
+    assert row.low <= row.difference <= row.high < 0.0
+    assert row.difference == pytest.approx(20 * math.log10(4 / 12), abs=0.5)
+    assert row.p_value is not None
+    assert row.p_value < 0.01
+    same = compare([tmp_path / "noise4", tmp_path / "noise4"])[1][0].rows[0]
+    assert same.difference == 0.0
+    assert same.better is None
+    with pytest.raises(UsageError):
+        compare([tmp_path / "noise4"])

@@ -1,0 +1,105 @@
+"""PNGs of strangers: whole and plain ones pass, everything else is named, and nothing is decoded before."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mirror.evaluation.submission.png import (
+    RenderError,
+    decode_render,
+    encode_png,
+    most_bytes,
+    problem_of_png,
+    raster_of_png,
+)
+
+PIXELS = np.random.default_rng(0).integers(0, 256, (9, 16, 3), np.uint8)
+WHOLE = encode_png(PIXELS)
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png(
+    *chunks: bytes, depth: int = 8, colour: int = 2, width: int = 16, height: int = 9, interlaced: int = 0
+) -> bytes:
+    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, interlaced)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + b"".join(chunks) + chunk(b"IEND", b"")
+
+
+IDAT = chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row.tobytes() for row in PIXELS)))
+
+
+def test_a_plain_png_passes_and_is_what_was_written() -> None:
+    assert problem_of_png(WHOLE) is None
+    assert raster_of_png(WHOLE) == (16, 9)
+    np.testing.assert_array_equal(decode_render(WHOLE, 16, 9, "a.png"), PIXELS)
+    assert problem_of_png(png(chunk(b"sRGB", b"\0"), chunk(b"gAMA", struct.pack(">I", 45455)), IDAT)) is None
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "not a PNG"),
+        (b"\xff\xd8\xff\xe0 a JPEG", "not a PNG"),
+        (b"\x80\x04\x95 a pickle", "not a PNG"),
+        (WHOLE[:20], "cut off in its header"),
+        (WHOLE + b"PK\x03\x04", "behind its end"),
+        (png(IDAT, depth=16), "16 bit RGB"),
+        (png(IDAT, colour=6), "RGB with alpha"),
+        (png(IDAT, colour=0), "grey"),
+        (png(IDAT, colour=3), "palette"),
+        (png(IDAT, interlaced=1), "interlaced"),
+        (png(chunk(b"iCCP", b"x\0\0" + zlib.compress(b"0" * 100)), IDAT), "iCCP"),
+        (png(chunk(b"zTXt", b"x\0\0" + zlib.compress(b"0" * 10**6)), IDAT), "zTXt"),
+        (png(chunk(b"acTL", bytes(8)), IDAT), "acTL"),
+        (png(chunk(b"gAMA", struct.pack(">I", 100000)), IDAT), "gamma"),
+        (png(), "without pixels"),
+    ],
+)
+def test_what_is_wrong_is_named(data: bytes, words: str) -> None:
+    assert words in str(problem_of_png(data))
+    with pytest.raises(RenderError):
+        decode_render(data, 16, 9, "a.png")
+
+
+@pytest.mark.parametrize("length", range(0, len(WHOLE), 7))
+def test_a_cut_png_never_passes(length: int) -> None:
+    assert problem_of_png(WHOLE[:length]) is not None
+
+
+@given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
+@settings(max_examples=200)
+def test_a_changed_byte_never_passes(place: int, change: int) -> None:
+    changed = bytearray(WHOLE)
+    changed[place] ^= change
+    assert problem_of_png(bytes(changed)) is not None
+
+
+def test_bombs_are_refused_by_their_header() -> None:
+    bomb = png(chunk(b"IDAT", zlib.compress(bytes(1000))), width=1 << 30, height=1 << 30)
+    assert raster_of_png(bomb) == (1 << 30, 1 << 30)
+    with pytest.raises(RenderError, match="size"):
+        decode_render(bomb, 16, 9, "bomb.png")
+    # More pixels in the stream than the header says are not read.
+    long = png(chunk(b"IDAT", zlib.compress(bytes(10**7))))
+    found = decode_render(long, 16, 9, "long.png")
+    assert found.shape == (9, 16, 3)
+    # Fewer are an error, not noise.
+    with pytest.raises(RenderError, match="decoded"):
+        decode_render(png(chunk(b"IDAT", b"\x00\x01\x02\x03")), 16, 9, "garbage.png")
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (960, 540), (33, 1000)])
+def test_no_honest_png_is_larger_than_allowed(width: int, height: int) -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (height, width, 3), np.uint8)
+    stored = cv2.imencode(".png", noise, [cv2.IMWRITE_PNG_COMPRESSION, 0])[1]
+    assert len(stored) < most_bytes(width, height)

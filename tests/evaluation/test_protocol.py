@@ -1,0 +1,72 @@
+"""Protocols: all that ship are whole, and a hash says what one says."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import pytest
+
+from mirror.errors import SchemaError, UsageError
+from mirror.evaluation.protocol import RESERVED, Protocol, load_protocol, parse_protocol, protocol_names
+from mirror.evaluation.scorers import TASKS, scorer_of
+from tests.evaluation.submissions import small
+
+
+@pytest.mark.parametrize("name", protocol_names())
+def test_every_protocol_that_ships_is_whole(name: str) -> None:
+    protocol = load_protocol(name)
+    assert protocol.name == name
+    assert scorer_of(protocol.task).version >= 1
+    assert set(TASKS) >= {protocol.task}
+
+
+def test_the_issue_s_protocols_are_there_and_safety_is_reserved() -> None:
+    wanted = "static-reconstruction lane-shift vehicle-translation generation editing-accuracy annotation runtime"
+    assert set(wanted.split()) <= set(protocol_names())
+    for name in RESERVED:
+        with pytest.raises(UsageError, match="reserved"):
+            load_protocol(name)
+    with pytest.raises(UsageError, match="static-reconstruction"):
+        load_protocol("static")
+
+
+def test_shifts_are_those_that_are_declared() -> None:
+    lanes = {group.name: group.ego_shift_m for group in load_protocol("lane-shift").groups}
+    assert lanes == {f"{side}-{m}m": sign * m for side, sign in (("left", 1.0), ("right", -1.0)) for m in (1, 2, 3)}
+    cars = [group.vehicle_shift_m for group in load_protocol("vehicle-translation").groups]
+    assert cars == [-3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 3.0]
+
+
+def test_the_hash_is_of_what_is_measured_not_of_words_or_layout() -> None:
+    text = files("mirror.evaluation").joinpath("protocols/static-reconstruction.toml").read_text()
+    protocol = parse_protocol(text.encode(), "a.toml")
+    told = parse_protocol(text.replace("Novel-view", "New-view").replace("every = 5", "every   =   5").encode(), "b")
+    other = parse_protocol(text.replace("every = 5", "every = 4").encode(), "c")
+    assert told.description != protocol.description
+    assert told.hash == protocol.hash != other.hash
+    assert Protocol.model_validate_json(protocol.model_dump_json()).hash == protocol.hash
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("every = 5", "every = 0", "frames.every"),
+        ('space = "undistorted"', 'space = "flat"', "pixels.space"),
+        ("[masks]", "[masks]\ncolour = 1", "masks.colour"),
+        ('metric = "psnr"', 'metric = "psn"', "metrics.0"),
+        ('name = "training"', 'name = "../up"', "groups.0.name"),
+        ('name = "training"', 'name = "novel"', "the whole protocol"),
+        ("[masks]", "[masks", None),
+    ],
+)
+def test_a_wrong_key_is_named(old: str, new: str, place: str | None) -> None:
+    text = files("mirror.evaluation").joinpath("protocols/static-reconstruction.toml").read_text()
+    with pytest.raises(SchemaError) as caught:
+        parse_protocol(text.replace(old, new).encode(), "mine.toml")
+    assert caught.value.file == "mine.toml"
+    assert caught.value.place == place
+
+
+def test_groups_that_edit_say_what() -> None:
+    with pytest.raises(SchemaError, match="vehicles"):
+        small(groups='[[groups]]\nname = "a"\nroles = ["train"]\nvehicle_shift_m = 1.0\n')

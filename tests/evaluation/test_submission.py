@@ -1,0 +1,155 @@
+"""Templates and checks: everything that is wrong at once, and nothing more than is expected is opened."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mirror.cli.main import main
+from mirror.dataset.dataset import Dataset
+from mirror.evaluation.submission.check import check_submission
+from mirror.evaluation.submission.manifest import Appearance, read_manifest
+from mirror.evaluation.submission.png import encode_png
+from mirror.evaluation.submission.template import expected_files, write_template
+from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted
+from mirror.evaluation.truth.source import TruthSource
+from mirror.evaluation.views import Plan, plan_views
+from tests.evaluation.submissions import SPLIT, small, write_renders
+
+
+@pytest.fixture(scope="module")
+def whole(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
+    out = tmp_path_factory.mktemp("submissions") / "whole"
+    return write_renders(dataset, small(), out), out
+
+
+def test_a_whole_submission_has_no_problem(whole: tuple[Plan, Path]) -> None:
+    plan, folder = whole
+    report = check_submission(open_untrusted(folder), plan)
+    assert report.problems == ()
+    assert report.expected == report.present == len(plan.views)
+    assert report.hash == check_submission(open_untrusted(folder), plan).hash
+
+
+def test_a_zip_of_it_is_the_same(whole: tuple[Plan, Path], tmp_path: Path) -> None:
+    plan, folder = whole
+    archive = Path(shutil.make_archive(str(tmp_path / "s"), "zip", folder))
+    zipped, plain = (check_submission(open_untrusted(path), plan) for path in (archive, folder))
+    assert zipped.problems == ()
+    assert zipped.hash == plain.hash
+
+
+class Harm:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (Path("/tmp/mirror-harm").touch, ())  # type: ignore[return-value]
+
+
+def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path: Path) -> None:
+    plan, folder = whole
+    broken = tmp_path / "broken"
+    shutil.copytree(folder, broken)
+    paths = [view.path for view in plan.views]
+    (broken / paths[0]).unlink()
+    (broken / paths[1]).write_bytes((broken / paths[1]).read_bytes()[:-20])
+    (broken / paths[2]).write_bytes(encode_png(np.zeros((7, 11, 3), np.uint8)))
+    deep = cv2.imencode(".png", np.zeros((plan.views[3].height_px, plan.views[3].width_px, 3), np.uint16))[1]
+    (broken / paths[3]).write_bytes(deep.tobytes())
+    (broken / paths[4]).unlink()
+    (broken / paths[4]).symlink_to(folder / paths[4])
+    (broken / paths[5]).write_bytes(bytes(10_000_000))
+    (broken / "renders" / "model.pkl").write_bytes(pickle.dumps(Harm()))
+    # A file that nobody can read would fail if it were opened.
+    (broken / "extra.npy").write_bytes(b"x")
+    (broken / "extra.npy").chmod(0)
+    manifest = json.loads((broken / "manifest.json").read_text())
+    manifest["plan_hash"] = "0" * 64
+    (broken / "manifest.json").write_text(json.dumps(manifest))
+    report = check_submission(open_untrusted(broken), plan)
+    found = {(problem.kind, problem.path) for problem in report.problems}
+    assert found == {
+        ("missing", paths[0]),
+        ("corrupt", paths[1]),
+        ("wrong size", paths[2]),
+        ("corrupt", paths[3]),
+        ("refused", paths[4]),
+        ("corrupt", paths[5]),
+        ("extra", "renders/model.pkl"),
+        ("extra", "extra.npy"),
+        ("manifest", "manifest.json"),
+    }
+    assert not Path("/tmp/mirror-harm").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"method": {"name": ""}}, "method.name"),
+        ({"appearance": {"policy": "fitted"}}, "held_out_pixels"),
+        ({"unknown": 1}, "unknown"),
+        ({"method": {"name": "x", "url": "javascript:alert(1)"}}, "method.url"),
+        ({"protocol_hash": "short"}, "protocol_hash"),
+        ({"runtime": {"device": "cpu", "frames_per_second": -1}}, "frames_per_second"),
+    ],
+)
+def test_a_wrong_manifest_is_named(
+    whole: tuple[Plan, Path], tmp_path: Path, change: dict[str, object], words: str
+) -> None:
+    manifest = {**json.loads((whole[1] / "manifest.json").read_text()), **change}
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(UntrustedError, match=words):
+        read_manifest(open_untrusted(tmp_path))
+
+
+def test_a_template_lists_every_file_with_pose_lens_and_mask(dataset: Dataset, tmp_path: Path) -> None:
+    protocol = small()
+    plan = plan_views(dataset, protocol, SPLIT)
+    truth = TruthSource(dataset, protocol, plan.layers)
+    assert write_template(tmp_path / "open", plan, truth) == len(plan.views)
+    assert write_template(tmp_path / "blind", plan, truth, blind=True) == len(plan.views)
+    listed = json.loads((tmp_path / "open" / "views.json").read_text())
+    assert {row["path"] for row in listed["views"]} == set(expected_files(plan))
+    masked = 0
+    for row, view in zip(listed["views"], plan.views):
+        assert row["world_SE3_camera"] == pytest.approx(list(view.world_SE3_camera))
+        assert (row["width_px"], row["height_px"], row["fx_px"]) == (view.width_px, view.height_px, view.fx_px)
+        assert row["recorded"]["uri"]
+        if row["mask"] is not None:
+            mask = cv2.imread(str(tmp_path / "open" / row["mask"]), cv2.IMREAD_UNCHANGED)
+            np.testing.assert_array_equal(mask > 0, truth.scored(view))
+            masked += 1
+    assert masked > 0
+    blind = (tmp_path / "blind" / "views.json").read_text()
+    assert "recorded" not in blind
+    assert "uri" not in blind
+    for file in (tmp_path / "blind").rglob("*.png"):
+        assert cv2.imread(str(file), cv2.IMREAD_UNCHANGED).ndim == 2
+    # An untouched template is a submission that lacks everything, and whose manifest is not filled in.
+    report = check_submission(open_untrusted(tmp_path / "open"), plan)
+    assert report.counts() == {"manifest": 1, "missing": len(plan.views)}
+
+
+def test_the_verb(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new"
+    words = ["--protocol", "static-reconstruction", "--split", SPLIT]
+    assert main(["submission", "new", str(root), *words, "--out", str(out), "--blind", "--json"]) == 0
+    expected = json.loads(capsys.readouterr().out)["expected"]
+    assert main(["submission", "check", str(out), "--truth", str(root), "--json"]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert said["counts"] == {"manifest": 1, "missing": expected}
+    assert main(["submission", "check", str(out), "--truth", str(root)]) == 1
+    assert f"missing: {expected}" in capsys.readouterr().out
+    assert main(["submission", "new", str(root), *words, "--out", str(out)]) == 2
+    assert main(["submission", "old"]) == 2
+    assert main(["submission", "new", str(root), "--protocol", "safety", "--split", SPLIT, "--out", str(out)]) == 2
+    assert "reserved" in capsys.readouterr().err
+
+
+def test_fitted_appearance_names_its_pixels() -> None:
+    part = {"left": 0.0, "top": 0.0, "right": 0.5, "bottom": 1.0}
+    assert Appearance.model_validate({"policy": "fitted", "held_out_pixels": [part]}).held_out_pixels[0].right == 0.5

@@ -1,0 +1,278 @@
+"""The other tasks: hidden truth, distributions, edits, boxes, run time; each with an answer known beforehand."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mirror.arrays import Float32, UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.evaluation.extractors import extractor_of
+from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
+from mirror.evaluation.protocol import load_protocol
+from mirror.evaluation.run import Options, evaluate
+from mirror.evaluation.scorers import distributions
+from mirror.evaluation.scorers.distributions import clips_of
+from mirror.evaluation.scorers.editing_accuracy import target_hull
+from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.png import encode_png
+from mirror.evaluation.submission.template import expected_files, manifest_for, write_manifest
+from mirror.evaluation.truth.synthetic import write_hidden_truth
+from mirror.evaluation.views import View, plan_views
+from mirror.metrics.boxes.raster import polygon_mask
+from mirror.metrics.features.frechet import frechet_distance
+from tests.evaluation.submissions import SPLIT, small, write_renders
+
+ALONE = Options(workers=1)
+SHIFTS = "".join(
+    f'[[groups]]\nname = "{name}"\nroles = ["train"]\nego_shift_m = {shift}\n'
+    for name, shift in (("here", 0.0), ("left-2m", 2.0))
+)
+
+
+def test_hidden_truth_is_the_street_from_beside(dataset: Dataset, root: Path, tmp_path: Path) -> None:
+    protocol = small(task="lane-shift", groups=SHIFTS, every=12)
+    # Renders that copy what was recorded: right where nothing is moved, wrong two metres aside.
+    plan = write_renders(dataset, protocol, tmp_path / "s")
+    assert write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden") == len(plan.views)
+    bare = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "bare", ALONE)
+    assert bare.result is not None
+    assert set(bare.result.unavailable) == {"psnr", "ssim"}
+    done = evaluate(
+        tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, hidden=tmp_path / "hidden")
+    )
+    assert done.result is not None
+    assert done.result.dataset.hidden_truth is not None
+    psnr = {
+        figure.group: figure.value
+        for figure in done.result.figures
+        if (figure.metric, figure.level) == ("psnr", "group")
+    }
+    assert psnr["here"] is not None
+    assert psnr["left-2m"] is not None
+    # What is left are noise, blur, JPEG and calibration errors.
+    assert psnr["here"] > 28.0 > 24.0 > psnr["left-2m"]
+
+
+class Colours:
+    """Features that anyone can compute: mean colours of four quarters."""
+
+    name = identity = "colours"
+    batch, computed = 4, 0
+
+    def prepare(self, pixels: UInt8):
+        import torch
+
+        while pixels.ndim > 3:
+            pixels = pixels.mean(axis=0)
+        middle = pixels.shape[0] // 2, pixels.shape[1] // 2
+        parts = [part for half in np.split(pixels, middle[:1], axis=0) for part in np.split(half, middle[1:], axis=1)]
+        return torch.tensor(np.concatenate([part.reshape(-1, 3).mean(axis=0) for part in parts]).astype(np.float32))
+
+    def run(self, prepared) -> Float32:
+        return prepared.numpy()
+
+
+FID = '[[metrics]]\nmetric = "fid"\nmode = "clean"\n[[metrics]]\nmetric = "kid"\nmode = "clean"\n'
+FVD = '[[metrics]]\nmetric = "fvd"\nframes = 9\ncrop = "squeeze"\nddof = 0\n'
+
+
+def test_distances_are_of_the_features_of_each_group(
+    dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = Colours()
+    monkeypatch.setattr(distributions, "_load", lambda metric, inputs: network)
+    monkeypatch.setattr(distributions.Distributions, "needs", lambda self, plan: {})
+    groups = "".join(f'[[groups]]\nname = "{name}"\nroles = ["held_out"]\n' for name in ("same", "darker"))
+    protocol = small(task="generation", groups=groups, every=1, metrics=FID + FVD)
+
+    def change(view: View, truth: UInt8) -> UInt8:
+        return truth if view.group == "same" else (truth * 0.5).astype(np.uint8)
+
+    write_renders(dataset, protocol, tmp_path / "s", change)
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert done.result is not None
+    figures = {(figure.group, figure.metric): figure for figure in done.result.figures}
+    assert figures["same", "fid"].value == pytest.approx(0.0, abs=1e-9)
+    assert figures["same", "fvd"].value == pytest.approx(0.0, abs=1e-9)
+    views = [view for view in done.plan.views if view.group == "darker"]
+    assert figures["darker", "fid"].n == len(views)
+    assert "fewer than 2048" in str(figures["darker", "fid"].note)
+    assert done.inputs is not None
+    pairs = [
+        (network.prepare(done.inputs.render(view)), network.prepare(done.inputs.truth.picture(view))) for view in views
+    ]
+    wanted = frechet_distance(*(np.stack([pair[side].numpy() for pair in pairs]) for side in (0, 1))).value
+    assert figures["darker", "fid"].value == pytest.approx(wanted)
+    low, high = figures["darker", "fid"].low, figures["darker", "fid"].high
+    assert low is not None
+    assert high is not None
+    assert low < wanted < high
+    # Recorded pictures and equal renders have one feature each, and a second run computes none.
+    assert network.computed == 2 * len(views) + 2 * figures["same", "fvd"].n
+    evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert network.computed == 2 * len(views) + 2 * figures["same", "fvd"].n
+
+
+def test_clips_are_of_consecutive_frames_of_one_camera() -> None:
+    def of(camera: str, *frames: int) -> list[View]:
+        return [
+            View.model_construct(group="g", traversal_id="t", camera=camera, frame_index=frame, path=f"{camera}{frame}")
+            for frame in frames
+        ]
+
+    clips = clips_of([*of("a", 0, 1, 2, 3, 4, 6, 7, 8), *of("b", 0, 1, 3)], 3)
+    assert [[view.path for view in clip] for clip in clips] == [["a0", "a1", "a2"], ["a6", "a7", "a8"]]
+
+
+def test_without_weights_distances_are_unavailable(dataset: Dataset, root: Path, tmp_path: Path, monkeypatch) -> None:
+    for name in ("MIRROR_WEIGHTS", "TORCH_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "nothing"))
+    protocol = small(task="generation", metrics=FID + FVD.replace("9", "400"))
+    write_renders(dataset, protocol, tmp_path / "s")
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert done.result is not None
+    assert set(done.result.unavailable) == {"fid", "kid", "fvd"}
+    assert "consecutive" in done.result.unavailable["fvd"]
+
+
+def paint(view: View, truth: UInt8, shift_px: float = 0.0) -> UInt8:
+    if view.edits[0].world_SE3_target is None:
+        return truth
+    hull = target_hull(view, view.edits[0]) + np.array([shift_px, 0.0])
+    painted = truth.copy()
+    mask = polygon_mask(hull, view.width_px, view.height_px)
+    noise = np.random.default_rng(0).normal(0, 6, (int(mask.sum()), 3))
+    painted[mask] = np.clip(np.array([210, 30, 60]) + noise, 0, 255).astype(np.uint8)
+    return painted
+
+
+def test_editing_accuracy_of_painted_boxes(dataset: Dataset, root: Path, tmp_path: Path) -> None:
+    protocol = load_protocol("editing-accuracy")
+    values = {}
+    for name, shift in (("exact", 0.0), ("off", 12.0)):
+        write_renders(dataset, protocol, tmp_path / name, lambda view, truth, by=shift: paint(view, truth, by))
+        done = evaluate(tmp_path / name, root, protocol, SPLIT, tmp_path / f"{name}-out", ALONE)
+        assert done.result is not None
+        values[name] = {one.metric: one for one in done.result.figures if (one.group, one.level) == ("all", "group")}
+        assert done.result.options == {"extractor": "diff-grabcut"}
+    for metric in ("edit_iou_hull", "edit_iou_box", "edit_iou_ceiling"):
+        exact, off = values["exact"][metric].value, values["off"][metric].value
+        assert exact is not None
+        assert off is not None
+        assert exact > 0.97
+        assert off < exact - 0.15
+
+
+def test_diff_grabcut_finds_what_was_put_in_whatever_the_noise() -> None:
+    rng = np.random.default_rng(3)
+    street = np.clip(rng.normal(110, 5, (120, 200, 3)) + np.linspace(-40, 40, 200)[:, None], 0, 255)
+    put = np.zeros((120, 200), np.bool_)
+    put[40:90, 60:130] = True
+    edited = street.copy()
+    edited[put] = np.array([180, 60, 40]) + rng.normal(0, 8, (int(put.sum()), 3))
+    everywhere = np.ones_like(put)
+    for noise in (0.0, 3.0):
+        again = np.clip(np.round(edited + rng.normal(0, noise, edited.shape)), 0, 255).astype(np.uint8)
+        found = DiffGrabCut().extract(again, street.astype(np.uint8), everywhere, "a")
+        assert (found & put).sum() / (found | put).sum() > 0.95
+    same = street.astype(np.uint8)
+    assert not DiffGrabCut().extract(same, same, everywhere, "a").any()
+    assert not DiffGrabCut().extract(again, same, ~everywhere, "a").any()
+
+
+def test_masks_from_files(tmp_path: Path) -> None:
+    mask = np.zeros((9, 16), np.uint8)
+    mask[2:5, 3:9] = 255
+    (tmp_path / "left").mkdir()
+    (tmp_path / "left" / "a.png").write_bytes(encode_png(mask))
+    picture = np.zeros((9, 16, 3), np.uint8)
+    counted = np.ones((9, 16), np.bool_)
+    found = extractor_of(f"file:{tmp_path}").extract(picture, picture, counted, "renders/left/a.png")
+    np.testing.assert_array_equal(found, mask > 0)
+
+
+def boxes_of(dataset: Dataset, traversal: str, sigma_m: float) -> dict[str, object]:
+    rng = np.random.default_rng(0)
+    frames = []
+    for frame in dataset.where(traversal=traversal).frames():
+        boxes = frame.boxes("ego")
+        found = [
+            {
+                "category": boxes.category[row],
+                "score": 0.5,
+                "ego_SE3_box": [
+                    *boxes.pose.rotation[row].tolist(),
+                    *(boxes.pose.translation[row] + rng.normal(0, sigma_m, 3)).tolist(),
+                ],
+                "size_m": boxes.size_m[row].tolist(),
+            }
+            for row in range(len(boxes))
+        ]
+        frames.append({"frame_index": frame.frame_index, "boxes": found})
+    return {"format": "mirror-detections", "version": "1.0", "frames": frames}
+
+
+@pytest.mark.parametrize(("sigma_m", "ap"), [(0.0, 1.0), (3.0, 0.5)])
+def test_annotation(dataset: Dataset, root: Path, tmp_path: Path, sigma_m: float, ap: float) -> None:
+    protocol = load_protocol("annotation")
+    plan = plan_views(dataset, protocol, SPLIT)
+    for path in expected_files(plan):
+        file = tmp_path / "s" / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(boxes_of(dataset, file.name.removesuffix(".json"), sigma_m)))
+    write_manifest(tmp_path / "s", manifest_for(plan, Method(name="boxes"), Appearance(policy="none")))
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert done.result is not None
+    figures = {figure.metric: figure.value for figure in done.result.figures}
+    assert figures["mean_ap"] is not None
+    assert figures["mean_trans_err"] is not None
+    if sigma_m:
+        assert figures["mean_ap"] < ap
+    else:
+        assert figures["mean_ap"] == pytest.approx(ap)
+        assert figures["mean_trans_err"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[]",
+        '{"format": "mirror-detections", "version": "1.0", "frames": [{"frame_index": 100000, "boxes": []}]}',
+        '{"format": "mirror-detections", "version": "1.0", "frames": [{"frame_index": 0, "boxes": [{"category": "ufo", '
+        '"score": 0.5, "ego_SE3_box": [1, 0, 0, 0, 0, 0, 0], "size_m": [1, 1, 1]}]}]}',
+        '{"format": "mirror-detections", "version": "1.0", "frames": [{"frame_index": 0, "boxes": [{"category": "car", '
+        '"score": 0.5, "ego_SE3_box": [0, 0, 0, 0, 0, 0, 0], "size_m": [1, 1, 1]}]}]}',
+    ],
+    ids=["array", "frame", "class", "quaternion"],
+)
+def test_boxes_that_make_no_sense_are_problems(dataset: Dataset, root: Path, tmp_path: Path, text: str) -> None:
+    protocol = load_protocol("annotation")
+    plan = plan_views(dataset, protocol, SPLIT)
+    for path in expected_files(plan):
+        file = tmp_path / "s" / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    write_manifest(tmp_path / "s", manifest_for(plan, Method(name="boxes"), Appearance(policy="none")))
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert done.result is None
+    assert len(done.check.problems) == 1
+
+
+def test_run_time_is_what_the_manifest_reports(dataset: Dataset, root: Path, tmp_path: Path) -> None:
+    protocol = load_protocol("runtime")
+    plan = plan_views(dataset, protocol, SPLIT)
+    runtime = Runtime(device="a GPU", frames_per_second=21.0, model_bytes=8 * 10**8, driven_m=200.0)
+    (tmp_path / "s").mkdir()
+    manifest = manifest_for(plan, Method(name="fast"), Appearance(policy="none"), runtime)
+    write_manifest(tmp_path / "s", manifest)
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert done.result is not None
+    figures = {figure.metric: figure.value for figure in done.result.figures}
+    assert figures == {"frames_per_second": 21.0, "model_bytes_per_100m": 4e8}
+    assert set(done.result.unavailable) == {"training_s", "peak_memory_bytes"}
+    assert math.isfinite(float(done.result.figures[0].value or 0.0))

@@ -1,0 +1,157 @@
+"""Which views are asked for, through which lens, from where, and what is edited in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError
+from mirror.evaluation.protocol import Pixels, load_protocol
+from mirror.evaluation.truth.raster import Raster
+from mirror.evaluation.views import plan_views
+from mirror.evaluation.views.final_camera import final_camera, undistorted
+from mirror.evaluation.views.plan import chosen_frames, render_path
+from mirror.evaluation.views.view import pose_of
+from mirror.geometry.cameras import Camera
+from mirror.geometry.quaternions import matrix_from_quaternion
+from tests.evaluation.submissions import SPLIT, small
+
+LENSES = [
+    Camera("pinhole", 160, 90, 100.0, 100.0, 80.0, 45.0),
+    Camera("brown_conrady", 160, 90, 90.0, 91.0, 78.0, 46.0, (-0.2, 0.05, 0.001, -0.002, 0.0)),
+    Camera("kannala_brandt", 160, 90, 70.0, 70.0, 80.0, 45.0, (0.02, -0.01, 0.0, 0.0)),
+    Camera("f_theta", 160, 100, 1.0, 1.0, 80.0, 50.0, (0.0, 75.0, 0.0, -3.0)),
+]
+
+
+@pytest.mark.parametrize(
+    ("count", "every", "last", "chosen"),
+    [
+        (11, 5, True, [0, 5, 10]),
+        (12, 5, True, [0, 5, 10, 11]),
+        (12, 5, False, [0, 5, 10]),
+        (1, 5, True, [0]),
+        (0, 5, True, []),
+    ],
+)
+def test_every_so_many_th_frame_and_the_last(count: int, every: int, last: bool, chosen: list[int]) -> None:
+    assert chosen_frames(count, every, last) == chosen
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
+def test_the_undistorted_raster_holds_all_that_the_lens_sees(lens: Camera) -> None:
+    flat = undistorted(lens, 70.0)
+    assert (flat.model, flat.width_px, flat.height_px) == ("pinhole", lens.width_px, lens.height_px)
+    u, v = np.meshgrid(np.arange(lens.width_px) + 0.5, np.arange(lens.height_px) + 0.5)
+    rays = lens.unproject(np.stack([u, v], axis=-1).reshape(-1, 2))
+    wide = np.degrees(np.arccos(rays.direction[:, 2]))
+    seen = rays.valid & (wide < 69.9)
+    assert flat.project(rays.direction[seen]).valid.all()
+    # And no more: what is seen reaches all four sides.
+    uv = flat.project(rays.direction[seen]).uv_px
+    assert (uv.min(axis=0) < 3.0).all()
+    assert (uv.max(axis=0) > np.array([flat.width_px, flat.height_px]) - 3.0).all()
+
+
+def test_the_raster_is_scaled_down_and_never_up() -> None:
+    pixels = Pixels(space="raw", max_width_px=100)
+    small_one = final_camera(LENSES[1], pixels)
+    assert (small_one.width_px, small_one.height_px) == (100, 56)
+    assert small_one.fx_px == pytest.approx(90.0 * 100 / 160)
+    assert final_camera(LENSES[1], Pixels(space="raw", max_width_px=200)) == LENSES[1]
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
+@pytest.mark.parametrize("width", [160, 67])
+def test_pictures_and_masks_come_to_the_raster_by_the_lens(lens: Camera, width: int) -> None:
+    raster = Raster(lens, Pixels(space="undistorted", max_width_px=width))
+    # A picture whose red and green are its rays' slopes: any lens must show the same slopes.
+    u, v = np.meshgrid(np.arange(lens.width_px) + 0.5, np.arange(lens.height_px) + 0.5)
+    rays = lens.unproject(np.stack([u, v], axis=-1)).direction
+    slopes = rays[..., :2] / rays[..., 2:]
+    levels = np.zeros((lens.height_px, lens.width_px, 3), np.uint8)
+    levels[..., :2] = np.clip(np.round(128 + 40 * np.nan_to_num(slopes)), 0, 255)
+    shown = raster.picture(levels)
+    final = raster.final
+    assert shown.shape == (final.height_px, final.width_px, 3)
+    true = final.rays().direction
+    wanted = 128 + 40 * true[..., :2] / true[..., 2:]
+    inside = ~raster.unseen & (np.abs(wanted - 128) < 90).all(axis=-1)
+    assert inside.mean() > 0.5
+    assert np.abs(shown[..., :2] - wanted)[inside].max() < 3.0
+    # A masked block excludes every pixel whose ray falls into it.
+    mask = np.zeros((lens.height_px, lens.width_px), np.bool_)
+    mask[30:50, 60:100] = True
+    excluded = raster.excluded(mask)
+    back = lens.project(true).uv_px
+    within = (back[..., 0] > 60.6) & (back[..., 0] < 99.4) & (back[..., 1] > 30.6) & (back[..., 1] < 49.4)
+    assert within.any()
+    assert excluded[within].all()
+    assert excluded.mean() < 0.5
+
+
+def test_the_plan_is_that_of_the_tables(dataset: Dataset) -> None:
+    protocol = small(every=4, width=100)
+    plan = plan_views(dataset, protocol, SPLIT)
+    held_out = dataset.where(split=SPLIT, role="held_out")
+    rows = held_out.table("images", ["camera", "frame_index", "timestamp_ns"]).to_pylist()
+    wanted = {
+        (row["camera"], row["timestamp_ns"])
+        for row in rows
+        if row["frame_index"] is not None
+        and row["frame_index"] % 4 == 0
+        and row["camera"] in ("front_wide", "front_left")
+    }
+    assert {(view.camera, view.timestamp_ns) for view in plan.views} == wanted
+    assert len({view.path for view in plan.views}) == len(plan.views)
+    assert plan.hash == plan_views(dataset, protocol, SPLIT).hash
+    assert plan.hash != plan_views(dataset, small(every=5, width=100), SPLIT).hash
+
+
+def test_shifted_cameras_are_beside_the_ego(dataset: Dataset) -> None:
+    groups = "".join(
+        f'[[groups]]\nname = "{name}"\nroles = ["train"]\nego_shift_m = {shift}\n'
+        for name, shift in (("here", 0.0), ("left-2m", 2.0))
+    )
+    plan = plan_views(dataset, small(groups=groups, task="lane-shift"), SPLIT)
+    here = {view.path.replace("/here/", "/left-2m/"): view for view in plan.views if view.group == "here"}
+    moved = [view for view in plan.views if view.group == "left-2m"]
+    assert len(here) == len(moved) > 0
+    for view in moved:
+        other = here[view.path]
+        frame = next(
+            one for one in dataset.where(traversal=view.traversal_id).frames() if one.frame_index == view.frame_index
+        )
+        step = view.pose.translation[0] - other.pose.translation[0]
+        left = matrix_from_quaternion(frame.world_SE3_ego.rotation)[0][:, 1]
+        assert np.linalg.norm(step) == pytest.approx(2.0, abs=1e-9)
+        assert step @ left == pytest.approx(2.0, abs=2e-3)
+        np.testing.assert_allclose(view.pose.rotation, other.pose.rotation, atol=1e-12)
+
+
+def test_edits_move_boxes_along_their_own_left(dataset: Dataset) -> None:
+    plan = plan_views(dataset, load_protocol("editing-accuracy"), SPLIT)
+    groups = {view.group for view in plan.views}
+    assert "background" in groups
+    counts = {group: sum(view.group == group for view in plan.views) for group in groups}
+    assert len(set(counts.values())) == 1
+    for view in plan.views:
+        (edit,) = view.edits
+        if view.group == "background":
+            assert edit.world_SE3_target is None
+            continue
+        assert edit.world_SE3_target is not None
+        box, target = pose_of(edit.world_SE3_box), pose_of(edit.world_SE3_target)
+        left = matrix_from_quaternion(box.rotation)[0][:, 1]
+        wanted = {"right-2m": -2, "right-1m": -1, "0m": 0, "left-1m": 1, "left-2m": 2}[view.group]
+        np.testing.assert_allclose(target.translation[0] - box.translation[0], wanted * left, atol=1e-9)
+
+
+def test_what_cannot_be_asked_for_is_said(dataset: Dataset) -> None:
+    with pytest.raises(DatasetError, match="no such split"):
+        plan_views(dataset, small(), "none")
+    with pytest.raises(DatasetError, match="finds no picture"):
+        plan_views(dataset, small(groups='[[groups]]\nname = "a"\nroles = ["val"]\n'), SPLIT)
+    with pytest.raises(DatasetError, match="cannot be a folder"):
+        render_path("novel", "a.b.1", "../up", 1)

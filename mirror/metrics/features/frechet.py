@@ -98,12 +98,15 @@ def _overlap(a: CovarianceRoot, b: CovarianceRoot) -> _Overlap:
     Between two scatter matrices the eigenvalues of its Gram matrix come first: they take a quarter of the time, and how
     far rounding moves their square roots can be told from them. Where that is too far, the singular values follow.
     """
-    cross = a.root @ b.root.T
-    size = min(cross.shape)
+    size = min(len(a.root), len(b.root))
     # Rounding of the product itself, entry by entry, as a nuclear norm.
     product = UNIT_ROUNDOFF * float(np.sqrt(a.root.shape[1] * size) * np.sqrt(a.trace * b.trace))
-    if size > _SMALL and not a.from_rows and not b.from_rows:
-        values = np.linalg.eigvalsh(cross.T @ cross if cross.shape[1] == size else cross @ cross.T)
+    if size > _SMALL and a.covariance is not None and b.covariance is not None:
+        from scipy.linalg.lapack import dsygst
+
+        # The lower triangle of R1 C2 R1', of which only half is computed.
+        gram, _ = dsygst(b.covariance, a.root.T, itype=2, lower=1)
+        values = np.linalg.eigvalsh(gram)
         top = float(values[-1])
         sigma = np.sqrt(np.maximum(values, 0.0))
         moved = 4.0 * UNIT_ROUNDOFF * top
@@ -111,6 +114,7 @@ def _overlap(a: CovarianceRoot, b: CovarianceRoot) -> _Overlap:
             error = float(np.linalg.norm(np.minimum(np.sqrt(moved), moved / (2.0 * sigma))))
         if error <= _GRAM_TOLERANCE * (a.trace + b.trace):
             return _Overlap(float(sigma.sum()), product + error, size, "gram eigenvalues")
+    cross = a.root @ b.root.T
     sigma = np.linalg.svd(cross, compute_uv=False)
     top = float(sigma[0]) if size else 0.0
     rank = int((sigma > size * UNIT_ROUNDOFF * 2.0 * top).sum())

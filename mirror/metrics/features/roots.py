@@ -19,19 +19,19 @@ class CovarianceRoot:
 
     Attributes:
         root: (k, d).
+        covariance: (d, d), where the root is its upper triangular factor; None: the root is of another kind.
         trace: of the covariance.
         inexact: nuclear norm of what rounding may have changed in the covariance before R was taken; 0 for rows.
         least: estimate of the least eigenvalue; 0 where the covariance is singular.
         largest: bound of the largest eigenvalue.
-        from_rows: whether R is made of the centred rows themselves.
     """
 
     root: Float64
+    covariance: Float64 | None
     trace: float
     inexact: float
     least: float
     largest: float
-    from_rows: bool
 
 
 def covariance_root(statistics: FeatureStatistics, ddof: int) -> CovarianceRoot:
@@ -47,7 +47,7 @@ def covariance_root(statistics: FeatureStatistics, ddof: int) -> CovarianceRoot:
     if statistics.rows is not None:
         root: Float64 = statistics.rows / float(np.sqrt(degrees))
         trace = float(np.einsum("ij,ij->i", root, root).sum())
-        return CovarianceRoot(root, trace, 0.0, 0.0, trace, True)
+        return CovarianceRoot(root, None, trace, 0.0, 0.0, trace)
     covariance = statistics.covariance(ddof)
     trace = float(np.trace(covariance))
     dimension = statistics.dimension
@@ -56,13 +56,13 @@ def covariance_root(statistics: FeatureStatistics, ddof: int) -> CovarianceRoot:
     try:
         lower = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
-        return CovarianceRoot(_pivoted_root(covariance, trace), trace, inexact, 0.0, largest, False)
+        return CovarianceRoot(_pivoted_root(covariance, trace), None, trace, inexact, 0.0, largest)
     from scipy.linalg.lapack import dpocon
 
     one_norm = float(np.abs(covariance).sum(axis=0).max())
     reciprocal, info = dpocon(lower, one_norm, uplo="L")
     least = one_norm * float(reciprocal) if info == 0 else 0.0
-    return CovarianceRoot(np.asarray(lower.T, np.float64), trace, inexact, least, largest, False)
+    return CovarianceRoot(np.asarray(lower.T, np.float64), covariance, trace, inexact, least, largest)
 
 
 def _pivoted_root(covariance: Float64, trace: float) -> Float64:

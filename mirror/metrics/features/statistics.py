@@ -9,7 +9,8 @@ import numpy as np
 from mirror.arrays import AnyArray, Float64
 from mirror.errors import UsageError
 
-_BLOCK = 2048
+_BLOCK = 8192
+_PENDING = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,8 @@ class FeatureStatistics:
     def from_features(cls, features: AnyArray) -> FeatureStatistics:
         """Statistics of features that fit in memory.
 
-        The mean is taken twice: the second pass takes away what rounding left of a large offset in the first.
+        The mean is taken twice: the second pass takes away what rounding left of a large offset in the first. Blocks
+        of rows are centred as they are needed, so that no second copy of all features exists.
 
         Args:
             features: (n, d), finite, any real type; converted to float64.
@@ -60,13 +62,13 @@ class FeatureStatistics:
             rest = rows.mean(axis=0)
             rows -= rest
             return cls(count, mean + rest, rows=rows)
-        blocks = range(0, count, _BLOCK)
-        rest = np.sum([(values[start : start + _BLOCK] - mean).sum(axis=0) for start in blocks], axis=0) / count
-        scatter = np.zeros((dimension, dimension))
-        for start in blocks:
+        scatter, total = np.zeros((dimension, dimension)), np.zeros(dimension)
+        for start in range(0, count, _BLOCK):
             centred = values[start : start + _BLOCK] - mean
-            centred -= rest
+            total += centred.sum(axis=0)
             scatter += centred.T @ centred
+        rest = total / count
+        scatter -= np.outer(rest, total)
         return cls(count, mean + rest, scatter=scatter)
 
     @classmethod
@@ -167,7 +169,7 @@ class FeatureAccumulator:
         if dimension not in (None, batch.shape[1]):
             raise UsageError(f"a batch of {batch.shape[1]} dimensions after batches of {dimension}")
         self._batches.append(batch.copy() if batch is features else batch)
-        if sum(map(len, self._batches)) > max(batch.shape[1], _BLOCK):
+        if sum(map(len, self._batches)) > max(batch.shape[1], _PENDING):
             self._done, self._batches = self.compute(), []
 
     def merge(self, other: FeatureAccumulator) -> None:

@@ -61,7 +61,7 @@ def test_any_batches_give_the_same(sizes, d, seed):
 
 def test_accumulator_holds_few_rows():
     stream = FeatureAccumulator()
-    x = features(9000, 4)
+    x = features(20000, 4)
     for part in np.array_split(x, 30):
         stream.update(part)
         assert sum(map(len, stream._batches)) <= 2048

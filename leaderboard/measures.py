@@ -55,6 +55,8 @@ MEASURES: Final = {
     "lpips_vgg": Measure("LPIPS vgg", "learned perceptual distance, VGG", "lower", 3),
     "lpips_squeeze": Measure("LPIPS squeeze", "learned perceptual distance, SqueezeNet", "lower", 3),
     "st_lpips": Measure("ST-LPIPS", "shift-tolerant learned perceptual distance", "lower", 3),
+    "st_lpips_alex": Measure("ST-LPIPS alex", "shift-tolerant learned perceptual distance, AlexNet", "lower", 3),
+    "st_lpips_vgg": Measure("ST-LPIPS vgg", "shift-tolerant learned perceptual distance, VGG", "lower", 3),
     "fid": Measure("FID", "Fréchet distance of Inception features", "lower", 2),
     "kid": Measure(
         "KID", "kernel distance of Inception features, unbiased", "lower", 2, low=-1.0, unit="10⁻³", scale=1e3
@@ -68,6 +70,7 @@ MEASURES: Final = {
     ),
     "mean_ap": Measure("mAP", "average precision over classes and distances (nuScenes)", "higher", 3, high=1.0),
     "nds": Measure("NDS", "nuScenes detection score", "higher", 3, high=1.0),
+    "nds_no_attr": Measure("NDS without attributes", "mAP and four errors, weights 5 : 1", "higher", 3, high=1.0),
     "mate_m": Measure("mATE", "translation error of true positives", "lower", 3, unit="m"),
     "mase": Measure("mASE", "scale error of true positives", "lower", 3, high=1.0),
     "maoe_rad": Measure("mAOE", "orientation error of true positives", "lower", 3, unit="rad"),

@@ -15,6 +15,7 @@ from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import mean_weights
 from mirror.evaluation.result import IMAGES, Figure, Result
+from mirror.evaluation.scorers.editing_accuracy import ALL
 from mirror.evaluation.views.view import View
 
 _TOLERANCE: Final = 1e-9
@@ -38,7 +39,7 @@ def require_counted(result: Result, path: Path) -> None:
     columns = set(rows[0]) if rows else set()
     for number, figure in enumerate(result.figures):
         if figure.level == "group" and figure.metric in columns:
-            own = [row for row in rows if row["group"] == figure.group]
+            own = [row for row in rows if figure.group in (ALL, row["group"])]
             _require(result, figure, own, path, f"figures.{number}")
     there = {(figure.group, figure.metric) for figure in result.figures if figure.level == "group"}
     for metric in sorted(columns & set(result.protocol.metric_names)):

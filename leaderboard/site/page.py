@@ -97,7 +97,8 @@ def _heading(board: Board) -> str:
     if board.split is not None and board.hashes is not None:
         hashes = zip(("protocol", "data"), board.hashes)
         codes = "".join(f' · {name} <code title="{whole}">{whole[:8]}</code>' for name, whole in hashes)
-        evidence = f"<small>split {escape(board.split)}{codes}</small>"
+        older = "" if load_protocol(board.protocol).hash == board.hashes[0] else " · an older version of the protocol"
+        evidence = f" <small>split {escape(board.split)}{codes}{older}</small>"
     return f'<h3 id="{board.id}">{escape(board.title)}{evidence}</h3>'
 
 

@@ -98,6 +98,15 @@ def test_entries_of_later_folders_stand_in(board: Path, tmp_path: Path) -> None:
     assert text.count('data-value="nearest_frame"') == 1
 
 
+def test_an_older_protocol_is_said_to_be_older(tmp_path: Path) -> None:
+    new, old = (
+        build_site([one], [], tmp_path).read_text()
+        for one in (measured("a", 20.0, pairs=()), measured("a", 20.0, pairs=(), protocol_hash="01" * 32))
+    )
+    assert "an older version" not in new
+    assert "an older version" in old
+
+
 def test_no_entries_at_all(tmp_path: Path) -> None:
     assert "0 entries" in build_site([], [tmp_path], tmp_path / "site").read_text()
 

@@ -22,7 +22,7 @@ from mirror.evaluation.protocol import Protocol
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
 from mirror.evaluation.scorers import scorer_of
 from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import Scored
+from mirror.evaluation.scorers.scorer import STAND_IN, Scored
 from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import open_untrusted
@@ -113,7 +113,8 @@ def evaluate(
     check = check_submission(files, plan, advance=progress.advance)
     if check.problems or check.manifest is None:
         return Evaluation(plan, check)
-    unavailable, weights = _availability(plan, check.manifest, options)
+    available = _availability(plan, check.manifest, options)
+    unavailable = available.unavailable
     _require(options.require, protocol, unavailable)
     inputs = Inputs(
         protocol=protocol,
@@ -124,11 +125,12 @@ def evaluate(
         hidden=options.hidden,
         resolver=options.resolver,
         unavailable=unavailable,
+        stand_ins=available.stand_ins,
         features=options.features or out / WORK / "features",
         extractor=options.extractor,
     )
     scorer = scorer_of(protocol.task)
-    some = len(unavailable) < len(protocol.metrics)
+    some = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins)
     jobs = scorer.jobs(plan, inputs) if some else []
     progress.start("scoring", len(jobs))
     outcome = score_jobs(
@@ -151,34 +153,48 @@ def evaluate(
         submission_hash=check.hash,
         figures=tuple(scorer.figures(plan, outcome.scored, inputs)) if some else (),
         unavailable=unavailable,
-        weights=weights,
+        weights=available.weights,
         versions=_versions(),
         options={"extractor": options.extractor} if protocol.task == "editing-accuracy" else {},
-        warnings=tuple(_warnings(plan, check.manifest)),
+        warnings=tuple(_warnings(plan, check.manifest, available)),
     )
     write_bytes(out / IMAGES, _table(outcome.scored, protocol))
     write_json(out / RESULT, result)
     return Evaluation(plan, check, result, inputs, outcome.scored, outcome.reused)
 
 
-def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) -> tuple[dict[str, str], dict[str, str]]:
-    """Metrics that cannot be had, with the way to get them, and the hashes of the weights of the others."""
+@dataclass(frozen=True)
+class _Availability:
+    """Metrics that cannot be had, others that stand in for them, and the hashes of the weights of those that can."""
+
+    unavailable: dict[str, str]
+    stand_ins: tuple[str, ...]
+    weights: dict[str, str]
+
+
+def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) -> _Availability:
     scorer = scorer_of(plan.protocol.task)
     unavailable = dict(scorer.unavailable(plan, manifest, options.hidden))
+    lacking = set(unavailable)
     weights: dict[str, str] = {}
+    stand_ins: list[str] = []
     for metric, names in scorer.needs(plan).items():
-        if metric in unavailable:
-            continue
-        if importlib.util.find_spec("torch") is None:
-            unavailable[metric] = _NO_TORCH
+        asked, original = metric in plan.protocol.metric_names, metric.removeprefix(STAND_IN)
+        # Who lacks more than weights has nothing to compute a stand-in of either.
+        if original in lacking or (not asked and original not in unavailable):
             continue
         try:
             found = {name: options.resolver.resolve(name).sha256 for name in names}
         except WeightsUnavailableError as error:
-            unavailable[metric] = str(error)
-        else:
+            if asked:
+                unavailable[metric] = str(error)
+            continue
+        if importlib.util.find_spec("torch") is not None:
             weights.update(found)
-    return unavailable, weights
+            stand_ins += [] if asked else [metric]
+        elif asked:
+            unavailable[metric] = _NO_TORCH
+    return _Availability(unavailable, tuple(stand_ins), weights)
 
 
 def _require(required: Sequence[str], protocol: Protocol, unavailable: Mapping[str, str]) -> None:
@@ -212,8 +228,10 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _warnings(plan: Plan, manifest: SubmissionManifest) -> list[str]:
+def _warnings(plan: Plan, manifest: SubmissionManifest, available: _Availability) -> list[str]:
     found = [f"group {name} has no views in split {plan.split}" for name in plan.empty_groups]
+    for name in available.stand_ins:
+        found.append(f"{name} stands in for {name.removeprefix(STAND_IN)}: another metric, with figures of its own")
     if manifest.appearance.held_out_pixels:
         found.append("the method's appearance was fitted to held-out pixels; they are not scored")
     return found

@@ -117,6 +117,7 @@ def job_key(job: Job, inputs: Inputs) -> str:
         scorer_of(protocol.task).version,
         inputs.extractor,
         sorted(inputs.unavailable),
+        inputs.stand_ins,
         [part.model_dump() for part in inputs.manifest.appearance.held_out_pixels],
         sorted((name, str(path)) for name, path in inputs.resolver.paths.items()),
         [view.model_dump(mode="json") for view in job.views],

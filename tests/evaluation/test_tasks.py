@@ -230,12 +230,12 @@ def test_annotation(dataset: Dataset, root: Path, tmp_path: Path, sigma_m: float
     assert done.result is not None
     figures = {figure.metric: figure.value for figure in done.result.figures}
     assert figures["mean_ap"] is not None
-    assert figures["mean_trans_err"] is not None
+    assert figures["mate_m"] is not None
     if sigma_m:
         assert figures["mean_ap"] < ap
     else:
         assert figures["mean_ap"] == pytest.approx(ap)
-        assert figures["mean_trans_err"] == pytest.approx(0.0, abs=1e-9)
+        assert figures["mate_m"] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,12 @@ from mirror.schema.documents import Document
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e7, le=1e7)]
 Positive = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
-_ERRORS: Final = {"trans_err": "m", "scale_err": "", "orient_err": "rad", "vel_err": "m/s"}
+_ERRORS: Final = {
+    "trans_err": ("mate_m", "m"),
+    "scale_err": ("mase", ""),
+    "orient_err": ("maoe_rad", "rad"),
+    "vel_err": ("mave_mps", "m/s"),
+}
 
 
 class DetectedBox(Document):
@@ -210,8 +215,8 @@ def _figures(group: str, found: NuScenesDetection, count: int) -> Iterable[Figur
 
     errors = {name: found.tp_errors[name] for name in _ERRORS}
     yield figure("mean_ap", found.mean_ap, found.mean_ap.reason, "")
-    for name, unit in _ERRORS.items():
-        yield figure(f"mean_{name}", errors[name], errors[name].reason, unit, lower=True)
+    for name, (title, unit) in _ERRORS.items():
+        yield figure(title, errors[name], errors[name].reason, unit, lower=True)
     reasons = [score.reason for score in (found.mean_ap, *errors.values()) if score.reason is not None]
     weight = found.config.mean_ap_weight
     total = weight * found.mean_ap + sum(max(0.0, 1.0 - error) for error in errors.values())

@@ -35,6 +35,7 @@ class Inputs:
         hidden: folder of hidden truth; None: the dataset's own pictures.
         resolver: finds weights.
         unavailable: metrics that cannot be had, and how to get them.
+        stand_ins: other metrics that can be had in their place, under their own names.
         features: folder of cached features.
         extractor: of edited regions, and its argument.
     """
@@ -47,6 +48,7 @@ class Inputs:
     hidden: Path | None
     resolver: WeightResolver
     unavailable: Mapping[str, str]
+    stand_ins: tuple[str, ...]
     features: Path
     extractor: str = "diff-grabcut"
     made: dict[str, object] = field(default_factory=dict, compare=False, repr=False)

@@ -12,9 +12,10 @@ from mirror.evaluation.figures import Measure, figures_of
 from mirror.evaluation.protocol import Lpips, Metric, Psnr, PsnrCc, Ssim, metric_name
 from mirror.evaluation.result import Figure, finite
 from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.scorers.scorer import STAND_IN, Job, Scored, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.views.plan import Plan
+from mirror.metrics.features.lpips import TRUNK_WEIGHTS
 from mirror.metrics.images.colour_correction import psnr_cc
 from mirror.metrics.images.psnr import psnr
 from mirror.metrics.images.ssim import ssim
@@ -37,13 +38,14 @@ class Reconstruction:
     version = 1
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """LPIPS needs its trunk and heads."""
-        trunks = {"alex": "alexnet", "vgg": "vgg16", "squeeze": "squeezenet1_1"}
-        return {
-            metric_name(metric): (trunks[metric.net], f"lpips-heads-{metric.net}")
-            for metric in plan.protocol.metrics
-            if isinstance(metric, Lpips)
-        }
+        """LPIPS needs its trunk and heads, ST-LPIPS a file of its own."""
+        found: dict[str, tuple[str, ...]] = {}
+        for metric in plan.protocol.metrics:
+            if isinstance(metric, Lpips):
+                found[metric_name(metric)] = (TRUNK_WEIGHTS[metric.net], f"lpips-heads-{metric.net}")
+                if metric.net != "squeeze":
+                    found[_stand_in(metric)] = (f"st-lpips-{metric.net}",)
+        return found
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
         """Pictures of moved cameras were not recorded: they are an organiser's, or there are none."""
@@ -63,8 +65,8 @@ class Reconstruction:
             "pixels": scored.size,
         }
         for metric in inputs.protocol.metrics:
-            name = metric_name(metric)
-            if name in inputs.unavailable:
+            name = measured_as(metric, inputs)
+            if name is None:
                 continue
             score, more = _score(metric, render, truth, scored, inputs)
             values[name] = float(score)
@@ -80,8 +82,8 @@ class Reconstruction:
             own = [one for one in scored if one.job.views[0].group == group.name]
             views = [one.job.views[0] for one in own]
             for metric in plan.protocol.metrics:
-                name = metric_name(metric)
-                if name in inputs.unavailable:
+                name = measured_as(metric, inputs)
+                if name is None:
                     continue
                 scores = [score_of(one.values, name) for one in own]
                 measure = _MEASURES.get(name, Measure(name, "", "lower"))
@@ -90,6 +92,18 @@ class Reconstruction:
                 if name == "psnr" and own:
                     found.append(_pooled(group.name, own))
         return found
+
+
+def measured_as(metric: Metric, inputs: Inputs) -> str | None:
+    """What a metric's figure is called: where LPIPS cannot be had ST-LPIPS stands in, under its own name; or None."""
+    name = metric_name(metric)
+    if name not in inputs.unavailable:
+        return name
+    return _stand_in(metric) if isinstance(metric, Lpips) and _stand_in(metric) in inputs.stand_ins else None
+
+
+def _stand_in(metric: Lpips) -> str:
+    return f"{STAND_IN}{metric_name(metric)}"
 
 
 def score_of(values: Values, name: str) -> Score:
@@ -119,10 +133,16 @@ def _score(
 
 def _network(metric: Lpips, inputs: Inputs) -> PerceptualDistance:
     from mirror.metrics.features.lpips import load_lpips
+    from mirror.metrics.features.st_lpips import load_st_lpips
 
-    name = metric_name(metric)
+    name = measured_as(metric, inputs)
+    if name is None:
+        raise TypeError(f"{metric_name(metric)} cannot be had")
     if name not in inputs.made:
-        inputs.made[name] = load_lpips(metric.net, inputs.resolver)
+        if name == metric_name(metric) or metric.net == "squeeze":
+            inputs.made[name] = load_lpips(metric.net, inputs.resolver)
+        else:
+            inputs.made[name] = load_st_lpips(metric.net, inputs.resolver)
     network: PerceptualDistance = inputs.made[name]  # type: ignore[assignment]
     return network
 

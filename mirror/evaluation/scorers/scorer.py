@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
+
+STAND_IN: Final = "st_"
 
 Values: TypeAlias = Mapping[str, float | int | str | None]
 """What a job found: a metric's name to its value; ``<name>.reason`` says why it is NaN."""
@@ -51,7 +53,10 @@ class Scorer(Protocol):
     """Counted up when values change: what was scored before is scored again."""
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """Names of the weights that each metric needs; a metric that needs none may be left out."""
+        """Names of the weights that each metric needs; a metric that needs none may be left out.
+
+        A name that begins with `STAND_IN` is of another metric, which stands in where the one behind it cannot be had.
+        """
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
         """Metrics that cannot be had for another reason than weights, and how to get them."""

@@ -1,0 +1,69 @@
+"""From a baseline to the board: rendered, scored, added with pictures, shown."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import mean_color
+import nearest_frame
+from leaderboard.add import add_result
+from leaderboard.entry import Measured, load_entries
+from leaderboard.pictures import Shown
+from leaderboard.refused import RefusedError
+from leaderboard.site.page import build
+from mirror.dataset import Dataset
+from mirror.evaluation.protocol import load_protocol
+from mirror.evaluation.run import evaluate
+from mirror.evaluation.submission.writing import write_submission
+from mirror.evaluation.views import plan_views
+
+
+def test_baselines_stand_on_a_board(dataset: Dataset, tmp_path: Path) -> None:
+    protocol = load_protocol("static-reconstruction")
+    plan = plan_views(dataset, protocol, "novel")
+    truth, board = Path(dataset.root), tmp_path / "board"
+    submissions = {method.METHOD.name: tmp_path / method.METHOD.name for method in (nearest_frame, mean_color)}
+    for method in (nearest_frame, mean_color):
+        name = method.METHOD.name
+        write_submission(dataset, plan, method.render, method.METHOD, method.APPEARANCE, submissions[name])
+        evaluate(submissions[name], truth, protocol, "novel", tmp_path / f"{name}-result")
+        result = tmp_path / f"{name}-result" / "result.json"
+        other = next(folder for key, folder in submissions.items() if key != name)
+        if other.exists():
+            with pytest.raises(RefusedError, match="is not the submission that the result is of"):
+                add_result(result, board, "a street", shown=Shown(other, truth))
+        add_result(result, board, "a street", shown=Shown(submissions[name], truth))
+    entries = [one for one in load_entries(board / "entries") if isinstance(one, Measured)]
+    assert {entry.method for entry in entries} == set(submissions)
+    # The same views of the same truth, so that methods can be held against each other.
+    (truths,) = {tuple(pair.truth for pair in entry.pairs) for entry in entries}
+    assert len(truths) == 3
+    page = build([board], tmp_path / "site")
+    for file in truths:
+        pixels = cv2.imread(str(page.parent / "pictures" / file))
+        assert np.abs(pixels.mean(axis=(0, 1)) - 120).max() < 4
+
+
+def test_pictures_need_recorded_truth(dataset: Dataset, tmp_path: Path) -> None:
+    from leaderboard.pictures import copy_pairs
+    from mirror.evaluation.result import Result
+
+    plan = plan_views(dataset, load_protocol("static-reconstruction"), "novel")
+    write_submission(dataset, plan, mean_color.render, mean_color.METHOD, mean_color.APPEARANCE, tmp_path / "out")
+    done = evaluate(tmp_path / "out", dataset.root, plan.protocol, "novel", tmp_path / "result")
+    assert isinstance(done.result, Result)
+    moved = done.result.model_copy(update={"protocol": load_protocol("lane-shift")})
+    with pytest.raises(RefusedError, match="have no recorded truth"):
+        copy_pairs(moved, tmp_path / "out", Path(dataset.root), tmp_path / "pictures")
+    other = done.result.dataset.model_copy(update={"plan_hash": "00" * 32})
+    with pytest.raises(RefusedError, match="is not the dataset"):
+        copy_pairs(
+            done.result.model_copy(update={"dataset": other}),
+            tmp_path / "out",
+            Path(dataset.root),
+            tmp_path / "pictures",
+        )

@@ -48,6 +48,8 @@ class Arguments:
     """Folder of an organiser's true pictures, for protocols whose poses nobody recorded."""
     extractor: str = "diff-grabcut"
     """Of edited regions: diff-grabcut, file:FOLDER or onnx-sam:FOLDER."""
+    measure: str | None = None
+    """METHOD=FOLDER: an installed method (entry points mirror.methods) and its model, to measure the speed of."""
     features: Path | None = None
     """Folder of cached features of true pictures, shared between evaluations. Default: in --out."""
     workers: int = field(default_factory=lambda: min(os.cpu_count() or 1, 2))
@@ -79,6 +81,7 @@ def main(argv: Sequence[str]) -> int:
         workers=arguments.workers,
         resolver=WeightResolver(_weight_paths(arguments.weights), arguments.download_weights),
         extractor=arguments.extractor,
+        measured=None if arguments.measure is None else _pair(arguments.measure, "--measure", "METHOD=FOLDER"),
         features=arguments.features,
     )
     with progress_bar(quiet=arguments.json) as bar:
@@ -99,13 +102,14 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _weight_paths(given: Sequence[str]) -> Mapping[str, Path]:
-    found = {}
-    for text in given:
-        name, equals, path = text.partition("=")
-        if not (name and equals and path):
-            raise UsageError(f"{text!r}", place="--weights", expected="NAME=FILE")
-        found[name] = Path(path)
-    return found
+    return dict(_pair(text, "--weights", "NAME=FILE") for text in given)
+
+
+def _pair(text: str, option: str, expected: str) -> tuple[str, Path]:
+    name, equals, path = text.partition("=")
+    if not (name and equals and path):
+        raise UsageError(f"{text!r}", place=option, expected=expected)
+    return name, Path(path)
 
 
 def _report(done: Evaluation, out: Path) -> Path:

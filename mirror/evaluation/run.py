@@ -48,6 +48,7 @@ class Options:
         workers: processes.
         resolver: finds weights.
         extractor: of edited regions.
+        measured: an installed method and the folder of its model, whose speed is measured; None: none is.
         features: folder of cached features; None: under the output folder.
     """
 
@@ -56,6 +57,7 @@ class Options:
     workers: int = 2
     resolver: WeightResolver = field(default_factory=WeightResolver)
     extractor: str = "diff-grabcut"
+    measured: tuple[str, Path] | None = None
     features: Path | None = None
 
 
@@ -128,9 +130,10 @@ def evaluate(
         stand_ins=available.stand_ins,
         features=options.features or out / WORK / "features",
         extractor=options.extractor,
+        measured=options.measured,
     )
     scorer = scorer_of(protocol.task)
-    some = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins)
+    some = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins) or options.measured is not None
     jobs = scorer.jobs(plan, inputs) if some else []
     progress.start("scoring", len(jobs))
     outcome = score_jobs(

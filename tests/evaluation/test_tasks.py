@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ import pytest
 
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.dataset import Dataset
+from mirror.errors import UsageError
+from mirror.evaluation import methods
 from mirror.evaluation.extractors import extractor_of
 from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
 from mirror.evaluation.protocol import load_protocol
 from mirror.evaluation.run import Options, evaluate
 from mirror.evaluation.scorers import distributions
+from mirror.evaluation.scorers import runtime as runtime_scorer
 from mirror.evaluation.scorers.distributions import clips_of
 from mirror.evaluation.scorers.editing_accuracy import target_hull
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
@@ -276,3 +280,37 @@ def test_run_time_is_what_the_manifest_reports(dataset: Dataset, root: Path, tmp
     assert figures == {"frames_per_second": 21.0, "model_bytes_per_100m": 4e8}
     assert set(done.result.unavailable) == {"training_s", "peak_memory_bytes"}
     assert math.isfinite(float(done.result.figures[0].value or 0.0))
+
+
+def test_the_speed_of_an_installed_method_is_measured_here(
+    dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[View] = []
+
+    class Slow:
+        def open(self, model: Path):
+            def render(view: View) -> UInt8:
+                seen.append(view)
+                time.sleep(0.02)
+                return np.zeros((view.height_px, view.width_px, 3), np.uint8)
+
+            return render
+
+    monkeypatch.setattr(runtime_scorer, "installed_method", lambda name: Slow())
+    monkeypatch.setattr(methods, "_LEAST_S", 0.3)
+    protocol = load_protocol("runtime")
+    plan = plan_views(dataset, protocol, SPLIT)
+    (tmp_path / "s").mkdir()
+    write_manifest(tmp_path / "s", manifest_for(plan, Method(name="slow"), Appearance(policy="none")))
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(measured=("slow", tmp_path)))
+    assert done.result is not None
+    (figure,) = done.result.figures
+    assert figure.group == "measured"
+    assert figure.value is not None
+    assert 20.0 < figure.value <= 50.5
+    assert len(seen) == figure.n + 3
+
+
+def test_methods_that_are_not_installed_are_named() -> None:
+    with pytest.raises(UsageError, match="no method"):
+        methods.installed_method("none such")

@@ -38,6 +38,7 @@ class Inputs:
         stand_ins: other metrics that can be had in their place, under their own names.
         features: folder of cached features.
         extractor: of edited regions, and its argument.
+        measured: an installed method and the folder of its model, whose speed is measured; None: none is.
     """
 
     protocol: Protocol
@@ -51,6 +52,7 @@ class Inputs:
     stand_ins: tuple[str, ...]
     features: Path
     extractor: str = "diff-grabcut"
+    measured: tuple[str, Path] | None = None
     made: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
 
     def __getstate__(self) -> dict[str, object]:

@@ -1,11 +1,13 @@
-"""What a method costs, as its submission reports it."""
+"""What a method costs: as its submission reports it, and measured again where it is installed."""
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from mirror.evaluation.methods import frames_per_second, installed_method
 from mirror.evaluation.protocol import metric_name
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import Inputs
@@ -45,7 +47,7 @@ class Runtime:
         return {}
 
     def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
-        """What the manifest states."""
+        """What the manifest states, and what is measured."""
         runtime = inputs.manifest.runtime
         found = []
         for metric in plan.protocol.metrics:
@@ -66,7 +68,23 @@ class Runtime:
                     note=f"reported, on {runtime.device}",
                 )
             )
+        if inputs.measured is not None:
+            found.append(_measured(plan, *inputs.measured))
         return found
+
+
+def _measured(plan: Plan, name: str, model: Path) -> Figure:
+    speed, count = frames_per_second(installed_method(name).open(model), plan.views)
+    return Figure(
+        metric="frames_per_second",
+        group="measured",
+        value=speed,
+        unit="Hz",
+        better="higher",
+        n=count,
+        interval_reason="one run",
+        note=f"measured here, on {platform.processor() or platform.machine()}",
+    )
 
 
 def reported(runtime: Reported | None, name: str) -> float | None:

@@ -9,7 +9,7 @@ from typing import Final
 
 from pydantic import TypeAdapter, ValidationError
 
-from leaderboard.entry import PICTURES, Figure, Link, Measured, identity, load_entries
+from leaderboard.entry import ALL, PICTURES, Figure, Link, Measured, identity, load_entries
 from leaderboard.measures import MEASURES
 from leaderboard.pictures import Shown, copy_pairs
 from leaderboard.recount import require_counted
@@ -24,8 +24,10 @@ from mirror.version import __version__
 _MOST_BYTES: Final = 64 << 20
 _LINK: Final[TypeAdapter[str]] = TypeAdapter(Link)
 _NOTE_LETTERS: Final = 400
-_LEFT_OUT: Final = ("psnr_pooled",)
+_LEFT_OUT: Final = re.compile(r"psnr_pooled|ap_.+")
 """Figures beside the protocol's, which stand in the result alone."""
+
+_RUNTIME_GROUPS: Final = ("reported", "measured")
 
 
 def add_result(
@@ -167,12 +169,12 @@ def _require_protocol(result: Result, file: Path) -> None:
 
 
 def _figures(result: Result, file: Path) -> Iterator[Figure]:
-    groups = {group.name for group in result.protocol.groups}
+    groups = _groups(result)
     for number, figure in enumerate(result.figures):
-        if figure.level != "group" or figure.metric in _LEFT_OUT:
+        if figure.level != "group" or _LEFT_OUT.fullmatch(figure.metric):
             continue
         place = f"figures.{number}"
-        if figure.group not in groups:
+        if figure.group not in (*groups, ALL):
             raise RefusedError(f"the protocol has no group {figure.group!r}", file=file, place=place)
         if figure.metric in MEASURES and figure.better != MEASURES[figure.metric].better:
             raise RefusedError(f"{figure.metric} is better {figure.better}, it says", file=file, place=place)
@@ -190,10 +192,16 @@ def _figures(result: Result, file: Path) -> Iterator[Figure]:
         except ValidationError as error:
             raise RefusedError(str(error.errors()[0]["msg"]), file=file, place=place) from error
     for metric, reason in result.unavailable.items():
-        for group in result.protocol.groups:
-            yield Figure(
-                group=group.name, metric=metric, value=None, note=_plain(f"unavailable: {reason.partition('; ')[0]}")
-            )
+        note = _plain(f"unavailable: {reason.partition('; ')[0]}")
+        for group in groups[: 1 if result.protocol.task == "runtime" else None]:
+            yield Figure(group=group, metric=metric, value=None, note=note)
+
+
+def _groups(result: Result) -> tuple[str, ...]:
+    """Groups that can have figures."""
+    if result.protocol.task == "runtime":
+        return _RUNTIME_GROUPS
+    return tuple(group.name for group in result.protocol.groups if not group.without_vehicles)
 
 
 def _require_new(entry: Measured, other: Measured, file: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from leaderboard.entry import Entry, Figure, Measured, Reported
+from leaderboard.entry import ALL, Entry, Figure, Measured, Reported
 from leaderboard.measures import MEASURES, Measure
 from mirror.evaluation.protocol import load_protocol, protocol_names
 
@@ -22,7 +22,7 @@ _Key = tuple[str, str, str | None, tuple[str, str] | None]
 _RANKED_BY: Final = {
     "static-reconstruction": ("novel", "psnr_cc"),
     "vehicle-translation": ("0m", "fid"),
-    "editing-accuracy": ("all", "edit_iou"),
+    "editing-accuracy": (ALL, "edit_iou_hull"),
 }
 
 
@@ -103,7 +103,7 @@ def seconds_per_picture(entry: Entry, entries: Sequence[Entry]) -> float | None:
         return None
     for other in entries:
         if isinstance(other, Reported) and (other.method, other.paper.title) == (entry.method, entry.paper.title):
-            rate = value_of(other, ("all", "frames_per_second"))
+            rate = value_of(other, (ALL, "frames_per_second"))
             if rate:
                 return 1.0 / rate
     return None

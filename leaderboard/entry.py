@@ -15,6 +15,9 @@ from mirror.evaluation.protocol import protocol_names
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json, sha256_bytes
 
+ALL: Final = "all"
+"""The group of figures that are of all groups together, or of no group that a protocol has."""
+
 PICTURES: Final = "pictures"
 """Folder of pictures, beside that of the entries and in the site."""
 

@@ -54,7 +54,6 @@ MEASURES: Final = {
     "lpips_alex": Measure("LPIPS alex", "learned perceptual distance, AlexNet", "lower", 3),
     "lpips_vgg": Measure("LPIPS vgg", "learned perceptual distance, VGG", "lower", 3),
     "lpips_squeeze": Measure("LPIPS squeeze", "learned perceptual distance, SqueezeNet", "lower", 3),
-    "st_lpips": Measure("ST-LPIPS", "shift-tolerant learned perceptual distance", "lower", 3),
     "st_lpips_alex": Measure("ST-LPIPS alex", "shift-tolerant learned perceptual distance, AlexNet", "lower", 3),
     "st_lpips_vgg": Measure("ST-LPIPS vgg", "shift-tolerant learned perceptual distance, VGG", "lower", 3),
     "fid": Measure("FID", "Fréchet distance of Inception features", "lower", 2),

@@ -11,11 +11,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from leaderboard.entry import ALL
 from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import mean_weights
 from mirror.evaluation.result import IMAGES, Figure, Result
-from mirror.evaluation.scorers.editing_accuracy import ALL
 from mirror.evaluation.views.view import View
 
 _TOLERANCE: Final = 1e-9

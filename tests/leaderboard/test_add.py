@@ -201,6 +201,53 @@ def test_missing_files(folder: Path, board: Path) -> None:
         add_result(path, board, "a street")
 
 
+def test_costs(folder: Path, board: Path) -> None:
+    protocol = load_protocol("runtime")
+    plain = result()
+    plain["protocol"] = protocol.model_dump(mode="json")
+    plain["protocol_hash"] = plain["submission"]["protocol_hash"] = protocol.hash
+    plain["submission"]["protocol"] = "runtime"
+    rate = {"metric": "frames_per_second", "unit": "Hz", "better": "higher", "n": 1, "note": "on a processor"}
+    plain["figures"] = [{**rate, "group": "reported", "value": 50.0}, {**rate, "group": "measured", "value": 40.0}]
+    plain["unavailable"] = {"training_s": "state it"}
+    pq.write_table(pa.table({}), folder / "images.parquet")
+    add_result(write(folder, plain), board, "a street")
+    (entry,) = [one for one in load_entries(board / "entries") if one.method == "a method"]
+    figures = {(one.group, one.metric): one.value for one in entry.figures}
+    assert figures == {
+        ("reported", "frames_per_second"): 50.0,
+        ("measured", "frames_per_second"): 40.0,
+        ("reported", "training_s"): None,
+    }
+
+
+def test_means_of_all_groups_together(folder: Path, board: Path) -> None:
+    protocol = load_protocol("editing-accuracy")
+    plain = result()
+    plain["protocol"] = protocol.model_dump(mode="json")
+    plain["protocol_hash"] = plain["submission"]["protocol_hash"] = protocol.hash
+    plain["submission"]["protocol"] = protocol.name
+    values = {"left-1m": [0.2, 0.4], "right-1m": [0.6, None]}
+    rows = [
+        {"group": group, "scene_id": "s", "traversal_id": "t", "edit_iou_hull": value}
+        for group, own in values.items()
+        for value in own
+    ]
+    pq.write_table(pa.Table.from_pylist(rows), folder / "images.parquet")
+    shared = {"metric": "edit_iou_hull", "better": "higher"}
+    plain["figures"] = [
+        {**shared, "group": "left-1m", "value": 0.3, "n": 2},
+        {**shared, "group": "right-1m", "value": 0.6, "n": 2, "n_missing": 1},
+        {**shared, "group": "all", "value": 0.4, "n": 4, "n_missing": 1},
+    ]
+    plain["unavailable"] = {}
+    plain["figures"][2]["value"] = 0.45
+    with pytest.raises(RefusedError, match=r"edit_iou_hull of all is 0\.45"):
+        add_result(write(folder, plain), board, "a street")
+    plain["figures"][2]["value"] = 0.4
+    add_result(write(folder, plain), board, "a street")
+
+
 def test_commands(folder: Path, board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(write(folder, result()))
     options = ["--dataset", "a street", "--board", str(board)]

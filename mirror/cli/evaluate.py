@@ -40,6 +40,8 @@ class Arguments:
     """Write report.html too: figures, and the worst, median and best renders beside truth and error."""
     require: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A metric that must be had, such as lpips; may be repeated. Default: what cannot be had is said, and left out."""
+    stand_ins: bool = False
+    """Where LPIPS cannot be had, compute ST-LPIPS under its own name: another metric, and slow."""
     weights: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """NAME=FILE of weights, as docs/weights.md names them; may be repeated."""
     download_weights: bool = False
@@ -78,6 +80,7 @@ def main(argv: Sequence[str]) -> int:
     options = Options(
         hidden=arguments.hidden,
         require=arguments.require,
+        stand_ins=arguments.stand_ins,
         workers=arguments.workers,
         resolver=WeightResolver(_weight_paths(arguments.weights), arguments.download_weights),
         extractor=arguments.extractor,

@@ -45,6 +45,7 @@ class Options:
     Attributes:
         hidden: folder of an organiser's true pictures, in the layout of a submission.
         require: metrics that must be had; their names, or the part before the first ``_``.
+        stand_ins: other metrics are computed in place of those that cannot be had, under their own names.
         workers: processes.
         resolver: finds weights.
         extractor: of edited regions.
@@ -54,6 +55,7 @@ class Options:
 
     hidden: Path | None = None
     require: Sequence[str] = ()
+    stand_ins: bool = False
     workers: int = 2
     resolver: WeightResolver = field(default_factory=WeightResolver)
     extractor: str = "diff-grabcut"
@@ -184,7 +186,7 @@ def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) ->
     for metric, names in scorer.needs(plan).items():
         asked, original = metric in plan.protocol.metric_names, metric.removeprefix(STAND_IN)
         # Who lacks more than weights has nothing to compute a stand-in of either.
-        if original in lacking or (not asked and original not in unavailable):
+        if original in lacking or (not asked and (not options.stand_ins or original not in unavailable)):
             continue
         try:
             found = {name: options.resolver.resolve(name).sha256 for name in names}

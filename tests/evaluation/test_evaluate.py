@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 import zlib
@@ -180,8 +181,7 @@ def test_unavailable_metrics_are_said_and_may_be_required(
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
     assert "vgg16-397923af.pth" in done.result.unavailable["lpips_vgg"]
-    # ST-LPIPS may stand in, where its package is installed, and never as LPIPS.
-    assert {figure.metric for figure in done.result.figures} - {"st_lpips_vgg"} == {"psnr", "psnr_pooled"}
+    assert {figure.metric for figure in done.result.figures} == {"psnr", "psnr_pooled"}
     for name in ("lpips", "lpips_vgg"):
         with pytest.raises(UsageError, match="required and unavailable"):
             evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, require=[name]))
@@ -240,3 +240,21 @@ def test_paired_differences_are_surer_than_either(root: Path, folder: Path, tmp_
     assert same.better is None
     with pytest.raises(UsageError):
         compare([tmp_path / "noise4"])
+
+
+def test_st_lpips_stands_in_under_its_own_name(root: Path, dataset: Dataset, tmp_path: Path, monkeypatch) -> None:
+    if importlib.util.find_spec("stlpips_pytorch") is None or importlib.util.find_spec("torch") is None:
+        pytest.skip("needs pip install --no-deps stlpips-pytorch, for its weights")
+    for name in ("MIRROR_WEIGHTS", "TORCH_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "nothing"))
+    protocol = small(every=9, metrics='[[metrics]]\nmetric = "lpips"\nnet = "alex"\nmask = "zero-fill"\n')
+    write_renders(dataset, protocol, tmp_path / "s", noisy(8))
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, stand_ins=True))
+    assert done.result is not None
+    assert set(done.result.unavailable) == {"lpips_alex"}
+    assert {figure.metric for figure in done.result.figures} == {"st_lpips_alex"}
+    assert set(done.result.weights) == {"st-lpips-alex"}
+    assert any("another metric" in warning for warning in done.result.warnings)
+    value = next(figure.value for figure in done.result.figures if figure.level == "group")
+    assert value is not None
+    assert 0.0 < value < 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from mirror.arrays import AnyArray, Float64
 from mirror.errors import UsageError
 
-_BLOCK = 8192
+_BLOCK = 1024
 _PENDING = 2048
 
 
@@ -56,17 +57,27 @@ class FeatureStatistics:
         """
         values = checked_features(features)
         count, dimension = values.shape
-        mean = values[0] + (values - values[0]).mean(axis=0)
         if count <= dimension:
+            mean = values[0] + (values - values[0]).mean(axis=0)
             rows = values - mean
             rest = rows.mean(axis=0)
             rows -= rest
             return cls(count, mean + rest, rows=rows)
-        scatter, total = np.zeros((dimension, dimension)), np.zeros(dimension)
-        for start in range(0, count, _BLOCK):
-            centred = values[start : start + _BLOCK] - mean
-            total += centred.sum(axis=0)
-            scatter += centred.T @ centred
+        from scipy.linalg.blas import dsyrk
+
+        block = np.empty((_BLOCK, dimension))
+
+        def centred(about: Float64) -> Iterator[Float64]:
+            for start in range(0, count, _BLOCK):
+                batch = values[start : start + _BLOCK]
+                yield np.subtract(batch, about, out=block[: len(batch)])
+
+        mean = values[0] + sum(part.sum(axis=0) for part in centred(values[0])) / count
+        scatter, total = np.zeros((dimension, dimension), order="F"), np.zeros(dimension)
+        for part in centred(mean):
+            total += part.sum(axis=0)
+            scatter = dsyrk(1.0, part.T, beta=1.0, c=scatter, lower=1, overwrite_c=1)
+        scatter += np.tril(scatter, -1).T
         rest = total / count
         scatter -= np.outer(rest, total)
         return cls(count, mean + rest, scatter=scatter)

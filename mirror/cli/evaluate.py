@@ -75,7 +75,8 @@ def main(argv: Sequence[str]) -> int:
     from mirror.weights.resolve import WeightResolver
 
     protocol, split = asked_of(open_untrusted(arguments.submission), arguments.protocol, arguments.split)
-    submission = arguments.submission
+    # `.` has no name to put results beside.
+    submission = arguments.submission if arguments.submission.name else arguments.submission.absolute()
     out = arguments.out or submission.with_name(f"{submission.stem}-results")
     options = Options(
         hidden=arguments.hidden,

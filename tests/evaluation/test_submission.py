@@ -94,6 +94,9 @@ def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path:
         ({"unknown": 1}, "unknown"),
         ({"method": {"name": "x", "url": "javascript:alert(1)"}}, "method.url"),
         ({"protocol_hash": "short"}, "protocol_hash"),
+        ({"method": {"name": "\x1b[2Jgone"}}, "method.name"),
+        ({"method": {"name": "two\nlines"}}, "method.name"),
+        ({"notes": "\u202eback"}, "notes"),
         ({"runtime": {"device": "cpu", "frames_per_second": -1}}, "frames_per_second"),
     ],
 )

@@ -16,7 +16,7 @@ from mirror.evaluation.submission.template import MASKS, README, VIEWS, expected
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles
 from mirror.evaluation.views.plan import Plan
 
-MOST_TABLE_BYTES: Final = 256 << 20
+MOST_TABLE_BYTES: Final = 64 << 20
 _THREADS: Final = 2
 _OWN: Final = {MANIFEST, VIEWS, README}
 

@@ -13,8 +13,10 @@ MANIFEST: Final = "manifest.json"
 MOST_MANIFEST_BYTES: Final = 1 << 20
 FORMAT_VERSION: Final = "1.0"
 
-Text = Annotated[str, Field(max_length=2000)]
-Word = Annotated[str, Field(min_length=1, max_length=120)]
+# Names and notes are printed: what steers a terminal, or turns the direction of text, has no place in them.
+_STEERING: Final = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"
+Text = Annotated[str, Field(max_length=2000, pattern=rf"^[^{_STEERING}]*$")]
+Word = Annotated[str, Field(min_length=1, max_length=120, pattern=rf"^[^\t\n{_STEERING}]+$")]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Figure = Annotated[float, Field(gt=0, allow_inf_nan=False)]

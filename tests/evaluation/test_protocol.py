@@ -70,3 +70,17 @@ def test_a_wrong_key_is_named(old: str, new: str, place: str | None) -> None:
 def test_groups_that_edit_say_what() -> None:
     with pytest.raises(SchemaError, match="vehicles"):
         small(groups='[[groups]]\nname = "a"\nroles = ["train"]\nvehicle_shift_m = 1.0\n')
+
+
+def test_a_protocol_that_shipped_does_not_change_unnoticed() -> None:
+    # Results carry these hashes. Whoever changes what is measured counts the version up and writes the new hash here.
+    assert {(name, load_protocol(name).version): load_protocol(name).hash[:8] for name in protocol_names()} == {
+        ("annotation", 1): "7bf7aa16",
+        ("editing-accuracy", 1): "d698a73a",
+        ("generation", 1): "298995b8",
+        ("lane-shift", 1): "3d4172cd",
+        ("runtime", 1): "c0001232",
+        ("static-reconstruction", 1): "3a8721fe",
+        ("static-reconstruction-omnire", 1): "2e829941",
+        ("vehicle-translation", 1): "c32d6347",
+    }

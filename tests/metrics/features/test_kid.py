@@ -43,15 +43,15 @@ def test_the_interval_covers_the_truth():
     """Truth from very many samples; 95 % intervals hold it about that often."""
     draw = np.random.default_rng(2)
     truth = kid(
-        draw.standard_normal((4000, 4)), draw.standard_normal((4000, 4)) + 0.8, subset_size=2000, subsets=5
+        draw.standard_normal((3000, 4)), draw.standard_normal((3000, 4)) + 0.8, subset_size=1500, subsets=5
     ).value
     held = 0
-    for seed in range(60):
+    for seed in range(40):
         low, high = kid(
             draw.standard_normal((150, 4)), draw.standard_normal((150, 4)) + 0.8, subsets=50, seed=seed
         ).interval
         held += low <= truth <= high
-    assert held >= 50
+    assert held >= 33
 
 
 def test_seed_and_paths(monkeypatch):

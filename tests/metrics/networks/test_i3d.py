@@ -117,10 +117,9 @@ def test_published_names_and_sizes():
     )
 
 
-@pytest.mark.parametrize("frames", [9, 17])
-def test_logits(filled, frames):
+def test_logits(filled):
     network, state = filled
-    clip = torch.rand(1, 3, frames, 224, 224, generator=torch.Generator().manual_seed(1)) * 2 - 1
+    clip = torch.rand(1, 3, 17, 224, 224, generator=torch.Generator().manual_seed(1)) * 2 - 1
     with torch.inference_mode():
         truth, got = reference(state, clip), network(clip)
     assert got.shape == (1, 400)

@@ -69,7 +69,9 @@ def test_torchvision_names_and_sizes(name):
     assert not any(parameter.requires_grad for parameter in network.parameters())
 
 
-@pytest.mark.parametrize(("name", "height", "width"), [(n, h, w) for n in ALL for h, w in ((53, 37), (32, 41))])
+@pytest.mark.parametrize(
+    ("name", "height", "width"), [*((name, 32, 41) for name in ALL), ("alex", 53, 37), ("squeeze", 53, 37)]
+)
 def test_features(name, height, width):
     network = trunk(name)
     state = random_state(network)
@@ -89,7 +91,7 @@ def test_features(name, height, width):
         torch.testing.assert_close(whole, expected, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("height", [32, 35, 37, 50])
+@pytest.mark.parametrize("height", [33, 38])
 def test_bands_change_nothing(height):
     network = trunk("vgg")
     load_strictly(network, random_state(network))

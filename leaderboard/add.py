@@ -111,6 +111,7 @@ def entry_of(result: Result, dataset: str, *, file: Path, setting: str | None = 
             dataset=dataset,
             dataset_hash=result.dataset.dataset_hash,
             split=result.dataset.split,
+            options=_options(result),
             setting=setting,
             result_hash=result.hash,
             toolkit=result.versions.get("mirror", __version__),
@@ -186,6 +187,7 @@ def _figures(result: Result, file: Path) -> Iterator[Figure]:
                 low=figure.low if figure.high is not None else None,
                 high=figure.high if figure.low is not None else None,
                 n=figure.n,
+                n_missing=figure.n_missing,
                 n_infinite=figure.n_inf,
                 note=_plain(figure.reason or figure.note or "") or None,
             )
@@ -195,6 +197,11 @@ def _figures(result: Result, file: Path) -> Iterator[Figure]:
         note = _plain(f"unavailable: {reason.partition('; ')[0]}")
         for group in groups[: 1 if result.protocol.task == "runtime" else None]:
             yield Figure(group=group, metric=metric, value=None, note=note)
+
+
+def _options(result: Result) -> dict[str, str]:
+    hidden = result.dataset.hidden_truth
+    return {**result.options, **({} if hidden is None else {"hidden truth": hidden[:12]})}
 
 
 def _groups(result: Result) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,6 +12,7 @@ from typing import Final
 from leaderboard.entry import ALL, Entry, Figure, Measured, Reported
 from leaderboard.measures import MEASURES, Measure
 from mirror.evaluation.protocol import load_protocol, protocol_names
+from mirror.schema.files import sha256_bytes
 
 FLOOR: Final = ("nearest_frame", "mean_color")
 """Methods that show nothing but what was recorded: what every method must beat."""
@@ -17,10 +20,12 @@ FLOOR: Final = ("nearest_frame", "mean_color")
 Column = tuple[str, str]
 """Group and metric."""
 
-_Key = tuple[str, str, str | None, tuple[str, str] | None]
+_Options = tuple[tuple[str, str], ...]
+_Key = tuple[str, str, str | None, tuple[str, str] | None, _Options]
 
 _RANKED_BY: Final = {
     "static-reconstruction": ("novel", "psnr_cc"),
+    "lane-shift": ("right-3m", "psnr_cc"),
     "vehicle-translation": ("0m", "fid"),
     "editing-accuracy": (ALL, "edit_iou_hull"),
 }
@@ -35,6 +40,7 @@ class Board:
         title: the data set's name, or that the paper does not say.
         split: of measured entries.
         hashes: of the protocol and the data set, of measured entries.
+        options: what else decides the figures.
         entries: the rows, best first.
         columns: groups and metrics that any of them has, in the protocol's order.
     """
@@ -43,19 +49,16 @@ class Board:
     title: str
     split: str | None
     hashes: tuple[str, str] | None
+    options: _Options
     entries: tuple[Entry, ...]
     columns: tuple[Column, ...]
 
     @property
     def id(self) -> str:
         """For links within the page."""
-        words = [
-            self.protocol,
-            self.title,
-            self.split or "",
-            self.hashes[0][:4] + self.hashes[1][:8] if self.hashes else "",
-        ]
-        return "-".join("".join(c if c.isalnum() else "-" for c in word.lower()) for word in words if word)
+        evidence = json.dumps([self.split, self.hashes, self.options])
+        words = [self.protocol, self.title, "" if self.hashes is None else sha256_bytes(evidence.encode())[:8]]
+        return "-".join(re.sub("[^a-z0-9]", "-", word.lower()) for word in words if word)
 
     @cached_property
     def ranked_by(self) -> Column:
@@ -76,8 +79,8 @@ def boards_of(entries: Iterable[Entry]) -> list[Board]:
     for entry in entries:
         together.setdefault(_key(entry), []).append(entry)
     order = {name: place for place, name in enumerate(_protocol_order())}
-    keys = sorted(together, key=lambda key: (order[key[0]], key[3] is None, key[1], key[2] or ""))
-    return [_board(*key, together[key]) for key in keys]
+    keys = sorted(together, key=lambda key: (order[key[0]], key[3] is None, key[1], key[2] or "", key[3] or (), key[4]))
+    return [_board(key, together[key]) for key in keys]
 
 
 def value_of(entry: Entry, column: Column) -> float | None:
@@ -111,16 +114,17 @@ def seconds_per_picture(entry: Entry, entries: Sequence[Entry]) -> float | None:
 
 def _key(entry: Entry) -> _Key:
     if isinstance(entry, Reported):
-        return (entry.protocol, entry.dataset or "Data set not stated", None, None)
-    return (entry.protocol, entry.dataset, entry.split, (entry.protocol_hash, entry.dataset_hash))
+        return (entry.protocol, entry.dataset or "Data set not stated", None, None, ())
+    hashes, options = (entry.protocol_hash, entry.dataset_hash), tuple(sorted(entry.options.items()))
+    return (entry.protocol, entry.dataset, entry.split, hashes, options)
 
 
-def _board(protocol: str, title: str, split: str | None, hashes: tuple[str, str] | None, entries: list[Entry]) -> Board:
-    columns = _columns(protocol, entries)
-    by = _ranked_by(protocol, columns, entries)
+def _board(key: _Key, entries: list[Entry]) -> Board:
+    columns = _columns(key[0], entries)
+    by = _ranked_by(key[0], columns, entries)
     measure = MEASURES[by[1]]
     rows = sorted(entries, key=lambda entry: _rank(entry, by, measure))
-    return Board(protocol, title, split, hashes, tuple(rows), columns)
+    return Board(*key, tuple(rows), columns)
 
 
 def _rank(entry: Entry, by: Column, measure: Measure) -> tuple[bool, float, str]:

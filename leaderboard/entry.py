@@ -38,6 +38,7 @@ class Figure(Document):
         low: of the confidence interval.
         high: of the confidence interval.
         n: how many pictures, clips or boxes it is of.
+        n_missing: of those, how many have no value, such as pictures without a pixel that is scored.
         n_infinite: pictures that equal the truth: their PSNR is infinite, and they are not in ``value``.
         note: what else is to be said.
     """
@@ -48,6 +49,7 @@ class Figure(Document):
     low: float | None = Field(default=None, allow_inf_nan=False)
     high: float | None = Field(default=None, allow_inf_nan=False)
     n: int | None = Field(default=None, ge=0)
+    n_missing: int = Field(default=0, ge=0)
     n_infinite: int = Field(default=0, ge=0)
     note: Note | None = None
 
@@ -141,6 +143,7 @@ class Measured(Document):
         dataset: what the data set is called here.
         dataset_hash: of what the split was made of.
         split: of the data set.
+        options: what else decides the figures: only entries with the same ones are comparable.
         setting: what else tells rows of one method apart.
         result_hash: of the result that the figures are from.
         toolkit: version that measured.
@@ -162,6 +165,7 @@ class Measured(Document):
     dataset: Name
     dataset_hash: Hash
     split: Name
+    options: dict[Name, Note] = Field(default_factory=dict)
     setting: Name | None = None
     result_hash: Hash
     toolkit: Name

@@ -98,6 +98,7 @@ def _heading(board: Board) -> str:
         hashes = zip(("protocol", "data"), board.hashes)
         codes = "".join(f' · {name} <code title="{whole}">{whole[:8]}</code>' for name, whole in hashes)
         older = "" if load_protocol(board.protocol).hash == board.hashes[0] else " · an older version of the protocol"
+        codes += "".join(f" · {escape(name)} {escape(value)}" for name, value in board.options)
         evidence = f" <small>split {escape(board.split)}{codes}{older}</small>"
     return f'<h3 id="{board.id}">{escape(board.title)}{evidence}</h3>'
 

@@ -14,8 +14,9 @@ from leaderboard.measures import MEASURES
 from leaderboard.site.tables import group_title
 
 _WIDTH, _HEIGHT = 640, 340
-_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 16, 14, 54
+_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 30, 14, 54
 _HUES: Final = 6
+_SHAPES: Final = {"measured": "●", "reported": "◇"}
 # Of the larger letters that a phone has.
 _LABEL_PX: Final = 19
 _LABEL_WIDE: Final = 10.0
@@ -48,13 +49,15 @@ def time_quality_plot(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     drawn = [*_grid(x, y), *_labelled(points, x, y, measure.digits)]
     named = dict.fromkeys((point.hue, boards[point.hue].title) for point in points)
     key = "".join(f'<span><i class="dot h{hue % _HUES}"></i>{escape(title)}</span>' for hue, title in named)
+    kinds = {point.kind for point in points}
+    shapes = "".join(f"<span>{shape} {kind}</span>" for kind, shape in _SHAPES.items() if kind in kinds)
     about = f"{head} against seconds a picture: " + "; ".join(
         f"{point.label} {point.value:.{measure.digits}f} at {point.seconds:.3g} s" for point in points
     )
     axis = f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2:.0f}" y="{_HEIGHT - 8}" class="middle">seconds a picture ↓</text>'
     return (
         f'<figure class="plot"><figcaption>{escape(head)}, against the time of a picture</figcaption>'
-        f'<p class="key">{key}<span>● measured</span><span>◇ reported</span></p>'
+        f'<p class="key">{key}{shapes}</p>'
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(about)}">'
         f"{''.join(drawn)}{axis}</svg></figure>"
     )

@@ -117,8 +117,8 @@ def _below(entry: Entry, column: Column, board: Board) -> str:
         lines.append(f"{shown(figure.low)} to {shown(figure.high)}")
     place = board.columns.index(column)
     before = None if _opens_group(board.columns, column) else figure_of(entry, board.columns[place - 1])
-    if figure.n is not None and (before is None or before.n != figure.n):
-        lines.append(f"n = {figure.n:,}")
+    if figure.n is not None and (before is None or (before.n, before.n_missing) != (figure.n, figure.n_missing)):
+        lines.append(f"n = {figure.n - figure.n_missing:,}" + (f" of {figure.n:,}" if figure.n_missing else ""))
     return "".join(f"<small>{line}</small>" for line in lines)
 
 

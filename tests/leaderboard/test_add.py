@@ -87,12 +87,22 @@ def test_a_sound_result_stands_on_the_board(folder: Path, board: Path) -> None:
     assert (entry.protocol_hash, entry.dataset_hash) == (PROTOCOL.hash, HASHES["dataset_hash"])
     figures = {(one.group, one.metric): one for one in entry.figures}
     assert figures["training", "psnr"].value == 22.5
-    assert figures["novel", "psnr"].n_infinite == 1
+    assert (figures["novel", "psnr"].n_infinite, figures["novel", "psnr"].n_missing) == (1, 1)
     assert figures["novel", "lpips_alex"].value is None
     assert figures["novel", "lpips_alex"].note == "unavailable: alexnet is not there"
     assert ("novel", "psnr_pooled") not in figures
     assert entry.frames_per_second == 50.0
     assert entry.notes == ("a warning",)
+
+
+def test_hidden_truth_and_extractors_make_other_tables(folder: Path, board: Path) -> None:
+    plain = result()
+    plain["dataset"]["hidden_truth"] = "77" * 32
+    plain["options"] = {"extractor": "diff-grabcut"}
+    add_result(write(folder, plain), board, "a street")
+    (entry,) = [one for one in load_entries(board / "entries") if one.method == "a method"]
+    assert isinstance(entry, Measured)
+    assert entry.options == {"extractor": "diff-grabcut", "hidden truth": "777777777777"}
 
 
 def test_the_same_result_twice(folder: Path, board: Path) -> None:

@@ -28,10 +28,11 @@ def test_other_hashes_make_another_table() -> None:
         measured("c", 22.0, dataset_hash="ef" * 32),
         measured("d", 23.0, split="other"),
         measured("e", 24.0, protocol_hash="01" * 32),
+        measured("f", 25.0, options={"extractor": "file"}),
     ]
     assert [len(one.entries) for one in boards_of(entries)].count(2) == 1
-    assert len(boards_of(entries)) == 4
-    assert len({one.id for one in boards_of(entries)}) == 4
+    assert len(boards_of(entries)) == 5
+    assert len({one.id for one in boards_of(entries)}) == 5
 
 
 def test_best_first_by_the_protocols_column() -> None:

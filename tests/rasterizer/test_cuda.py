@@ -46,6 +46,11 @@ def test_gsplat_is_called_with_what_it_was_given(gsplat):
     assert not {"camera_model", "segmented", "with_ut", "radial_coeffs", "covars", "backend", "preset"} & set(told)
 
 
+def test_depth_alone_has_colours_to_pass(gsplat):
+    _, _, told = rasterization(**scene() | {"colors": None, "render_mode": "D"}, backend="cuda")
+    assert told["colors"].shape == (40, 1)
+
+
 def test_lenses_reach_gsplat(gsplat):
     lens = {"radial_coeffs": torch.zeros(1, 4), "with_ut": True, "camera_model": "fisheye", "packed": False}
     _, _, told = rasterization(**scene(), **lens, backend="cuda")

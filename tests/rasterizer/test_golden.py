@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from hybridworldsim.rasterizer import cpu, reference
 from hybridworldsim.rasterizer.presets import PRESETS
-from hybridworldsim.rasterizer.reference import blend, harmonics, project
 
 
 def _tensors(path: Path) -> dict[str, torch.Tensor]:
@@ -25,8 +25,9 @@ def _tensors(path: Path) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.real_data
+@pytest.mark.parametrize("backend", [reference, cpu], ids=["reference", "cpu"])
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
-def test_reference_renders_the_golden_case(real_data, preset):
+def test_the_golden_case_is_rendered(real_data, preset, backend):
     path = real_data / "brush_golden" / "tiny_case.safetensors"
     if not path.is_file():
         pytest.skip(f"no golden case at {path}")
@@ -38,12 +39,12 @@ def test_reference_renders_the_golden_case(real_data, preset):
     focal = width / 2
     K = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     opacities = case["opacities"].sigmoid()
-    seen = project(
+    seen = backend.project(
         case["means"], case["quats"], case["scales"].exp(), opacities, viewmat, K, width, height, eps2d=0.3,
         near_plane=0.01, far_plane=1e12, radius_clip=0.0, preset=preset, antialiased=False, lens=None,
     )  # fmt: skip
-    colours = (harmonics(3, case["means"] - position, case["coeffs"]) + 0.5).clamp(min=0.0)
-    picture = blend(
+    colours = (backend.harmonics(3, case["means"] - position, case["coeffs"]) + 0.5).clamp(min=0.0)
+    picture = backend.blend(
         seen, colours[seen.ids], opacities[seen.ids], width, height, preset=preset, tile_size=16, absgrad=False
     )
     ours = torch.cat([picture.image, picture.alpha[..., None]], dim=-1)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybridworldsim.rasterizer import rasterization
+from mirror.errors import UsageError
 from tests.rasterizer._scenes import (
     BACKENDS,
     FOCAL,
@@ -377,3 +378,34 @@ def test_a_loaders_worker_renders_after_its_parent_did():
 def test_reference_gives_float64_and_cpu_float32():
     kinds = [rasterization(**scene(), backend=backend)[0].dtype for backend in (*BACKENDS, "auto")]
     assert kinds == [torch.float64, torch.float32, torch.float32]
+
+
+@both_backends
+def test_what_a_step_writes_into_parameters_does_not_reach_what_was_rendered(backend):
+    shown = gaussians(30) | {"means": torch.rand(30, 3) * 0.4 + torch.tensor([0.0, 0.0, 3.0])}
+    arguments = with_gradients(shown | cameras(), "opacities")
+    image, _, meta = rasterization(**arguments, backend=backend)
+    assert len(meta["gaussian_ids"]) == 30
+    kept = meta["opacities"].detach().clone()
+    image.sum().backward(retain_graph=True)
+    first, arguments["opacities"].grad = arguments["opacities"].grad, None
+    with torch.no_grad():
+        arguments["opacities"].mul_(0.5)
+    assert torch.equal(meta["opacities"].detach(), kept)
+    image.sum().backward()
+    assert torch.equal(arguments["opacities"].grad, first)
+
+
+def test_gradients_of_gradients_are_refused():
+    arguments = with_gradients(scene(), "opacities")
+    image, _, _ = rasterization(**arguments, backend="cpu")
+    (gradient,) = torch.autograd.grad(image.square().sum(), arguments["opacities"], create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        gradient.square().sum().backward()
+
+
+def test_a_focal_length_of_nothing_is_refused():
+    arguments = scene()
+    arguments["Ks"][0, 0, 0] = 0.0
+    with pytest.raises(UsageError, match="focal length"):
+        rasterization(**arguments)

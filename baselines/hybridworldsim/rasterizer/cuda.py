@@ -44,6 +44,9 @@ def rasterization(preset: Preset, nonfinite: NonFinite, **arguments: Any) -> tup
         raise UsageError("gsplat's unscented transform is not packed", place="packed", remedy="packed=False")
     if arguments["colors"] is not None:
         refuse_nonfinite("colors", arguments["colors"].flatten(0, -2), "row")
+    else:
+        # gsplat wants some even where depth alone is rendered
+        arguments["colors"] = arguments["opacities"].detach()[..., None]
     # releases before 1.5 lack some arguments
     told = {name: value for name, value in arguments.items() if value is not None and value != _DEFAULTS.get(name)}
     return gsplat.rasterization(**told)

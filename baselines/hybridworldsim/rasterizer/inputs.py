@@ -165,6 +165,9 @@ def checked(
     x, y, z = inputs.viewmats.detach()[..., :3, :3].unbind(-2)
     if bool(((torch.linalg.cross(x, y) * z).sum(-1) == 0.0).any()):
         raise UsageError("a rotation is singular", place="viewmats", expected="camera from world, (..., C, 4, 4)")
+    focal = inputs.Ks.detach().diagonal(dim1=-2, dim2=-1)[..., :2]
+    if bool((focal == 0.0).any()):
+        raise UsageError("a focal length is 0", place="Ks", expected="fx and fy other than 0")
     for name in ("viewmats", "Ks", "backgrounds"):
         if name in tensors:
             refuse_nonfinite(name, tensors[name].flatten(0, len(batch)), "image")

@@ -16,7 +16,7 @@ from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.meta import Blending, Layout, View, meta_of
 from hybridworldsim.rasterizer.presets import Preset
 from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.rows import rows, rows_beside
+from hybridworldsim.rasterizer.rows import copied_rows, rows, rows_beside
 
 _DEPTH_DIVISOR_MIN = 1e-10
 
@@ -138,7 +138,7 @@ def _project(
 
 
 def _opacities(inputs: Inputs, scene: int, picture: Projected) -> Tensor:
-    opacities = rows(inputs.opacities[scene], picture.ids).to(picture.means2d.dtype)
+    opacities = copied_rows(inputs.opacities[scene], picture.ids).to(picture.means2d.dtype)
     return opacities if picture.compensations is None else opacities * picture.compensations
 
 

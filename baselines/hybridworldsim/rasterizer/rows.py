@@ -44,6 +44,18 @@ def rows(table: Tensor, ids: Tensor) -> Tensor:
     return found
 
 
+def copied_rows(table: Tensor, ids: Tensor) -> Tensor:
+    """Rows of a table as `rows` gives them, but never the table itself: who holds it may write into it."""
+    found = rows(table, ids)
+    if found is not table:
+        return found
+    if compiled(table):
+        from hybridworldsim.rasterizer.cpu import tables
+
+        return tables.rows(table, ids)
+    return table.clone()
+
+
 def rows_beside(table: Tensor, ids: Tensor, column: Tensor) -> Tensor:
     """Rows of a table, with another column beside them.
 

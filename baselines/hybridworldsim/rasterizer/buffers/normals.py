@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -60,8 +61,9 @@ def normals(meta: Mapping[str, Any], means: Tensor, quats: Tensor, scales: Tenso
     """
     blending = blending_of(meta)
     backend = backend_named(blending.backend)
-    scenes = [table.reshape(-1, *table.shape[-2:]) for table in (means, quats, scales)]
-    cameras = viewmats.reshape(len(scenes[0]), -1, 4, 4)
+    count = math.prod(means.shape[:-2])
+    scenes = [table.reshape(count, *table.shape[-2:]) for table in (means, quats, scales)]
+    cameras = viewmats.reshape(count, viewmats.shape[-3], 4, 4)
     pictures = []
     for view in blending.views:
         scene, camera = view.place

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.machine.memory import room
@@ -30,6 +31,7 @@ class _Rows(torch.autograd.Function):
         return torch.from_numpy(out if ctx.beside else out.reshape(len(numbers), *table.shape[1:]))
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         (ids,) = ctx.saved_tensors
         gradient, numbers = _flat(gradients[0]), ids.numpy()

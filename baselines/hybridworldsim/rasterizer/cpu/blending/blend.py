@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.blended import Blended
 from hybridworldsim.rasterizer.cpu.blending.backward import SUMS, blend_tiles_backward, collect
@@ -133,6 +134,7 @@ class _Blend(torch.autograd.Function):
         return torch.from_numpy(image), torch.from_numpy(alpha), counts
 
     @staticmethod
+    @once_differentiable
     def backward(context: Any, by_image: Tensor | None, by_alpha: Tensor | None, _: None) -> tuple[Any, ...]:
         means2d, opacities, splats, slices, canvas, shape, alpha_max, absgrad = context.saved
         found = _Gradients.none(len(opacities), shape[2])

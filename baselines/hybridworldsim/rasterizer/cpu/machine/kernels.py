@@ -20,7 +20,7 @@ _kernels: Final[list[Any]] = []
 def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Function], _Function]:
     """Compile a function that allocates nothing and lets go of Python's lock.
 
-    The machine code is kept on disk for as long as the sources of all kernels stay as they are: a kernel holds what it
+    The machine code is kept on disk for as long as the rasterizer's sources stay as they are: a kernel holds what it
     takes from other modules, which numba's own cache does not notice.
 
     Args:
@@ -39,9 +39,8 @@ def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Functi
 
 def _sources() -> str:
     """A hash of all that kernels are made of."""
-    here = Path(__file__).resolve().parent
-    files = sorted([*here.parent.rglob("*.py"), here.parents[1] / "presets.py"])
-    return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()
+    package = Path(__file__).resolve().parents[2]
+    return hashlib.sha256(b"\0".join(path.read_bytes() for path in sorted(package.rglob("*.py")))).hexdigest()
 
 
 class _Announcer(event.Listener):
@@ -53,7 +52,7 @@ class _Announcer(event.Listener):
         """Numba begins to compile something that it has not on disk."""
         if not self.said and any(compilation.data["dispatcher"] is one for one in _kernels):
             self.said = True
-            _log.warning("compiling the rasterizer's kernels: half a minute, once")
+            _log.warning("compiling the rasterizer's kernels, which are then kept: up to half a minute")
 
     def on_end(self, compilation: Any) -> None:
         """Numba is done."""

@@ -105,11 +105,13 @@ def evaluate(
         progress: told what goes on.
 
     Raises:
-        UsageError: a required metric cannot be had, or there is no such metric.
+        UsageError: a required metric cannot be had, there is no such metric, or `out` is a file.
         DatasetError: the truth is incomplete, or the results cannot be written.
         UntrustedError: the submission is refused as a whole.
     """
     options, progress = options or Options(), progress or Silent()
+    if out.exists() and not out.is_dir():
+        raise UsageError("a file, not a folder", file=out, remedy="name another folder for the results")
     dataset = mirror.open(truth)
     plan = plan_views(dataset, protocol, split)
     files = open_untrusted(submission)

@@ -47,6 +47,9 @@ def test_effects_are_left_out_by_name(tmp_path: Path, capsys: pytest.CaptureFixt
     assert not (tmp_path / "other").exists()
     assert main([*words[:2], str(tmp_path / "other"), "--preset", "paper", "--without", "noise"]) == 2
     assert "take another preset" in capsys.readouterr().err
+    for seed in ("-1", "99999999999999999999"):
+        assert main([*words[:2], str(tmp_path / "other"), "--seed", seed]) == 2
+        assert f"seed {seed}" in capsys.readouterr().err
 
 
 def test_demo_runs_the_verbs_in_order_and_stops_at_the_first_that_fails(

@@ -17,6 +17,7 @@ from mirror.synth.rigs import VEHICLE_TYPES, Vehicle
 _DAYS_LATER_NS: Final = 9 * 86_400_000_000_000
 _OTHERS: Final = 1000
 _TYPES: Final = tuple(VEHICLE_TYPES)
+_SEEDS: Final = 1 << 31
 
 
 def drives_of(
@@ -31,8 +32,10 @@ def drives_of(
         traversals: how many drives with pictures through each; default: the preset's.
 
     Raises:
-        UsageError: there is no such preset, or it has no so many scenes.
+        UsageError: there is no such preset, it has no so many scenes, or the seed is none.
     """
+    if not 0 <= seed < _SEEDS:
+        raise UsageError(f"seed {seed}", place="seed", expected=f"a whole number from 0 to {_SEEDS - 1}")
     wanted, count, many = planned(preset, scenes, traversals)
     drives = []
     for scene in range(count):

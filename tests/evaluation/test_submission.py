@@ -46,8 +46,13 @@ def test_a_zip_of_it_is_the_same(whole: tuple[Plan, Path], tmp_path: Path) -> No
 
 
 class Harm:
-    def __reduce__(self) -> tuple[object, tuple[str]]:
-        return (Path("/tmp/mirror-harm").touch, ())  # type: ignore[return-value]
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, tuple[Path]]:
+        return (Path.touch, (self.path,))
 
 
 def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path: Path) -> None:
@@ -63,7 +68,7 @@ def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path:
     (broken / paths[4]).unlink()
     (broken / paths[4]).symlink_to(folder / paths[4])
     (broken / paths[5]).write_bytes(bytes(10_000_000))
-    (broken / "renders" / "model.pkl").write_bytes(pickle.dumps(Harm()))
+    (broken / "renders" / "model.pkl").write_bytes(pickle.dumps(Harm(tmp_path / "harm")))
     # A file that nobody can read would fail if it were opened.
     (broken / "extra.npy").write_bytes(b"x")
     (broken / "extra.npy").chmod(0)
@@ -83,7 +88,7 @@ def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path:
         ("extra", "extra.npy"),
         ("manifest", "manifest.json"),
     }
-    assert not Path("/tmp/mirror-harm").exists()
+    assert not (tmp_path / "harm").exists()
 
 
 @pytest.mark.parametrize(

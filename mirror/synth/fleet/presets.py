@@ -107,6 +107,24 @@ def _benchmark() -> Preset:
     )
 
 
+def _reconstruction() -> Preset:
+    def site(roi: Roi, yaw_deg: float, first: int) -> Site:
+        routes = (("along", 0), ("back", 0))
+        return Site(places.small(roi, 50.0), yaw_deg, 7.5, programme(routes, _SEVEN, 5, first), bustle=0.6)
+
+    return Preset(
+        "reconstruction",
+        (
+            site(places.GUANGZHOU_URBAN, 24.0, 0),
+            site(places.KARLSRUHE_RURAL, -38.0, 1),
+            site(places.KARLSRUHE_CAMPUS, -61.0, 2),
+        ),
+        traversals=5,
+        width_px=480,
+        picture_hz=1.0,
+    )
+
+
 def _paper() -> Preset:
     scenes = (
         (places.GUANGZHOU_URBAN, 24.0, 13.0, _URBAN),
@@ -150,12 +168,13 @@ PRESETS: Final = {
             width_px=400,
             picture_hz=0.3,
         ),
+        _reconstruction(),
         _benchmark(),
         _paper(),
     )
 }
-"""By name. ``tiny`` for tests, ``quick`` and ``demo`` to look at, ``benchmark`` with four kinds of scene in six
-conditions, ``paper`` as large as the paper's dataset: ten scenes in six cities, seven types of vehicle; pictures
+"""By name. ``tiny`` for tests, ``quick`` and ``demo`` to look at, ``reconstruction`` with three blocks
+of 100 m, ``benchmark`` with four kinds of scene in six conditions, ``paper`` as large as the paper's dataset: ten scenes in six cities, seven types of vehicle; pictures
 on demand."""
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from typing import Annotated, Literal
 
@@ -276,6 +278,12 @@ class Manifest(Document):
     files: dict[str, FileEntry] = Field(default_factory=dict)
     pictures: Pictures | None = None
 
+    @property
+    def content(self) -> str:
+        """SHA-256 over ``files`` alone: the same for equal content, whatever it was made from."""
+        plain = self.model_dump(mode="json", include={"files"})
+        return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+
 
 Light = Literal["day", "dusk", "night", "unknown"]
 Weather = Literal["clear", "clouds", "rain", "snow", "fog", "unknown"]
@@ -363,7 +371,8 @@ class SplitDocument(Document):
         seed: what the choice was drawn by.
         scenes: the scenes it was restricted to; None: all.
         dataset_hash: SHA-256 over ``manifests``: what the split was made of.
-        manifests: SHA-256 of each traversal's recorded manifest, by traversal id.
+        manifests: SHA-256 over the files that each traversal's recorded manifest lists, by traversal id. When a
+            recording was copied or modified does not count, what it holds does.
         assignments: the role of each traversal, by id; ``unused``: known to the split, and in no role.
         left_out: why a scene or a traversal is in no role, by its id.
         added: traversals that were put in by an extension, after the split was frozen.

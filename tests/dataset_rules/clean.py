@@ -214,6 +214,6 @@ class Broken:
         def change(raw: dict[str, Any]) -> None:
             for key in raw["manifests"]:
                 if (self.layout.recorded(key) / MANIFEST).exists():
-                    raw["manifests"][key] = manifest_sha256(self.layout.recorded(key))
+                    raw["manifests"][key] = read_json(self.layout.recorded(key) / MANIFEST, Manifest).content
 
         self.document(path.relative_to(self.root).as_posix(), change)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +13,15 @@ import pyarrow as pa
 import pytest
 
 import mirror
+from mirror.dataset.check import check
 from mirror.dataset.layout import Layout
+from mirror.dataset.splits import make_split
 from mirror.errors import UsageError
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest
 from mirror.recordings import weather
 from mirror.recordings.registry import open_recording
+from mirror.schema.documents import NovelTraversal, SplitDocument
 from mirror.schema.files import read_table, write_table
 from mirror.schema.tables import BOXES, IMAGES
 from tests.ingest.recordings import SCENE, START_NS, write_recording
@@ -115,3 +121,41 @@ def test_weather_plugin_sees_pictures_of_drives_that_do_not_state_it(
     with pytest.raises(UsageError, match="no weather plug-in is named"):
         ingest([drive], [SCENE], tmp_path / "e", IngestOptions(weather_plugin="no_such"))
     assert not (tmp_path / "e").exists()
+
+
+def test_the_hash_of_a_dataset_is_of_what_was_recorded_and_not_of_when(tmp_path: Path) -> None:
+    """Two machines that ingest the same recordings have the same dataset."""
+
+    def ingested(name: str, change: Callable[[Path], object]) -> tuple[Path, SplitDocument]:
+        drives = [
+            write_recording(tmp_path / name, drive, start_ns=START_NS + number * 10**12, seed=number)
+            for number, drive in enumerate(("first", "second"))
+        ]
+        change(drives[0])
+        assert not ingest(drives, [SCENE], tmp_path / name / "dataset").failures
+        split = make_split(tmp_path / name / "dataset", "s", NovelTraversal(train=1, held_out=1))
+        return tmp_path / name / "dataset", split.document
+
+    def touch(drive: Path) -> None:
+        for number, path in enumerate(sorted(drive.rglob("*"))):
+            os.utime(path, (10**9 + number, 10**9 + number))
+
+    def change_a_byte(drive: Path) -> None:
+        picture = sorted((drive / "images" / "rear").glob("*.jpg"))[60]
+        data = bytearray(picture.read_bytes())
+        data[len(data) // 2] ^= 1
+        picture.unlink()
+        picture.write_bytes(data)
+
+    (here, first), (there, same), (_, other) = (
+        ingested("here", lambda drive: None),
+        ingested("there", touch),
+        ingested("other", change_a_byte),
+    )
+    assert (here / "drives/first/manifest.json").read_bytes() != (there / "drives/first/manifest.json").read_bytes()
+    assert first == same
+    assert first.assignments == other.assignments
+    assert first.dataset_hash != other.dataset_hash
+    # Nor is a split stale where the same recordings were ingested again.
+    shutil.copytree(here / "splits", there / "splits", dirs_exist_ok=True)
+    assert [rule.rule_id for rule, _ in check(there, only=("SPL007",)).findings] == []

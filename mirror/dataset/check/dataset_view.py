@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from mirror.dataset.check.rows import Part, Rows
 from mirror.dataset.index.inputs import Inputs, read_inputs, read_rois
-from mirror.dataset.layout import MANIFEST, Layout, manifest_sha256
+from mirror.dataset.layout import MANIFEST, Layout
 from mirror.dataset.pictures.still import usable_cores
 from mirror.dataset.splits.candidates import Candidate, Candidates
 from mirror.dataset.splits.leaks import Tie, ties
@@ -195,7 +195,7 @@ class DatasetView:
                 exit_ns=int(str(item.passed["exit_ns"])),
                 light=str(item.passed["light"]),
                 weather=str(item.passed["weather"]),
-                manifest=manifest_sha256(self.layout.recorded(key)),
+                content=self.recorded_manifests[key].content,
             )
             for key, item in self.traversals.items()
             if item.passed is not None

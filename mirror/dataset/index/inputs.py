@@ -31,6 +31,8 @@ class TraversalInput:
         scene_id: its scene.
         drive: its drive.
         rig: the rig of the drive; None for a poses-only drive.
+        layers: kind, source and version of its complete layers.
+        recorded: manifest of the recorded part.
         hashes: SHA-256 of the rig's file and of the manifests of the drive, the recorded part and every layer.
     """
 
@@ -39,6 +41,7 @@ class TraversalInput:
     drive: DriveDocument
     rig: Rig | None
     layers: tuple[tuple[str, str, str], ...]
+    recorded: Manifest
     hashes: Mapping[str, str]
 
 
@@ -123,7 +126,7 @@ def read_inputs(store: Store) -> Inputs:
             if rig_hash is not None:
                 hashes[f"rig:{drive.rig_id}"] = rig_hash
             hashes.update({f"layer:{kind}/{source}@{version}": value for (kind, source, version), value in own.items()})
-            traversals[traversal_id] = TraversalInput(traversal_id, scene_id, drive, rig, tuple(own), hashes)
+            traversals[traversal_id] = TraversalInput(traversal_id, scene_id, drive, rig, tuple(own), found[0], hashes)
     ordered = dict(sorted(traversals.items()))
     return Inputs(scenes, drives, ordered, _fingerprints(scenes, ordered, drive_hashes))
 

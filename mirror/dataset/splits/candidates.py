@@ -35,7 +35,7 @@ class Candidate:
         exit_ns: exit.
         light: light at the entry.
         weather: weather at the entry.
-        manifest: SHA-256 of the recorded manifest.
+        content: SHA-256 over the files that were recorded.
         has_pictures: False for one of a poses-only drive.
     """
 
@@ -47,7 +47,7 @@ class Candidate:
     exit_ns: int
     light: str
     weather: str
-    manifest: str
+    content: str
     has_pictures: bool = True
 
 
@@ -94,7 +94,7 @@ def read_candidates(layout: Layout) -> Candidates:
             exit_ns=ledger[key]["exit_ns"],
             light=ledger[key]["light"],
             weather=ledger[key]["weather"],
-            manifest=item.hashes["recorded"],
+            content=item.recorded.content,
             has_pictures=item.drive.rig_id is not None,
         )
         for key, item in inputs.traversals.items()

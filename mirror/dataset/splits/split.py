@@ -155,7 +155,7 @@ def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitRep
         added: dict[str, Role] = {key: "unused" if key in left_out else "train" for key in outside}
         roles = {**document.assignments, **added}
         _require_tight(found, roles, layout)
-        manifests = {**document.manifests, **{key: candidates.traversals[key].manifest for key in outside}}
+        manifests = {**document.manifests, **{key: candidates.traversals[key].content for key in outside}}
         document = document.model_copy(
             update={
                 "manifests": dict(sorted(manifests.items())),
@@ -173,7 +173,7 @@ def compare(document: SplitDocument, candidates: Candidates) -> tuple[tuple[str,
     """Traversals that came after a split, and those of it that are not what they were; both sorted."""
     own = _restricted(candidates, document.scenes).traversals
     outside = tuple(key for key in own if key not in document.manifests)
-    changed = tuple(key for key, value in document.manifests.items() if key not in own or own[key].manifest != value)
+    changed = tuple(key for key, value in document.manifests.items() if key not in own or own[key].content != value)
     return outside, changed
 
 
@@ -221,7 +221,7 @@ def _document(
     candidates: Candidates,
     assignment: Assignment,
 ) -> SplitDocument:
-    manifests = {key: item.manifest for key, item in sorted(candidates.traversals.items())}
+    manifests = {key: item.content for key, item in sorted(candidates.traversals.items())}
     return SplitDocument(
         name=name,
         parameters=parameters,

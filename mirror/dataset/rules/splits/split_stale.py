@@ -12,6 +12,7 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 def split_stale(view: DatasetView) -> Iterator[Finding]:
     """A traversal was recorded anew after a split was frozen."""
     for name, split in view.splits.items():
-        changed = [key for key, value in split.manifests.items() if view.named.get(key, ("", value))[1] != value]
+        there = {key: view.recorded_manifests[key] for key in split.manifests if key in view.recorded_manifests}
+        changed = [key for key, manifest in there.items() if manifest.content != split.manifests[key]]
         if changed:
-            yield Finding(f"splits/{name}.json", f"manifests.{changed[0]}", "another recorded manifest", len(changed))
+            yield Finding(f"splits/{name}.json", f"manifests.{changed[0]}", "other files were recorded", len(changed))

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mirror.dataset.frames import FrameSequence
+    from mirror.dataset.points import Points
 
 Choice: TypeAlias = str | Iterable[str] | None
 Within: TypeAlias = tuple[float, float, float] | tuple[float, float, float, str]
@@ -174,6 +175,8 @@ class Dataset:
         calibrations: str | None = None,
         stage: str | None = None,
         boxes: str | None = None,
+        depth: str | None = None,
+        points: str | None = None,
     ) -> Dataset:
         """A view that reads other layers; what is not named stays as it is.
 
@@ -182,18 +185,20 @@ class Dataset:
             calibrations: ``recorded`` or ``source@version``.
             stage: ``factory``, ``online`` or ``refined``.
             boxes: ``source@version``.
+            depth: ``source@version``.
+            points: ``source@version``.
 
         Raises:
             UsageError: no traversal of the dataset has such a layer, or there is no such stage.
         """
         changes: dict[str, str] = {}
-        for kind, name in (("poses", poses), ("calibrations", calibrations), ("boxes", boxes)):
+        layers = {layer for own in self._all("traversals", "layers") for layer in own}
+        recorded = {"poses": poses, "calibrations": calibrations}
+        for kind, name in {**recorded, "boxes": boxes, "depth": depth, "points": points}.items():
             if name is None:
                 continue
-            if name != "recorded" or kind == "boxes":
-                layers = {layer for own in self._all("traversals", "layers") for layer in own}
-                known = {layer.partition("/")[2] for layer in layers if layer.startswith(f"{kind}/")}
-                _check(f"{kind} layer", name, known if kind == "boxes" else known | {"recorded"})
+            known = {layer.partition("/")[2] for layer in layers if layer.startswith(f"{kind}/")}
+            _check(f"{kind} layer", name, known | {"recorded"} if kind in recorded else known)
             changes[kind] = name
         if stage is not None:
             _check("stage", stage, {"factory", "online", "refined"})
@@ -205,7 +210,7 @@ class Dataset:
 
         Args:
             name: ``scenes``, ``traversals``, ``passes``, ``frames``, ``images``, ``ego_poses``, ``calibrations``,
-                ``boxes``, ``masks`` or ``row_groups``.
+                ``boxes``, ``masks``, ``depth``, ``points`` or ``row_groups``.
             columns: only these, in this order; only they are read.
 
         Raises:
@@ -230,6 +235,19 @@ class Dataset:
         """
         _check("table", name, TABLES)
         return count(self._catalog, self.filters, name)
+
+    def points(self) -> Points:
+        """The points of the traversals in the view, of the chosen layer.
+
+        A reconstruction of a scene starts from those of its training traversals.
+
+        Raises:
+            UsageError: a traversal has several layers of points and none was chosen.
+            DatasetError: a traversal does not have the chosen layer.
+        """
+        from mirror.dataset.points import points_of
+
+        return points_of(self)
 
     def frames(self) -> FrameSequence:
         """The frames in the view: synchronised pictures of all its cameras, in order of traversal and time."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
-from mirror.arrays import Int64, UInt8
+from mirror.arrays import Float32, Int64, UInt8
 from mirror.dataset.loader import Loader
 from mirror.dataset.query.arrow import numbers
 from mirror.dataset.query.select import Part, select
@@ -49,6 +49,35 @@ class Mask:
             DatasetError: the file is missing or broken.
         """
         return self._loader.mask(self.uri, self.byte_length, f"{self.kind} mask of {self.source}")
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """The depth map of one picture; its pose is the picture's.
+
+    Attributes:
+        lens: the pinhole that it is seen through, with the map's raster.
+        source: who made it.
+        source_version: version of the source.
+        uri: its PNG.
+        byte_length: its size.
+    """
+
+    lens: Camera
+    source: str
+    source_version: str
+    uri: str
+    byte_length: int
+    _loader: Loader = field(repr=False)
+
+    def decode(self) -> Float32:
+        """The camera's z (H, W) in metres; NaN where unknown.
+
+        Raises:
+            DatasetError: the file is missing or broken, or of another size than its row says.
+        """
+        place = f"depth of {self.source}@{self.source_version}"
+        return self._loader.depth(self.uri, self.byte_length, (self.lens.height_px, self.lens.width_px), place)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +173,21 @@ class Image:
             DatasetError: the chosen poses do not cover it, or no calibration holds.
         """
         return self._traversal.world_SE3_ego(self.timestamp_ns) @ self.calibration.ego_SE3_camera
+
+    def depth(self) -> DepthImage | None:
+        """The depth map of this picture, of the chosen layer; None: it has none.
+
+        Raises:
+            UsageError: the traversal has several layers of depth maps and none was chosen.
+            DatasetError: the traversal does not have the chosen layer.
+        """
+        row = self._traversal.depth(self.camera, self.timestamp_ns)
+        if row is None:
+            return None
+        lens = Camera(
+            "pinhole", row["width_px"], row["height_px"], row["fx_px"], row["fy_px"], row["cx_px"], row["cy_px"]
+        )
+        return DepthImage(lens, row["source"], row["source_version"], row["uri"], row["byte_length"], self._loader)
 
     def masks(self) -> list[Mask]:
         """Masks of this picture, of all layers, by kind."""

@@ -57,7 +57,7 @@ class Layout:
         return self.traversal(traversal_id) / "recorded"
 
     def layer(self, traversal_id: str, kind: str, source: str, version: str) -> Path:
-        """One layer of a traversal: ``kind`` is poses, calibrations, boxes, masks or redaction."""
+        """One layer of a traversal: ``kind`` is poses, calibrations, boxes, masks, redaction, depth or points."""
         return self.traversal(traversal_id) / "layers" / kind / f"{source}@{version}"
 
     def split(self, name: str) -> Path:

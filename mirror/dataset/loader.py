@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import pyarrow as pa
 
-from mirror.arrays import UInt8
+from mirror.arrays import Float32, UInt8
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.store import Store
@@ -109,6 +109,20 @@ class Loader:
             DatasetError: the file is missing or broken.
         """
         return self._grey(uri, byte_length, place)
+
+    def depth(self, uri: str, byte_length: int, shape: tuple[int, int], place: str) -> Float32:
+        """Depths (H, W) of a map, NaN where unknown.
+
+        Raises:
+            DatasetError: the file is missing or broken, or of another shape.
+        """
+        from mirror.dataset.pictures.depth import decode_depth
+
+        depth = decode_depth(self.read(uri, 0, byte_length, place))
+        if depth is None or depth.shape != shape:
+            problem = "cannot be decoded" if depth is None else f"has {depth.shape[1]} x {depth.shape[0]} px"
+            raise self._unreadable(uri, place, problem, f"a 16-bit grey PNG of {shape[1]} x {shape[0]} px")
+        return depth
 
     def read(self, uri: str, offset: int, length: int, place: str) -> bytes:
         """Some bytes of a file.

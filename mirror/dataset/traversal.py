@@ -10,8 +10,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.query.arrow import degrees, mask, member, numbers
 from mirror.dataset.query.catalog import Catalog
@@ -19,7 +20,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera, camera_from_row
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
-from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, MASKS
+from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS
 
 STAGES: Final = ("refined", "online", "factory")
 _POSE: Final = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
@@ -208,6 +209,36 @@ class Traversal:
         hit = (numbers(arrays["timestamp_ns"]) == timestamp_ns) & member(arrays["camera"], frozenset([camera]))
         return [{name: arrays[name][row].as_py() for name in names} for row in np.flatnonzero(hit).tolist()]
 
+    def depth(self, camera: str, timestamp_ns: int) -> Mapping[str, Any] | None:
+        """Row of the depth map of one picture, of the chosen layer; None: it has none.
+
+        Raises:
+            UsageError: the traversal has several layers of depth maps and none was chosen.
+            DatasetError: the traversal does not have the chosen layer.
+        """
+        found = self._depth.get((camera, timestamp_ns))
+        if found is None:
+            return None
+        rows, row = found
+        return {name: array[row].as_py() for name, array in rows.items()}
+
+    @cached_property
+    def _depth(self) -> Mapping[tuple[str, int], tuple[Mapping[str, pa.Array], int]]:
+        names = DEPTH.schema.names
+        group = self._group("depth")
+        if group is None:
+            if self._layers.depth is not None:
+                raise self._no_layer("depth", self._layers.depth)
+            return {}
+        arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
+        own = np.flatnonzero(self._of_layer("depth", arrays, self._layers.depth)).tolist()
+        cameras, stamps = arrays["camera"].to_pylist(), arrays["timestamp_ns"].to_pylist()
+        return {(cameras[row], stamps[row]): (arrays, row) for row in own}
+
+    def _of_layer(self, kind: str, arrays: Mapping[str, pa.Array], chosen: str | None) -> Bool:
+        """Which rows (N,) of a layer table are of the chosen layer."""
+        return rows_of_layer(kind, self.traversal_id, arrays["source"], arrays["source_version"], chosen)
+
     def boxes(self, timestamp_ns: int) -> FrameBoxes:
         """The boxes nearest in time, in the ego frame of their own instant.
 
@@ -236,20 +267,7 @@ class Traversal:
                 raise self._no_layer("boxes", self._layers.boxes)
             return np.empty(0, np.int64), {}
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
-        labels = list(zip(arrays["source"].to_pylist(), arrays["source_version"].to_pylist()))
-        sources = np.array([f"{source}@{version}" for source, version in labels], dtype=object)
-        there = sorted(set(sources))
-        chosen = self._layers.boxes
-        if chosen is None:
-            if len(there) > 1:
-                raise UsageError(
-                    f"traversal {self.traversal_id} has boxes of {', '.join(there)}",
-                    remedy=f"choose: with_layers(boxes={there[-1]!r})",
-                )
-            chosen = there[0]
-        if chosen not in there:
-            raise self._no_layer("boxes", chosen)
-        own = sources == chosen
+        own = self._of_layer("boxes", arrays, self._layers.boxes)
         return numbers(arrays["timestamp_ns"])[own], {name: array.filter(mask(own)) for name, array in arrays.items()}
 
     def _group(self, name: str) -> tuple[str, int] | None:
@@ -268,12 +286,45 @@ class Traversal:
         return self._catalog.columns.read(path, 0, columns)
 
     def _no_layer(self, kind: str, layer: str) -> DatasetError:
-        return DatasetError(
-            f"there is no {kind} layer {layer}",
-            file=f"traversals/{self.traversal_id}/layers/{kind}",
-            expected="a complete layer of that name",
-            remedy="choose another with with_layers(...), or leave this traversal out with where(...)",
-        )
+        return no_layer(kind, layer, self.traversal_id)
+
+
+def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Array, chosen: str | None) -> Bool:
+    """Which rows (N,) of a traversal are of one of its layers.
+
+    Args:
+        kind: of the layers, for the messages.
+        traversal_id: the traversal.
+        source: (N,) who made each row; at least one.
+        version: (N,) version of the source.
+        chosen: ``source@version``; None: the only one there is.
+
+    Raises:
+        UsageError: there are several and none was chosen.
+        DatasetError: the chosen one is not there.
+    """
+    names = pc.binary_join_element_wise(source.cast(pa.string()), version.cast(pa.string()), "@")
+    there = sorted(pc.unique(names).to_pylist())
+    if chosen is None:
+        if len(there) > 1:
+            raise UsageError(
+                f"traversal {traversal_id} has {kind} of {', '.join(there)}",
+                remedy=f"choose: with_layers({kind}={there[-1]!r})",
+            )
+        chosen = there[0]
+    if chosen not in there:
+        raise no_layer(kind, chosen, traversal_id)
+    return member(names, frozenset([chosen]))
+
+
+def no_layer(kind: str, layer: str, traversal_id: str) -> DatasetError:
+    """The error for a layer that a traversal does not have."""
+    return DatasetError(
+        f"there is no {kind} layer {layer}",
+        file=f"traversals/{traversal_id}/layers/{kind}",
+        expected="a complete layer of that name",
+        remedy="choose another with with_layers(...), or leave this traversal out with where(...)",
+    )
 
 
 def _frame_boxes(table: Mapping[str, pa.Array], rows: Int64, timestamp_ns: int) -> FrameBoxes:

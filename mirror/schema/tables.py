@@ -209,6 +209,59 @@ MASKS: Final = Table(
     sorted_by=("camera", "timestamp_ns", "kind"),
 )
 
+DEPTH: Final = Table(
+    name="depth",
+    row="the depth map of one picture",
+    place="traversals/<traversal_id>/layers/depth/<source>@<version>/depth.parquet",
+    schema=pa.schema(
+        [
+            _field("camera", KEY, "Camera of the picture."),
+            _field("timestamp_ns", pa.int64(), "Mid-exposure of the picture: the instant of the map's pose."),
+            _field(
+                "uri",
+                pa.string(),
+                "The map's PNG (16 bit grey), relative to the dataset's root: the camera's z is 0.1 m * exp(v ln(1e5) / 65535); 0: unknown.",
+            ),
+            _field("byte_length", pa.int64(), "Its size."),
+            _field("sha256", SHA256, "SHA-256 of its bytes."),
+            _field(
+                "width_px", pa.int32(), "Width of the map, which is that of a pinhole camera at the picture's place."
+            ),
+            _field("height_px", pa.int32(), "Height of the map."),
+            _field("fx_px", pa.float64(), "Focal length x of the map's pinhole."),
+            _field("fy_px", pa.float64(), "Focal length y of the map's pinhole."),
+            _field("cx_px", pa.float64(), "Principal point x; the centre of the first pixel is at 0.5."),
+            _field("cy_px", pa.float64(), "Principal point y; the centre of the first pixel is at 0.5."),
+            _field("source", KEY, "Who made the map."),
+            _field("source_version", KEY, "Version of the source."),
+        ]
+    ),
+    sorted_by=("camera", "timestamp_ns"),
+)
+
+POINTS: Final = Table(
+    name="points",
+    row="one point of the static scene, in the layer of the traversal that saw it first",
+    place="traversals/<traversal_id>/layers/points/<source>@<version>/points.parquet",
+    schema=pa.schema(
+        [
+            _field("point", pa.int32(), "Counts from 0 within the layer."),
+            _field("x_m", pa.float64(), "In the scene's world frame."),
+            _field("y_m", pa.float64(), "In the scene's world frame."),
+            _field("z_m", pa.float64(), "In the scene's world frame."),
+            _field("r", pa.uint8(), "Colour: red, sRGB."),
+            _field("g", pa.uint8(), "Colour: green."),
+            _field("b", pa.uint8(), "Colour: blue."),
+            _field("kind", KEY, "`ground`, `background`, or `far`: outside the block that the source worked on."),
+            _field("views", pa.int16(), "Pictures that agree on the point; 0: it was not seen, but extrapolated."),
+            _field("sigma_m", pa.float32(), "1-sigma of its position along the ray; null: unknown.", null=True),
+            _field("source", KEY, "Who made the point."),
+            _field("source_version", KEY, "Version of the source."),
+        ]
+    ),
+    sorted_by=("source", "source_version", "point"),
+)
+
 PASSES: Final = Table(
     name="passes",
     row="one pass of a drive through a scene, accepted or refused: the ledger",
@@ -389,6 +442,8 @@ INDEX_EGO_POSES: Final = _indexed(EGO_POSES)
 INDEX_CALIBRATIONS: Final = _indexed(CALIBRATIONS)
 INDEX_BOXES: Final = _indexed(BOXES)
 INDEX_MASKS: Final = _indexed(MASKS)
+INDEX_DEPTH: Final = _indexed(DEPTH)
+INDEX_POINTS: Final = _indexed(POINTS)
 INDEX_PASSES: Final = Table(
     name="passes",
     row=PASSES.row,
@@ -420,7 +475,7 @@ ROW_GROUPS: Final = Table(
 )
 
 RECORDED: Final[Sequence[Table]] = (EGO_POSES, IMAGES, CALIBRATIONS)
-LAYERS: Final[Sequence[Table]] = (BOXES, MASKS)
+LAYERS: Final[Sequence[Table]] = (BOXES, MASKS, DEPTH, POINTS)
 INDEX_GLOBAL: Final[Sequence[Table]] = (SCENES, TRAVERSALS, INDEX_PASSES, ROW_GROUPS)
 INDEX_BY_SCENE: Final[Sequence[Table]] = (
     FRAMES,
@@ -429,4 +484,6 @@ INDEX_BY_SCENE: Final[Sequence[Table]] = (
     INDEX_CALIBRATIONS,
     INDEX_BOXES,
     INDEX_MASKS,
+    INDEX_DEPTH,
+    INDEX_POINTS,
 )

@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, seal
+from mirror.dataset.pictures.depth import encode_depth
 from mirror.geometry.geodesy import TangentFrame
 from mirror.schema.documents import (
     CleaningOptions,
@@ -28,7 +30,7 @@ from mirror.schema.documents import (
     TriggerOptions,
 )
 from mirror.schema.files import encode_table, write_bytes, write_json
-from mirror.schema.tables import CALIBRATIONS, EGO_POSES, IMAGES, PASSES, Table
+from mirror.schema.tables import CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, PASSES, POINTS, Table
 
 SECOND = 1_000_000_000
 EPOCH = 1_700_000_000 * SECOND
@@ -364,3 +366,19 @@ def encode_rows(rows: Sequence[Mapping[str, object]], table: Table) -> bytes:
         [item.with_type(pa.string()) if pa.types.is_dictionary(item.type) else item for item in table.schema]
     )
     return encode_table(pa.Table.from_pylist([dict(row) for row in rows], schema=plain), table)
+
+
+def write_reconstruction(
+    builder: Builder, traversal_id: str, camera: str, timestamp_ns: int, *, depth_m: float = 7.0, version: str = "1"
+) -> None:
+    """A layer with one flat depth map, and one with two points."""
+    depth = LayerWriter(builder.layout, traversal_id, "depth", "sweep", version)
+    file = depth.file("map.png", encode_depth(np.full((4, 6), depth_m)))
+    lens = {"width_px": 6, "height_px": 4, "fx_px": 5.0, "fy_px": 5.0, "cx_px": 3.0, "cy_px": 2.0}
+    depth.finish(DEPTH, [{"camera": camera, "timestamp_ns": timestamp_ns, **lens, **file}], {"estimator": "sweep"})
+    place = {"x_m": depth_m, "y_m": 2.0, "z_m": 3.0, "r": 10, "g": 20, "b": 30}
+    points = [
+        {"point": 0, **place, "kind": "ground", "views": 3, "sigma_m": 0.5},
+        {"point": 1, **place, "kind": "background", "views": 4, "sigma_m": None},
+    ]
+    LayerWriter(builder.layout, traversal_id, "points", "sweep", version).finish(POINTS, points, {})

@@ -19,7 +19,7 @@ from mirror.errors import DatasetError, SchemaError
 from mirror.geometry.geodesy import TangentFrame
 from mirror.schema.files import read_table
 from mirror.schema.tables import BOXES, IMAGES, INDEX_BY_SCENE, INDEX_GLOBAL, MASKS
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, mask_row
+from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, mask_row, write_reconstruction
 
 GEOD = pyproj.Geod(ellps="WGS84")
 
@@ -48,6 +48,7 @@ def test_every_table_follows_its_specification(tmp_path: Path) -> None:
     layer = builder.drive("d4", [Pass("a", EPOCH + 400 * SECOND)])[0]
     builder.layer(layer, "boxes", "petr@1", BOXES, [box(EPOCH + 400 * SECOND, "t")])
     builder.layer(layer, "masks", "sam@1", MASKS, [mask_row("front_wide", EPOCH + 400 * SECOND, "x.png")])
+    write_reconstruction(builder, layer, "front_wide", EPOCH + 400 * SECOND)
     report = build_index(tmp_path)
     assert report.scenes_written == ("a", "b")
     files = index_bytes(tmp_path)

@@ -13,24 +13,26 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from mirror.dataset.index import build_index
+from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import MANIFEST, Layout, manifest_sha256, read_manifest
+from mirror.dataset.pictures.depth import encode_depth
 from mirror.dataset.splits import make_split
 from mirror.errors import MirrorError
 from mirror.schema.documents import DatasetDocument, FileEntry, Manifest, NovelTraversal, Pictures, Rig
 from mirror.schema.files import read_json, sha256_bytes, write_bytes, write_json
-from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, MASKS, PASSES
+from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, PASSES, POINTS
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, encode_rows
 
 CAMERAS = ("front_wide", "front_left", "front_right")
 SIZE = (48, 32)
 FRAMES = 11
 FRAME_NS = 1_000_000_000
-TABLES = {table.name: table for table in (EGO_POSES, IMAGES, CALIBRATIONS, BOXES, MASKS, PASSES)}
+TABLES = {table.name: table for table in (EGO_POSES, IMAGES, CALIBRATIONS, BOXES, MASKS, DEPTH, POINTS, PASSES)}
 Rows = list[dict[str, Any]]
 
 
 def make_clean(root: Path) -> Path:
-    """Two drives through a geodetic scene and one through a local one; boxes, masks, a refused pass and a split."""
+    """Two drives through a geodetic scene and one through a local one; layers, a refused pass and a split."""
     builder = Builder(root, cameras=CAMERAS, size=SIZE)
     builder.scene("a", city="Toronto")
     builder.scene("b", frame="yard", x_m=0.0, y_m=0.0, radius_m=150.0)
@@ -104,6 +106,24 @@ def _layers(builder: Builder, broken: Broken, traversal_id: str) -> None:
             }
         )  # fmt: skip
     builder.layer(traversal_id, "masks", "sam@2.1", MASKS, masks)
+    depth = LayerWriter(broken.layout, traversal_id, "depth", "sweep", "1")
+    maps = [
+        {
+            "camera": row["camera"], "timestamp_ns": row["timestamp_ns"], "width_px": 6, "height_px": 4,
+            "fx_px": 5.0, "fy_px": 5.0, "cx_px": 3.0, "cy_px": 2.0,
+            **depth.file(f"{row['camera']}/{row['timestamp_ns']}.png", encode_depth(np.full((4, 6), 7.0 + number))),
+        }
+        for number, row in enumerate(images[:3])
+    ]  # fmt: skip
+    depth.finish(DEPTH, maps, {})
+    points = [
+        {
+            "point": number, "x_m": 1.0, "y_m": 2.0, "z_m": 0.1 * number, "r": 10, "g": 20, "b": 30,
+            "kind": ("ground", "background", "far")[number], "views": 3, "sigma_m": None if number else 0.1,
+        }
+        for number in range(3)
+    ]  # fmt: skip
+    LayerWriter(broken.layout, traversal_id, "points", "sweep", "1").finish(POINTS, points, {})
 
 
 def _symmetric(rows: Rows) -> Rows:

@@ -14,9 +14,11 @@ from tests.dataset_rules.edit import (
     A0,
     B2,
     BOXES,
+    DEPTH,
     HOUR,
     LEFT,
     MASKS,
+    POINTS,
     RECORDED,
     WIDE,
     Edit,
@@ -37,6 +39,7 @@ def edits() -> Iterator[Edit]:
     yield from _cameras()
     yield from _images()
     yield from _boxes()
+    yield from _reconstruction()
 
 
 def _poses() -> Iterator[Edit]:
@@ -138,7 +141,7 @@ def _time() -> Iterator[Edit]:
     yield of("TIM006", cell(A0, "images", 3, frame_index=None), file)
     yield of("TIM007", cell(MASKS, "masks", 0, timestamp_ns=0), f"{MASKS}/masks.parquet", "MSK002")
     yield of("TIM008", key("drives/d1/drive.json", vehicle_id="car0", start_ns=EPOCH), "drives/d1/drive.json", "TAB006")
-    yield of("TIM009", _image_before_entry, file, "MSK002")
+    yield of("TIM009", _image_before_entry, file, "MSK002", "DEP002")
 
 
 def _lost_frame(broken: Broken) -> None:
@@ -175,8 +178,8 @@ def _cameras() -> Iterator[Edit]:
     yield of("CAM008", _overlapping_validity, file)
     yield of("CAM009", cell(A0, "calibrations", 0, ty_m=-0.5), file)
     yield of("CAM010", _second_stage, file)
-    yield of("CAM011", cell(A0, "images", LEFT, camera="a_camera"), images, "CAM001", "CAM012", "MSK002")
-    yield of("CAM012", _silent, images, "MSK002")
+    yield of("CAM011", cell(A0, "images", LEFT, camera="a_camera"), images, "CAM001", "CAM012", "MSK002", "DEP002")
+    yield of("CAM012", _silent, images, "MSK002", "DEP002")
 
 
 def _overlapping_validity(broken: Broken) -> None:
@@ -236,7 +239,24 @@ def _boxes() -> Iterator[Edit]:
     yield of("BOX007", cell(BOXES, "boxes", range(8, 10), timestamp_ns=EPOCH + HOUR), file)
     yield of("MSK001", cut_mask, masks)
     yield of("MSK001", cell(MASKS, "masks", 0, uri=f"{MASKS}/nothing.png"), masks)
+    yield of("MSK003", cell(MASKS, "masks", 1, sha256=bytes(32)), masks)
     yield of("MSK002", cell(MASKS, "masks", 2, timestamp_ns=plus("timestamp_ns", 1)), masks)
+
+
+def _reconstruction() -> Iterator[Edit]:
+    maps, points = f"{DEPTH}/depth.parquet", f"{POINTS}/points.parquet"
+    yield of("DEP001", cell(DEPTH, "depth", 0, byte_length=plus("byte_length", 1)), maps)
+    yield of("DEP001", cell(DEPTH, "depth", 0, uri=f"{DEPTH}/nothing.png"), maps)
+    yield of("DEP002", cell(DEPTH, "depth", 2, timestamp_ns=plus("timestamp_ns", 1)), maps)
+    yield of("DEP003", cell(DEPTH, "depth", 1, sha256=bytes(32)), maps)
+    yield of("DEP004", cell(DEPTH, "depth", 1, fx_px=0.0), maps)
+    yield of("DEP004", cell(DEPTH, "depth", 1, cy_px=float("nan")), maps)
+    yield of("DEP004", cell(DEPTH, "depth", 1, height_px=0), maps)
+    yield of("PTS001", cell(POINTS, "points", 1, z_m=float("inf")), points)
+    yield of("PTS001", cell(POINTS, "points", 1, views=-1), points)
+    yield of("PTS001", cell(POINTS, "points", 0, sigma_m=0.0), points)
+    yield of("TAB005", cell(POINTS, "points", 0, kind="sky"), points)
+    yield of("TAB006", cell(DEPTH, "depth", range(3), source="other"), maps)
 
 
 def cut_mask(broken: Broken) -> None:

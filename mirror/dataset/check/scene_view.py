@@ -16,13 +16,15 @@ from mirror.dataset.check.rows import Part, Rows
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera, camera_from_row
 from mirror.schema.documents import Roi
-from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, MASKS, Table
+from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, POINTS, Table
 
 _LAYER_TABLES = {
     "poses": EGO_POSES,
     "calibrations": CALIBRATIONS,
     "boxes": BOXES,
     "masks": MASKS,
+    "depth": DEPTH,
+    "points": POINTS,
     "redaction": IMAGES,
 }
 
@@ -84,6 +86,16 @@ class SceneView:
     def masks(self) -> Rows:
         """Masks of all layers."""
         return Rows(MASKS, self._layers("masks"))
+
+    @cached_property
+    def depth(self) -> Rows:
+        """Depth maps of all layers."""
+        return Rows(DEPTH, self._layers("depth"))
+
+    @cached_property
+    def points(self) -> Rows:
+        """Points of all layers."""
+        return Rows(POINTS, self._layers("points"))
 
     @cached_property
     def motion(self) -> Motion:
@@ -161,7 +173,8 @@ class SceneView:
 
     def tables(self) -> Sequence[Rows]:
         """Every table, layers included."""
-        return (self.all_poses, self.all_images, self.all_calibrations, self.boxes, self.masks)
+        recorded = (self.all_poses, self.all_images, self.all_calibrations)
+        return (*recorded, self.boxes, self.masks, self.depth, self.points)
 
     @cached_property
     def entry_ns(self) -> Int64:

@@ -21,12 +21,14 @@ from mirror.schema.files import encode_table, read_table
 from mirror.schema.tables import (
     BOXES,
     CALIBRATIONS,
+    DEPTH,
     EGO_POSES,
     FRAMES,
     IMAGES,
     INDEX_BY_SCENE,
     KEY,
     MASKS,
+    POINTS,
     SHA256,
     TRAVERSALS,
     Table,
@@ -112,6 +114,8 @@ def _traversal_tables(layout: Layout, traversal: TraversalInput) -> dict[str, pa
         "frames": _frames(traversal, images),
         "boxes": _layer_tables(layout, traversal, "boxes", BOXES),
         "masks": _layer_tables(layout, traversal, "masks", MASKS),
+        "depth": _layer_tables(layout, traversal, "depth", DEPTH),
+        "points": _layer_tables(layout, traversal, "points", POINTS),
     }
     return {name: _keyed(traversal, data) for name, data in tables.items()}
 

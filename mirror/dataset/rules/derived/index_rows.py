@@ -17,11 +17,12 @@ def index_rows(view: SceneView) -> Iterator[Finding]:
     if groups is None:
         return
     own = groups.filter(pc.equal(groups.column("scene_id"), view.scene.scene_id))
-    indexed = dict.fromkeys(("ego_poses", "images", "calibrations", "boxes", "masks"), 0)
+    every = (view.poses, view.images, view.calibrations, view.boxes, view.masks, view.depth, view.points)
+    indexed = {rows.table.name: 0 for rows in every}
     for row in own.select(["table", "rows"]).to_pylist():
         if row["table"] in indexed:
             indexed[row["table"]] += row["rows"]
-    for rows in (view.poses, view.images, view.calibrations, view.boxes, view.masks):
+    for rows in every:
         if indexed[rows.table.name] != len(rows):
             yield Finding(
                 f"index/{rows.table.name}/{view.scene.scene_id}.parquet",

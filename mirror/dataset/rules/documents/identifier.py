@@ -8,7 +8,7 @@ from mirror.dataset.check.dataset_view import DatasetView
 from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 from mirror.schema.documents import is_identifier
 
-_LAYER_KINDS = ("poses", "calibrations", "boxes", "masks", "redaction")
+_LAYER_KINDS = ("poses", "calibrations", "boxes", "masks", "redaction", "depth", "points")
 
 
 @dataset_rule("DS009", Severity.ERROR, remedy="ids are assigned once: undo the renaming, or write the folder again")

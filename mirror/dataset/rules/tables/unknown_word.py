@@ -20,6 +20,7 @@ VOCABULARY = {
     ("calibrations", "model"): tuple(COEFFICIENTS),
     ("calibrations", "shutter_direction"): get_args(Calibration.model_fields["shutter_direction"].annotation),
     ("masks", "kind"): ("dynamic", "ego", "sky", "instance"),
+    ("points", "kind"): ("background", "ground", "far"),
 }
 
 

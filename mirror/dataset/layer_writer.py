@@ -1,0 +1,96 @@
+"""Writing a layer of a traversal: its files one by one, its table and its manifest last, and never over another."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pyarrow as pa
+
+from mirror.dataset.layout import MANIFEST, Layout, seal
+from mirror.errors import DatasetError, UsageError
+from mirror.schema.documents import Manifest
+from mirror.schema.files import encode_table, read_json, write_bytes
+from mirror.schema.tables import Table
+
+
+@dataclass
+class LayerWriter:
+    """Writes one layer; the caller holds the dataset's writer lock.
+
+    A layer that an interrupted run left without its manifest does not exist: what there is of it is removed first.
+
+    Attributes:
+        layout: the dataset.
+        traversal_id: the traversal.
+        kind: of the layer: its folder.
+        source: who makes it.
+        version: of the source.
+
+    Raises:
+        UsageError: the source or version cannot be part of a folder's name.
+        DatasetError: the traversal does not exist, or the layer is there already.
+    """
+
+    layout: Layout
+    traversal_id: str
+    kind: str
+    source: str
+    version: str
+
+    def __post_init__(self) -> None:
+        self.folder = self.layout.layer(self.traversal_id, self.kind, self.source, self.version)
+        for name in (self.source, self.version):
+            if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.\-]*", name) is None:
+                raise UsageError(f"{name!r} cannot name a layer", expected="letters, digits, `_`, `-` and `.`")
+        recorded = self.layout.recorded(self.traversal_id)
+        if not (recorded / MANIFEST).is_file():
+            raise DatasetError("there is no such traversal", file=recorded, remedy="check the id: `mirror info`")
+        if (self.folder / MANIFEST).is_file():
+            raise DatasetError(
+                "the layer is there already", file=self.folder, remedy="write it under another version, side by side"
+            )
+        if self.folder.exists():
+            shutil.rmtree(self.folder)
+
+    def file(self, name: str, data: bytes) -> dict[str, object]:
+        """Write a file of the layer.
+
+        Args:
+            name: relative to the layer's folder.
+            data: its bytes.
+
+        Returns:
+            What its row says of it: uri, byte_length, sha256.
+        """
+        path = self.folder / name
+        write_bytes(path, data)
+        return {
+            "uri": path.relative_to(self.layout.root).as_posix(),
+            "byte_length": len(data),
+            "sha256": hashlib.sha256(data).digest(),
+        }
+
+    def finish(
+        self, table: Table, data: pa.Table | Sequence[Mapping[str, Any]], derived_from: Mapping[str, str]
+    ) -> None:
+        """Write the layer's table, then its manifest: from then on the layer exists.
+
+        Args:
+            table: which.
+            data: its rows in the table's order; source and version are added.
+            derived_from: hashes of what the layer was made from; that of the recorded traversal is added.
+        """
+        schema = pa.schema([one for one in table.schema if one.name not in ("source", "source_version")])
+        rows = data if isinstance(data, pa.Table) else pa.Table.from_pylist(list(data), schema=schema)
+        for name, word in (("source", self.source), ("source_version", self.version)):
+            if name in table.schema.names:
+                rows = rows.append_column(name, pa.repeat(pa.scalar(word), rows.num_rows))
+        name, encoded = f"{table.name}.parquet", encode_table(rows.select(table.schema.names), table)
+        write_bytes(self.folder / name, encoded)
+        recorded = read_json(self.layout.recorded(self.traversal_id) / MANIFEST, Manifest).content
+        seal(self.folder, {name: encoded}, derived_from={**derived_from, "recorded": recorded})

@@ -1,0 +1,68 @@
+"""Points of the static scene, as layers hold them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pyarrow as pa
+
+from mirror.arrays import Float32, Float64, Int64, UInt8
+from mirror.dataset.query.arrow import degrees, mask, numbers
+from mirror.dataset.query.select import select
+from mirror.dataset.traversal import rows_of_layer
+from mirror.schema.tables import POINTS
+
+if TYPE_CHECKING:
+    from mirror.dataset.dataset import Dataset
+
+_COLUMNS: Final = ("x_m", "y_m", "z_m", "r", "g", "b", "kind", "views", "sigma_m", "source", "source_version")
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """N points.
+
+    Attributes:
+        position_m: (N, 3) in the world frame of their scene.
+        rgb: (N, 3) colours.
+        kind: (N,) ``ground``, ``background`` or ``far``.
+        views: (N,) pictures that agree on each.
+        sigma_m: (N,) 1-sigma along the ray; NaN: unknown.
+        traversal_id: (N,) the traversal that saw each first.
+    """
+
+    position_m: Float64
+    rgb: UInt8
+    kind: tuple[str, ...]
+    views: Int64
+    sigma_m: Float32
+    traversal_id: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+
+def points_of(dataset: Dataset) -> Points:
+    """The points of a view's traversals, of the layer that it chooses; see `Dataset.points`."""
+    ids: list[str] = []
+    parts: list[pa.Table] = []
+    for part in select(dataset.catalog, dataset.filters, POINTS.name):
+        table = pa.Table.from_arrays(dataset.catalog.columns.read(part.path, part.number, _COLUMNS), names=_COLUMNS)
+        traversal_id = dataset.catalog.traversal_ids[part.traversal].as_py()
+        own = rows_of_layer(
+            POINTS.name, traversal_id, table.column("source"), table.column("source_version"), dataset.layers.points
+        )
+        parts.append(table.filter(mask(own)).drop_columns(["source", "source_version"]))
+        ids += [traversal_id] * parts[-1].num_rows
+    plain = pa.schema([POINTS.schema.field(name) for name in _COLUMNS[:-2]])
+    points = pa.concat_tables([plain.empty_table(), *parts], promote_options="permissive").combine_chunks()
+    return Points(
+        position_m=np.stack([degrees(points.column(name)) for name in ("x_m", "y_m", "z_m")], axis=1),
+        rgb=np.stack([numbers(points.column(name)) for name in ("r", "g", "b")], axis=1).astype(np.uint8),
+        kind=tuple(points.column("kind").to_pylist()),
+        views=numbers(points.column("views")).astype(np.int64),
+        sigma_m=degrees(points.column("sigma_m")).astype(np.float32),
+        traversal_id=tuple(ids),
+    )

@@ -1,0 +1,1 @@
+"""DEP: depth maps; PTS: points."""

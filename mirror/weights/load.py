@@ -12,11 +12,12 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-def load_state_dict(path: Path) -> dict[str, Tensor]:
+def load_state_dict(path: Path, *, entry: str | None = None) -> dict[str, Tensor]:
     """Tensors by name, on the CPU.
 
     Args:
-        path: what ``torch.save`` wrote of a state dict.
+        path: what ``torch.save`` wrote of a state dict, or of a dict that holds one.
+        entry: which of the file's entries is the state dict; None: the file itself.
 
     Raises:
         WeightsUnavailableError: the file holds anything but tensors by name.
@@ -31,6 +32,12 @@ def load_state_dict(path: Path) -> dict[str, Tensor]:
             file=path,
             expected="a file that torch.save wrote of a state dict",
         ) from error
+    if entry is not None:
+        if not isinstance(state, dict) or entry not in state:
+            raise WeightsUnavailableError(
+                f"has no entry {entry!r}", file=path, expected=f"a training checkpoint with its state dict in {entry!r}"
+            )
+        state = state[entry]
     if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
         raise WeightsUnavailableError(f"holds a {type(state).__name__}", file=path, expected="tensors by name")
     return dict(state)

@@ -17,7 +17,7 @@ class WeightsFile:
         url: where it can be downloaded; None: only in packages.
         packages: installed packages that carry it, as (package, path in it).
         licence: of the weights, as the publisher states it.
-        purpose: the metrics that need it.
+        purpose: the metrics or the estimators of depth that need it.
     """
 
     name: str
@@ -121,6 +121,27 @@ _FILES = (
         licence="Apache-2.0 (kinetics-i3d); ported in VideoGPT",
         purpose="fvd (unpinned)",
         url="https://github.com/songweige/TATS/raw/main/tats/fvd/i3d_pretrained_400.pt",
+    ),
+    WeightsFile(
+        name="patchmatchnet",
+        filename="params_000007.ckpt",
+        sha256="477b056c62355d82649cdd00a01086a34183ac11f2ce0ddabbf84efb0248d8d4",
+        size=2839519,
+        licence="MIT (PatchmatchNet); trained on DTU",
+        purpose="depth by patchmatchnet",
+        url=(
+            "https://github.com/FangjinhuaWang/PatchmatchNet/raw/974abc0033a109fe4cbba70cb5c222d7f47ba2c9"
+            "/checkpoints/params_000007.ckpt"
+        ),
+    ),
+    WeightsFile(
+        name="mvsnet",
+        filename="model_000014.ckpt",
+        sha256=None,
+        size=None,
+        licence="not stated (MVSNet_pytorch); trained on DTU",
+        purpose="depth by mvsnet (unpinned)",
+        url="https://drive.google.com/uc?export=download&id=1j2I_LNKb9JeCl6wdA7hh8z1WgVQZfLU9",
     ),
 )
 

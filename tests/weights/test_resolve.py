@@ -113,7 +113,7 @@ def test_packages_are_found_without_import(known, tmp_path, monkeypatch):
 
 
 def test_the_table():
-    assert len(KNOWN) == 11
+    assert len(KNOWN) == 13
     for name, file in KNOWN.items():
         assert name == file.name
         assert file.sha256 is None or (len(file.sha256) == 64 and int(file.sha256, 16))

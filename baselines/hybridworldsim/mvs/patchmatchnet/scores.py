@@ -1,0 +1,56 @@
+"""The small networks that judge similarities, each on the groups of one sample alone."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from hybridworldsim.mvs.learned.layers import ConvNormReLU
+
+
+class GroupScore(nn.Module):
+    """From the similarities of G groups to one number: three layers of 16, 8 and 1, in every sample by itself.
+
+    Args:
+        groups: G.
+        last: what the published checkpoint calls the last layer.
+    """
+
+    def __init__(self, groups: int, last: str) -> None:
+        super().__init__()
+        self.conv0 = ConvNormReLU(3, groups, 16, size=1)
+        self.conv1 = ConvNormReLU(3, 16, 8, size=1)
+        self.add_module(last, nn.Conv3d(8, 1, 1))
+        self._last = last
+
+    def forward(self, similarity: Tensor) -> Tensor:
+        """(D, H, W) of similarities (G, D, H, W)."""
+        return self.get_submodule(self._last)(self.conv1(self.conv0(similarity[None])))[0, 0]
+
+
+class Evaluation(nn.Module):
+    """The two networks of matching: which hypothesis fits, and which source can be believed where."""
+
+    def __init__(self, groups: int) -> None:
+        super().__init__()
+        self.pixel_wise_net = GroupScore(groups, "conv2")
+        self.similarity_net = GroupScore(groups, "similarity")
+
+    def view_weight(self, similarity: Tensor) -> Tensor:
+        """(H, W) from 0 to 1: how far a source is believed, of its similarities (G, D, H, W)."""
+        return torch.sigmoid(self.pixel_wise_net(similarity)).amax(0)
+
+
+def group_similarity(first: Tensor, second: Tensor, groups: int) -> Tensor:
+    """Mean product of features over the channels of each group.
+
+    Args:
+        first: (C, D, H, W); it is overwritten.
+        second: (C, H, W).
+        groups: G, a divisor of C.
+
+    Returns:
+        (G, D, H, W).
+    """
+    product = first.mul_(second[:, None])
+    return product.view(groups, -1, *first.shape[1:]).mean(1)

@@ -1,0 +1,80 @@
+"""The losses of the supplement ("Loss Function"): colour, depth, and curvature of normals."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+_SOBEL = ((-1.0, 0.0, 1.0), (-2.0, 0.0, 2.0), (-1.0, 0.0, 1.0))
+
+
+def colour_loss(rendered: Tensor, taken: Tensor, scored: Tensor) -> Tensor:
+    """Mean square error of the pixels that are scored.
+
+    Args:
+        rendered: (H, W, 3).
+        taken: (H, W, 3).
+        scored: (H, W) bool, at least one pixel.
+    """
+    squares = (rendered - taken).square().sum(2)
+    return torch.where(scored, squares, 0.0).sum() / (3 * scored.sum())
+
+
+def depth_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor) -> Tensor:
+    """Mean square of the depth's error as a share of the depth.
+
+    The supplement's plain square metres are all but those of the farthest points; stereo errs in proportion to depth
+    at least. An error counts as no more than the depth itself, so that one wrong match moves nothing.
+
+    Args:
+        rendered_m: (H, W) expected depth.
+        stereo_m: (H, W) depth of multi-view stereo.
+        known: (H, W) bool: where there is one.
+    """
+    share = (rendered_m - stereo_m) / stereo_m.clamp_min(1e-3)
+    return torch.where(known, share.clamp(-1.0, 1.0).square(), 0.0).sum() / known.sum().clamp_min(1)
+
+
+def normals_of(depth_m: Tensor, K: Tensor) -> Tensor:
+    """(H, W, 3) unit normals of a depth map, in the camera's frame, towards the camera.
+
+    Args:
+        depth_m: (H, W) camera z, more than nothing.
+        K: (3, 3).
+    """
+    height, width = depth_m.shape
+    x = (torch.arange(width, dtype=depth_m.dtype) + 0.5 - K[0, 2]) / K[0, 0]
+    y = (torch.arange(height, dtype=depth_m.dtype) + 0.5 - K[1, 2]) / K[1, 1]
+    points = torch.stack((x * depth_m, y[:, None] * depth_m, depth_m))
+    padded = functional.pad(points, (1, 1, 1, 1), mode="replicate")
+    right = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
+    down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+    return functional.normalize(torch.linalg.cross(down, right, dim=0), dim=0).permute(1, 2, 0)
+
+
+def curvature(normals: Tensor) -> Tensor:
+    """(H - 2, W - 2) curvature of normals (H, W, 3): squared Sobel gradients, summed over channels and directions."""
+    kernel = normals.new_tensor(_SOBEL)
+    kernels = torch.stack((kernel, kernel.T))[:, None]
+    gradients = functional.conv2d(normals.permute(2, 0, 1)[:, None], kernels)
+    return gradients.square().sum((0, 1))
+
+
+def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) -> Tensor:
+    """Mean absolute difference of curvatures, where all nine pixels have a depth and the curvature is a surface's.
+
+    Args:
+        rendered_m: (H, W) expected depth.
+        stereo_m: (H, W) depth of multi-view stereo; the normals come from the same depth.
+        known: (H, W) bool.
+        K: (3, 3).
+    """
+    filled = torch.where(known, stereo_m, 1.0)
+    # A normal is made of four neighbours and a gradient of eight normals.
+    whole = -functional.max_pool2d(-known[None].float(), 5, stride=1, padding=2)[0] > 0.5
+    whole = whole[1:-1, 1:-1]
+    with torch.no_grad():
+        target = curvature(normals_of(filled, K))
+    found = curvature(normals_of(rendered_m.clamp_min(1e-3), K))
+    return torch.where(whole, (found - target).abs(), 0.0).sum() / whole.sum().clamp_min(1)

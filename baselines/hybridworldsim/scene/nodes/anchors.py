@@ -1,0 +1,90 @@
+"""Background nodes: anchors, each with a code, from which networks decode the Gaussians round it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hybridworldsim.scene.decoders import Conditioned
+from hybridworldsim.scene.splats import Splats
+from hybridworldsim.scene.visible import visible
+from hybridworldsim.training.viewpoint import Viewpoint
+
+_GEOMETRY = 8  # opacity, three of scale, four of rotation
+_OPACITY = 0.3
+_SPREAD = 0.5
+
+
+class Anchors(nn.Module):
+    """A node of anchors, after Scaffold-GS.
+
+    Each anchor has k offsets. Of the code, the place, the direction and the appearance one network reads opacity, scale
+    and rotation of all k Gaussians, another their colours; an offset's feature is its own rows of the last layers.
+    Gaussians of no opacity are dropped before anything is drawn.
+
+    Args:
+        means: (N, 3) anchors in the block's frame, metres.
+        spacing_m: (N,) size that the offsets and the Gaussians of each begin with.
+        radius_m: of the block: places are told to the networks in its units.
+        offsets: k.
+        code: size of a code.
+        latent: size of the appearance's.
+        hidden: width of the networks.
+    """
+
+    def __init__(
+        self, means: Tensor, spacing_m: Tensor, radius_m: float, *, offsets: int, code: int, latent: int, hidden: int
+    ) -> None:
+        super().__init__()
+        count = len(means)
+        self.radius_m, self.k = radius_m, offsets
+        self.means = nn.Parameter(means.clone(), requires_grad=False)
+        self.offsets = nn.Parameter(_SPREAD * (2.0 * torch.rand(count, offsets, 3) - 1.0))
+        self.codes = nn.Parameter(torch.zeros(count, code))
+        self.log_scales = nn.Parameter(spacing_m.log()[:, None].repeat(1, 6))
+        self.geometry = Conditioned((code, 3, 3), latent, hidden, _GEOMETRY * offsets)
+        self.colour = Conditioned((code, 3, 3), latent, hidden, 3 * offsets)
+        with torch.no_grad():
+            # Visible and unturned to begin with: what is not drawn is not learnt.
+            bias = self.geometry.out.bias.view(offsets, _GEOMETRY)
+            bias.zero_()
+            bias[:, 0], bias[:, 4] = _OPACITY, 1.0
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> Splats:
+        """Gaussians of the anchors that a viewpoint may see.
+
+        Args:
+            viewpoint: whence.
+            latent: appearance, of the colours.
+            content: appearance, of what is there at all (leaves, billboards). It is the same vector but for edits of
+                the light, which must not move anything.
+        """
+        with torch.no_grad():
+            reach = 3.0 * self.log_scales.amax(1).exp()
+        seen = visible(viewpoint, self.means, reach)
+        means, codes = self.means[seen], self.codes[seen]
+        directions = functional.normalize(means - viewpoint.centre, dim=1)
+        inputs = (codes, directions, means / self.radius_m)
+        scales = self.log_scales[seen].exp()
+        geometry = self.geometry(inputs, content).view(-1, self.k, _GEOMETRY)
+        opacities = geometry[..., 0].tanh().flatten()
+        drawn = (opacities.detach() > 0.0).nonzero().squeeze(1)
+        parents = drawn // self.k
+        rest = geometry.view(-1, _GEOMETRY)[drawn]
+        own = scales[parents]
+        offsets = self.offsets[seen].view(-1, 3)[drawn]
+        return Splats(
+            means[parents] + offsets * own[:, :3],
+            rest[:, 4:],
+            own[:, 3:] * rest[:, 1:4].sigmoid(),
+            opacities[drawn],
+            self.colour(inputs, latent).view(-1, 3)[drawn].sigmoid(),
+            rows=(seen[parents] * self.k + drawn % self.k),
+            held=len(self) * self.k,
+            decoded=len(seen) * self.k,
+            seen=seen,
+        )

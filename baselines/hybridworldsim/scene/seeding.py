@@ -1,0 +1,142 @@
+"""What a street begins with: anchors on the points of multi-view stereo, a grid on the ground, a hemisphere of sky."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from hybridworldsim.scene.appearance import Appearance
+from hybridworldsim.scene.growth import best_of_each, cells
+from hybridworldsim.scene.nodes.anchors import Anchors
+from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians, Seeds
+from hybridworldsim.scene.settings import Settings
+from hybridworldsim.scene.street import Street
+from hybridworldsim.training.viewpoint import Source
+from mirror.arrays import Float64
+
+_GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
+_LOWEST = -0.05
+_THIN = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Initial:
+    """What is known of a block before it is trained.
+
+    Attributes:
+        points_m: (P, 3) of the background, in the block's frame.
+        far_m: (F, 3) points beyond the block.
+        driven_m: (L, 3) where vehicles drove, on the ground.
+        ground: height and unit normal of the ground at (N, 2) places: (N,), (N, 3).
+        radius_m: of the block.
+        sources: whose pictures it is trained on.
+    """
+
+    points_m: Float64
+    far_m: Float64
+    driven_m: Float64
+    ground: Callable[[Float64], tuple[Float64, Float64]]
+    radius_m: float
+    sources: Sequence[Source]
+
+
+def street_of(initial: Initial, settings: Settings) -> Street:
+    """A street that has seen no picture yet; the same for the same input and seed.
+
+    Args:
+        initial: what is known.
+        settings: sizes and counts.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(settings.seed)
+        background = _background(initial, settings)
+        ground = CodeGaussians(_ground(initial, settings), settings.plain_code, settings.latent, settings.hidden)
+        sky = CodeGaussians(_sky(initial, settings), settings.plain_code, settings.latent, settings.hidden)
+        return Street(background, ground, sky, Appearance(initial.sources, settings.latent))
+
+
+def thinned(points: Float64, size_m: float, most: int) -> Float64:
+    """Points (N, 3), at most one in a cell of a size, and no more than so many: larger cells where it takes them."""
+    while len(points):
+        keys = cells(torch.from_numpy(points), size_m)
+        kept = points[np.sort(best_of_each(keys, torch.zeros(len(points))).numpy())]
+        if len(kept) <= most:
+            return kept
+        size_m *= 1.1
+    return points
+
+
+def _background(initial: Initial, settings: Settings) -> Anchors:
+    points = thinned(initial.points_m, settings.first_spacing_m, settings.first_anchors)
+    return Anchors(
+        torch.from_numpy(points.astype(np.float32)),
+        torch.from_numpy(_spacing(points, settings.first_spacing_m).astype(np.float32)),
+        initial.radius_m,
+        offsets=settings.offsets,
+        code=settings.code,
+        latent=settings.latent,
+        hidden=settings.hidden,
+    )
+
+
+def _spacing(points: Float64, least_m: float) -> Float64:
+    """(N,) root of the mean square distance to the three nearest others."""
+    if len(points) < 4:
+        return np.full(len(points), least_m)
+    distances, _ = cKDTree(points).query(points, k=4)
+    return np.clip(np.sqrt((distances[:, 1:] ** 2).mean(axis=1)), 0.5 * least_m, 5.0 * least_m)
+
+
+def _ground(initial: Initial, settings: Settings) -> Seeds:
+    step, reach = settings.ground_spacing_m, settings.ground_reach_m
+    driven = initial.driven_m[:, :2]
+    low, high = driven.min(axis=0) - reach, driven.max(axis=0) + reach
+    axes = [np.arange(start, end, step) for start, end in zip(low, high)]
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    distance, _ = cKDTree(driven).query(places, distance_upper_bound=reach)
+    places = places[np.isfinite(distance)]
+    heights, normals = initial.ground(places)
+    means = np.column_stack((places, heights))
+    scales = np.full((len(means), 3), 0.6 * step)
+    scales[:, 2] = 0.1 * step
+    return _seeds(means, _from_z(normals), scales, 0.9)
+
+
+def _sky(initial: Initial, settings: Settings) -> Seeds:
+    count, radius = settings.sky_count, settings.sky_radius * initial.radius_m
+    # Equal areas: heights are uniform on a sphere, turned by the golden angle.
+    height = _LOWEST + (1.0 - _LOWEST) * (np.arange(count) + 0.5) / count
+    around = _GOLDEN * np.arange(count)
+    wide = np.sqrt(1.0 - height**2)
+    directions = np.stack((wide * np.cos(around), wide * np.sin(around), height), axis=1)
+    each = radius * np.sqrt(2.0 * np.pi * (1.0 - _LOWEST) / count)
+    flat = np.tile((0.7 * each, 0.7 * each, _THIN * each), (count, 1))
+    far = thinned(initial.far_m, 2.0, settings.far_count)
+    distant = np.repeat(0.5 * _spacing(far, 2.0)[:, None], 3, axis=1)
+    dome = _seeds(radius * directions, _from_z(directions), flat, 0.95)
+    turned = np.tile((1.0, 0.0, 0.0, 0.0), (len(far), 1))
+    return Seeds(
+        torch.cat([dome.means, torch.from_numpy(far.astype(np.float32))]),
+        torch.cat([dome.quats, torch.from_numpy(turned.astype(np.float32))]),
+        torch.cat([dome.scales, torch.from_numpy(distant.astype(np.float32))]),
+        0.95,
+    )
+
+
+def _from_z(normals: Float64) -> Float64:
+    """(N, 4) shortest rotations of the z axis to unit normals."""
+    quats = np.column_stack((1.0 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(len(normals))))
+    quats[quats[:, 0] < 1e-9] = (0.0, 1.0, 0.0, 0.0)
+    return np.asarray(quats / np.linalg.norm(quats, axis=1, keepdims=True))
+
+
+def _seeds(means: Float64, quats: Float64, scales: Float64, opacity: float) -> Seeds:
+    return Seeds(_float32(means), _float32(quats), _float32(scales), opacity)
+
+
+def _float32(table: Float64) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(table, np.float32))

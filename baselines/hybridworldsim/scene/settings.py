@@ -1,0 +1,109 @@
+"""Every number of the model and of its training that the paper leaves open, or that a small budget scales."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Part = Literal["means", "quats", "log_scales", "logits", "codes", "offsets", "networks", "latents"]
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A learning rate that falls geometrically.
+
+    Attributes:
+        first: at progress 0.
+        last: at progress 1.
+    """
+
+    first: float
+    last: float
+
+    def at(self, progress: float) -> float:
+        """The rate at a progress from 0 to 1."""
+        return float(self.first ** (1.0 - progress) * self.last**progress)
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Learning rates of Adam: those of Scaffold-GS and of 3DGS where they have the parameter."""
+
+    means: Rate = Rate(5e-3, 5e-5)
+    quats: Rate = Rate(1e-3, 1e-4)
+    log_scales: Rate = Rate(7e-3, 7e-4)
+    logits: Rate = Rate(5e-2, 5e-3)
+    codes: Rate = Rate(1e-2, 1e-3)
+    offsets: Rate = Rate(1e-2, 1e-4)
+    networks: Rate = Rate(5e-3, 2e-4)
+    latents: Rate = Rate(1e-2, 5e-4)
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """When anchors are added and removed, and how many there may be.
+
+    Attributes:
+        begin: progress.
+        end: progress.
+        times: how often in between.
+        most: anchors in a block, at most.
+        cells_m: sizes of cells in which new anchors stand, coarse to fine.
+        least_opacity: mean sum of an anchor's opacities below which it goes.
+        least_share: an offset counts that so large a share of the pictures since the last time drew.
+    """
+
+    begin: float = 0.05
+    end: float = 0.6
+    times: int = 40
+    most: int = 30_000
+    cells_m: tuple[float, ...] = (1.6, 0.4, 0.1)
+    least_opacity: float = 0.005
+    least_share: float = 0.01
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The model and its training.
+
+    Attributes:
+        latent: size of an appearance.
+        code: size of an anchor's code.
+        offsets: Gaussians an anchor.
+        hidden: width of the networks.
+        plain_code: size of the codes of ground and sky.
+        first_anchors: the initial points are thinned to so many at most.
+        first_spacing_m: and to one a cell of this size.
+        ground_spacing_m: of the grid on the ground.
+        ground_reach_m: how far from a driven line there is ground.
+        sky_count: Gaussians on the hemisphere.
+        sky_radius: of the hemisphere, in block radii.
+        far_count: of the points beyond the block, which the sky takes in, so many at most.
+        depth_weight: of the depth loss.
+        normal_weight: of the normal loss.
+        normal_every: it is computed at each so many-th step, with so many times the weight.
+        volume_weight: of the mean volume of the drawn Gaussians of anchors, in cubic metres (Scaffold-GS).
+        rates: learning rates.
+        refinement: of the anchors.
+        seed: of everything that is left to chance.
+    """
+
+    latent: int = 16
+    code: int = 32
+    offsets: int = 10
+    hidden: int = 32
+    plain_code: int = 16
+    first_anchors: int = 12_000
+    first_spacing_m: float = 0.4
+    ground_spacing_m: float = 0.35
+    ground_reach_m: float = 15.0
+    sky_count: int = 3_000
+    sky_radius: float = 4.0
+    far_count: int = 4_000
+    depth_weight: float = 0.02
+    normal_weight: float = 0.001
+    normal_every: int = 4
+    volume_weight: float = 0.0
+    rates: Rates = field(default_factory=Rates)
+    refinement: Refinement = field(default_factory=Refinement)
+    seed: int = 0

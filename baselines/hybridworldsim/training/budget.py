@@ -1,0 +1,63 @@
+"""How long a method trains: a number of steps, or processor time, which other work on the machine does not shorten."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from mirror.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Budget:
+    """One of two; schedules run from progress 0 to 1 under either.
+
+    Attributes:
+        steps: pictures trained on. Repeats exactly at the same number of threads.
+        core_minutes: processor time of all threads of the process, of training alone: reading ahead counts, rendering
+            for reports does not. With it, methods are compared at equal cost on a machine that does other work too.
+    """
+
+    steps: int | None = None
+    core_minutes: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.steps is None) == (self.core_minutes is None):
+            raise UsageError("a budget is steps or core_minutes", expected="exactly one of them")
+        if (self.steps is not None and self.steps < 1) or (self.core_minutes is not None and self.core_minutes <= 0):
+            raise UsageError(f"a budget of {self.steps or self.core_minutes}", expected="more than nothing")
+
+    def progress(self, steps: int, spent_s: float) -> float:
+        """From 0 to 1, where training ends.
+
+        Args:
+            steps: done so far.
+            spent_s: processor time so far.
+        """
+        share = steps / self.steps if self.steps is not None else spent_s / (60.0 * (self.core_minutes or 1.0))
+        return min(share, 1.0)
+
+
+class Clock:
+    """Processor time of this process, that can be stopped.
+
+    Args:
+        spent_s: where it begins: what an earlier run spent.
+    """
+
+    def __init__(self, spent_s: float = 0.0) -> None:
+        self._before, self._since = spent_s, time.process_time()
+        self._paused = False
+
+    @property
+    def spent_s(self) -> float:
+        """So far."""
+        return self._before + (0.0 if self._paused else time.process_time() - self._since)
+
+    def pause(self) -> None:
+        """What follows does not count."""
+        self._before, self._paused = self.spent_s, True
+
+    def resume(self) -> None:
+        """It counts again."""
+        self._since, self._paused = time.process_time(), False

@@ -1,0 +1,34 @@
+"""One training picture as a method gets it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from hybridworldsim.training.viewpoint import Viewpoint
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingPicture:
+    """What a step learns from.
+
+    Attributes:
+        viewpoint: where it was taken.
+        rgb: (H, W, 3) float32 in [0, 1].
+        scored: (H, W) bool: pixels that are the static street; not road users, the vehicle itself, or outside the lens.
+        sky: (H, W) bool, or None where the dataset has no such mask.
+        depth_m: (H, W) float32 camera z of multi-view stereo, 0 where unknown; None where the dataset has none.
+    """
+
+    viewpoint: Viewpoint
+    rgb: Tensor
+    scored: Tensor
+    sky: Tensor | None
+    depth_m: Tensor | None
+
+    @property
+    def bytes(self) -> int:
+        """That it holds in memory."""
+        held = (self.rgb, self.scored, self.sky, self.depth_m)
+        return sum(tensor.nbytes for tensor in held if tensor is not None)

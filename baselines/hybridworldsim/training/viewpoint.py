@@ -1,0 +1,83 @@
+"""A pinhole camera in the frame of a block, ready for the rasterizer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mirror.arrays import Float64
+from mirror.errors import UsageError
+from mirror.evaluation.views.view import View
+
+
+class Source(NamedTuple):
+    """Who took a picture: what its appearance depends on.
+
+    Attributes:
+        traversal_id: one drive's pass through the scene.
+        camera: of its rig.
+    """
+
+    traversal_id: str
+    camera: str
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoint:
+    """Where a picture is seen from.
+
+    Attributes:
+        width_px: of the picture.
+        height_px: of the picture.
+        K: (3, 3) float32 intrinsics, pixels; the centre of the first pixel is at 0.5.
+        viewmat: (4, 4) float32 ``camera_SE3_block``.
+        source: whose appearance it has.
+    """
+
+    width_px: int
+    height_px: int
+    K: Tensor
+    viewmat: Tensor
+    source: Source
+
+    @property
+    def centre(self) -> Tensor:
+        """(3,) of the camera, in the block's frame, metres."""
+        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+
+    def seen_by(self, source: Source) -> Viewpoint:
+        """The same place with another appearance."""
+        return replace(self, source=source)
+
+
+def viewpoint_of(view: View, origin_m: Float64) -> Viewpoint:
+    """The viewpoint of a view of a protocol.
+
+    Args:
+        view: with an undistorted lens.
+        origin_m: (3,) of the block, in the scene's world frame; subtracted in float64.
+
+    Raises:
+        UsageError: the lens is not a pinhole.
+    """
+    if view.model != "pinhole" or view.distortion:
+        raise UsageError(
+            f"a lens of model {view.model}", place=view.path, expected="a pinhole: pixels.space = 'undistorted'"
+        )
+    pose = view.pose
+    rotation = pose.matrix()[0, :3, :3].T
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ (pose.translation[0] - origin_m)
+    intrinsics = np.array([[view.fx_px, 0.0, view.cx_px], [0.0, view.fy_px, view.cy_px], [0.0, 0.0, 1.0]])
+    return Viewpoint(
+        view.width_px,
+        view.height_px,
+        torch.from_numpy(intrinsics.astype(np.float32)),
+        torch.from_numpy(viewmat.astype(np.float32)),
+        Source(view.traversal_id, view.camera),
+    )

@@ -1,0 +1,77 @@
+"""Which pictures a block is trained on: those of the training traversals that see it, not one of a standing vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError
+from mirror.evaluation.protocol import Frames, Group, Protocol
+from mirror.evaluation.views import plan_views
+from mirror.evaluation.views.plan import Plan
+from mirror.evaluation.views.view import View
+
+STANDING_M: Final = 0.25
+
+
+@dataclass(frozen=True)
+class TrainingViews:
+    """Training pictures as views: raster, lens and pose of each, none of them opened.
+
+    Attributes:
+        plan: of all training frames; its protocol says the raster and the masks.
+        views: those of the scene that are trained on, in order of traversal, frame and camera.
+        standing: how many were left out since the vehicle had hardly moved.
+    """
+
+    plan: Plan
+    views: tuple[View, ...]
+    standing: int
+
+
+def training_views(
+    dataset: Dataset, protocol: Protocol, split: str, scene: str, *, standing_m: float = STANDING_M
+) -> TrainingViews:
+    """The training pictures of a scene, in the raster and with the masks of a protocol.
+
+    Args:
+        dataset: where they lie.
+        protocol: what the method will be scored by; its groups and its choice of frames do not matter.
+        split: whose training traversals are meant.
+        scene: which scene.
+        standing_m: a picture is left out where its camera is nearer than this to the last one kept.
+
+    Raises:
+        DatasetError: no such split, or no training traversal with pictures in the scene.
+    """
+    every = protocol.model_copy(
+        update={
+            "frames": Frames(every=1, last=True, cameras=protocol.frames.cameras),
+            "groups": (Group(name="training", roles=("train",)),),
+        }
+    )
+    plan = plan_views(dataset.where(scene=scene), every, split)
+    if not plan.views:
+        raise DatasetError(
+            f"scene {scene} has no training picture", file=dataset.root, place=f"split {split}",
+            expected="training traversals with pictures", remedy="choose another scene or split",
+        )  # fmt: skip
+    moving = _moving(plan.views, standing_m)
+    return TrainingViews(plan, moving, len(plan.views) - len(moving))
+
+
+def _moving(views: Sequence[View], standing_m: float) -> tuple[View, ...]:
+    last: dict[tuple[str, str], Float64] = {}
+    kept = []
+    for view in views:
+        key, here = (view.traversal_id, view.camera), view.pose.translation[0]
+        if key in last and np.linalg.norm(here - last[key]) < standing_m:
+            continue
+        last[key] = here
+        kept.append(view)
+    return tuple(kept)

@@ -16,6 +16,7 @@ from leaderboard.recount import require_counted
 from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError
 from mirror.evaluation.protocol import load_protocol, protocol_names
+from mirror.evaluation.result import Figure as Scored
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
 from mirror.schema.files import write_json
@@ -189,7 +190,7 @@ def _figures(result: Result, file: Path) -> Iterator[Figure]:
                 n=figure.n,
                 n_missing=figure.n_missing,
                 n_infinite=figure.n_inf,
-                note=_plain(figure.reason or figure.note or "") or None,
+                note=_plain("; ".join(_remarks(figure))) or None,
             )
         except ValidationError as error:
             raise RefusedError(str(error.errors()[0]["msg"]), file=file, place=place) from error
@@ -197,6 +198,14 @@ def _figures(result: Result, file: Path) -> Iterator[Figure]:
         note = _plain(f"unavailable: {reason.partition('; ')[0]}")
         for group in groups[: 1 if result.protocol.task == "runtime" else None]:
             yield Figure(group=group, metric=metric, value=None, note=note)
+
+
+def _remarks(figure: Scored) -> Iterator[str]:
+    """Why a figure has no value or no interval, and what else its reader must know."""
+    if figure.reason or figure.note:
+        yield figure.reason or figure.note or ""
+    if figure.value is not None and figure.low is None and figure.interval_reason:
+        yield f"no interval: {figure.interval_reason}"
 
 
 def _options(result: Result) -> dict[str, str]:

@@ -42,7 +42,7 @@ class Board:
         hashes: of the protocol and the data set, of measured entries.
         options: what else decides the figures.
         entries: the rows, best first.
-        columns: groups and metrics that any of them has, in the protocol's order.
+        columns: groups and metrics that any of them has a value of, in the protocol's order.
     """
 
     protocol: str
@@ -142,7 +142,9 @@ def _ranked_by(protocol: str, columns: Sequence[Column], entries: Sequence[Entry
 
 
 def _columns(protocol: str, entries: Iterable[Entry]) -> tuple[Column, ...]:
-    found = dict.fromkeys((figure.group, figure.metric) for entry in entries for figure in entry.figures)
+    figures = [figure for entry in entries for figure in entry.figures]
+    valued = [figure for figure in figures if figure.value is not None]
+    found = dict.fromkeys((figure.group, figure.metric) for figure in valued or figures)
     groups = {group.name: place for place, group in enumerate(load_protocol(protocol).groups)}
     metrics = {name: place for place, name in enumerate(MEASURES)}
     return tuple(sorted(found, key=lambda column: (groups.get(column[0], len(groups)), column[0], metrics[column[1]])))

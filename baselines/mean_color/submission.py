@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from mean_color.mean import MOST_PICTURES
 from mirror.evaluation.submission.manifest import Appearance, Method
 
 METHOD: Final = Method(
@@ -12,4 +13,6 @@ METHOD: Final = Method(
     licence="Apache-2.0",
     trained_on="nothing: the colours of the split's training traversals are averaged",
 )
-APPEARANCE: Final = Appearance(policy="mean", description="of all training pictures of the camera in the scene")
+APPEARANCE: Final = Appearance(
+    policy="mean", description=f"of at most {MOST_PICTURES} training pictures of the camera in the scene"
+)

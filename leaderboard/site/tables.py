@@ -1,11 +1,12 @@
-"""A board as a table: sorted as it is written, and sortable where scripts run."""
+"""A board as tables: sorted as it is written, and sortable where scripts run."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
 from html import escape
-from itertools import groupby
+from itertools import chain, groupby
+from math import ceil
 from typing import Final
 
 from leaderboard.boards import FLOOR, Board, Column, figure_of
@@ -22,18 +23,37 @@ _GROUPS: Final = {
 }
 
 
+_MOST_COLUMNS: Final = 9
+"""So many figures side by side fit a window of 1280 px."""
+
+
 def board_table(board: Board) -> str:
-    """The table, with the notes of its rows below."""
+    """The table, with the notes of its rows below; of many groups several tables, none wider than a window."""
     notes: dict[str, int] = {}
-    best = {column: board.best(column) for column in board.columns}
-    rows = "".join(_row(entry, board, best, notes) for entry in board.entries)
+    parts = _parts(board.columns)
+    tables = "".join(_table(board, part, notes, named=len(parts) > 1) for part in parts)
     listed = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    below = f'<ol class="notes">{listed}</ol>' if notes else ""
+    return tables + (f'<ol class="notes">{listed}</ol>' if notes else "")
+
+
+def _parts(columns: Sequence[Column]) -> list[list[Column]]:
+    """Columns of whole groups, as many groups together as fit; all parts about as wide."""
+    groups = [list(own) for _, own in groupby(columns, key=lambda column: column[0])]
+    each = max(_MOST_COLUMNS // max(map(len, groups)), 1)
+    each = ceil(len(groups) / ceil(len(groups) / each))
+    return [list(chain(*groups[start : start + each])) for start in range(0, len(groups), each)]
+
+
+def _table(board: Board, part: Sequence[Column], notes: dict[str, int], *, named: bool) -> str:
+    best = {column: board.best(column) for column in part}
+    rows = "".join(_row(entry, board, part, best, notes) for entry in board.entries)
     caption = f"{board.protocol}, {board.title}"
+    if named:
+        caption += ": " + ", ".join(group_title(group) for group in dict.fromkeys(group for group, _ in part))
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}"><table class="board">'
         f'<caption class="hidden">{escape(caption)}; heads of columns sort</caption>'
-        f"<thead>{_heads(board)}</thead><tbody>{rows}</tbody></table></div>{below}"
+        f"<thead>{_heads(board, part)}</thead><tbody>{rows}</tbody></table></div>"
     )
 
 
@@ -45,16 +65,16 @@ def group_title(group: str) -> str:
     return _GROUPS.get(group, group.replace("-", " "))
 
 
-def _heads(board: Board) -> str:
-    spans = [(group, len(list(columns))) for group, columns in groupby(board.columns, key=lambda column: column[0])]
+def _heads(board: Board, part: Sequence[Column]) -> str:
+    spans = [(group, len(list(columns))) for group, columns in groupby(part, key=lambda column: column[0])]
     top = "".join(
         f'<th colspan="{count}" scope="colgroup" class="group">{escape(group_title(group))}</th>'
         for group, count in spans
     )
-    heads = "".join(_head(column, board) for column in board.columns)
+    heads = "".join(_head(column, board) for column in part)
     return (
         f'<tr><th rowspan="2" scope="col" class="method"><button type="button">Method</button></th>{top}'
-        f'<th rowspan="2" scope="col">Source</th></tr><tr>{heads}</tr>'
+        f'<th rowspan="2" scope="col" class="source">Source</th></tr><tr>{heads}</tr>'
     )
 
 
@@ -70,17 +90,22 @@ def _head(column: Column, board: Board) -> str:
     )
 
 
-def _row(entry: Entry, board: Board, best: dict[Column, float | None], notes: dict[str, int]) -> str:
+def _row(
+    entry: Entry, board: Board, part: Sequence[Column], best: dict[Column, float | None], notes: dict[str, int]
+) -> str:
     name = escape(entry.method)
     if entry.link:
         name = f'<a href="{escape(entry.link)}" rel="nofollow noopener">{name}</a>'
     floor = '<span class="tag floor">floor</span>' if entry.method in FLOOR else ""
     setting = f"<small>{escape(entry.setting)}</small>" if entry.setting else ""
-    marks = _marks(entry.notes, notes)
-    cells = "".join(_cell(entry, column, board, best[column], notes) for column in board.columns)
+    # What nobody has a value of has no column.
+    bare = [one for one in entry.figures if (one.group, one.metric) not in board.columns]
+    lacking = dict.fromkeys(f"{MEASURES[one.metric].title}: {one.note}" for one in bare)
+    marks = _marks([*entry.notes, *lacking], notes)
+    cells = "".join(_cell(entry, column, board, best[column], notes) for column in part)
     key = escape(entry.method.lower())
     head = f'<th scope="row" class="method" data-value="{key}">{name}{marks} {floor}{setting}</th>'
-    return f"<tr>{head}{cells}<td>{_source(entry)}</td></tr>"
+    return f'<tr>{head}{cells}<td class="source">{_source(entry)}</td></tr>'
 
 
 def _cell(entry: Entry, column: Column, board: Board, best: float | None, notes: dict[str, int]) -> str:

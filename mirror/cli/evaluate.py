@@ -48,8 +48,8 @@ class Arguments:
     """Allow missing weights to be downloaded."""
     hidden: Path | None = None
     """Folder of an organiser's true pictures, for protocols whose poses nobody recorded."""
-    extractor: str = "diff-grabcut"
-    """Of edited regions: diff-grabcut, file:FOLDER or onnx-sam:FOLDER."""
+    extractor: str | None = None
+    """Of edited regions: diff-grabcut (the default), file:FOLDER or onnx-sam:FOLDER."""
     measure: str | None = None
     """METHOD=FOLDER: an installed method (entry points mirror.methods) and its model, to measure the speed of."""
     features: Path | None = None
@@ -67,14 +67,16 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError(f"{arguments.workers} workers", place="--workers", expected="at least 1")
 
     from mirror.cli.progress import progress_bar
-    from mirror.cli.submission import plain_report, print_report
+    from mirror.cli.submission import asked_or_problems, say_report
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.run import Options, evaluate
-    from mirror.evaluation.submission.manifest import asked_of
     from mirror.evaluation.submission.untrusted import open_untrusted
     from mirror.weights.resolve import WeightResolver
 
-    protocol, split = asked_of(open_untrusted(arguments.submission), arguments.protocol, arguments.split)
+    asked = asked_or_problems(open_untrusted(arguments.submission), arguments.protocol, arguments.split)
+    if not isinstance(asked, tuple):
+        return say_report(asked, arguments.submission, as_json=arguments.json)
+    protocol, split = asked
     # `.` has no name to put results beside.
     submission = arguments.submission if arguments.submission.name else arguments.submission.absolute()
     out = arguments.out or submission.with_name(f"{submission.stem}-results")
@@ -91,11 +93,7 @@ def main(argv: Sequence[str]) -> int:
     with progress_bar(quiet=arguments.json) as bar:
         done = evaluate(submission, arguments.truth, load_protocol(protocol), split, out, options, bar)
     if done.result is None:
-        if arguments.json:
-            print(json.dumps(plain_report(done.check)))
-        else:
-            print_report(done.check, submission)
-        return ExitCode.FINDINGS
+        return say_report(done.check, submission, as_json=arguments.json)
     page = _report(done, out) if arguments.report else None
     if arguments.json:
         places = {"out": str(out), "report": None if page is None else str(page), "result_hash": done.result.hash}
@@ -106,7 +104,11 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _weight_paths(given: Sequence[str]) -> Mapping[str, Path]:
-    return dict(_pair(text, "--weights", "NAME=FILE") for text in given)
+    paths = dict(_pair(text, "--weights", "NAME=FILE") for text in given)
+    for name, path in paths.items():
+        if not path.is_file():
+            raise UsageError("no such file", file=path, place=f"--weights {name}", expected="a file of weights")
+    return paths
 
 
 def _pair(text: str, option: str, expected: str) -> tuple[str, Path]:
@@ -137,10 +139,16 @@ def _print(result: Result, out: Path, page: Path | None) -> None:
         table.add_column(name)
     for name in ("value", f"{100 * result.protocol.intervals.level:g} % interval", "n"):
         table.add_column(name, justify="right")
+    reasons: dict[str, int] = {}
     for figure in result.figures:
         if figure.level == "group":
-            table.add_row(*map(escape, (figure.group, figure.metric, *figure_words(figure))))
+            value, interval, count = figure_words(figure)
+            if figure.low is None and figure.interval_reason is not None:
+                interval = f"[{reasons.setdefault(figure.interval_reason, len(reasons) + 1)}]"
+            table.add_row(*map(escape, (figure.group, figure.metric, value, interval, count)))
     console.print(table)
+    for reason, number in reasons.items():
+        console.print(escape(f"[{number}] no interval: {reason}"), soft_wrap=True)
     for metric, how in result.unavailable.items():
         console.print(escape(f"{metric}: unavailable: {how}"), soft_wrap=True)
     for warning in result.warnings:

@@ -14,6 +14,7 @@ from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mirror.evaluation.submission.check import CheckReport
+    from mirror.evaluation.submission.untrusted import UntrustedFiles
 
 _SHOWN = 8
 
@@ -116,21 +117,20 @@ def _check(arguments: Check) -> int:
     from mirror.cli.progress import progress_bar
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.submission.check import check_submission
-    from mirror.evaluation.submission.manifest import asked_of
     from mirror.evaluation.submission.untrusted import open_untrusted
     from mirror.evaluation.views import plan_views
 
     files = open_untrusted(arguments.submission)
-    protocol, split = asked_of(files, arguments.protocol, arguments.split)
-    plan = plan_views(mirror.open(arguments.truth), load_protocol(protocol), split)
-    with progress_bar(quiet=arguments.json) as bar:
-        bar.start("files", len(plan.views))
-        report = check_submission(files, plan, advance=bar.advance)
-    if arguments.json:
-        print(json.dumps(plain_report(report)))
+    asked = asked_or_problems(files, arguments.protocol, arguments.split)
+    if isinstance(asked, tuple):
+        protocol, split = asked
+        plan = plan_views(mirror.open(arguments.truth), load_protocol(protocol), split)
+        with progress_bar(quiet=arguments.json) as bar:
+            bar.start("files", len(plan.views))
+            report = check_submission(files, plan, advance=bar.advance)
     else:
-        print_report(report, arguments.submission)
-    return ExitCode.FINDINGS if report.problems else ExitCode.DONE
+        report = asked
+    return say_report(report, arguments.submission, as_json=arguments.json)
 
 
 def _hidden(arguments: Hidden) -> int:
@@ -148,6 +148,27 @@ def _hidden(arguments: Hidden) -> int:
     said = {"out": str(arguments.out), "pictures": count}
     print(json.dumps(said) if arguments.json else f"{count} true pictures in {arguments.out}: keep them to yourself")
     return ExitCode.DONE
+
+
+def asked_or_problems(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str] | CheckReport:
+    """Protocol and split of a submission, or what is wrong with one that does not say them."""
+    from mirror.evaluation.submission.check import check_unasked
+    from mirror.evaluation.submission.manifest import asked_of
+    from mirror.evaluation.submission.untrusted import UntrustedError
+
+    try:
+        return asked_of(files, protocol, split)
+    except UntrustedError as error:
+        return check_unasked(files, error)
+
+
+def say_report(report: CheckReport, submission: Path, *, as_json: bool) -> ExitCode:
+    """Print a check's report, and give the exit code that it means."""
+    if as_json:
+        print(json.dumps(plain_report(report)))
+    else:
+        print_report(report, submission)
+    return ExitCode.FINDINGS if report.problems else ExitCode.DONE
 
 
 def plain_report(report: CheckReport) -> dict[str, object]:
@@ -171,8 +192,11 @@ def print_report(report: CheckReport, submission: Path) -> None:
             print(f"  {_printable(problem.path)}: {_printable(problem.message)}")
         if len(problems) > _SHOWN:
             print(f"  ... and {len(problems) - _SHOWN} more; --json lists all")
-    verdict = "nothing is wrong" if not report.problems else f"{len(report.problems)} problems"
-    print(f"{submission}: {report.present} of {report.expected} expected files are there; {verdict}")
+    count = len(report.problems)
+    verdict = f"{count} problem{'s' * (count != 1)}" if count else "nothing is wrong"
+    # Without a manifest nobody knows what is expected.
+    there = f"{report.present} of {report.expected} expected files are there; " if report.expected else ""
+    print(f"{submission}: {there}{verdict}")
 
 
 def _printable(text: str) -> str:

@@ -111,9 +111,12 @@ def _unavailable(result: Result) -> Iterable[str]:
 def _table(figures: Sequence[Figure], *, keyed: bool) -> str:
     head = ["group", *(["of"] if keyed else []), "metric", "n:value", "n:low", "n:high", "n:n", "note"]
     rows = []
+    reasons: dict[str, int] = {}
     for figure in figures:
         digits = 2 if figure.unit == "dB" else 4
-        numbers = ("" if value is None else f"{value:.{digits}f}" for value in (figure.low, figure.high))
+        numbers = ["" if value is None else f"{value:.{digits}f}" for value in (figure.low, figure.high)]
+        if figure.low is None and figure.interval_reason is not None:
+            numbers = [f"[{reasons.setdefault(figure.interval_reason, len(reasons) + 1)}]", ""]
         value = "none" if figure.value is None else f"{figure.value:.{digits}f} {figure.unit}".strip()
         notes = [figure.note, figure.reason]
         notes += [f"{figure.n_inf} equal to the truth" if figure.n_inf else None]
@@ -121,7 +124,8 @@ def _table(figures: Sequence[Figure], *, keyed: bool) -> str:
         note = "; ".join(part for part in notes if part)
         own = [figure.group, *([figure.key] if keyed else []), figure.metric, value, *numbers, str(figure.n), note]
         rows.append([escape(cell) for cell in own])
-    return html_table(head, rows)
+    feet = (f'<p class="dim">[{number}] no interval: {escape(why)}</p>' for why, number in reasons.items())
+    return html_table(head, rows) + "".join(feet)
 
 
 def _by_part(result: Result) -> Iterable[str]:

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 
 import mirror
 from mirror.errors import UsageError
+from mirror.evaluation.extractors import extractor_of
 from mirror.evaluation.progress import Progress, Silent
 from mirror.evaluation.protocol import Protocol
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
@@ -26,6 +27,7 @@ from mirror.evaluation.scorers.scorer import STAND_IN, Scored
 from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import open_untrusted
+from mirror.evaluation.truth.hidden import require_hidden
 from mirror.evaluation.views import Plan, plan_views
 from mirror.evaluation.workers import Log, score_jobs
 from mirror.schema.files import write_bytes, write_json
@@ -35,6 +37,8 @@ from mirror.weights.resolve import WeightResolver
 
 WORK: Final = "work"
 _PACKAGES: Final = ("numpy", "opencv-contrib-python-headless", "scipy", "torch", "numba", "pyarrow")
+DEFAULT_EXTRACTOR: Final = "diff-grabcut"
+_EDITING: Final = "editing-accuracy"
 _NO_TORCH: Final = "torch is not installed: pip install 'mirror-dataset[models]'"
 
 
@@ -48,7 +52,7 @@ class Options:
         stand_ins: other metrics are computed in place of those that cannot be had, under their own names.
         workers: processes.
         resolver: finds weights.
-        extractor: of edited regions.
+        extractor: of edited regions; None: `DEFAULT_EXTRACTOR` where the protocol has some.
         measured: an installed method and the folder of its model, whose speed is measured; None: none is.
         features: folder of cached features; None: under the output folder.
     """
@@ -58,7 +62,7 @@ class Options:
     stand_ins: bool = False
     workers: int = 2
     resolver: WeightResolver = field(default_factory=WeightResolver)
-    extractor: str = "diff-grabcut"
+    extractor: str | None = None
     measured: tuple[str, Path] | None = None
     features: Path | None = None
 
@@ -105,7 +109,9 @@ def evaluate(
         progress: told what goes on.
 
     Raises:
-        UsageError: a required metric cannot be had, there is no such metric, or `out` is a file.
+        UsageError: a required metric cannot be had, there is no such metric, weights that are named explicitly are not
+            those, hidden truth or an extractor is asked for and not given or given and not asked for, or `out` is a
+            file.
         DatasetError: the truth is incomplete, or the results cannot be written.
         UntrustedError: the submission is refused as a whole.
     """
@@ -114,11 +120,14 @@ def evaluate(
         raise UsageError("a file, not a folder", file=out, remedy="name another folder for the results")
     dataset = mirror.open(truth)
     plan = plan_views(dataset, protocol, split)
+    _require_fitting(plan, options)
     files = open_untrusted(submission)
     progress.start("checking", len(plan.views))
     check = check_submission(files, plan, advance=progress.advance)
     if check.problems or check.manifest is None:
         return Evaluation(plan, check)
+    if options.hidden is not None:
+        require_hidden(options.hidden, plan)
     available = _availability(plan, check.manifest, options)
     unavailable = available.unavailable
     _require(options.require, protocol, unavailable)
@@ -133,7 +142,7 @@ def evaluate(
         unavailable=unavailable,
         stand_ins=available.stand_ins,
         features=options.features or out / WORK / "features",
-        extractor=options.extractor,
+        extractor=options.extractor or DEFAULT_EXTRACTOR,
         measured=options.measured,
     )
     scorer = scorer_of(protocol.task)
@@ -162,7 +171,7 @@ def evaluate(
         unavailable=unavailable,
         weights=available.weights,
         versions=_versions(),
-        options={"extractor": options.extractor} if protocol.task == "editing-accuracy" else {},
+        options={"extractor": inputs.extractor} if protocol.task == _EDITING else {},
         warnings=tuple(_warnings(plan, check.manifest, available)),
     )
     write_bytes(out / IMAGES, _table(outcome.scored, protocol))
@@ -181,7 +190,7 @@ class _Availability:
 
 def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) -> _Availability:
     scorer = scorer_of(plan.protocol.task)
-    unavailable = dict(scorer.unavailable(plan, manifest, options.hidden))
+    unavailable = dict(scorer.unavailable(plan, manifest))
     lacking = set(unavailable)
     weights: dict[str, str] = {}
     stand_ins: list[str] = []
@@ -190,6 +199,9 @@ def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) ->
         # Who lacks more than weights has nothing to compute a stand-in of either.
         if original in lacking or (not asked and (not options.stand_ins or original not in unavailable)):
             continue
+        for name in names:
+            if name in options.resolver.paths:
+                _require_weights(options.resolver, name)
         try:
             found = {name: options.resolver.resolve(name).sha256 for name in names}
         except WeightsUnavailableError as error:
@@ -202,6 +214,32 @@ def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) ->
         elif asked:
             unavailable[metric] = _NO_TORCH
     return _Availability(unavailable, tuple(stand_ins), weights)
+
+
+def _require_fitting(plan: Plan, options: Options) -> None:
+    """What is given is what the protocol uses, and what it cannot do without is given."""
+    name, needed = plan.protocol.name, scorer_of(plan.protocol.task).needs_hidden(plan)
+    if needed and options.hidden is None:
+        raise UsageError(
+            f"nobody recorded the pictures of moved cameras that protocol {name} asks for",
+            place="--hidden",
+            expected="the folder of an organiser's true pictures",
+            remedy="of a synthetic street `mirror submission hidden` renders them",
+        )
+    if not needed and options.hidden is not None:
+        raise UsageError(f"protocol {name} has recorded truth, and uses no other", place="--hidden", expected="nothing")
+    if options.extractor is not None:
+        if plan.protocol.task != _EDITING:
+            raise UsageError(f"protocol {name} extracts no regions", place="--extractor", expected="nothing")
+        extractor_of(options.extractor)
+
+
+def _require_weights(resolver: WeightResolver, name: str) -> None:
+    """Who names a file means that file: another one is a mistake, and not a metric that cannot be had."""
+    try:
+        resolver.resolve(name)
+    except WeightsUnavailableError as error:
+        raise UsageError(error.problem, file=error.file, place=f"--weights {name}", expected=error.expected) from error
 
 
 def _require(required: Sequence[str], protocol: Protocol, unavailable: Mapping[str, str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
@@ -42,7 +43,7 @@ _PSNR = '[[metrics]]\nmetric = "psnr"\n'
 _SSIM = '[[metrics]]\nmetric = "ssim"\npreset = "gaussian11"\nmask = "map"\n'
 
 
-def small(
+def small_text(
     *,
     task: str = "reconstruction",
     groups: str = '[[groups]]\nname = "novel"\nroles = ["held_out"]\n',
@@ -51,10 +52,14 @@ def small(
     width: int = 120,
     metrics: str = _PSNR + _SSIM,
     block: int = 1,
-) -> Protocol:
+) -> str:
+    """A protocol of few pictures, as TOML."""
+    return _TEXT.format(task=task, groups=groups, every=every, space=space, width=width, metrics=metrics, block=block)
+
+
+def small(**changes: Any) -> Protocol:
     """A protocol of few pictures."""
-    text = _TEXT.format(task=task, groups=groups, every=every, space=space, width=width, metrics=metrics, block=block)
-    return parse_protocol(text.encode(), "small.toml")
+    return parse_protocol(small_text(**changes).encode(), "small.toml")
 
 
 def write_renders(

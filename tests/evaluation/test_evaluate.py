@@ -97,6 +97,8 @@ def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, fol
     figure = next(one for one in done.result.figures if one.metric == "psnr" and one.level == "group")
     assert figure.value == pytest.approx(np.mean([np.mean(values) for values in traversals.values()]))
     assert figure.n == len(rows)
+    pooled = next(one for one in done.result.figures if one.metric == "psnr_pooled")
+    assert (pooled.n, pooled.n_missing) == (figure.n, figure.n_missing)
     assert done.result == read_result(tmp_path)
     assert read_result(tmp_path).hash == done.result.hash
 
@@ -204,10 +206,12 @@ def test_the_verbs(
     assert "&lt;b&gt;3&lt;/b&gt;" in page
     assert page.count("data:image/jpeg") % 3 == 0
     assert "worst" in page
+    assert "[1] no interval: fewer than 5 blocks" in page
     assert main(["evaluate", str(tmp_path / "s9"), *words]) == 0
     text = capsys.readouterr().out
     assert "psnr" in text
     assert "unavailable" in text
+    assert "no interval: fewer than 5 blocks" in text
     assert main(["evaluate", str(tmp_path / "s9"), *words, "--require", "lpips"]) in (0, 2)
     capsys.readouterr()
     assert main(["compare", str(tmp_path / "s3-results"), str(tmp_path / "s9-results"), "--json"]) == 0

@@ -20,7 +20,7 @@ from mirror.evaluation.submission.template import expected_files, write_template
 from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted
 from mirror.evaluation.truth.source import TruthSource
 from mirror.evaluation.views import Plan, plan_views
-from tests.evaluation.submissions import SPLIT, small, write_renders
+from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +76,7 @@ def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path:
     manifest["plan_hash"] = "0" * 64
     (broken / "manifest.json").write_text(json.dumps(manifest))
     report = check_submission(open_untrusted(broken), plan)
+    assert report.problems[0].kind == "manifest"
     found = {(problem.kind, problem.path) for problem in report.problems}
     assert found == {
         ("missing", paths[0]),
@@ -156,6 +157,29 @@ def test_the_verb(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main(["submission", "old"]) == 2
     assert main(["submission", "new", str(root), "--protocol", "safety", "--split", SPLIT, "--out", str(out)]) == 2
     assert "reserved" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", [["submission", "check"], ["evaluate"]])
+def test_an_unreadable_manifest_hides_no_other_problem(
+    whole: tuple[Plan, Path], root: Path, tmp_path: Path, verb: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, folder = whole
+    shutil.copytree(folder, tmp_path / "s")
+    (tmp_path / "s" / "manifest.json").write_text("{")
+    (tmp_path / "s" / "link").symlink_to("/")
+    words = [*verb, str(tmp_path / "s"), "--truth", str(root), "--json"]
+    assert main(words) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert [problem["kind"] for problem in said["problems"]] == ["manifest", "refused"]
+    assert "--protocol and --split" in said["problems"][0]["message"]
+    (tmp_path / "s" / plan.views[0].path).unlink()
+    protocol = tmp_path / "small.toml"
+    protocol.write_text(small_text())
+    assert main([*words, "--protocol", str(protocol), "--split", SPLIT]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert [problem["kind"] for problem in said["problems"]] == ["manifest", "refused", "missing"]
+    assert main(words[:-1]) == 1
+    assert "2 problems" in capsys.readouterr().out
 
 
 def test_fitted_appearance_names_its_pixels() -> None:

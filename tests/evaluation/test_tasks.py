@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, MirrorError, UsageError
 from mirror.evaluation import methods
 from mirror.evaluation.extractors import extractor_of
 from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
-from mirror.evaluation.protocol import load_protocol
-from mirror.evaluation.run import Options, evaluate
+from mirror.evaluation.protocol import Protocol, load_protocol
+from mirror.evaluation.run import Evaluation, Options, evaluate
 from mirror.evaluation.scorers import distributions
 from mirror.evaluation.scorers import runtime as runtime_scorer
 from mirror.evaluation.scorers.distributions import clips_of
@@ -25,10 +27,13 @@ from mirror.evaluation.scorers.editing_accuracy import target_hull
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.png import encode_png
 from mirror.evaluation.submission.template import expected_files, manifest_for, write_manifest
+from mirror.evaluation.truth import synthetic
+from mirror.evaluation.truth.hidden import HIDDEN, HiddenDocument, hidden_document
 from mirror.evaluation.truth.synthetic import write_hidden_truth
 from mirror.evaluation.views import View, plan_views
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.metrics.features.frechet import frechet_distance
+from mirror.schema.files import read_json, write_json
 from tests.evaluation.submissions import SPLIT, small, write_renders
 
 ALONE = Options(workers=1)
@@ -43,9 +48,8 @@ def test_hidden_truth_is_the_street_from_beside(dataset: Dataset, root: Path, tm
     # Renders that copy what was recorded: right where nothing is moved, wrong two metres aside.
     plan = write_renders(dataset, protocol, tmp_path / "s")
     assert write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden") == len(plan.views)
-    bare = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "bare", ALONE)
-    assert bare.result is not None
-    assert set(bare.result.unavailable) == {"psnr", "ssim"}
+    said = read_json(tmp_path / "hidden" / HIDDEN, HiddenDocument)
+    assert (said.preset, said.seed, said.plan_hash) == ("tiny", 0, plan.hash)
     done = evaluate(
         tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, hidden=tmp_path / "hidden")
     )
@@ -60,6 +64,62 @@ def test_hidden_truth_is_the_street_from_beside(dataset: Dataset, root: Path, tm
     assert psnr["left-2m"] is not None
     # What is left are noise, blur, JPEG and calibration errors.
     assert psnr["here"] > 28.0 > 24.0 > psnr["left-2m"]
+
+
+@pytest.mark.parametrize(("preset", "seed"), [("tiny", 1), ("quick", 0), ("demo", 0)])
+def test_hidden_truth_of_another_street_is_refused(dataset: Dataset, preset: str, seed: int, tmp_path: Path) -> None:
+    plan = plan_views(dataset, small(task="lane-shift", groups=SHIFTS, every=12), SPLIT)
+    with pytest.raises(MirrorError, match="preset"):
+        write_hidden_truth(dataset, plan, preset, seed, tmp_path / "hidden")
+    assert not (tmp_path / "hidden").exists()
+
+
+def test_another_look_at_the_same_instants_is_noticed(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another preset may have the same drives and stamps: what its pictures show decides."""
+    rendered = synthetic._rendered
+    monkeypatch.setattr(synthetic, "_rendered", lambda *words: np.flip(rendered(*words), axis=1))
+    plan = plan_views(dataset, small(task="lane-shift", groups=SHIFTS, every=12), SPLIT)
+    with pytest.raises(DatasetError, match=r"is not what was recorded \(\d+\.\d dB\)"):
+        write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden")
+
+
+def test_hidden_truth_is_given_where_it_is_needed_and_is_not_the_submission_s_fault(
+    dataset: Dataset, root: Path, tmp_path: Path
+) -> None:
+    protocol = small(task="lane-shift", groups=SHIFTS, every=12)
+    plan = write_renders(dataset, protocol, tmp_path / "s")
+    hidden, out = tmp_path / "hidden", tmp_path / "out"
+    shutil.copytree(tmp_path / "s" / "renders", hidden / "renders")
+
+    def scored(name: str, protocol: Protocol, **options: Any) -> Evaluation:
+        return evaluate(tmp_path / name, root, protocol, SPLIT, out, Options(workers=1, **options))
+
+    assert scored("s", protocol, hidden=hidden).result is not None
+    with pytest.raises(UsageError, match="nobody recorded"):
+        scored("s", protocol)
+    with pytest.raises(UsageError, match="no such folder"):
+        scored("s", protocol, hidden=tmp_path / "none")
+    with pytest.raises(DatasetError, match=f"{len(plan.views)} of {len(plan.views)} true pictures.*not at fault"):
+        scored("s", protocol, hidden=tmp_path)
+    first = hidden / plan.views[0].path
+    whole = first.read_bytes()
+    for data, words in ((whole[:-20], "broken"), (encode_png(np.zeros((7, 11, 3), np.uint8)), "11 x 7 px")):
+        first.write_bytes(data)
+        with pytest.raises(DatasetError, match=f"1 of {len(plan.views)} true pictures.*{words}") as caught:
+            scored("s", protocol, hidden=hidden)
+        assert caught.value.file == str(first)
+    first.write_bytes(whole)
+    document = hidden_document(plan, "tiny", 0).model_copy(update={"plan_hash": "00" * 32})
+    write_json(hidden / HIDDEN, document)
+    with pytest.raises(UsageError, match="truth of other views"):
+        scored("s", protocol, hidden=hidden)
+    write_renders(dataset, small(), tmp_path / "plain")
+    with pytest.raises(UsageError, match="recorded truth"):
+        scored("plain", small(), hidden=hidden)
+    with pytest.raises(UsageError, match="extracts no regions"):
+        scored("plain", small(), extractor="file:/nope")
 
 
 class Colours:

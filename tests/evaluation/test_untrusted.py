@@ -129,6 +129,9 @@ def test_broken_zips_and_others(tmp_path: Path) -> None:
     with archive(tmp_path / "s.zip") as file:
         file.writestr("a.png", os.urandom(5000))
     data = bytearray((tmp_path / "s.zip").read_bytes())
+    (tmp_path / "cut.zip").write_bytes(data[:3000])
+    with pytest.raises(UntrustedError, match="a zip that is cut off"):
+        open_untrusted(tmp_path / "cut.zip")
     data[2000] ^= 1
     (tmp_path / "s.zip").write_bytes(bytes(data))
     with pytest.raises(UntrustedError):

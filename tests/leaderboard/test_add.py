@@ -43,7 +43,7 @@ def result() -> dict[str, Any]:
             # Traversals count alike: (20 + 22) / 2 and 24.
             {**SHARED, "group": "training", "value": 22.5, "n": 3, "low": 20.0, "high": 25.0},
             {**SHARED, "group": "training", "value": 24.0, "n": 1, "level": "traversal", "key": "two"},
-            {**SHARED, "group": "novel", "value": 11.0, "n": 4, "n_inf": 1, "n_missing": 1},
+            {**SHARED, "group": "novel", "value": 11.0, "n": 4, "n_inf": 1, "n_missing": 1, "interval_reason": "few"},
             {**SHARED, "group": "novel", "metric": "psnr_pooled", "value": 11.2, "n": 3},
         ],
         "unavailable": {"lpips_alex": "alexnet is not there; get it somewhere"},
@@ -90,6 +90,8 @@ def test_a_sound_result_stands_on_the_board(folder: Path, board: Path) -> None:
     assert (figures["novel", "psnr"].n_infinite, figures["novel", "psnr"].n_missing) == (1, 1)
     assert figures["novel", "lpips_alex"].value is None
     assert figures["novel", "lpips_alex"].note == "unavailable: alexnet is not there"
+    assert figures["novel", "psnr"].note == "no interval: few"
+    assert figures["training", "psnr"].note is None
     assert ("novel", "psnr_pooled") not in figures
     assert entry.frames_per_second == 50.0
     assert entry.notes == ("a warning",)

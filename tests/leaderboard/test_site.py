@@ -111,6 +111,13 @@ def test_no_entries_at_all(tmp_path: Path) -> None:
     assert "0 entries" in build_site([], [tmp_path], tmp_path / "site").read_text()
 
 
+def test_what_nobody_has_is_said_and_has_no_column(tmp_path: Path) -> None:
+    text = build_site([measured("a", 20.0, pairs=())], [], tmp_path / "site").read_text()
+    assert "LPIPS alex: unavailable: alexnet" in text
+    assert '">LPIPS alex' not in text
+    assert '"dim">n/a' not in text
+
+
 def test_plot_needs_time_and_value(tmp_path: Path) -> None:
     slow = measured("a", 20.0, pairs=(), frames_per_second=None)
     assert "<svg" not in build_site([slow], [tmp_path], tmp_path / "a").read_text()
@@ -128,6 +135,15 @@ def test_nothing_overflows_or_complains(browser: Browser, board: Path, tmp_path:
     browser.script("document.querySelectorAll('img').forEach(image => { image.loading = 'eager' })")
     loaded = "Promise.all([...document.images].map(one => one.decode().then(() => one.naturalWidth)))"
     assert all(size == 480 for size in browser.script(loaded))
+
+
+def test_no_table_is_wider_than_a_window(browser: Browser, tmp_path: Path) -> None:
+    """The shipped board, whose widest protocol asks for six groups of three metrics, without scrolling sideways."""
+    browser.open(build([REPOSITORY / "leaderboard"], tmp_path / "site"), width=1280)
+    wide = "[...document.querySelectorAll('.scroll')].filter(one => one.scrollWidth > one.clientWidth)"
+    assert browser.script(f"{wide}.map(one => one.getAttribute('aria-label'))") == []
+    heads = "[...document.querySelectorAll('table.board th.group')].map(one => one.textContent)"
+    assert {"3 m right", "1 m right", "1 m left", "3 m left"} <= set(browser.script(heads))
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -178,7 +194,7 @@ def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
     browser.script(f"{HEADS}[0].click()")
     assert browser.script(METHODS) == sorted(best)
     browser.script(f"{HEADS}[5].click()")
-    assert browser.script(METHODS) == sorted(best)
+    assert browser.script(METHODS) == ["mean_color", "hybridworldsim", "nearest_frame"]
 
 
 def test_heads_sort_by_keyboard(browser: Browser, board: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
@@ -73,11 +72,15 @@ class Annotation:
 
     version = 1
 
+    def needs_hidden(self, plan: Plan) -> bool:
+        """Not here."""
+        return False
+
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """No weights."""
         return {}
 
-    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
         """Nothing else is needed."""
         return {}
 

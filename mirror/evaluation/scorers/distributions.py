@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -37,6 +36,10 @@ class Distributions:
 
     version = 1
 
+    def needs_hidden(self, plan: Plan) -> bool:
+        """Not here."""
+        return False
+
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """The networks' weights."""
         return {
@@ -44,7 +47,7 @@ class Distributions:
             for metric in plan.protocol.metrics
         }
 
-    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
         """Clips that are too short for the protocol."""
         found = {}
         for metric in plan.protocol.metrics:

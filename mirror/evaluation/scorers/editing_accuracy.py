@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -37,11 +36,15 @@ class EditingAccuracy:
 
     version = 1
 
+    def needs_hidden(self, plan: Plan) -> bool:
+        """Not here."""
+        return False
+
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """No weights of the table: an extractor has its own."""
         return {}
 
-    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
         """Nothing else is needed."""
         return {}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mirror.arrays import Bool, UInt8
@@ -24,7 +23,6 @@ from mirror.metrics.score import EMPTY_MASK, Score
 if TYPE_CHECKING:
     from mirror.metrics.features.perceptual import PerceptualDistance
 
-_NO_HIDDEN: Final = "nobody recorded pictures of moved cameras: give the organiser's with --hidden FOLDER"
 _MEASURES: Final = {
     "psnr": Measure("psnr", "dB", "higher"),
     "psnr_cc": Measure("psnr_cc", "dB", "higher"),
@@ -37,6 +35,10 @@ class Reconstruction:
 
     version = 1
 
+    def needs_hidden(self, plan: Plan) -> bool:
+        """Pictures of moved cameras were not recorded."""
+        return any(group.ego_shift_m for group in plan.protocol.groups)
+
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """LPIPS needs its trunk and heads, ST-LPIPS a file of its own."""
         found: dict[str, tuple[str, ...]] = {}
@@ -47,10 +49,9 @@ class Reconstruction:
                     found[_stand_in(metric)] = (f"st-lpips-{metric.net}",)
         return found
 
-    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
-        """Pictures of moved cameras were not recorded: they are an organiser's, or there are none."""
-        moved = any(group.ego_shift_m for group in plan.protocol.groups)
-        return dict.fromkeys(plan.protocol.metric_names, _NO_HIDDEN) if moved and hidden is None else {}
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
+        """Nothing else is needed."""
+        return {}
 
     def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
         """One a view."""
@@ -170,7 +171,7 @@ def _pooled(group: str, scored: Sequence[Scored]) -> Figure:
         reason=reason,
         unit="dB",
         better="higher",
-        n=len(known),
+        n=len(scored),
         n_missing=len(scored) - len(known),
         interval_reason="not resampled",
     )

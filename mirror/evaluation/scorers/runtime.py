@@ -30,11 +30,15 @@ class Runtime:
 
     version = 1
 
+    def needs_hidden(self, plan: Plan) -> bool:
+        """Not here."""
+        return False
+
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """No weights."""
         return {}
 
-    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
         """What the manifest does not state."""
         return {name: _HOW for name in plan.protocol.metric_names if reported(manifest.runtime, name) is None}
 

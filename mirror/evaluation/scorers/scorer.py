@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final, Protocol, TypeAlias
 
 from mirror.evaluation.result import Figure
@@ -52,13 +51,16 @@ class Scorer(Protocol):
     version: int
     """Counted up when values change: what was scored before is scored again."""
 
+    def needs_hidden(self, plan: Plan) -> bool:
+        """Whether nobody recorded the truth of the views, so that it is an organiser's."""
+
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Names of the weights that each metric needs; a metric that needs none may be left out.
 
         A name that begins with `STAND_IN` is of another metric, which stands in where the one behind it cannot be had.
         """
 
-    def unavailable(self, plan: Plan, manifest: SubmissionManifest, hidden: Path | None) -> Mapping[str, str]:
+    def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
         """Metrics that cannot be had for another reason than weights, and how to get them."""
 
     def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:

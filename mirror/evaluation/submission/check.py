@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from mirror.evaluation.submission.manifest import MANIFEST, SubmissionManifest, read_manifest
 from mirror.evaluation.submission.png import most_bytes, problem_of_png, raster_of_png
@@ -20,7 +20,8 @@ MOST_TABLE_BYTES: Final = 64 << 20
 _THREADS: Final = 2
 _OWN: Final = {MANIFEST, VIEWS, README}
 
-Kind = Literal["manifest", "missing", "extra", "refused", "wrong size", "corrupt"]
+Kind = Literal["manifest", "refused", "missing", "wrong size", "corrupt", "extra"]
+"""In the order in which problems are listed: causes before what follows from them."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,21 @@ def check_submission(
                 problems.append(found)
             else:
                 digest.update(json.dumps([path, found]).encode())
-    problems.sort(key=lambda problem: (problem.kind, problem.path))
+    order = get_args(Kind)
+    problems.sort(key=lambda problem: (order.index(problem.kind), problem.path))
     return CheckReport(len(expected), len(there), tuple(problems), manifest, digest.hexdigest())
+
+
+def check_unasked(files: UntrustedFiles, error: UntrustedError) -> CheckReport:
+    """What can be said of a submission that does not say what it answers: nothing is known to be expected.
+
+    Args:
+        files: the submission.
+        error: why its manifest does not say.
+    """
+    problems = [Problem("manifest", MANIFEST, _without_file(error))]
+    problems += [Problem("refused", path, why) for path, why in sorted(files.refused.items())]
+    return CheckReport(0, 0, tuple(problems), None, "")
 
 
 def _answers(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:

@@ -13,6 +13,8 @@ MANIFEST: Final = "manifest.json"
 MOST_MANIFEST_BYTES: Final = 1 << 20
 FORMAT_VERSION: Final = "1.0"
 
+_NAME_THEM: Final = "to have the rest checked all the same, name --protocol and --split"
+
 # Names and notes are printed: what steers a terminal, or turns the direction of text, has no place in them.
 _STEERING: Final = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"
 Text = Annotated[str, Field(max_length=2000, pattern=rf"^[^{_STEERING}]*$")]
@@ -138,14 +140,20 @@ def asked_of(files: UntrustedFiles, protocol: str | None, split: str | None) -> 
     """
     if protocol is not None and split is not None:
         return protocol, split
-    raw = _raw(files)
+    try:
+        raw = _raw(files)
+    except UntrustedError as error:
+        remedy = f"{error.remedy}; {_NAME_THEM}" if error.remedy else _NAME_THEM
+        raise UntrustedError(
+            error.problem, file=error.file, place=error.place, expected=error.expected, remedy=remedy
+        ) from error
     said = [raw.get(key) if isinstance(raw, dict) else None for key in ("protocol", "split")]
     for key, value in zip(("protocol", "split"), said):
         if not isinstance(value, str) or not is_identifier(value):
             raise UntrustedError(
                 f"does not say its {key}",
                 file=f"{files.where}: {MANIFEST}",
-                remedy="name it with --protocol and --split",
+                remedy=_NAME_THEM,
             )
     return protocol or str(said[0]), split or str(said[1])
 

@@ -19,6 +19,7 @@ MOST_ENTRIES: Final = 2_000_000
 _MOST_DEPTH: Final = 16
 _MOST_RATIO: Final = 200
 _RATIO_FROM_BYTES: Final = 1 << 20
+_ZIP: Final = b"PK\x03\x04"
 
 
 class UntrustedError(MirrorError):
@@ -49,8 +50,16 @@ def open_untrusted(path: Path) -> UntrustedFiles:
     """
     if path.is_dir():
         return Folder(path)
-    if path.is_file() and zipfile.is_zipfile(path):
-        return Zip(path)
+    if path.is_file():
+        if zipfile.is_zipfile(path):
+            return Zip(path)
+        with path.open("rb") as file:
+            if file.read(len(_ZIP)) == _ZIP:
+                raise UntrustedError(
+                    "a zip that is cut off: the list of its files, which is at its end, is missing",
+                    file=path,
+                    remedy="copy it again, or pack it again",
+                )
     raise UsageError("neither a folder nor a zip", file=path, expected="a submission: renders and manifest.json")
 
 

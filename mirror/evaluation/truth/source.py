@@ -11,7 +11,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame, FrameSequence, Image
 from mirror.errors import DatasetError
 from mirror.evaluation.protocol import Protocol
-from mirror.evaluation.submission.png import decode_render
+from mirror.evaluation.submission.png import RenderError, decode_render
 from mirror.evaluation.truth.raster import raster_of
 from mirror.evaluation.truth.scored import scored_pixels
 from mirror.evaluation.views.view import View
@@ -42,7 +42,13 @@ class TruthSource:
             DatasetError: it is missing or broken.
         """
         if self._hidden is not None:
-            return decode_render(_read_hidden(self._hidden, view), view.width_px, view.height_px, view.path)
+            try:
+                return decode_render(_read_hidden(self._hidden, view), view.width_px, view.height_px, view.path)
+            except RenderError as error:
+                # Not the submission's fault.
+                raise DatasetError(
+                    f"the true picture is broken ({error.problem})", file=self._hidden / view.path, place="--hidden"
+                ) from error
         _, image = self.recorded(view)
         return raster_of(image.camera_model, self._protocol.pixels).picture(image.decode())
 

@@ -16,7 +16,7 @@ from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.scene.settings import Settings
 from hybridworldsim.scene.street import Street
 from hybridworldsim.training.viewpoint import Source
-from mirror.arrays import Float64
+from mirror.arrays import Float64, UInt8
 
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 _LOWEST = -0.05
@@ -34,6 +34,8 @@ class Initial:
         ground: height and unit normal of the ground at (N, 2) places: (N,), (N, 3).
         radius_m: of the block.
         sources: whose pictures it is trained on.
+        points_rgb: (P, 3) colours of the background's points, where they are known. A street reads colours from codes
+            and has no use for them; explicit Gaussians begin with them.
     """
 
     points_m: Float64
@@ -42,6 +44,7 @@ class Initial:
     ground: Callable[[Float64], tuple[Float64, Float64]]
     radius_m: float
     sources: Sequence[Source]
+    points_rgb: UInt8 | None = None
 
 
 def street_of(initial: Initial, settings: Settings) -> Street:
@@ -54,8 +57,10 @@ def street_of(initial: Initial, settings: Settings) -> Street:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         background = _background(initial, settings)
-        ground = CodeGaussians(_ground(initial, settings), settings.plain_code, settings.latent, settings.hidden)
-        sky = CodeGaussians(_sky(initial, settings), settings.plain_code, settings.latent, settings.hidden)
+        on_ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m)
+        in_sky = sky_seeds(initial, settings.sky_count, settings.sky_radius, settings.far_count)
+        ground = CodeGaussians(on_ground, settings.plain_code, settings.latent, settings.hidden)
+        sky = CodeGaussians(in_sky, settings.plain_code, settings.latent, settings.hidden)
         return Street(background, ground, sky, Appearance(initial.sources, settings.latent))
 
 
@@ -74,7 +79,7 @@ def _background(initial: Initial, settings: Settings) -> Anchors:
     points = thinned(initial.points_m, settings.first_spacing_m, settings.first_anchors)
     return Anchors(
         torch.from_numpy(points.astype(np.float32)),
-        torch.from_numpy(_spacing(points, settings.first_spacing_m).astype(np.float32)),
+        torch.from_numpy(spacing(points, settings.first_spacing_m).astype(np.float32)),
         initial.radius_m,
         offsets=settings.offsets,
         code=settings.code,
@@ -83,16 +88,22 @@ def _background(initial: Initial, settings: Settings) -> Anchors:
     )
 
 
-def _spacing(points: Float64, least_m: float) -> Float64:
-    """(N,) root of the mean square distance to the three nearest others."""
+def spacing(points: Float64, least_m: float) -> Float64:
+    """(N,) root of the mean square distance to the three nearest others, metres, from half the least to five times."""
     if len(points) < 4:
         return np.full(len(points), least_m)
     distances, _ = cKDTree(points).query(points, k=4)
     return np.clip(np.sqrt((distances[:, 1:] ** 2).mean(axis=1)), 0.5 * least_m, 5.0 * least_m)
 
 
-def _ground(initial: Initial, settings: Settings) -> Seeds:
-    step, reach = settings.ground_spacing_m, settings.ground_reach_m
+def ground_seeds(initial: Initial, step: float, reach: float) -> Seeds:
+    """Flat Gaussians on the ground.
+
+    Args:
+        initial: what is known.
+        step: of their grid, metres.
+        reach: how far from a driven line, metres.
+    """
     driven = initial.driven_m[:, :2]
     low, high = driven.min(axis=0) - reach, driven.max(axis=0) + reach
     axes = [np.arange(start, end, step) for start, end in zip(low, high)]
@@ -106,8 +117,16 @@ def _ground(initial: Initial, settings: Settings) -> Seeds:
     return _seeds(means, _from_z(normals), scales, 0.9)
 
 
-def _sky(initial: Initial, settings: Settings) -> Seeds:
-    count, radius = settings.sky_count, settings.sky_radius * initial.radius_m
+def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> Seeds:
+    """Flat Gaussians on a hemisphere round the block, and then round ones on the points beyond the block.
+
+    Args:
+        initial: what is known.
+        count: on the hemisphere.
+        radii: radius of the hemisphere, in block radii.
+        far_count: of the points beyond, at most.
+    """
+    radius = radii * initial.radius_m
     # Equal areas: heights are uniform on a sphere, turned by the golden angle.
     height = _LOWEST + (1.0 - _LOWEST) * (np.arange(count) + 0.5) / count
     around = _GOLDEN * np.arange(count)
@@ -115,8 +134,8 @@ def _sky(initial: Initial, settings: Settings) -> Seeds:
     directions = np.stack((wide * np.cos(around), wide * np.sin(around), height), axis=1)
     each = radius * np.sqrt(2.0 * np.pi * (1.0 - _LOWEST) / count)
     flat = np.tile((0.7 * each, 0.7 * each, _THIN * each), (count, 1))
-    far = thinned(initial.far_m, 2.0, settings.far_count)
-    distant = np.repeat(0.5 * _spacing(far, 2.0)[:, None], 3, axis=1)
+    far = thinned(initial.far_m, 2.0, far_count)
+    distant = np.repeat(0.5 * spacing(far, 2.0)[:, None], 3, axis=1)
     dome = _seeds(radius * directions, _from_z(directions), flat, 0.95)
     turned = np.tile((1.0, 0.0, 0.0, 0.0), (len(far), 1))
     return Seeds(

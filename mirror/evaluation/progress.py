@@ -1,4 +1,4 @@
-"""What an evaluation tells of how far it is."""
+"""What an evaluation or a training tells of how far it is."""
 
 from __future__ import annotations
 
@@ -15,6 +15,16 @@ class Progress(Protocol):
         """So many steps are done."""
 
 
+class Watch(Progress, Protocol):
+    """Told how it goes as well."""
+
+    def now(self, words: str) -> None:
+        """How it stands: shown beside the bar until the next."""
+
+    def say(self, words: str) -> None:
+        """A line that is worth keeping where no bar moves."""
+
+
 class Silent:
     """Nobody watches."""
 
@@ -22,4 +32,10 @@ class Silent:
         """Nothing."""
 
     def advance(self, steps: int) -> None:
+        """Nothing."""
+
+    def now(self, words: str) -> None:
+        """Nothing."""
+
+    def say(self, words: str) -> None:
         """Nothing."""

@@ -50,6 +50,11 @@ class StreetLearner:
         self._steps, self._refined = 0, 0
         self._first_anchors = len(background)
 
+    @property
+    def model(self) -> Street:
+        """See `Learner`."""
+        return self.street
+
     def step(self, picture: TrainingPicture, progress: float) -> StepReport:
         """Learn from one picture; see `Learner`."""
         settings, street = self.settings, self.street

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Final
 
@@ -82,6 +82,7 @@ class Pictures:
             torch.from_numpy(self._source.scored(view)),
             sky,
             depth_m,
+            view.path,
         )
 
 
@@ -100,7 +101,7 @@ def order(seed: int, count: int, first: int) -> Iterator[int]:
         epoch, place = epoch + 1, 0
 
 
-def stream(pictures: Pictures, views: Sequence[View], seed: int, first: int) -> Iterator[TrainingPicture]:
+def stream(pictures: Pictures, views: Sequence[View], seed: int, first: int) -> Generator[TrainingPicture, None, None]:
     """Training pictures without end, in the order of `order`; a thread opens the next ones meanwhile.
 
     Raises:

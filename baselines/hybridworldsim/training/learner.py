@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from torch import Tensor
+from torch import Tensor, nn
 
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.viewpoint import Viewpoint
@@ -44,6 +44,11 @@ class StepReport:
 
 class Learner(Protocol):
     """A model with its optimisers: one a method."""
+
+    @property
+    def model(self) -> nn.Module:
+        """What is learnt: its parameters are all that rendering needs."""
+        ...
 
     def step(self, picture: TrainingPicture, progress: float) -> StepReport:
         """Learn from one picture.

@@ -19,6 +19,7 @@ class TrainingPicture:
         scored: (H, W) bool: pixels that are the static street; not road users, the vehicle itself, or outside the lens.
         sky: (H, W) bool, or None where the dataset has no such mask.
         depth_m: (H, W) float32 camera z of multi-view stereo, 0 where unknown; None where the dataset has none.
+        name: for messages.
     """
 
     viewpoint: Viewpoint
@@ -26,6 +27,7 @@ class TrainingPicture:
     scored: Tensor
     sky: Tensor | None
     depth_m: Tensor | None
+    name: str = ""
 
     @property
     def bytes(self) -> int:

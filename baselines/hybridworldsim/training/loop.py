@@ -1,0 +1,255 @@
+"""The loop that trains every method: pictures in, checkpoints, curves and a model out."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from types import FrameType
+from typing import Final
+
+from torch import Tensor
+
+from hybridworldsim.training.budget import Budget, Clock
+from hybridworldsim.training.feed import Pictures, stream
+from hybridworldsim.training.learner import Learner, StepReport
+from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.run.checkpoint import Position, Sums
+from hybridworldsim.training.run.folder import Outcome, RunFolder
+from hybridworldsim.training.run.specimens import Specimen, write_specimens
+from mirror.errors import DatasetError
+from mirror.evaluation.progress import Silent, Watch
+from mirror.evaluation.views.view import View
+
+REPORTS: Final = 40
+"""Rows of the curves, at equal steps of progress."""
+
+_PICTURES_EVERY: Final = 10
+_THOUSAND: Final = 1000
+_LIVE: Final = 0.02
+_LEAST_MSE: Final = 1e-10
+_DIVERGED: Final = (
+    "look at the poses, masks and depth of the pictures; with smaller learning rates a new run may pass; "
+    "the last checkpoint stays as it is"
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a run is looked after; nothing of this changes what comes of it.
+
+    Attributes:
+        checkpoint_s: a checkpoint is written at the first step after so many seconds.
+        half: parameters are written in half precision.
+        specimens: pictures that are rendered as training goes on.
+        title: of the chart.
+    """
+
+    checkpoint_s: float = 30.0
+    half: bool = False
+    specimens: Sequence[Specimen] = ()
+    title: str = "training"
+
+
+def train(
+    learner: Learner,
+    pictures: Pictures,
+    views: Sequence[View],
+    budget: Budget,
+    folder: RunFolder,
+    *,
+    seed: int = 0,
+    options: Options | None = None,
+    watch: Watch | None = None,
+) -> Outcome:
+    """Train until the budget is spent; go on where an earlier call stopped.
+
+    Under a budget of steps and at one number of threads the model is the same however often it was interrupted.
+
+    Args:
+        learner: as it begins; it is taken to the checkpoint if there is one.
+        pictures: opens them.
+        views: what is trained on, at least one.
+        budget: how long.
+        folder: that the run began in.
+        seed: of the order of the pictures.
+        options: see `Options`.
+        watch: told how it goes.
+
+    Raises:
+        DatasetError: a picture is missing or broken, masks cover every one of them, or training came to numbers that
+            are none; the last checkpoint stays.
+        KeyboardInterrupt: after Ctrl-C, once a checkpoint is written.
+    """
+    options, watch = options or Options(), watch or Silent()
+    position = folder.resume(learner)
+    clock, wall = Clock(position.spent_s), _Wall(position.wall_s)
+    kept = time.monotonic()
+    watch.start("training", _THOUSAND)
+    told = 0
+    live: float | None = None
+    gaussians = 0
+    progress = budget.progress(position.steps, position.spent_s)
+    with _interruptible() as interrupted, closing(stream(pictures, views, seed, position.shown)) as coming:
+        while progress < 1.0:
+            picture = next(coming)
+            position = replace(position, shown=position.shown + 1)
+            if not picture.scored.any():
+                continue
+            _require_numbers(picture)
+            report = learner.step(picture, progress)
+            _require_learnt(report, picture, position.steps)
+            gaussians = report.gaussians
+            psnr = psnr_of(report.losses["rgb"])
+            live = psnr if live is None else live + _LIVE * (psnr - live)
+            position = replace(position, steps=position.steps + 1, sums=_added(position.sums, report, psnr))
+            progress = budget.progress(position.steps, clock.spent_s)
+            clock.pause()
+            wall.pause()
+            position = replace(position, spent_s=clock.spent_s, wall_s=wall.spent_s)
+            if int(progress * _THOUSAND) > told:
+                watch.now(f"{live:.2f} dB, loss {report.losses['rgb']:.5f}, {gaussians} Gaussians")
+                watch.advance(int(progress * _THOUSAND) - told)
+                told = int(progress * _THOUSAND)
+            if progress * REPORTS >= position.reports + 1 or progress >= 1.0:
+                position = _report(folder, position, progress, gaussians, learner, options, watch)
+            if interrupted.is_set() or time.monotonic() - kept > options.checkpoint_s:
+                _require_sound(learner, position)
+                folder.keep(learner, position)
+                kept = time.monotonic()
+            if interrupted.is_set():
+                watch.say(f"interrupted at step {position.steps}: the checkpoint is in {folder.path}")
+                raise KeyboardInterrupt
+            clock.resume()
+            wall.resume()
+    folder.keep(learner, position)
+    last = folder.last
+    outcome = {
+        "steps": position.steps,
+        "skipped": position.shown - position.steps,
+        "core_s": position.spent_s,
+        "wall_s": position.wall_s,
+        "psnr_db": last["psnr_db"],
+        "gaussians": int(last["gaussians"]),
+    }
+    return folder.finish(learner, outcome, options.title, half=options.half)
+
+
+def psnr_of(mean_square: float) -> float:
+    """PSNR, peak 1, in dB; not above 100."""
+    return -10.0 * math.log10(max(mean_square, _LEAST_MSE))
+
+
+def _report(
+    folder: RunFolder,
+    position: Position,
+    progress: float,
+    gaussians: int,
+    learner: Learner,
+    options: Options,
+    watch: Watch,
+) -> Position:
+    """Write a row of the curves, and pictures at every so many-th."""
+    _require_sound(learner, position)
+    sums = position.sums
+    losses = {name: total / count for name, (total, count) in sums.losses.items()}
+    row = {
+        "step": position.steps,
+        "progress": progress,
+        "core_s": position.spent_s,
+        "wall_s": position.wall_s,
+        "psnr_db": sums.psnr_db / max(sums.steps, 1),
+        "gaussians": gaussians,
+        **losses,
+    }
+    folder.report(row)
+    watch.say(
+        f"{progress:4.0%}  step {position.steps}  {position.spent_s / 60.0:.2f} core-minutes  "
+        f"PSNR {row['psnr_db']:.2f} dB  loss {losses['rgb']:.5f}  {gaussians} Gaussians"
+    )
+    # A step may be longer than the time between reports.
+    reports = max(int(progress * REPORTS), position.reports + 1)
+    if reports // _PICTURES_EVERY > position.reports // _PICTURES_EVERY:
+        write_specimens(folder.pictures, options.specimens, learner, position.steps)
+    return replace(position, reports=reports, rows=position.rows + 1, sums=Sums())
+
+
+def _require_sound(learner: Learner, position: Position) -> None:
+    # The rasterizer leaves out what has no place, so that no loss tells of such parameters.
+    for name, parameter in learner.model.named_parameters():
+        if not bool(parameter.detach().sum().isfinite()):
+            raise DatasetError(
+                f"{name} holds numbers that are none at step {position.steps}",
+                expected="finite parameters", remedy=_DIVERGED,
+            )  # fmt: skip
+
+
+def _added(sums: Sums, report: StepReport, psnr: float) -> Sums:
+    losses = dict(sums.losses)
+    for name, value in report.losses.items():
+        total, count = losses.get(name, (0.0, 0))
+        losses[name] = (total + value, count + 1)
+    return Sums(sums.steps + 1, sums.psnr_db + psnr, losses)
+
+
+def _require_numbers(picture: TrainingPicture) -> None:
+    # A sum is finite only if all of it is, and the cheapest to ask.
+    tensors: dict[str, Tensor | None] = {
+        "colours": picture.rgb,
+        "depths": picture.depth_m,
+        "pose": picture.viewpoint.viewmat,
+        "intrinsics": picture.viewpoint.K,
+    }
+    for what, tensor in tensors.items():
+        if tensor is not None and not bool(tensor.sum().isfinite()):
+            raise DatasetError(
+                f"{what} that are no finite numbers", place=picture.name or str(picture.viewpoint.source),
+                expected="a picture of finite numbers", remedy="leave the picture out, or correct its pose and depth",
+            )  # fmt: skip
+
+
+def _require_learnt(report: StepReport, picture: TrainingPicture, step: int) -> None:
+    for name, loss in report.losses.items():
+        if not math.isfinite(loss):
+            raise DatasetError(
+                f"the loss {name} is {loss} at step {step}", place=picture.name or str(picture.viewpoint.source),
+                expected="a finite loss", remedy=_DIVERGED,
+            )  # fmt: skip
+
+
+class _Wall:
+    """Time on the wall, that can be stopped as `Clock` can."""
+
+    def __init__(self, spent_s: float) -> None:
+        self.spent_s, self._since = spent_s, time.monotonic()
+
+    def pause(self) -> None:
+        self.spent_s += time.monotonic() - self._since
+
+    def resume(self) -> None:
+        self._since = time.monotonic()
+
+
+@contextmanager
+def _interruptible() -> Iterator[threading.Event]:
+    """Ctrl-C is heard between steps, since half a step is no state to keep; a second one at once."""
+    heard = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield heard
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def hear(number: int, frame: FrameType | None) -> None:
+        if heard.is_set():
+            raise KeyboardInterrupt
+        heard.set()
+
+    signal.signal(signal.SIGINT, hear)
+    try:
+        yield heard
+    finally:
+        signal.signal(signal.SIGINT, before)

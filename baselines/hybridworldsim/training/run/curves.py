@@ -1,0 +1,76 @@
+"""How a run went, a row a report: written as it goes, drawn at the end."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, TypeAlias
+
+from mirror.schema.files import write_bytes
+
+Row: TypeAlias = Mapping[str, float]
+"""``step progress core_s wall_s psnr_db gaussians``, and the losses by name."""
+
+_COLOURS: Final = ("#1f6fb4", "#c8502a")
+
+
+def write_curves(path: Path, rows: Sequence[Row]) -> None:
+    """Write all rows, whole or not at all: there are some dozens."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    sink = io.StringIO()
+    writer = csv.DictWriter(sink, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: f"{value:.9g}" for name, value in row.items()} for row in rows)
+    write_bytes(path, sink.getvalue().encode())
+
+
+def read_curves(path: Path, most: int) -> list[Row]:
+    """The first rows; none where there is no file yet."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        rows = [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
+    return list(rows[:most])
+
+
+def write_chart(path: Path, rows: Sequence[Row], title: str) -> None:
+    """PSNR and Gaussians over processor time, as SVG; nothing where there is nothing to draw."""
+    if not rows:
+        return
+    minutes = [row["core_s"] / 60.0 for row in rows]
+    drawn = "".join(
+        _line(minutes, [row[name] for row in rows], colour, place, label)
+        for name, colour, place, label in (
+            ("psnr_db", _COLOURS[0], 0, "PSNR of training pictures, dB"),
+            ("gaussians", _COLOURS[1], 1, "Gaussians"),
+        )
+    )
+    text = f'<text x="16" y="22" font-size="14">{_escaped(title)}</text>'
+    frame = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 640 420" font-family="sans-serif">'
+    write_bytes(path, f'{frame}<rect width="640" height="420" fill="white"/>{text}{drawn}</svg>\n'.encode())
+
+
+def _line(x: Sequence[float], y: Sequence[float], colour: str, place: int, label: str) -> str:
+    top, height, left, width = 48 + 186 * place, 130, 70, 540
+    low, high = min(y), max(y)
+    wide, tall = max(x) or 1.0, (high - low) or 1.0
+    points = " ".join(f"{left + width * a / wide:.1f},{top + height * (high - b) / tall:.1f}" for a, b in zip(x, y))
+    words = (
+        (left, top - 8, "start", label),
+        (left - 6, top + 8, "end", f"{high:.5g}"),
+        (left - 6, top + height, "end", f"{low:.5g}"),
+        (left, top + height + 16, "start", "0"),
+        (left + width, top + height + 16, "end", f"{max(x):.3g} core-minutes"),
+    )
+    texts = "".join(
+        f'<text x="{a}" y="{b}" font-size="11" text-anchor="{side}">{_escaped(word)}</text>'
+        for a, b, side, word in words
+    )
+    box = f'<rect x="{left}" y="{top}" width="{width}" height="{height}" fill="none" stroke="#ccc"/>'
+    return f'{box}<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>{texts}'
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")

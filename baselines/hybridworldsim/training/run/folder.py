@@ -1,0 +1,224 @@
+"""A run folder: what the run is, its checkpoint, its curves, its pictures, its model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.run.checkpoint import Position, read_checkpoint, write_checkpoint
+from hybridworldsim.training.run.curves import Row, read_curves, write_chart, write_curves
+from hybridworldsim.training.run.parameters import write_parameters
+from mirror.errors import DatasetError, UsageError
+from mirror.schema.documents import Document
+from mirror.schema.files import TEMPORARY, read_json, write_json
+
+RUN: Final = "run.json"
+OUTCOME: Final = "outcome.json"
+MODEL: Final = "model.safetensors"
+
+
+class Seen(Document):
+    """A traversal and camera that was trained on.
+
+    Attributes:
+        traversal_id: the traversal.
+        camera: of its rig.
+        light: of the traversal.
+        weather: of the traversal.
+        centre_m: (N, 3) some of the places that the camera was at, in the scene's world frame.
+        forward: (N, 3) where it looked from there.
+    """
+
+    traversal_id: str
+    camera: str
+    light: str
+    weather: str
+    centre_m: tuple[tuple[float, float, float], ...]
+    forward: tuple[tuple[float, float, float], ...]
+
+
+class Run(Document):
+    """``run.json``: all that decides what comes of a run.
+
+    Attributes:
+        format: always ``mirror-run``.
+        version: of this document.
+        method: its entry point's name.
+        settings: of the method.
+        seed: of all that is left to chance.
+        steps: the budget, or None.
+        core_minutes: the budget, or None.
+        threads: of torch: results repeat exactly at the same number.
+        scene: id.
+        split: name.
+        block: name within the scene.
+        origin_m: of the block's frame, in the scene's world frame.
+        radius_m: of the block.
+        width_px: pictures are no wider.
+        dataset_hash: of what the split was made of.
+        plan_hash: of the training pictures, their raster and the layers of masks.
+        settings_hash: of the method's settings.
+        depth: ``source@version`` of the layers of depth maps that were read, or None.
+        points: ``source@version`` of the layers of points that were read, or None.
+        pictures: how many are trained on.
+        sources: traversals and cameras that are trained on.
+    """
+
+    format: Literal["mirror-run"] = "mirror-run"
+    version: Literal["1"] = "1"
+    method: str
+    settings: dict[str, Any]
+    seed: int
+    steps: int | None
+    core_minutes: float | None
+    threads: int
+    scene: str
+    split: str
+    block: str
+    origin_m: tuple[float, float, float]
+    radius_m: float
+    width_px: int
+    dataset_hash: str
+    plan_hash: str
+    settings_hash: str
+    depth: str | None
+    points: str | None
+    pictures: int
+    sources: tuple[Seen, ...]
+
+
+class Outcome(Document):
+    """``outcome.json``: what came of it, once it is done.
+
+    Attributes:
+        steps: pictures that were learnt from.
+        skipped: pictures of which nothing is scored.
+        core_s: processor time of training.
+        wall_s: time on the wall, of training.
+        psnr_db: of the last pictures that were trained on; their scored pixels.
+        gaussians: held.
+        model_bytes: of ``model.safetensors``.
+    """
+
+    steps: int
+    skipped: int
+    core_s: float
+    wall_s: float
+    psnr_db: float
+    gaussians: int
+    model_bytes: int
+
+
+class RunFolder:
+    """One run of one block.
+
+    Args:
+        path: made if need be.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.pictures, self.model = path, path / "pictures", path / MODEL
+        self._checkpoint, self._curves = path / "checkpoint.safetensors", path / "curves.csv"
+        self._rows: list[Row] = []
+
+    def begin(self, run: Run) -> Outcome | None:
+        """Say what the run is, or see that it is the one that began here.
+
+        Returns:
+            What came of it, if it is done.
+
+        Raises:
+            UsageError: the folder holds another run, or something else.
+            DatasetError: it is not writable.
+        """
+        if not (self.path / RUN).exists():
+            if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+                raise UsageError("not empty, and no run began here", file=self.path, remedy="name a new folder")
+            write_json(self.path / RUN, run)
+            return None
+        before = read_json(self.path / RUN, Run)
+        differing = _differing(before.model_dump(mode="json"), run.model_dump(mode="json"))
+        if differing:
+            raise UsageError(
+                f"a run of other settings began here: {'; '.join(differing[:4])}", file=self.path,
+                expected="the same dataset, method and settings", remedy="name another folder with --out",
+            )  # fmt: skip
+        for left in self.path.glob(f".*{TEMPORARY}"):
+            left.unlink(missing_ok=True)
+        return self.outcome
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """What came of the run; None: it is not done."""
+        path = self.path / OUTCOME
+        return read_json(path, Outcome) if path.exists() else None
+
+    def resume(self, learner: Learner) -> Position:
+        """Take a learner to where the run is; the beginning, where there is no checkpoint yet.
+
+        Raises:
+            DatasetError: the checkpoint is broken, or another method's.
+        """
+        position = Position()
+        if self._checkpoint.exists():
+            state, position = read_checkpoint(self._checkpoint)
+            learner.restore(state)
+        self._rows = read_curves(self._curves, position.rows)
+        return position
+
+    @property
+    def last(self) -> Row:
+        """The last row of the curves.
+
+        Raises:
+            DatasetError: there is none.
+        """
+        if not self._rows:
+            raise DatasetError("no report yet", file=self._curves, remedy="remove the run folder and train anew")
+        return self._rows[-1]
+
+    def keep(self, learner: Learner, position: Position) -> None:
+        """Write a checkpoint."""
+        write_checkpoint(self._checkpoint, learner.state(), position)
+
+    def report(self, row: Row) -> None:
+        """Write one more row of the curves."""
+        self._rows.append(row)
+        write_curves(self._curves, self._rows)
+
+    def finish(self, learner: Learner, outcome: Mapping[str, Any], title: str, *, half: bool) -> Outcome:
+        """Write model, chart and outcome, in this order."""
+        size = write_parameters(self.model, learner.model, half=half)
+        write_chart(self.path / "curves.svg", self._rows, title)
+        done = Outcome(**outcome, model_bytes=size)
+        write_json(self.path / OUTCOME, done)
+        return done
+
+
+def read_run(path: Path) -> Run:
+    """The run of a folder.
+
+    Raises:
+        DatasetError: none began there.
+        SchemaError: its document is broken.
+    """
+    return read_json(path / RUN, Run)
+
+
+def _differing(before: Mapping[str, Any], now: Mapping[str, Any], under: str = "") -> list[str]:
+    """What two documents differ in, in words."""
+    found = []
+    for key in before.keys() | now.keys():
+        old, new = before.get(key), now.get(key)
+        if isinstance(old, dict) and isinstance(new, dict):
+            found += _differing(old, new, f"{under}{key}.")
+        elif old != new:
+            found.append(f"{under}{key} {_short(old)}, now {_short(new)}")
+    return sorted(found)
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,0 +1,83 @@
+"""``model.safetensors``: the parameters of a trained model alone, in single or half precision."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+
+from mirror.errors import DatasetError
+from mirror.schema.files import write_bytes
+
+FORMAT: Final = "mirror-model/1"
+_PLACES: Final = "means"
+
+
+def write_parameters(path: Path, model: nn.Module, *, half: bool) -> int:
+    """Write all parameters of a model.
+
+    Args:
+        path: the file.
+        model: what was trained.
+        half: in 16 bits; places stay in 32, since metres of a block do not fit.
+
+    Returns:
+        Bytes of the file.
+
+    Raises:
+        DatasetError: the folder is not writable, or a number does not fit.
+    """
+    from safetensors.torch import save
+
+    tensors: dict[str, Tensor] = {}
+    for name, parameter in model.named_parameters():
+        tensor = parameter.detach().contiguous().clone()
+        if half and tensor.dtype == torch.float32 and name.rpartition(".")[2] != _PLACES:
+            tensor = tensor.to(torch.float16)
+            if not bool(tensor.isfinite().all()):
+                raise DatasetError(
+                    f"{name} does not fit half precision", file=path, expected="numbers below 65504",
+                    remedy="write it in single precision: leave --half out",
+                )  # fmt: skip
+        tensors[name] = tensor
+    data = save(tensors, {"format": FORMAT})
+    write_bytes(path, data)
+    return len(data)
+
+
+def read_parameters(path: Path) -> dict[str, Tensor]:
+    """Parameters by name, in the precision of the file.
+
+    Raises:
+        DatasetError: it is missing, broken, or no model.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            said = file.metadata() or {}
+            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise DatasetError(f"cannot be read ({error})", file=path, expected="a trained model") from error
+    if said.get("format") != FORMAT:
+        raise DatasetError(f"of format {said.get('format')!r}", file=path, expected=FORMAT)
+    return found
+
+
+def set_parameters(model: nn.Module, parameters: Mapping[str, Tensor]) -> None:
+    """Give a model its trained parameters, of whatever number of rows.
+
+    Raises:
+        DatasetError: they are those of another model.
+    """
+    own = dict(model.named_parameters())
+    if set(own) != set(parameters):
+        differing = sorted(set(own) ^ set(parameters))
+        raise DatasetError(
+            f"parameters of another model: {', '.join(differing[:3])}", expected="the method and settings of the run"
+        )
+    for name, parameter in own.items():
+        parameter.data = parameters[name].to(parameter.dtype).clone()

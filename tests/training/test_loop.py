@@ -1,0 +1,291 @@
+"""The loop: what it writes, where it stops, and that it goes on exactly."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from hybridworldsim.scene.learning import StreetLearner
+from hybridworldsim.scene.seeding import street_of
+from hybridworldsim.training.budget import Budget
+from hybridworldsim.training.learner import StepReport
+from hybridworldsim.training.loop import REPORTS, Options, train
+from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.run.curves import read_curves
+from hybridworldsim.training.run.folder import Outcome, Run, RunFolder
+from hybridworldsim.training.run.parameters import read_parameters, set_parameters
+from hybridworldsim.training.run.specimens import Specimen
+from mirror.errors import DatasetError, UsageError
+from tests.conftest import ROOT
+from tests.training.street import SETTINGS, Painted, initial, learner, view, views
+
+RUN = Run(
+    method="hybridworldsim",
+    settings={"latent": 16},
+    seed=0,
+    steps=60,
+    core_minutes=None,
+    threads=1,
+    scene="s",
+    split="novel",
+    block="whole",
+    origin_m=(0.0, 0.0, 0.0),
+    radius_m=30.0,
+    width_px=32,
+    dataset_hash="0",
+    plan_hash="0",
+    settings_hash="0",
+    depth=None,
+    points=None,
+    pictures=12,
+    sources=(),
+)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def run(
+    path: Path, steps: int = 60, pictures: Painted | None = None, options: Options | None = None, **more
+) -> Outcome:
+    folder = RunFolder(path)
+    folder.begin(RUN)
+    return train(
+        more.pop("learner", None) or learner(),
+        pictures or Painted(),
+        more.pop("views", views()),
+        Budget(steps=steps),
+        folder,
+        options=options,
+        **more,
+    )
+
+
+def test_training_brings_pictures_nearer_and_leaves_a_whole_folder(tmp_path: Path) -> None:
+    one = view("s.day.0", 2)
+    specimen = Specimen("training-0", Painted()(one), Painted()(one).viewpoint.source)
+    done = run(tmp_path / "run", 120, options=Options(specimens=[specimen]))
+    rows = read_curves(tmp_path / "run" / "curves.csv", 1000)
+    assert done.steps == 120 and done.skipped == 0 and len(rows) == REPORTS
+    assert rows[-1]["psnr_db"] > rows[0]["psnr_db"] + 3.0 and done.psnr_db == pytest.approx(rows[-1]["psnr_db"])
+    assert {"step", "progress", "core_s", "wall_s", "gaussians", "rgb", "depth", "normal"} <= {*rows[0], *rows[1]}
+    assert [row["step"] for row in rows] == [3.0 * (row + 1) for row in range(REPORTS)]
+    assert len(list((tmp_path / "run" / "pictures").iterdir())) == 4
+    assert (tmp_path / "run" / "curves.svg").read_text().startswith("<svg")
+    assert (tmp_path / "run" / "model.safetensors").stat().st_size == done.model_bytes
+    assert not list((tmp_path / "run").glob(".*"))
+
+
+def test_the_model_alone_renders_what_the_learner_did(tmp_path: Path) -> None:
+    trained = learner()
+    run(tmp_path / "run", learner=trained)
+    fresh = street_of(replace_points(), SETTINGS)
+    set_parameters(fresh, read_parameters(tmp_path / "run" / "model.safetensors"))
+    viewpoint = Painted()(view("s.night.0", 3)).viewpoint
+    with torch.no_grad():
+        drawn = fresh(viewpoint, fresh.appearance(viewpoint.source))
+    assert torch.equal(drawn.rgb, trained.render(viewpoint).rgb)
+
+
+def replace_points():
+    """Of other points: what is read decides alone."""
+    return replace(initial(), points_m=initial().points_m[:7])
+
+
+def test_half_precision_takes_half_the_bytes_and_hardly_shows(tmp_path: Path) -> None:
+    trained = learner()
+    whole = run(tmp_path / "whole", learner=trained)
+    half = run(tmp_path / "half", options=Options(half=True))
+    assert 0.5 < half.model_bytes / whole.model_bytes < 0.62
+    fresh = street_of(initial(), SETTINGS)
+    set_parameters(fresh, read_parameters(tmp_path / "half" / "model.safetensors"))
+    viewpoint = Painted()(view("s.day.0", 3)).viewpoint
+    with torch.no_grad():
+        drawn = fresh(viewpoint, fresh.appearance(viewpoint.source))
+    assert (drawn.rgb - trained.render(viewpoint).rgb).abs().max() < 0.02
+
+
+_CHILD = """
+import sys, torch
+torch.set_num_threads(1)
+from pathlib import Path
+from tests.training.test_loop import run
+from tests.training.street import Painted
+from hybridworldsim.training.learner import StepReport
+from hybridworldsim.training.loop import Options
+run(Path(sys.argv[1]), 160, options=Options(checkpoint_s=0.1))
+"""
+
+
+def test_killed_and_resumed_it_is_the_same_model(tmp_path: Path) -> None:
+    environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "PYTHONPATH": str(ROOT)}
+    child = subprocess.Popen([sys.executable, "-c", _CHILD, str(tmp_path / "killed")], env=environment, cwd=ROOT)
+    checkpoint = tmp_path / "killed" / "checkpoint.safetensors"
+    waiting = time.monotonic()
+    while not checkpoint.exists() and time.monotonic() - waiting < 60 and child.poll() is None:
+        time.sleep(0.01)
+    time.sleep(0.05)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    assert checkpoint.exists() and not (tmp_path / "killed" / "outcome.json").exists()
+    run(tmp_path / "killed", 160)
+    run(tmp_path / "whole", 160)
+    ours, theirs = (load_file(tmp_path / name / "checkpoint.safetensors") for name in ("killed", "whole"))
+    assert ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
+    assert (tmp_path / "killed" / "model.safetensors").read_bytes() == (
+        tmp_path / "whole" / "model.safetensors"
+    ).read_bytes()
+    # Steps of the clock aside, the curves are those of one run.
+    rows = [read_curves(tmp_path / name / "curves.csv", 1000) for name in ("killed", "whole")]
+    assert [(row["step"], row["psnr_db"], row["gaussians"]) for row in rows[0]] == [
+        (row["step"], row["psnr_db"], row["gaussians"]) for row in rows[1]
+    ]
+
+
+def test_ctrl_c_leaves_a_checkpoint_between_steps(tmp_path: Path) -> None:
+    class Interrupting(Painted):
+        def __call__(self, one):
+            if self.opened == 25:
+                os.kill(os.getpid(), signal.SIGINT)
+            return super().__call__(one)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "run", pictures=Interrupting())
+    assert signal.getsignal(signal.SIGINT) is before
+    run(tmp_path / "run")
+    run(tmp_path / "whole")
+    assert (tmp_path / "run" / "model.safetensors").read_bytes() == (
+        tmp_path / "whole" / "model.safetensors"
+    ).read_bytes()
+
+
+def test_a_done_run_says_so_and_another_is_refused(tmp_path: Path) -> None:
+    run(tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    assert folder.begin(RUN) == folder.outcome is not None
+    with pytest.raises(UsageError, match=r"settings\.latent 16, now 8; steps 60, now 90"):
+        folder.begin(RUN.model_copy(update={"steps": 90, "settings": {"latent": 8}}))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").touch()
+    with pytest.raises(UsageError, match="no run began here"):
+        RunFolder(tmp_path / "other").begin(RUN)
+
+
+def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
+    run(tmp_path / "run")
+    path = tmp_path / "run" / "checkpoint.safetensors"
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(DatasetError, match=r"checkpoint\.safetensors"):
+        run(tmp_path / "run")
+
+
+def edited(**changes):
+    return Painted(lambda picture: replace(picture, **{name: make(picture) for name, make in changes.items()}))
+
+
+@pytest.mark.parametrize(
+    ("field", "make"),
+    [
+        ("rgb", lambda p: p.rgb.index_fill(0, torch.tensor([3]), torch.nan)),
+        ("depth_m", lambda p: p.depth_m.index_fill(0, torch.tensor([3]), torch.inf)),
+        (
+            "viewpoint",
+            lambda p: replace(p.viewpoint, viewmat=p.viewpoint.viewmat.index_fill(0, torch.tensor([1]), torch.nan)),
+        ),
+    ],
+)
+def test_numbers_that_are_none_are_refused_and_the_checkpoint_stays(tmp_path: Path, field: str, make) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "run", pictures=stopping_at(20))
+    before = (tmp_path / "run" / "checkpoint.safetensors").read_bytes()
+    with pytest.raises(DatasetError, match=r"renders/training/.*finite"):
+        run(tmp_path / "run", pictures=edited(**{field: make}))
+    assert (tmp_path / "run" / "checkpoint.safetensors").read_bytes() == before
+
+
+def stopping_at(count: int) -> Painted:
+    class Stopping(Painted):
+        def __call__(self, one):
+            if self.opened == count:
+                os.kill(os.getpid(), signal.SIGINT)
+            return super().__call__(one)
+
+    return Stopping()
+
+
+def test_a_loss_that_is_none_is_refused(tmp_path: Path) -> None:
+    class Diverging(StreetLearner):
+        def step(self, picture, progress):
+            return StepReport({"rgb": 0.1, "depth": torch.inf}, 1)
+
+    with pytest.raises(DatasetError, match=r"loss depth is inf at step 0.*smaller learning rates"):
+        run(tmp_path / "run", learner=Diverging(learner().street, SETTINGS))
+    assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
+
+
+def test_parameters_that_are_none_reach_no_checkpoint(tmp_path: Path) -> None:
+    # What they draw is culled, so that no loss tells of them.
+    broken = learner()
+    with torch.no_grad():
+        broken.street.appearance.latents[0, 0] = torch.nan
+    with pytest.raises(DatasetError, match=r"holds numbers that are none at step [12];.*smaller learning rates"):
+        run(tmp_path / "run", learner=broken)
+    assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
+
+
+def black(picture: TrainingPicture) -> TrainingPicture:
+    return replace(picture, rgb=torch.zeros_like(picture.rgb)) if picture.rgb.max() < 0.31 else picture
+
+
+@pytest.mark.parametrize(
+    ("pictures", "chosen"),
+    [
+        pytest.param(Painted(black), views(), id="a black traversal"),
+        pytest.param(edited(rgb=lambda p: torch.full_like(p.rgb, 0.5)), views(), id="constant pictures"),
+        pytest.param(edited(rgb=lambda p: torch.ones_like(p.rgb)), views(), id="saturated pictures"),
+        pytest.param(edited(depth_m=lambda p: None), views(), id="no depth"),
+        pytest.param(edited(depth_m=lambda p: torch.zeros_like(p.depth_m)), views(), id="unknown depth"),
+        pytest.param(Painted(), [view("s.day.0", 1)], id="one picture"),
+        pytest.param(Painted(), [view("s.day.0", 1)] * 8, id="duplicated pictures"),
+        pytest.param(
+            Painted(),
+            [*views(traversals=("s.day.0",)), *(view("s.night.0", n, x_m=-500.0 * n) for n in range(6))],
+            id="a traversal with wrong poses",
+        ),
+        pytest.param(
+            edited(scored=lambda p: p.scored & (torch.arange(20)[:, None] > 18) & (torch.arange(32) > 30)),
+            views(),
+            id="one pixel",
+        ),
+    ],
+)
+def test_odd_pictures_are_trained_through(tmp_path: Path, pictures: Painted, chosen) -> None:
+    done = run(tmp_path / "run", 40, pictures=pictures, views=chosen)
+    assert done.steps == 40 and done.psnr_db > 5.0
+    assert all(table.isfinite().all() for table in load_file(tmp_path / "run" / "model.safetensors").values())
+
+
+def test_pictures_of_which_nothing_is_scored_are_counted_and_left_out(tmp_path: Path) -> None:
+    masked = edited(scored=lambda p: p.scored & (p.rgb.max() > 0.31))
+    done = run(tmp_path / "run", pictures=masked)
+    assert done.steps == 60 and 50 <= done.skipped <= 70
+
+
+def test_masks_over_everything_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="masks cover every training picture"):
+        run(tmp_path / "run", pictures=edited(scored=lambda p: torch.zeros_like(p.scored)))

@@ -22,12 +22,14 @@ def main(argv: list[str]) -> int:
     if argv and argv[0] in names():
         code: int = importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:])
         return code
+    print("usage: python -m benchmarks NAME [OPTIONS]; `--help` after a name explains it\n")
     for name in names():
         doc = importlib.import_module(f"benchmarks.{name}").__doc__ or ""
-        print(f"{name:10} {doc.strip().splitlines()[0]}")
-    if argv:
+        print(f"{name:15} {doc.strip().splitlines()[0]}")
+    if argv and argv[0] not in ("-h", "--help"):
         print(f"\nno benchmark is called {argv[0]!r}", file=sys.stderr)
-    return ExitCode.COULD_NOT_RUN if argv else ExitCode.DONE
+        return ExitCode.COULD_NOT_RUN
+    return ExitCode.DONE
 
 
 if __name__ == "__main__":

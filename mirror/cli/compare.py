@@ -11,6 +11,8 @@ import tyro
 
 from mirror.errors import ExitCode
 
+_UNBOUNDED = 1000
+
 
 @dataclass(frozen=True)
 class Arguments:
@@ -39,15 +41,18 @@ def main(argv: Sequence[str]) -> int:
 
     from rich.console import Console
     from rich.markup import escape
+    from rich.measure import Measurement
     from rich.table import Table
 
     console = Console(highlight=False)
+    window = console.width
     for other in others:
-        table = Table(title=escape(f"{other.name} against {first.submission.method.name}"))
+        title = escape(f"{other.name} against {first.submission.method.name}")
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
         for name in ("group", "metric"):
             table.add_column(name, no_wrap=True)
         for name in (first.submission.method.name, other.name, "difference", "interval", "p", "n", "better"):
-            table.add_column(escape(name), justify="right")
+            table.add_column(escape(name), justify="right", no_wrap=True)
         reasons: dict[str, int] = {}
         for row in other.rows:
             interval = "" if row.low is None or row.high is None else f"{row.low:+.4f} to {row.high:+.4f}"
@@ -62,6 +67,9 @@ def main(argv: Sequence[str]) -> int:
                 str(row.n or ""),
                 escape(better) or (f"\\[{reasons.setdefault(row.reason, len(reasons) + 1)}]" if row.reason else ""),
             )
+        # A figure is never cut: a narrow window wraps the line, and a pipe has no edge.
+        unbounded = console.options.update(width=_UNBOUNDED, max_width=_UNBOUNDED)
+        console.width = max(window, Measurement.get(console, unbounded, table).maximum)
         console.print(table)
         for reason, number in reasons.items():
             console.print(f"\\[{number}] {escape(reason)}", soft_wrap=True)

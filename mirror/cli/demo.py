@@ -92,7 +92,7 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
         yield ["mirror", "evaluate", submission, "--truth", dataset, "--out", str(result), "--report"]
         if _LEADERBOARD.exists():
             shown = ["--submission", submission, "--truth", dataset, "--board", board]
-            name = ["--dataset", f"this demo's street ({preset}, seed {seed})"]
+            name = ["--dataset", f"demo street ({preset}, seed {seed})"]
             yield ["python", "-m", "leaderboard", "add", str(result / "result.json"), *name, *shown]
     if _LEADERBOARD.exists():
         yield ["python", "-m", "leaderboard", "build", "--also", board, "--out", str(out / "site")]

@@ -63,8 +63,6 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = tyro.cli(Arguments, args=list(argv), prog="mirror evaluate")
-    if arguments.workers < 1:
-        raise UsageError(f"{arguments.workers} workers", place="--workers", expected="at least 1")
 
     from mirror.cli.progress import progress_bar
     from mirror.cli.submission import asked_or_problems, say_report

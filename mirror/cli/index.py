@@ -40,7 +40,7 @@ def main(argv: Sequence[str]) -> int:
     require_dataset(layout)
     with writer_lock(layout, wait=arguments.wait):
         settle(layout)
-        report = build_index(folder, force=arguments.force)
+        report = build_index(folder, force=arguments.force, whole=True)
     if arguments.json:
         print(json.dumps(asdict(report)))
         return ExitCode.DONE

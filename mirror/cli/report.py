@@ -9,7 +9,7 @@ from pathlib import Path
 
 import tyro
 
-from mirror.errors import ExitCode
+from mirror.errors import ExitCode, UsageError
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,12 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = tyro.cli(Arguments, args=list(argv), prog="mirror report")
+
+    folder = arguments.out.absolute().parent
+    if not folder.is_dir():
+        raise UsageError("no such folder", file=folder, place="--out", remedy="make it first, or name another one")
+    if arguments.out.is_dir():
+        raise UsageError("a folder, not a file", file=arguments.out, place="--out", expected="the page, such as x.html")
 
     import mirror
     from mirror.view.report import write_report

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,9 +93,10 @@ def main(argv: Sequence[str]) -> int:
         failures = [{"recording": str(path), **error.to_dict()} for path, error in proposals.failures]
         print(json.dumps({"proposals": plain, "failures": failures}))
     else:
-        _print(found, arguments)
+        if found or len(proposals.failures) < len(arguments.recordings):
+            _print(found, arguments)
         for path, error in proposals.failures:
-            print(f"failed {path}: {error}")
+            print(f"failed {path}: {error}", file=sys.stderr)
     if not proposals.failures:
         return ExitCode.DONE
     return ExitCode.PARTLY_DONE if len(proposals.failures) < len(arguments.recordings) else ExitCode.COULD_NOT_RUN

@@ -82,7 +82,8 @@ def compare(paths: Sequence[Path]) -> tuple[Result, list[Compared]]:
         DatasetError: a file is missing or not that of its result.
     """
     if len(paths) < 2:
-        raise UsageError(f"{len(paths)} result", expected="two or more")
+        listed = ", ".join(map(str, paths)) or "none"
+        raise UsageError(f"one result alone: {listed}", expected="two or more")
     results = [read_result(path) for path in paths]
     first = results[0]
     for path, other in zip(paths[1:], results[1:]):

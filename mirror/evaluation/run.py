@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import mirror
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.extractors import extractor_of
 from mirror.evaluation.progress import Progress, Silent
 from mirror.evaluation.protocol import Protocol
@@ -110,12 +110,14 @@ def evaluate(
 
     Raises:
         UsageError: a required metric cannot be had, there is no such metric, weights that are named explicitly are not
-            those, hidden truth or an extractor is asked for and not given or given and not asked for, or `out` is a
-            file.
+            those, hidden truth or an extractor is asked for and not given or given and not asked for, there are no
+            workers, or `out` is a file.
         DatasetError: the truth is incomplete, or the results cannot be written.
         UntrustedError: the submission is refused as a whole.
     """
     options, progress = options or Options(), progress or Silent()
+    if options.workers < 1:
+        raise UsageError(f"{options.workers} workers", expected="at least one")
     if out.exists() and not out.is_dir():
         raise UsageError("a file, not a folder", file=out, remedy="name another folder for the results")
     dataset = mirror.open(truth)
@@ -227,10 +229,12 @@ def _require_fitting(plan: Plan, options: Options) -> None:
             remedy="of a synthetic street `mirror submission hidden` renders them",
         )
     if not needed and options.hidden is not None:
-        raise UsageError(f"protocol {name} has recorded truth, and uses no other", place="--hidden", expected="nothing")
+        raise UsageError(
+            f"protocol {name} has recorded truth, and uses no other", place="--hidden", expected="no such option"
+        )
     if options.extractor is not None:
         if plan.protocol.task != _EDITING:
-            raise UsageError(f"protocol {name} extracts no regions", place="--extractor", expected="nothing")
+            raise UsageError(f"protocol {name} extracts no regions", place="--extractor", expected="no such option")
         extractor_of(options.extractor)
 
 
@@ -309,4 +313,9 @@ def read_result(path: Path) -> Result:
     """
     from mirror.schema.files import read_json
 
-    return read_json(path / RESULT if path.is_dir() else path, Result)
+    file = path / RESULT if path.is_dir() else path
+    if not file.is_file():
+        raise DatasetError(
+            "no such result", file=file, expected=f"the {RESULT} of `mirror evaluate`, or the folder that it lies in"
+        )
+    return read_json(file, Result)

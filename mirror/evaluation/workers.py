@@ -18,6 +18,7 @@ from mirror.errors import DatasetError, MirrorError
 from mirror.evaluation.scorers import scorer_of
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.schema.files import unwritable
 from mirror.version import __version__
 
 _CHUNK: Final = 8
@@ -68,12 +69,19 @@ class Log:
                     continue
 
     def add(self, name: str, key: str, values: Values) -> None:
-        """Append a line."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        """Append a line.
+
+        Raises:
+            DatasetError: the file cannot be written.
+        """
         line = json.dumps({"name": name, "key": key, "values": dict(values)}) + "\n"
-        with self._path.open("ab") as file:
-            # Begun anew if the last line was cut.
-            file.write(line.encode() if _ends_whole(self._path) else b"\n" + line.encode())
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open("ab") as file:
+                # Begun anew if the last line was cut.
+                file.write(line.encode() if _ends_whole(self._path) else b"\n" + line.encode())
+        except OSError as error:
+            raise unwritable(self._path, error) from error
 
 
 def score_jobs(

@@ -92,6 +92,8 @@ def propose_rois(
     options, progress = options or IngestOptions(), progress or Silent()
     trigger_options = thresholds(TriggerOptions, options.trigger)
     cleaning = thresholds(CleaningOptions, options.cleaning)
+    if options.workers < 1:
+        raise UsageError(f"{options.workers} workers", expected="at least one")
     if not 0.0 < radius_m <= 20_000.0:
         raise UsageError(f"a radius of {radius_m:g} m", place="--radius-m", expected="more than 0, at most 20,000 m")
     driven: list[_Driven] = []
@@ -109,7 +111,7 @@ def propose_rois(
             progress.advance(1)
         return _Driven(info.drive_id, track, info.frame, info.is_clip)
 
-    with ThreadPoolExecutor(max_workers=max(1, options.workers)) as pool:
+    with ThreadPoolExecutor(max_workers=options.workers) as pool:
         for result in pool.map(read, recordings):
             if isinstance(result, _Driven):
                 driven.append(result)

@@ -52,7 +52,15 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def unwritable(path: Path, error: OSError) -> DatasetError:
-    """The error for a file that could not be written, with the system's reason."""
+    """The error for a file that could not be written: what is in its place, or the system's reason."""
+    blocked = next((folder for folder in path.parents if folder.exists() and not folder.is_dir()), None)
+    if blocked is not None or path.is_dir():
+        return DatasetError(
+            f"cannot be written: {blocked} is a file" if blocked is not None else "cannot be written: it is a folder",
+            file=path,
+            expected="a file in a folder, or a name that is free",
+            remedy="choose another place",
+        )
     return DatasetError(
         f"cannot be written: {error.strerror or error}",
         file=path,

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from mirror.arrays import Float64
 from mirror.dataset.statistics import SceneRow, Speed, Statistics
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import UsageError
+from mirror.schema.files import unwritable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +51,7 @@ def write_plots(statistics: Statistics, folder: Path) -> list[Path]:
             folder.mkdir(parents=True, exist_ok=True)
             figure.savefig(file, dpi=150)
         except OSError as error:
-            raise DatasetError(f"cannot be written: {error.strerror or error}", file=file) from error
+            raise unwritable(file, error) from error
         files.append(file)
     return files
 

@@ -192,7 +192,12 @@ def test_unavailable_metrics_are_said_and_may_be_required(
 
 
 def test_the_verbs(
-    root: Path, folder: Path, dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    root: Path,
+    folder: Path,
+    dataset: Dataset,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     protocol = load_protocol("static-reconstruction-omnire")
     for sigma in (3, 9):
@@ -217,7 +222,18 @@ def test_the_verbs(
     assert main(["compare", str(tmp_path / "s3-results"), str(tmp_path / "s9-results"), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["others"][0]["rows"]
     assert all(row["difference"] < 0 for row in rows if row["metric"] == "psnr")
+    monkeypatch.setenv("COLUMNS", "60")
     assert main(["compare", str(tmp_path / "s3-results"), str(tmp_path / "s9-results")]) == 0
+    text = capsys.readouterr().out
+    assert "…" not in text
+    assert all(f"{row[key]:.4f}" in text for row in rows for key in ("first", "other") if row[key] is not None)
+    monkeypatch.delenv("COLUMNS")
+    nothing = ["--weights", f"alexnet={tmp_path}/nothing"]
+    assert main(["evaluate", str(tmp_path / "s3"), *words, *nothing]) == 2
+    assert "no such file" in capsys.readouterr().err
+    (tmp_path / "other.pth").write_bytes(b"other weights")
+    assert main(["evaluate", str(tmp_path / "s3"), *words, "--weights", f"alexnet={tmp_path}/other.pth"]) == 2
+    assert "--weights alexnet" in capsys.readouterr().err
     (tmp_path / "s9" / "renders").rename(tmp_path / "s9" / "moved")
     assert main(["evaluate", str(tmp_path / "s9"), *words]) == 1
     assert "missing" in capsys.readouterr().out

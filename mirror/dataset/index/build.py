@@ -21,7 +21,7 @@ from mirror.dataset.index.inputs import Inputs, read_inputs
 from mirror.dataset.index.scene_tables import scene_tables
 from mirror.dataset.layout import MANIFEST, Layout, read_manifest
 from mirror.dataset.store import Store
-from mirror.errors import SchemaError
+from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DatasetDocument, FileEntry, Manifest
 from mirror.schema.files import read_json, read_table, sha256_bytes, write_bytes, write_json
 from mirror.schema.tables import INDEX_BY_SCENE, ROW_GROUPS, TRAVERSALS
@@ -46,7 +46,9 @@ class IndexReport:
     seconds: float
 
 
-def build_index(root: str | Path, *, force: bool = False, progress: Progress | None = None) -> IndexReport:
+def build_index(
+    root: str | Path, *, force: bool = False, whole: bool = False, progress: Progress | None = None
+) -> IndexReport:
     """Derive the index tables; what is up to date is kept.
 
     The bytes are a pure function of the rest of the dataset, whatever the order of ingest. The caller holds the
@@ -55,6 +57,7 @@ def build_index(root: str | Path, *, force: bool = False, progress: Progress | N
     Args:
         root: the dataset's folder.
         force: derive every scene, whatever is there.
+        whole: also hold the sizes of all recorded tables against their manifests, of scenes that are kept too.
         progress: called with the traversals done and to do.
 
     Raises:
@@ -65,6 +68,8 @@ def build_index(root: str | Path, *, force: bool = False, progress: Progress | N
     layout = Layout(Path(root))
     read_json(layout.document, DatasetDocument)
     inputs = read_inputs(Store(layout.root))
+    if whole:
+        _require_whole(layout, inputs)
     previous = None if force else _intact(layout)
     kept = _unchanged(previous, inputs)
     if previous is not None and previous.derived_from == inputs.fingerprints:
@@ -103,6 +108,22 @@ def build_index(root: str | Path, *, force: bool = False, progress: Progress | N
     write_json(layout.index / MANIFEST, manifest)
     _remove_strays(layout, manifest)
     return IndexReport(tuple(changed), tuple(sorted(kept)), _rows(layout), time.perf_counter() - start)
+
+
+def _require_whole(layout: Layout, inputs: Inputs) -> None:
+    """Every table that was recorded has the size that its manifest says; nothing is read."""
+    for key, item in inputs.traversals.items():
+        for name, entry in item.recorded.files.items():
+            path = layout.recorded(key) / name
+            there = path.stat().st_size if path.is_file() else None
+            if there != entry.bytes:
+                raise DatasetError(
+                    "missing" if there is None else f"has {there:,} bytes: it is cut off, or was changed",
+                    file=path,
+                    expected=f"{entry.bytes:,} bytes, as its manifest says",
+                    remedy=f"run the same `mirror ingest` again for drive {item.drive.drive_id}; "
+                    "`mirror check` lists all that is broken",
+                )
 
 
 def _intact(layout: Layout) -> Manifest | None:

@@ -74,13 +74,15 @@ def make_split(
         wait: wait for another writer, or refuse at once.
 
     Raises:
-        UsageError: a name or a scene that cannot be.
+        UsageError: a name, a scene or a seed that cannot be.
         DatasetError: the split would leak (two traversals are named), another split has that name, a role or a scene
             gets too little, or another run is writing.
         SchemaError: a file is broken, or of another schema version.
     """
     layout = _existing(root)
     path = _path(layout, name)
+    if seed < 0:
+        raise UsageError(f"seed {seed}", expected="a whole number from 0")
     parameters = parameters or NovelTraversal()
     chosen = None if scenes is None else tuple(sorted(set(scenes)))
     with writer_lock(layout, wait=wait):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -77,12 +78,14 @@ def write_recordings(
         effects: what is shown of light, weather and cameras; default: all.
         truth: kinds of truth to be written beside each recording.
         workers: threads; default: as many as there are processors.
-        progress: is told of every picture; None: nobody is.
+        progress: is told of every picture, recording by recording; None: nobody is.
 
     Raises:
-        UsageError: no such preset, the folder is not empty, or truth of pictures that are not rendered.
+        UsageError: no such preset, no workers, the folder is not empty, or truth of pictures that are not rendered.
         DatasetError: the folder is not writable, or the disk is full.
     """
+    if workers is not None and workers < 1:
+        raise UsageError(f"{workers} workers", expected="at least one")
     settings, drives = drives_of(preset, seed, scenes, traversals)
     errors = settings.errors if errors is None else errors
     if effects is not None:
@@ -102,7 +105,6 @@ def write_recordings(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError("not an empty folder", file=out, remedy="name another folder, or remove this one")
     progress = Silent() if progress is None else progress
-    progress.start("recordings", len(drives))
     write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
     written = Written()
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
@@ -113,10 +115,10 @@ def write_recordings(
                 # While this drive's pictures are rendered.
                 ahead = pool.submit(_simulate, drives[number])
             folder = out / drive.drive_id
-            _write(folder, drive, seed, errors, truth, pool, written)
+            what = f"recording {number} of {len(drives)}, pictures"
+            _write(folder, drive, seed, errors, truth, pool, written, partial(progress.start, what), progress.advance)
             written.recordings.append(folder)
             drive.forget()
-            progress.advance(1)
     return written
 
 
@@ -132,6 +134,8 @@ def _write(
     truth: Sequence[TruthKind],
     pool: ThreadPoolExecutor,
     written: Written,
+    start: Callable[[int], None],
+    advance: Callable[[int], None],
 ) -> None:
     write_poses(folder, drive, errors)
     shots: Shots | None = None
@@ -139,12 +143,16 @@ def _write(
     if drive.recipe.pictures:
         shots = shots_of(drive, errors)
         written.lost += sum(int((~kept).sum()) for kept in shots.kept.values())
+        start(sum(int(kept.sum()) for kept in shots.kept.values()))
         write_cameras(folder, drive, shots, errors)
         if drive.preset.on_demand:
-            written.count(refer_to_pictures(folder, drive, shots, seed))
+            frame = refer_to_pictures(folder, drive, shots, seed)
+            written.count(frame)
+            advance(frame.pictures)
         else:
             for frame in write_frames(folder, drive, shots, truth, pool):
                 written.count(frame)
+                advance(frame.pictures)
                 truth_boxes += frame.truth_boxes
     if truth:
         write_truth(folder, drive, truth, pose_stamps(drive), shots, truth_boxes)

@@ -1,0 +1,115 @@
+"""What cannot be done is refused at once, in the user's words, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.__main__ import main as benchmarks
+from mirror.cli import progress
+from mirror.cli.main import main
+from mirror.ingest.rois import write_rois
+from mirror.ingest.run import ingest
+from tests.ingest.recordings import SCENE, write_recording
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("fleet")
+    write_recording(root, "there")
+    write_rois(root / "rois.geojson", [SCENE])
+    assert not ingest([root / "there"], [SCENE], root / "dataset").failures
+    (root / "file").write_text("no folder")
+    return root
+
+
+def refused(fleet: Path, capsys: pytest.CaptureFixture[str], words: str) -> str:
+    """What a command line with folders of the fleet says when it ends with 2."""
+    assert main(words.format(fleet=fleet).split()) == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "synth --out {fleet}/none --preset tiny --workers 0",
+        "rois propose {fleet}/there --workers 0",
+        "ingest {fleet}/there --rois {fleet}/rois.geojson --out {fleet}/none --workers 0",
+    ],
+)
+def test_no_workers(fleet: Path, capsys: pytest.CaptureFixture[str], words: str) -> None:
+    assert "0 workers; expected at least one" in refused(fleet, capsys, words)
+    assert not (fleet / "none").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "ingest {fleet}/there --rois {fleet}/rois.geojson --out {fleet}/file",
+        "rois propose {fleet}/there --min-traversals 1 --out {fleet}/file/x.geojson",
+        "stats {fleet}/dataset --plots {fleet}/file",
+    ],
+)
+def test_an_output_below_a_file(fleet: Path, capsys: pytest.CaptureFixture[str], words: str) -> None:
+    if words.startswith("stats"):
+        pytest.importorskip("matplotlib")
+    said = refused(fleet, capsys, words)
+    assert f"{fleet}/file is a file" in said
+    assert "File exists" not in said
+
+
+def test_a_report_makes_no_folders(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "no such folder" in refused(fleet, capsys, "report {fleet}/dataset --out {fleet}/none/r.html")
+    assert not (fleet / "none").exists()
+    assert "a folder, not a file" in refused(fleet, capsys, "report {fleet}/dataset --out {fleet}")
+
+
+def test_paths_that_are_not_there(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rois", "propose", f"{fleet}/none"]) == 2
+    said = capsys.readouterr()
+    assert "there is nothing at this path" in said.err
+    assert said.out == ""
+    assert "one result alone" in refused(fleet, capsys, "compare {fleet}/none")
+    assert "no such result" in refused(fleet, capsys, "compare {fleet}/none {fleet}/none")
+
+
+def test_seeds_of_splits(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "seed -1" in refused(fleet, capsys, "split {fleet}/dataset s --seed -1")
+
+
+def test_index_notices_a_table_that_was_cut(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (table,) = (fleet / "dataset").glob("traversals/*/recorded/ego_poses.parquet")
+    data = table.read_bytes()
+    table.unlink()
+    table.write_bytes(data[:-100])
+    said = refused(fleet, capsys, "index {fleet}/dataset")
+    assert f"has {len(data) - 100:,} bytes" in said
+    assert "drive there" in said
+    table.unlink()
+    assert "missing" in refused(fleet, capsys, "index {fleet}/dataset")
+    table.write_bytes(data)
+    assert main(["index", f"{fleet}/dataset"]) == 0
+
+
+def test_help_of_benchmarks(capsys: pytest.CaptureFixture[str]) -> None:
+    assert benchmarks(["--help"]) == 0
+    assert "usage: python -m benchmarks NAME" in capsys.readouterr().out
+    assert benchmarks(["nothing"]) == 2
+    assert "no benchmark is called 'nothing'" in capsys.readouterr().err
+
+
+def test_long_work_in_a_log_says_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "_BETWEEN_LINES_S", 0.0)
+    with progress.progress_bar(quiet=False) as bar:
+        bar.start("pictures", 2000)
+        bar.advance(1500)
+    assert "pictures: 1,500 of 2,000" in capsys.readouterr().err
+    with progress.progress_bar(quiet=True) as bar:
+        bar.start("pictures", 2)
+        bar.advance(1)
+    assert capsys.readouterr().err == ""
+    assert not sys.stderr.isatty()

@@ -25,14 +25,14 @@ def network_input(picture: PosedPicture, stride: int) -> Tensor:
     return functional.pad(rgb[None], (0, right, 0, below), "replicate")[0] if below or right else rgb
 
 
-def hidden_share(picture: PosedPicture, stride: int, rows: int, columns: int) -> Tensor | None:
-    """(rows, columns) share of each sample's pixels that are not valid; None: all are valid."""
+def hidden_samples(picture: PosedPicture, stride: int, rows: int, columns: int) -> Tensor | None:
+    """(rows, columns) 1 where any of a sample's pixels is not valid, else 0; None: all are valid."""
     if picture.valid.all():
         return None
     hidden = torch.from_numpy(~picture.valid).float()
     height, width = hidden.shape
     padded = functional.pad(hidden[None, None], (0, columns * stride - width, 0, rows * stride - height))
-    return functional.avg_pool2d(padded, stride)[0, 0]
+    return functional.max_pool2d(padded, stride)[0, 0]
 
 
 def useful_sources(reference: PosedPicture, sources: Sequence[PosedPicture], near_m: float) -> list[PosedPicture]:

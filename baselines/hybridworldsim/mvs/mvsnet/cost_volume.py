@@ -3,29 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from hybridworldsim.mvs.learned.warping import Motion, sample, source_positions
+from hybridworldsim.mvs.learned.view import View
 
 _PLANES_AT_ONCE = 8
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A source.
-
-    Attributes:
-        feature: (C, h, w).
-        motion: from samples of the reference to its own.
-        hidden: (h, w) share of each sample that is no evidence; None: nowhere.
-    """
-
-    feature: Tensor
-    motion: Motion
-    hidden: Tensor | None
+_LEAST_EVIDENCE = 1e-3
 
 
 def variance_volume(reference: Tensor, views: Sequence[View], depths_m: Tensor) -> Tensor:
@@ -50,12 +35,11 @@ def variance_volume(reference: Tensor, views: Sequence[View], depths_m: Tensor) 
         squares = torch.zeros_like(mean)
         count = torch.ones((len(depths), rows, columns))
         for view in views:
-            positions = source_positions(view.motion, planes, view.feature.shape[2], view.feature.shape[1])
-            shown = 1.0 if view.hidden is None else 1.0 - sample(view.hidden[None], positions)[0]
-            count = count + shown
-            warped = sample(view.feature, positions)
+            seen, evidence = view.seen(planes)
+            count = count + evidence
+            warped = seen.div_(evidence.clamp(min=_LEAST_EVIDENCE))
             difference = warped - mean
-            mean.addcmul_(difference, shown / count)
-            squares.addcmul_(difference, warped.sub_(mean).mul_(shown))
+            mean.addcmul_(difference, evidence / count)
+            squares.addcmul_(difference, warped.sub_(mean).mul_(evidence))
         torch.div(squares, count, out=volume[:, start : start + len(depths)])
     return volume

@@ -10,7 +10,7 @@ from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
 from hybridworldsim.mvs.learned.checkpoint import fill, public_state_dict
 from hybridworldsim.mvs.learned.layers import fold_norms
 from hybridworldsim.mvs.learned.pictures import (
-    hidden_share,
+    hidden_samples,
     inference,
     known_depth,
     network_input,
@@ -22,13 +22,13 @@ from hybridworldsim.mvs.learned.pictures import (
 from hybridworldsim.mvs.learned.warping import relative_motion
 from hybridworldsim.mvs.mvsnet.enlargement import enlarged, repeated
 from hybridworldsim.mvs.mvsnet.network import FEATURE_STRIDE, PLANES_STRIDE, STRIDE, MVSNet, SourcePicture
-from hybridworldsim.mvs.mvsnet.planes import Planes, Spacing
+from hybridworldsim.mvs.mvsnet.planes import DepthPlanes, Spacing
 from mirror.errors import UsageError
 from mirror.weights.resolve import WeightResolver
 
 NAME: Final = "mvsnet"
-BYTES_PER_PIXEL: Final = 300
-BYTES_PER_PIXEL_PLANE: Final = 16
+BYTES_PER_PIXEL: Final = 150
+BYTES_PER_PIXEL_PLANE: Final = 21
 BYTES_PER_SOURCE_PIXEL: Final = 24
 
 
@@ -102,7 +102,7 @@ class MVSNetEstimator:
             depth_m, confidence = self.network(
                 network_input(reference, STRIDE),
                 [_source(reference, source) for source in used],
-                Planes(near_m, far_m, self.planes, self.spacing),
+                DepthPlanes(near_m, far_m, self.planes, self.spacing),
             )
             return known_depth(reference, used, enlarged(depth_m, FEATURE_STRIDE), repeated(confidence, FEATURE_STRIDE))
 
@@ -110,5 +110,5 @@ class MVSNetEstimator:
 def _source(reference: PosedPicture, source: PosedPicture) -> SourcePicture:
     rgb = network_input(source, FEATURE_STRIDE)
     rows, columns = (side // FEATURE_STRIDE for side in rgb.shape[1:])
-    hidden = hidden_share(source, FEATURE_STRIDE, rows, columns)
+    hidden = hidden_samples(source, FEATURE_STRIDE, rows, columns)
     return SourcePicture(rgb, relative_motion(reference, source, FEATURE_STRIDE), hidden)

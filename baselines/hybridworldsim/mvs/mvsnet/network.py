@@ -9,10 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from hybridworldsim.mvs.learned.expectation import soft_argmin, window_probability
+from hybridworldsim.mvs.learned.view import View
 from hybridworldsim.mvs.learned.warping import Motion
-from hybridworldsim.mvs.mvsnet.cost_volume import View, variance_volume
+from hybridworldsim.mvs.mvsnet.cost_volume import variance_volume
 from hybridworldsim.mvs.mvsnet.features import FeatureNet
-from hybridworldsim.mvs.mvsnet.planes import Planes
+from hybridworldsim.mvs.mvsnet.planes import DepthPlanes
 from hybridworldsim.mvs.mvsnet.refinement import Refinement
 from hybridworldsim.mvs.mvsnet.regularisation import CostRegularisation
 
@@ -28,7 +29,7 @@ class SourcePicture:
     Attributes:
         rgb: (3, h, w) from 0 to 1; sides are multiples of 4.
         motion: from the reference's features to its own.
-        hidden: (h/4, w/4) share of each feature that is no evidence; None: nowhere.
+        hidden: (h/4, w/4) 1 where a feature is no evidence, else 0; None: nowhere.
     """
 
     rgb: Tensor
@@ -49,7 +50,7 @@ class MVSNet(nn.Module):
         self.cost_regularization = CostRegularisation()
         self.refine_network = Refinement() if refine else None
 
-    def forward(self, rgb: Tensor, sources: Sequence[SourcePicture], planes: Planes) -> tuple[Tensor, Tensor]:
+    def forward(self, rgb: Tensor, sources: Sequence[SourcePicture], planes: DepthPlanes) -> tuple[Tensor, Tensor]:
         """Depth of a picture.
 
         Args:

@@ -12,7 +12,7 @@ Spacing = Literal["depth", "inverse_depth"]
 
 
 @dataclass(frozen=True)
-class Planes:
+class DepthPlanes:
     """Planes from near to far, the ends included.
 
     Attributes:

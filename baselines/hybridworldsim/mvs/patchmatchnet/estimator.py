@@ -12,7 +12,7 @@ from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
 from hybridworldsim.mvs.learned.checkpoint import fill, public_state_dict
 from hybridworldsim.mvs.learned.layers import fold_norms
 from hybridworldsim.mvs.learned.pictures import (
-    hidden_share,
+    hidden_samples,
     inference,
     known_depth,
     network_input,
@@ -95,7 +95,7 @@ def _source(reference: PosedPicture, source: PosedPicture) -> SourcePicture:
     rgb = network_input(source, STRIDE)
     strides = [level.stride for level in LEVELS]
     shares = (
-        (stride, hidden_share(source, stride, rgb.shape[1] // stride, rgb.shape[2] // stride)) for stride in strides
+        (stride, hidden_samples(source, stride, rgb.shape[1] // stride, rgb.shape[2] // stride)) for stride in strides
     )
     return SourcePicture(
         rgb,

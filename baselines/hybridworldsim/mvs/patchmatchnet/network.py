@@ -10,10 +10,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybridworldsim.mvs.learned.expectation import window_probability
+from hybridworldsim.mvs.learned.view import View
 from hybridworldsim.mvs.learned.warping import Motion
 from hybridworldsim.mvs.patchmatchnet.features import FeaturePyramid
 from hybridworldsim.mvs.patchmatchnet.refinement import Refinement
-from hybridworldsim.mvs.patchmatchnet.stage import LEVELS, Estimate, Range, Stage, View
+from hybridworldsim.mvs.patchmatchnet.stage import LEVELS, Estimate, Range, Stage
 
 STRIDE = 8
 
@@ -25,7 +26,7 @@ class SourcePicture:
     Attributes:
         rgb: (3, h, w) from 0 to 1; sides are multiples of 8.
         motions: from the reference's samples to its own, by stride.
-        hidden: share of each sample that is no evidence, by stride; empty: there is none.
+        hidden: by stride, 1 where a sample is no evidence, else 0; empty: none is.
     """
 
     rgb: Tensor

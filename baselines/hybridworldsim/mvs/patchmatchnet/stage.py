@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from hybridworldsim.mvs.learned.expectation import soft_argmin
-from hybridworldsim.mvs.learned.warping import Motion, sample, source_positions
+from hybridworldsim.mvs.learned.view import View
 from hybridworldsim.mvs.patchmatchnet.neighbours import gather, positions_of, ring, square
 from hybridworldsim.mvs.patchmatchnet.scores import Evaluation, GroupScore, group_similarity
 
@@ -48,21 +48,6 @@ LEVELS = (
     Level(4, 32, 8, iterations=2, hypotheses=8, interval=0.0125, reach=4, propagated=8),
     Level(2, 16, 4, iterations=1, hypotheses=8, interval=0.005, reach=6, propagated=0),
 )
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A source at one level.
-
-    Attributes:
-        feature: (C, h, w).
-        motion: from samples of the reference to its own.
-        hidden: (h, w) share of each sample that is no evidence; None: nowhere.
-    """
-
-    feature: Tensor
-    motion: Motion
-    hidden: Tensor | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,14 +145,12 @@ class Stage(nn.Module):
         """Similarities (G, D, H, W) over all sources, and how far each of those is believed (V, H, W)."""
         total, believed, weights = torch.zeros(()), torch.tensor(_NO_WEIGHT), []
         for number, view in enumerate(views):
-            rows, columns = view.feature.shape[1:]
-            positions = source_positions(view.motion, depths, columns, rows)
-            similarity = group_similarity(sample(view.feature, positions), reference, self.level.groups)
+            seen, evidence = view.seen(depths)
+            similarity = group_similarity(seen, reference, self.level.groups)
             weight = self.evaluation.view_weight(similarity) if known is None else known.view_weights[number]
             weights.append(weight)
-            evidence = weight if view.hidden is None else weight * (1.0 - sample(view.hidden[None], positions)[0])
-            total = similarity.mul_(evidence).add_(total)
-            believed = believed + evidence
+            total = similarity.mul_(weight).add_(total)
+            believed = believed + weight * evidence
         return total.div_(believed), torch.stack(weights)
 
 

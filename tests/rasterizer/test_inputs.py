@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 
+import numpy as np
 import pytest
 import torch
 
@@ -123,6 +124,21 @@ def test_a_camera_that_is_no_camera_is_refused():
     broken = scene(7, 2)["Ks"]
     broken[1, 0, 0] = torch.nan
     _refused("Ks", "1 of 2 rows hold NaN or infinity: image 1", Ks=broken)
+
+
+def test_planes_the_wrong_way_round_and_flags_that_are_none_are_named():
+    _refused("far_plane", "at 1.0 m is nearer than the near plane at 2.0 m", near_plane=2.0, far_plane=1.0)
+    _refused("near_plane", "at least 0", near_plane=-1.0)
+    _refused("far_plane", "nan", far_plane=float("nan"))
+    for name in ("packed", "absgrad", "with_ut"):
+        _refused(name, "no truth value", **{name: "x"})
+    rasterization(**scene(), packed=np.True_, backend="reference")
+
+
+def test_broken_colours_are_counted_among_the_visible_ones():
+    colors = scene(count=7, views=2)["colors"].clone()
+    colors[:] = torch.nan
+    _refused("colors", r"\d of \d visible rows hold NaN", colors=colors)
 
 
 def test_lenses_need_the_unscented_transform_and_classic_mode():

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -237,9 +238,10 @@ def refuse_nonfinite(name: str, table: Tensor, row: str, ids: Tensor | None = No
     bad = (~torch.isfinite(table.detach()).reshape(len(table), -1).all(1)).nonzero()[:, 0]
     if len(bad) == 0:
         return
+    rows = "rows" if ids is None else "visible rows"
     first = (bad[:_SHOWN] if ids is None else ids[bad[:_SHOWN]]).tolist()
     raise UsageError(
-        f"{len(bad)} of {len(table)} rows hold NaN or infinity: {row} {', '.join(map(str, first))}"
+        f"{len(bad)} of {len(table)} {rows} hold NaN or infinity: {row} {', '.join(map(str, first))}"
         + (" ..." if len(bad) > _SHOWN else ""),
         place=name,
         remedy='find what wrote them, or pass nonfinite="cull" to leave them out, counted'
@@ -256,6 +258,17 @@ def choice(place: str, value: object, expected: tuple[str, ...]) -> None:
     """
     if value not in expected:
         raise UsageError(f"no such choice: {value!r}", place=place, expected=" or ".join(map(repr, expected)))
+
+
+def flag(place: str, value: bool) -> bool:
+    """A truth value, and nothing that Python would take for one.
+
+    Raises:
+        UsageError: it is something else.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise UsageError(f"{value!r} is no truth value", place=place, expected="True or False")
+    return bool(value)
 
 
 def positive(place: str, value: int) -> int:

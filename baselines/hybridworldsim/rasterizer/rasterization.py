@@ -15,6 +15,7 @@ from hybridworldsim.rasterizer.inputs import (
     RenderMode,
     checked,
     choice,
+    flag,
     lenses_of,
     no_less,
     positive,
@@ -137,6 +138,14 @@ def rasterization(
     choice("rasterize_mode", rasterize_mode, get_args(RasterizeMode))
     choice("camera_model", camera_model, get_args(CameraModel))
     choice("backend", backend, get_args(BackendName))
+    for name, value in {"packed": packed, "absgrad": absgrad, "with_ut": with_ut}.items():
+        flag(name, value)
+    if not far_plane >= no_less("near_plane", near_plane, 0.0):
+        raise UsageError(
+            f"the far plane at {far_plane!r} m is nearer than the near plane at {near_plane!r} m",
+            place="far_plane",
+            expected="at least the near plane",
+        )
     inputs = checked(
         means,
         quats,
@@ -160,8 +169,8 @@ def rasterization(
     antialiased = rasterize_mode == "antialiased"
     lenses = lenses_of(inputs, camera_model, with_ut, antialiased, coefficients)
     options = Options(
-        near_plane=no_less("near_plane", near_plane, 0.0),
-        far_plane=no_less("far_plane", far_plane, near_plane),
+        near_plane=float(near_plane),
+        far_plane=float(far_plane),
         radius_clip=no_less("radius_clip", radius_clip, 0.0),
         eps2d=no_less("eps2d", eps2d, 0.0),
         tile_size=positive("tile_size", tile_size),

@@ -1,0 +1,8 @@
+"""3D Gaussian splatting as published (Kerbl et al. 2023): one set of colours for all traversals."""
+
+from __future__ import annotations
+
+from vanilla_3dgs.learner import make
+from vanilla_3dgs.settings import RELEASED, TUNED
+
+__all__ = ["RELEASED", "TUNED", "make"]

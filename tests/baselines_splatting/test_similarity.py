@@ -1,0 +1,46 @@
+"""The structural loss against its formula in float64, and its gradient against torch's own."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.nn import functional
+
+from splatting.similarity import similarity
+
+
+def _reference(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    steps = torch.arange(-5, 6, dtype=torch.float64)
+    window = torch.exp(-(steps**2) / (2.0 * 1.5**2))
+    window = window / window.sum()
+    kernel = (window[:, None] * window)[None, None]
+
+    def blurred(picture):
+        return functional.conv2d(picture.permute(2, 0, 1)[:, None], kernel, padding=5)[:, 0].permute(1, 2, 0)
+
+    mean_x, mean_y = blurred(x), blurred(y)
+    xx, yy, xy = blurred(x * x) - mean_x**2, blurred(y * y) - mean_y**2, blurred(x * y) - mean_x * mean_y
+    ssim = (2 * mean_x * mean_y + 1e-4) * (2 * xy + 9e-4) / ((mean_x**2 + mean_y**2 + 1e-4) * (xx + yy + 9e-4))
+    return ssim.mean(2)
+
+
+@pytest.mark.parametrize(("height", "width"), [(24, 31), (3, 2), (1, 1)])
+def test_value_and_gradient_are_those_of_the_formula(height, width):
+    torch.manual_seed(0)
+    x, y, weights = torch.rand(height, width, 3), torch.rand(height, width, 3), torch.rand(height, width)
+    x.requires_grad_()
+    double = x.detach().double().requires_grad_()
+    found, expected = similarity(x, y), _reference(double, y.double())
+    torch.testing.assert_close(found.double(), expected, rtol=1e-5, atol=3e-6)
+    (gradient,) = torch.autograd.grad((found * weights).sum(), x)
+    (reference,) = torch.autograd.grad((expected * weights).sum(), double)
+    torch.testing.assert_close(gradient.double(), reference, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
+def test_a_flat_picture_is_like_itself_and_pulls_nothing(value):
+    x = torch.full((20, 20, 3), value, requires_grad=True)
+    found = similarity(x, x.detach().clone())
+    torch.testing.assert_close(found, torch.ones(20, 20), rtol=0, atol=1e-4)
+    found.sum().backward()
+    assert x.grad is not None and x.grad.isfinite().all() and x.grad.abs().max() < 0.05

@@ -255,6 +255,11 @@ class Frame:
         """
         return self._traversal.world_SE3_ego(self.timestamp_ns)
 
+    @property
+    def track(self) -> tuple[Int64, Poses]:
+        """Stamps (N,) and ``world_SE3_ego`` of the whole traversal, as dense as the chosen pose layer has them."""
+        return self._traversal.track
+
     def boxes(self, frame: str = "ego") -> FrameBoxes:
         """The boxes nearest in time, at most half a period of theirs away.
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from hybridworldsim.training.viewpoint import Viewpoint
 
-_NEAREST_M = 0.05
+NEAREST_M = 0.05
 
 
 def visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
@@ -23,7 +23,7 @@ def visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
     """
     with torch.no_grad():
         x, y, z = (means @ viewpoint.viewmat[:3, :3].T + viewpoint.viewmat[:3, 3]).unbind(1)
-        seen = z + reach_m > _NEAREST_M
+        seen = z + reach_m > NEAREST_M
         K, width, height = viewpoint.K, viewpoint.width_px, viewpoint.height_px
         for along, focal, centre, size in ((x, K[0, 0], K[0, 2], width), (y, K[1, 1], K[1, 2], height)):
             # The two planes of this side, their normals' lengths taken into the reach.

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import os
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hybridworldsim.scene.blocks import Block, divide, each, views_of
+from mirror.errors import UsageError
+from tests.street.streets import view
+
+UTM = np.array([441_000.0, 4_475_000.0, 600.0])
+
+
+def line(length_m: float, step_m: float = 1.0) -> np.ndarray:
+    x = np.arange(0.0, length_m + step_m, step_m)
+    return np.column_stack((x, 0.1 * x, 0.01 * x))
+
+
+def test_a_street_of_one_block_has_one_centred_on_what_was_driven() -> None:
+    (block,) = divide(line(90.0)).blocks
+    np.testing.assert_allclose(block.origin_m, (45.0, 4.5, 0.45), atol=0.02)
+
+
+def test_a_longer_street_is_covered_by_blocks_a_quarter_on_each_other() -> None:
+    division = divide(line(250.0))
+    xs = [block.origin_m[0] for block in division.blocks]
+    assert len(xs) == 3
+    np.testing.assert_allclose(np.diff(xs), 75.0)
+    assert all(block.overlap_m == 25.0 for block in division.blocks)
+
+
+def test_blocks_where_nobody_drove_are_skipped_and_counted() -> None:
+    corner = np.concatenate((line(250.0), line(250.0)[:, [1, 0, 2]]))
+    division = divide(corner)
+    assert len(division.blocks) + division.skipped == 9
+    assert division.skipped == 4
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31), st.floats(1.0, 400.0), st.floats(10.0, 150.0))
+def test_the_division_covers_all_that_was_driven_in_whatever_order(seed: int, length: float, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    driven = np.column_stack((rng.uniform(0.0, length, (50, 2)), np.zeros(50)))
+    division = divide(driven, size)
+    assert division == divide(rng.permutation(driven), size)
+    covered = np.stack([block.distance_m(driven) for block in division.blocks]).min(axis=0)
+    assert covered.max() <= 1e-9 * size
+    moved = divide(driven + UTM, size)
+    assert [block.index for block in moved.blocks] == [block.index for block in division.blocks]
+
+
+def test_local_coordinates_keep_millimetres_at_utm_size() -> None:
+    (block,) = divide(line(50.0) + UTM).blocks
+    local = block.local(UTM + np.array([[0.001, 0.0, 0.0], [0.0, 0.0, 0.0]])).astype(np.float32)
+    assert local[0, 0] - local[1, 0] == pytest.approx(0.001, abs=5e-6)
+
+
+def test_what_stands_an_overlap_beyond_the_edge_is_far() -> None:
+    block = Block((0, 0), (1000.0, 0.0, 0.0))
+    points = np.array([[1074.0, 0.0, 0.0], [1076.0, 0.0, 0.0], [1000.0, -80.0, 300.0], [1000.0, 0.0, 300.0]])
+    assert block.far(points).tolist() == [False, True, True, False]
+
+
+def test_views_are_those_in_the_block_and_those_that_look_into_it_from_near() -> None:
+    block = Block((0, 0), (0.0, 0.0, 0.0))
+    views = [view(0.0), view(-60.0), view(60.0), view(-80.0), view(-60.0, 45.0), view(-60.0, 90.0)]
+    assert views_of(block, views) == (views[0], views[1], views[4])
+    assert views_of(block, []) == ()
+
+
+@pytest.mark.parametrize("driven", [np.empty((0, 3)), np.full((3, 3), np.nan), np.zeros((3, 2))])
+def test_places_that_are_none_are_refused(driven: np.ndarray) -> None:
+    with pytest.raises(UsageError, match="driven places"):
+        divide(driven)
+
+
+def _process(block: Block, own: int) -> bool:
+    return os.getpid() == own
+
+
+def test_any_executor_gives_the_same_in_the_blocks_order() -> None:
+    blocks = divide(line(250.0)).blocks
+    assert [block.name for block in each(blocks, lambda block: block)] == [block.name for block in blocks]
+    assert list(each(blocks, partial(_process, own=os.getpid()), workers=2)) == [False] * 3

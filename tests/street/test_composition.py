@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import numpy as np
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hybridworldsim.rendering.composition import Composition
+from hybridworldsim.rendering.partition import partition
+from hybridworldsim.scene.appearance import Appearance
+from hybridworldsim.scene.blocks import Block
+from hybridworldsim.scene.street import Street
+from hybridworldsim.training.viewpoint import viewpoint_of
+from mirror.metrics.images.psnr import psnr
+from tests.street.streets import SOURCES, shifted, street, view
+
+A = Block((0, 0), (0.0, 0.0, 0.0), 40.0, 10.0)
+B = Block((1, 0), (30.0, 0.0, 0.0), 40.0, 10.0)
+UTM = np.array([441_000.0, 4_475_000.0, 600.0])
+
+
+def looks(appearance: Appearance) -> tuple[torch.Tensor, torch.Tensor]:
+    latent = appearance(SOURCES[0])
+    return latent, latent
+
+
+def far_block(one: Block, by: np.ndarray) -> Block:
+    x, y, z = (np.array(one.origin_m) + by).tolist()
+    return Block(one.index, (x, y, z), one.size_m, one.overlap_m)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 9), st.floats(0.0, 40.0))
+def test_the_partition_sums_to_one_everywhere(seed: int, count: int, ramp: float) -> None:
+    rng = torch.Generator().manual_seed(seed)
+    centres = 75.0 * torch.randint(0, 4, (count, 2), generator=rng).double().unique(dim=0)
+    places = 1000.0 * (torch.rand(200, 2, generator=rng).double() - 0.5)
+    weights = partition(places, centres, ramp)
+    assert ((weights >= 0.0) & (weights <= 1.0)).all()
+    torch.testing.assert_close(weights.sum(1), torch.ones(200).double())
+    order = torch.randperm(len(centres), generator=rng)
+    torch.testing.assert_close(partition(places, centres[order], ramp), weights[:, order])
+
+
+def test_the_partition_is_one_in_a_blocks_own_part_and_a_half_midway() -> None:
+    centres = torch.tensor([[0.0, 0.0], [75.0, 0.0]]).double()
+    places = torch.tensor([[0.0, 500.0], [25.0, 0.0], [37.5, -80.0], [50.0, 0.0]]).double()
+    torch.testing.assert_close(partition(places, centres, 25.0)[:, 0], torch.tensor([1.0, 1.0, 0.5, 0.0]).double())
+
+
+def picture(blocks: list[tuple[Block, Street]], x_m: float, by: np.ndarray | float = 0.0) -> np.ndarray:
+    here = np.array([x_m, 0.0, 1.5]) + by
+    drawn, _ = Composition(blocks).draw(view(*here.tolist()), looks)
+    return drawn.rgb.clamp(0.0, 1.0).mul(255.0).round().byte().numpy()
+
+
+def test_one_block_alone_is_drawn_as_it_is() -> None:
+    one = street()
+    drawn, counts = Composition([(A, one)]).draw(view(-15.0), looks)
+    with torch.no_grad():
+        expected = one(viewpoint_of(view(-15.0), np.zeros(3)), looks(one.appearance)[0])
+    torch.testing.assert_close(drawn.rgb, expected.rgb, atol=2e-5, rtol=0.0)
+    assert counts["nodes_drawn"] == 3 and counts["decoded"] < counts["held"]
+
+
+def test_two_blocks_of_the_same_gaussians_are_drawn_as_one() -> None:
+    one = street()
+    both = [(A, one), (B, shifted(one, np.array([-30.0, 0.0, 0.0])))]
+    # Beyond the strip nothing is drawn twice, but for the sky that B does not show.
+    assert np.array_equal(picture(both, 22.0), picture([both[1]], 22.0))
+    for x_m in (-15.0, 10.0, 15.0):
+        assert psnr(picture(both, x_m), picture([both[0]], x_m)) > 33.0
+
+
+def test_crossing_a_boundary_changes_no_more_than_a_step_elsewhere() -> None:
+    both = [(A, street()), (B, street(seed=5))]
+    step = 0.02
+
+    def change(x_m: float) -> float:
+        return float(psnr(picture(both, x_m - step), picture(both, x_m + step)))
+
+    inside = min(change(-5.0), change(38.0))
+    for x_m in (10.0, 15.0, 20.0):
+        assert change(x_m) > inside - 3.0
+
+
+def test_far_structures_do_not_stand_before_a_neighbours_geometry() -> None:
+    a, b = street(), street(seed=3)
+    a.sky.means.data[:20] = torch.tensor((35.0, 0.0, 2.0))  # within B, and a wall before A's camera
+    wall = picture([(A, a)], 0.0)
+    a_without = street()
+    a_without.sky.logits.data[:20] = -20.0
+    a_without.sky.means.data[:20] = torch.tensor((35.0, 0.0, 2.0))
+    assert np.array_equal(picture([(A, a), (B, b)], 0.0), picture([(A, a_without), (B, b)], 0.0))
+    assert not np.array_equal(wall, picture([(A, a_without)], 0.0))
+
+
+def test_blocks_that_the_view_does_not_see_are_not_decoded() -> None:
+    blocks = [(A, street()), (B, street(seed=3))]
+    _, back = Composition(blocks).draw(view(200.0), looks)
+    assert back["nodes_drawn"] == 1  # the sky of B
+    _, front = Composition(blocks).draw(view(-80.0), looks)
+    assert front["nodes_drawn"] == 5
+
+
+def test_utm_sized_origins_give_the_same_picture() -> None:
+    a, b = street(), street(seed=3)
+    near = picture([(A, a), (B, b)], 5.0)
+    far = picture([(far_block(A, UTM), a), (far_block(B, UTM), b)], 5.0, UTM)
+    assert psnr(near, far) > 60.0

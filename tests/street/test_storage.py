@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hybridworldsim.scene.blocks import Block
+from hybridworldsim.scene.storage import load_block, save_block
+from hybridworldsim.training.viewpoint import viewpoint_of
+from mirror.errors import DatasetError
+from mirror.metrics.images.psnr import psnr
+from tests.street.streets import SOURCES, street, view
+
+BLOCK = Block((1, 2), (441_000.123456789, 4_475_000.1, 612.7))
+
+
+def test_what_is_stored_comes_back(tmp_path: Path) -> None:
+    one = street()
+    size = save_block(tmp_path / "model.safetensors", BLOCK, one, about={"seed": 3})
+    assert size == (tmp_path / "model.safetensors").stat().st_size
+    block, other, about = load_block(tmp_path / "model.safetensors")
+    assert (block, about) == (BLOCK, {"seed": 3})
+    assert other.appearance.sources == one.appearance.sources
+    assert other.background.radius_m == one.background.radius_m
+    for (name, ours), (again, theirs) in zip(one.named_parameters(), other.named_parameters(), strict=True):
+        assert name == again and torch.equal(ours, theirs)
+
+
+@pytest.mark.parametrize(("half", "anchor", "plain"), [(False, 284, 108), (True, 148, 60)])
+def test_an_anchor_takes_no_more_bytes_than_its_numbers(tmp_path: Path, half: bool, anchor: int, plain: int) -> None:
+    few, many = street(100), street(1100)
+    sizes = [save_block(tmp_path / f"{len(one.background)}", BLOCK, one, half=half) for one in (few, many)]
+    # The header writes offsets with more digits.
+    assert 0 <= sizes[1] - sizes[0] - 1000 * anchor <= 128
+    more = street(100)
+    for name, table in list(more.ground.named_parameters(recurse=False)):
+        setattr(more.ground, name, torch.nn.Parameter(table.detach().repeat(2, *[1] * (table.ndim - 1))))
+    assert 0 <= save_block(tmp_path / "ground", BLOCK, more, half=half) - sizes[0] - 400 * plain <= 128
+
+
+def test_half_precision_hardly_changes_a_picture(tmp_path: Path) -> None:
+    one = street()
+    save_block(tmp_path / "half", BLOCK, one, half=True)
+    _, other, _ = load_block(tmp_path / "half")
+    viewpoint = viewpoint_of(view(-25.0), np.zeros(3))
+    with torch.no_grad():
+        pictures = [each(viewpoint, each.appearance(SOURCES[0])).rgb.clamp(0, 1) for each in (one, other)]
+    ours, theirs = (picture.mul(255.0).round().byte().numpy() for picture in pictures)
+    assert psnr(ours, theirs) > 45.0
+
+
+def test_numbers_that_cannot_be_stored_are_refused(tmp_path: Path) -> None:
+    one = street()
+    one.background.codes.data[0, 0] = 1e6
+    with pytest.raises(DatasetError, match="too large for half precision"):
+        save_block(tmp_path / "m", BLOCK, one, half=True)
+    one.background.codes.data[0, 0] = torch.nan
+    with pytest.raises(DatasetError, match=r"background\.codes: a number is not finite"):
+        save_block(tmp_path / "m", BLOCK, one)
+    assert not (tmp_path / "m").exists()
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    from safetensors.torch import save_file
+
+    with pytest.raises(DatasetError, match="not to be read"):
+        load_block(tmp_path / "none")
+    (tmp_path / "text").write_text("hello")
+    with pytest.raises(DatasetError, match="not to be read"):
+        load_block(tmp_path / "text")
+    save_file({"a": torch.zeros(1)}, tmp_path / "other")
+    with pytest.raises(DatasetError, match="format None"):
+        load_block(tmp_path / "other")

@@ -69,6 +69,6 @@ class MVSNet(nn.Module):
         depth = planes.depth_m(soft_argmin(probability, torch.arange(planes.count, dtype=probability.dtype)))
         if self.refine_network is not None:
             extent = planes.far_m - planes.near_m
-            refined = self.refine_network(rgb, (depth - planes.near_m) / extent) * extent + planes.near_m
-            depth = refined.clamp(planes.near_m, planes.far_m)
+            residual = self.refine_network(rgb, (depth - planes.near_m) / extent)
+            depth = (depth + residual * extent).clamp(planes.near_m, planes.far_m)
         return depth, window_probability(probability)

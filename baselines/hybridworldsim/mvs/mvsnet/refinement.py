@@ -25,7 +25,7 @@ class Refinement(nn.Module):
         self.res = ConvNorm(2, 32, 1)
 
     def forward(self, rgb: Tensor, share: Tensor) -> Tensor:
-        """Refined shares (H, W) of shares (H, W) from 0, the nearest depth, to 1; RGB (3, h, w) from 0 to 1."""
+        """What is to be added to shares (H, W) from 0, the nearest depth, to 1; RGB (3, h, w) from 0 to 1."""
         small = functional.interpolate(rgb[None], size=share.shape, mode="bilinear", align_corners=False)
         stacked = torch.cat((small, share[None, None]), dim=1)
-        return share + self.res(self.conv3(self.conv2(self.conv1(stacked))))[0, 0]
+        return self.res(self.conv3(self.conv2(self.conv1(stacked))))[0, 0]

@@ -77,8 +77,10 @@ class PatchmatchNet(nn.Module):
         if estimate is None:
             raise RuntimeError("a network of no stages")
         extent = far_m - near_m
-        refined = self.upsample_net(rgb, (estimate.depth_m - near_m) / extent) * extent + near_m
-        return refined, _doubled(window_probability(estimate.probability)[None])[0]
+        residual = self.upsample_net(rgb, (estimate.depth_m - near_m) / extent)
+        # Added in metres: as a share of a long range, float32 would not tell near depths apart.
+        refined = _doubled(estimate.depth_m[None])[0] + residual * extent
+        return refined.clamp(near_m, far_m), _doubled(window_probability(estimate.probability)[None])[0]
 
 
 def _doubled(x: Tensor) -> Tensor:

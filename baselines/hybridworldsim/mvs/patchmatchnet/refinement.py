@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from hybridworldsim.mvs.learned.layers import ConvNormReLU, doubling
 
 
 class Refinement(nn.Module):
-    """Depth as a share of its range, doubled in size, plus a learned residual."""
+    """The residual of depth, as a share of its range, when it is doubled in size."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -23,7 +22,7 @@ class Refinement(nn.Module):
         self.res = nn.Conv2d(8, 1, 3, padding=1, bias=False)
 
     def forward(self, rgb: Tensor, share: Tensor) -> Tensor:
-        """Refined shares.
+        """What is to be added to the doubled shares.
 
         Args:
             rgb: (3, H, W) from 0 to 1.
@@ -32,7 +31,5 @@ class Refinement(nn.Module):
         Returns:
             (H, W).
         """
-        coarse = share[None, None]
-        shape = torch.relu_(self.bn(self.deconv(self.conv2(self.conv1(coarse)))))
-        residual = self.res(self.conv3(torch.cat((shape, self.conv0(rgb[None])), dim=1)))
-        return (functional.interpolate(coarse, scale_factor=2.0, mode="nearest") + residual)[0, 0]
+        shape = torch.relu_(self.bn(self.deconv(self.conv2(self.conv1(share[None, None])))))
+        return self.res(self.conv3(torch.cat((shape, self.conv0(rgb[None])), dim=1)))[0, 0]

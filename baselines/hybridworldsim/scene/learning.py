@@ -7,18 +7,17 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from hybridworldsim.scene.growth import Statistics, grown
 from hybridworldsim.scene.losses import colour_loss, depth_loss, normal_loss
-from hybridworldsim.scene.rows import replace_rows
+from hybridworldsim.scene.refining.anchors import AnchorRefiner
+from hybridworldsim.scene.refining.code_gaussians import CodeRefiner
+from hybridworldsim.scene.refining.pace import due
+from hybridworldsim.scene.refining.pull import pulls
 from hybridworldsim.scene.settings import Settings
 from hybridworldsim.scene.street import Drawn, Street
 from hybridworldsim.training.learner import Rendering, StepReport
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.state import dumped, load
 from hybridworldsim.training.viewpoint import Viewpoint
-
-_ANCHOR_TABLES = ["means", "offsets", "codes", "log_scales"]
-_PRUNED_SEEN = 10
 
 
 class StreetLearner:
@@ -46,9 +45,11 @@ class StreetLearner:
         groups.append({"params": networks, "rate": "networks", "factor": 1.0})
         groups.append({"params": [street.appearance.latents], "rate": "latents", "factor": 1.0})
         self._adam = torch.optim.Adam(groups, lr=1e-3, eps=1e-15, fused=True)
-        self._statistics = Statistics.empty(len(background), background.k)
+        refinement = settings.refinement
+        self._anchors = AnchorRefiner(background, refinement)
+        self._ground = CodeRefiner(street.ground, refinement, refinement.most_ground)
+        self._sky = CodeRefiner(street.sky, refinement, refinement.most_sky)
         self._steps, self._refined = 0, 0
-        self._first_anchors = len(background)
 
     @property
     def model(self) -> Street:
@@ -72,10 +73,9 @@ class StreetLearner:
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
         self._adam.zero_grad(set_to_none=True)
         total.backward()
-        self._note(drawn, picture.viewpoint)
         self._adam.step()
         self._steps += 1
-        self._refine(progress)
+        self._refine(drawn, picture.viewpoint, progress)
         return StepReport(
             {name: float(loss.detach()) for name, loss in losses.items()}, sum(part.held for part in drawn.parts)
         )
@@ -103,80 +103,41 @@ class StreetLearner:
             losses["volume"] = drawn.parts[0].scales.prod(1).mean()
         return losses
 
-    def _note(self, drawn: Drawn, viewpoint: Viewpoint) -> None:
-        """Keep what refinement will ask about."""
+    def _refine(self, drawn: Drawn, viewpoint: Viewpoint, progress: float) -> None:
+        """Keep what the picture tells, and act on it when it is time."""
         refinement = self.settings.refinement
-        background = drawn.parts[0]
-        if self._refined >= refinement.times or not len(background):
+        if self._refined >= refinement.times:
             return
-        gradient = drawn.meta["means2d"].grad
-        if gradient is None:
-            return
-        ids = drawn.meta["gaussian_ids"]
-        own = ids < len(background)
-        size = gradient.new_tensor((viewpoint.width_px / 2.0, viewpoint.height_px / 2.0))
-        pull = (gradient[own] * size).norm(dim=1)
-        rows = background.rows[ids[own]]
-        statistics = self._statistics
-        statistics.pull.view(-1).index_add_(0, rows, pull)
-        statistics.drawn.view(-1).index_add_(0, rows, torch.ones_like(pull))
-        anchors = background.rows // self.street.background.k
-        statistics.opacity.index_add_(0, anchors, background.opacities.detach())
-        seen = background.seen
-        statistics.seen[seen] += 1.0
-
-    def _refine(self, progress: float) -> None:
-        """Prune and grow, as often as progress is through the next of the refinements."""
-        refinement = self.settings.refinement
-        share = (progress - refinement.begin) / (refinement.end - refinement.begin)
-        if share * refinement.times < self._refined + 1 or self._refined >= refinement.times:
-            return
-        self._refined = min(int(share * refinement.times), refinement.times)
-        background, statistics = self.street.background, self._statistics
-        pruned = (statistics.seen >= _PRUNED_SEEN) & (statistics.opacity < refinement.least_opacity * statistics.seen)
-        keep = (~pruned).nonzero().squeeze(1)
-        wanted = self._first_anchors + (refinement.most - self._first_anchors) * min(1.2 * share, 1.0)
-        room = max(int(wanted) - len(keep), 0)
-        added = self._candidates(room)
-        if pruned.any() or len(added["means"]):
-            replace_rows(background, _ANCHOR_TABLES, self._adam, keep, added)
-        self._statistics = Statistics.empty(len(background), background.k)
-
-    @torch.no_grad()
-    def _candidates(self, room: int) -> dict[str, Tensor]:
-        background, statistics, refinement = self.street.background, self._statistics, self.settings.refinement
-        mean = statistics.pull / statistics.drawn.clamp_min(1.0)
-        mean = torch.where(
-            statistics.drawn >= max(2.0, refinement.least_share * float(statistics.seen.max())), mean, 0.0
-        )
-        rows = mean.view(-1).nonzero().squeeze(1)
-        parents = rows // background.k
-        points = (
-            background.means[parents] + background.offsets.view(-1, 3)[rows] * background.log_scales[parents, :3].exp()
-        )
-        centres, sizes, chosen = grown(points, mean.view(-1)[rows], background.means, refinement.cells_m, room)
-        count = len(centres)
-        offsets = 2.0 * torch.rand(count, background.k, 3, generator=self._generator) - 1.0
-        return {
-            "means": centres,
-            "offsets": 0.5 * offsets,
-            "codes": background.codes[parents[chosen]],
-            "log_scales": sizes.log()[:, None].repeat(1, 6),
-        }
+        (rows, pull), *others = pulls(drawn, viewpoint)
+        self._anchors.note(drawn.parts[0], rows, pull, viewpoint)
+        for refiner, part, (rows, pull) in zip((self._ground, self._sky), drawn.parts[1:], others):
+            refiner.note(part, rows, pull)
+        if due(refinement, progress) > self._refined:
+            self._refined = due(refinement, progress)
+            self._anchors.refine(self._refined, self._adam, self._generator)
+            self._ground.refine(self._refined, self._adam)
+            self._sky.refine(self._refined, self._adam)
 
     def state(self) -> dict[str, Tensor]:
         """See `Learner`."""
-        statistics = {f"statistics.{name}": table for name, table in vars(self._statistics).items()}
-        return {
-            **dumped(self.street, self._adam),
-            **statistics,
-            "generator": self._generator.get_state(),
-            "counters": torch.tensor([self._steps, self._refined, self._first_anchors]),
+        kept = {
+            f"{name}.{key}": table
+            for name, refiner in self._refiners().items()
+            for key, table in refiner.state().items()
         }
+        counters = torch.tensor([self._steps, self._refined])
+        return {
+            **dumped(self.street, self._adam), **kept, "generator": self._generator.get_state(), "counters": counters
+        }  # fmt: skip
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """See `Learner`."""
         load(self.street, state, self._adam)
-        self._statistics = Statistics(**{name: state[f"statistics.{name}"].clone() for name in vars(self._statistics)})
+        for name, refiner in self._refiners().items():
+            own = f"{name}."
+            refiner.restore({key.removeprefix(own): table for key, table in state.items() if key.startswith(own)})
         self._generator.set_state(state["generator"])
-        self._steps, self._refined, self._first_anchors = state["counters"].tolist()
+        self._steps, self._refined = state["counters"].tolist()
+
+    def _refiners(self) -> dict[str, AnchorRefiner | CodeRefiner]:
+        return {"anchors": self._anchors, "ground": self._ground, "sky": self._sky}

@@ -10,9 +10,9 @@ import torch
 from scipy.spatial import cKDTree
 
 from hybridworldsim.scene.appearance import Appearance
-from hybridworldsim.scene.growth import best_of_each, cells
 from hybridworldsim.scene.nodes.anchors import Anchors
 from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians, Seeds
+from hybridworldsim.scene.refining.cells import best_of_each, cells
 from hybridworldsim.scene.settings import Settings
 from hybridworldsim.scene.street import Street
 from hybridworldsim.training.viewpoint import Source
@@ -76,7 +76,7 @@ def thinned(points: Float64, size_m: float, most: int) -> Float64:
 
 
 def _background(initial: Initial, settings: Settings) -> Anchors:
-    points = thinned(initial.points_m, settings.first_spacing_m, settings.first_anchors)
+    points = _by_distance(initial, settings)
     return Anchors(
         torch.from_numpy(points.astype(np.float32)),
         torch.from_numpy(spacing(points, settings.first_spacing_m).astype(np.float32)),
@@ -86,6 +86,18 @@ def _background(initial: Initial, settings: Settings) -> Anchors:
         latent=settings.latent,
         hidden=settings.hidden,
     )
+
+
+def _by_distance(initial: Initial, settings: Settings) -> Float64:
+    """Points (N, 3) of the background: those far from where vehicles drive are seen small, and thinned more."""
+    distance, _ = cKDTree(initial.driven_m).query(initial.points_m)
+    times = np.maximum(settings.first_share * distance / settings.first_spacing_m, 1.0)
+    level = np.ceil(np.log2(times)).astype(np.int64)
+    spaced = [
+        thinned(initial.points_m[level == one], settings.first_spacing_m * 2.0**one, len(level))
+        for one in range(int(level.max(initial=0)) + 1)
+    ]
+    return thinned(np.concatenate(spaced), settings.first_spacing_m, settings.first_anchors)
 
 
 def spacing(points: Float64, least_m: float) -> Float64:
@@ -101,20 +113,24 @@ def ground_seeds(initial: Initial, step: float, reach: float) -> Seeds:
 
     Args:
         initial: what is known.
-        step: of their grid, metres.
+        step: of their grid where vehicles drive, metres; twice as much at the edge.
         reach: how far from a driven line, metres.
     """
     driven = initial.driven_m[:, :2]
+    tree = cKDTree(driven)
     low, high = driven.min(axis=0) - reach, driven.max(axis=0) + reach
-    axes = [np.arange(start, end, step) for start, end in zip(low, high)]
-    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    distance, _ = cKDTree(driven).query(places, distance_upper_bound=reach)
-    places = places[np.isfinite(distance)]
+    rings, widths = [], []
+    # A third of the reach at this grid, a third at one and a half times its step, a third at twice.
+    for nearest, farthest, factor in ((0.0, 1 / 3, 1.0), (1 / 3, 2 / 3, 1.5), (2 / 3, 1.0, 2.0)):
+        axes = [np.arange(start, end, factor * step) for start, end in zip(low, high)]
+        places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        distance, _ = tree.query(places, distance_upper_bound=reach)
+        rings.append(places[(distance >= nearest * reach) & (distance < farthest * reach)])
+        widths.append(np.full(len(rings[-1]), factor * step))
+    places, width = np.concatenate(rings), np.concatenate(widths)
     heights, normals = initial.ground(places)
-    means = np.column_stack((places, heights))
-    scales = np.full((len(means), 3), 0.6 * step)
-    scales[:, 2] = 0.1 * step
-    return _seeds(means, _from_z(normals), scales, 0.9)
+    scales = width[:, None] * np.array([0.6, 0.6, 0.1])
+    return _seeds(np.column_stack((places, heights)), _from_z(normals), scales, 0.9)
 
 
 def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> Seeds:

@@ -48,7 +48,10 @@ class Refinement:
         end: progress.
         times: how often in between.
         most: anchors in a block, at most.
+        most_ground: Code-Gaussians on the ground, at most.
+        most_sky: and in the sky.
         cells_m: sizes of cells in which new anchors stand, coarse to fine.
+        least_cell: a cell is no smaller than this share of the distance from which it is seen at nearest.
         least_opacity: mean sum of an anchor's opacities below which it goes.
         least_share: an offset counts that so large a share of the pictures since the last time drew.
     """
@@ -57,7 +60,10 @@ class Refinement:
     end: float = 0.6
     times: int = 40
     most: int = 30_000
+    most_ground: int = 40_000
+    most_sky: int = 10_000
     cells_m: tuple[float, ...] = (1.6, 0.4, 0.1)
+    least_cell: float = 0.01
     least_opacity: float = 0.005
     least_share: float = 0.01
 
@@ -74,6 +80,7 @@ class Settings:
         plain_code: size of the codes of ground and sky.
         first_anchors: the initial points are thinned to so many at most.
         first_spacing_m: and to one a cell of this size.
+        first_share: but no closer than this share of the distance from where vehicles drive.
         ground_spacing_m: of the grid on the ground.
         ground_reach_m: how far from a driven line there is ground.
         sky_count: Gaussians on the hemisphere.
@@ -95,6 +102,7 @@ class Settings:
     plain_code: int = 16
     first_anchors: int = 12_000
     first_spacing_m: float = 0.4
+    first_share: float = 0.02
     ground_spacing_m: float = 0.35
     ground_reach_m: float = 15.0
     sky_count: int = 3_000

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
 
 def replace_rows(
-    module: nn.Module, names: list[str], optimizer: Optimizer, keep: Tensor, added: dict[str, Tensor]
+    module: nn.Module, names: Sequence[str], optimizer: Optimizer, keep: Tensor, added: dict[str, Tensor]
 ) -> None:
     """Leave rows of parameters out and append others, whose moments are zero.
 

@@ -1,8 +1,6 @@
-"""Anchors where pictures ask for more detail, and none where nothing is seen: cells of space, found by hashing."""
+"""Cells of space, found by hashing: which are taken, and who is the best in each."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -29,32 +27,8 @@ def best_of_each(keys: Tensor, scores: Tensor) -> Tensor:
     return ranked[first.sort().values]
 
 
-@dataclass(eq=False)
-class Statistics:
-    """What pictures since the last refinement told of anchors and their offsets.
-
-    Attributes:
-        pull: (N, k) sum of the gradients' lengths in the picture, in half widths of it.
-        drawn: (N, k) pictures that drew the offset.
-        opacity: (N,) sum of the opacities of an anchor's Gaussians.
-        seen: (N,) pictures in whose view it was.
-    """
-
-    pull: Tensor
-    drawn: Tensor
-    opacity: Tensor
-    seen: Tensor
-
-    @classmethod
-    def empty(cls, anchors: int, offsets: int) -> Statistics:
-        """Nothing yet."""
-        return cls(
-            torch.zeros(anchors, offsets), torch.zeros(anchors, offsets), torch.zeros(anchors), torch.zeros(anchors)
-        )
-
-
 def grown(
-    points: Tensor, scores: Tensor, occupied: Tensor, sizes_m: tuple[float, ...], room: int
+    points: Tensor, scores: Tensor, least_m: Tensor, occupied: Tensor, sizes_m: tuple[float, ...], room: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Where new anchors stand: at the points of the highest scores whose cells are empty, coarse cells first.
 
@@ -63,6 +37,7 @@ def grown(
     Args:
         points: (P, 3) candidates, the Gaussians.
         scores: (P,) how much each is pulled.
+        least_m: (P,) a candidate gets no cell smaller than this.
         occupied: (N, 3) anchors that stand already.
         sizes_m: of the cells, coarse to fine.
         room: how many anchors may be added.
@@ -73,7 +48,8 @@ def grown(
     centres, widths, parents = [occupied.new_empty(0, 3)], [occupied.new_empty(0)], [torch.empty(0, dtype=torch.int64)]
     for left, size_m in zip(range(len(sizes_m), 0, -1), sizes_m):
         standing = torch.cat([occupied, *centres])
-        free = (~torch.isin(cells(points, size_m), cells(standing, size_m))).nonzero().squeeze(1)
+        taken = torch.isin(cells(points, size_m), cells(standing, size_m))
+        free = (~taken & (least_m <= size_m)).nonzero().squeeze(1)
         chosen = free[best_of_each(cells(points[free], size_m), scores[free])][: max(room // left, 0)]
         room -= len(chosen)
         centres.append((torch.floor(points[chosen] / size_m) + 0.5) * size_m)

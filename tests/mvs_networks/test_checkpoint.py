@@ -83,4 +83,5 @@ def test_a_pinned_copy_loads(nowhere, tmp_path, monkeypatch):
     path = saved(tmp_path, randomised(PatchmatchNet(), 3).state_dict())
     known = dataclasses.replace(KNOWN["patchmatchnet"], sha256=file_sha256(path), size=None)
     monkeypatch.setattr(resolve, "KNOWN", KNOWN | {"patchmatchnet": known})
-    assert PatchmatchNetEstimator.load(WeightResolver({"patchmatchnet": path})).threads == 1
+    loaded = PatchmatchNetEstimator.load(WeightResolver({"patchmatchnet": path}))
+    assert repr(loaded) == f"PatchmatchNetEstimator(sha256='{known.sha256}', seed=0, threads=1)"

@@ -11,8 +11,8 @@ from mirror.weights.resolve import WeightResolver
 _PARALLEL = "module."
 
 
-def public_state_dict(name: str, resolver: WeightResolver) -> dict[str, Tensor]:
-    """Tensors of a checkpoint under the names of its network, without the prefix of data-parallel training.
+def public_state_dict(name: str, resolver: WeightResolver) -> tuple[dict[str, Tensor], str]:
+    """Tensors of a checkpoint under the names of its network, without the prefix of data-parallel training; its sha256.
 
     Args:
         name: of the weights, as in `mirror.weights.table`.
@@ -21,8 +21,9 @@ def public_state_dict(name: str, resolver: WeightResolver) -> dict[str, Tensor]:
     Raises:
         WeightsUnavailableError: the file is missing, is another one, or holds no state dict.
     """
-    state = load_state_dict(resolver.resolve(name).path, entry="model")
-    return {key.removeprefix(_PARALLEL): value for key, value in state.items()}
+    resolved = resolver.resolve(name)
+    state = load_state_dict(resolved.path, entry="model")
+    return {key.removeprefix(_PARALLEL): value for key, value in state.items()}, resolved.sha256
 
 
 def fill(network: nn.Module, state: dict[str, Tensor], name: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
@@ -34,10 +34,11 @@ BYTES_PER_SOURCE_PIXEL: Final = 24
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MVSNetEstimator:
-    """Depth by MVSNet, on the CPU.
+    """Depth by MVSNet, on the CPU; its ``repr`` names all that results depend on.
 
     Attributes:
         network: filled, its normalisations folded.
+        sha256: of the checkpoint; None: the network was filled by other means.
         planes: how many planes of depth, a multiple of 8; the published checkpoint was trained with 192.
         spacing: what the planes are even in.
         threads: that torch computes on; results are equal to the bit at an equal number.
@@ -47,11 +48,12 @@ class MVSNetEstimator:
         UsageError: a number of planes that the network cannot halve three times.
     """
 
-    network: MVSNet
+    network: MVSNet = field(repr=False)
+    sha256: str | None = None
     planes: int = 192
     spacing: Spacing = "inverse_depth"
     threads: int = 1
-    memory_bytes: int = 2 << 30
+    memory_bytes: int = field(default=2 << 30, repr=False)
 
     def __post_init__(self) -> None:
         if self.planes < PLANES_STRIDE or self.planes % PLANES_STRIDE:
@@ -73,11 +75,13 @@ class MVSNetEstimator:
             WeightsUnavailableError: it is not there, or is of another network.
             UsageError: a number of planes that the network cannot halve three times.
         """
-        state = public_state_dict(NAME, resolver or WeightResolver())
+        state, sha256 = public_state_dict(NAME, resolver or WeightResolver())
         network = MVSNet(refine=any(key.startswith("refine_network.") for key in state))
         fill(network, state, NAME)
         fold_norms(network)
-        return cls(network=network, planes=planes, spacing=spacing, threads=threads, memory_bytes=memory_bytes)
+        return cls(
+            network=network, sha256=sha256, planes=planes, spacing=spacing, threads=threads, memory_bytes=memory_bytes
+        )
 
     def __call__(
         self, reference: PosedPicture, sources: Sequence[PosedPicture], near_m: float, far_m: float

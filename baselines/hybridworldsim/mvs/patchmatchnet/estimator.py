@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import torch
@@ -33,19 +33,21 @@ BYTES_PER_SOURCE_PIXEL: Final = 60
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PatchmatchNetEstimator:
-    """Depth by PatchmatchNet, on the CPU.
+    """Depth by PatchmatchNet, on the CPU; its ``repr`` names all that results depend on.
 
     Attributes:
         network: filled, its normalisations folded.
+        sha256: of the checkpoint; None: the network was filled by other means.
         seed: of the first hypotheses, drawn anew for every picture.
         threads: that torch computes on; results are equal to the bit at an equal number.
         memory_bytes: refuse pictures that need more.
     """
 
-    network: PatchmatchNet
+    network: PatchmatchNet = field(repr=False)
+    sha256: str | None = None
     seed: int = 0
     threads: int = 1
-    memory_bytes: int = 2 << 30
+    memory_bytes: int = field(default=2 << 30, repr=False)
 
     @classmethod
     def load(
@@ -61,10 +63,11 @@ class PatchmatchNetEstimator:
         Raises:
             WeightsUnavailableError: they are not there, or are others.
         """
+        state, sha256 = public_state_dict(NAME, resolver or WeightResolver())
         network = PatchmatchNet()
-        fill(network, public_state_dict(NAME, resolver or WeightResolver()), NAME)
+        fill(network, state, NAME)
         fold_norms(network)
-        return cls(network=network, seed=seed, threads=threads, memory_bytes=memory_bytes)
+        return cls(network=network, sha256=sha256, seed=seed, threads=threads, memory_bytes=memory_bytes)
 
     def __call__(
         self, reference: PosedPicture, sources: Sequence[PosedPicture], near_m: float, far_m: float

@@ -41,7 +41,7 @@ class MVSNet(nn.Module):
     """MVSNet; its state dict has the keys of the public PyTorch implementation.
 
     Args:
-        refine: whether it has the refinement, which public checkpoints lack.
+        refine: whether it has the refinement, which the public evaluation leaves out.
     """
 
     def __init__(self, *, refine: bool) -> None:

@@ -21,6 +21,8 @@ from mirror.arrays import Float64, UInt8
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 _LOWEST = -0.05
 _THIN = 0.2
+_SOLID = 0.95
+_FAR_SPACING_M = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +60,8 @@ def street_of(initial: Initial, settings: Settings) -> Street:
         torch.manual_seed(settings.seed)
         background = _background(initial, settings)
         on_ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m)
+        if not settings.hybrid:
+            on_ground = both(on_ground, _round(_by_distance(initial, settings), settings.first_spacing_m, _SOLID))
         in_sky = sky_seeds(initial, settings.sky_count, settings.sky_radius, settings.far_count)
         ground = CodeGaussians(on_ground, settings.plain_code, settings.latent, settings.hidden)
         sky = CodeGaussians(in_sky, settings.plain_code, settings.latent, settings.hidden)
@@ -76,7 +80,7 @@ def thinned(points: Float64, size_m: float, most: int) -> Float64:
 
 
 def _background(initial: Initial, settings: Settings) -> Anchors:
-    points = _by_distance(initial, settings)
+    points = _by_distance(initial, settings) if settings.hybrid else np.empty((0, 3))
     return Anchors(
         torch.from_numpy(points.astype(np.float32)),
         torch.from_numpy(spacing(points, settings.first_spacing_m).astype(np.float32)),
@@ -150,16 +154,23 @@ def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> See
     directions = np.stack((wide * np.cos(around), wide * np.sin(around), height), axis=1)
     each = radius * np.sqrt(2.0 * np.pi * (1.0 - _LOWEST) / count)
     flat = np.tile((0.7 * each, 0.7 * each, _THIN * each), (count, 1))
-    far = thinned(initial.far_m, 2.0, far_count)
-    distant = np.repeat(0.5 * spacing(far, 2.0)[:, None], 3, axis=1)
-    dome = _seeds(radius * directions, _from_z(directions), flat, 0.95)
-    turned = np.tile((1.0, 0.0, 0.0, 0.0), (len(far), 1))
+    dome = _seeds(radius * directions, _from_z(directions), flat, _SOLID)
+    return both(dome, _round(thinned(initial.far_m, _FAR_SPACING_M, far_count), _FAR_SPACING_M, _SOLID))
+
+
+def both(one: Seeds, other: Seeds) -> Seeds:
+    """The Gaussians of two, with the opacity of the first."""
     return Seeds(
-        torch.cat([dome.means, torch.from_numpy(far.astype(np.float32))]),
-        torch.cat([dome.quats, torch.from_numpy(turned.astype(np.float32))]),
-        torch.cat([dome.scales, torch.from_numpy(distant.astype(np.float32))]),
-        0.95,
+        torch.cat([one.means, other.means]),
+        torch.cat([one.quats, other.quats]),
+        torch.cat([one.scales, other.scales]),
+        one.opacity,
     )
+
+
+def _round(points: Float64, least_m: float, opacity: float) -> Seeds:
+    turned = np.tile((1.0, 0.0, 0.0, 0.0), (len(points), 1))
+    return _seeds(points, turned, np.repeat(0.5 * spacing(points, least_m)[:, None], 3, axis=1), opacity)
 
 
 def _from_z(normals: Float64) -> Float64:

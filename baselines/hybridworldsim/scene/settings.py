@@ -73,7 +73,8 @@ class Settings:
     """The model and its training.
 
     Attributes:
-        latent: size of an appearance.
+        latent: size of an appearance; 0: all traversals look the same.
+        hybrid: the background is of anchors; False: of Code-Gaussians, as ground and sky are.
         code: size of an anchor's code.
         offsets: Gaussians an anchor.
         hidden: width of the networks.
@@ -96,6 +97,7 @@ class Settings:
     """
 
     latent: int = 16
+    hybrid: bool = True
     code: int = 32
     offsets: int = 10
     hidden: int = 32

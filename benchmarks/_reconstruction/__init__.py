@@ -1,0 +1,1 @@
+"""The comparison of methods of static reconstruction: declared, run as a queue, scored, tabulated."""

@@ -1,0 +1,56 @@
+"""The declaration of the comparison, and its hash."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+FILE: Final = Path(__file__).with_name("comparison.toml")
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What is equal for all methods; `comparison.toml` says what each is."""
+
+    preset: str
+    scenes_seed: int
+    split: str
+    split_seed: int
+    scenes: tuple[str, ...]
+    protocol: str
+    width_px: int
+    width_long_px: int
+    initialise: str
+    seeds: tuple[int, ...]
+    core_minutes: float
+    core_minutes_curve: tuple[float, ...]
+    core_minutes_long: float
+    policy: str
+    hash: str
+
+
+def declared() -> Declared:
+    """The declaration as committed; its hash is of what it says, not of how it is written."""
+    document = tomllib.loads(FILE.read_text())
+    scenes, pictures, training = document["scenes"], document["pictures"], document["training"]
+    return Declared(
+        preset=scenes["preset"],
+        scenes_seed=scenes["seed"],
+        split=scenes["split"],
+        split_seed=scenes["split_seed"],
+        scenes=tuple(scenes["names"]),
+        protocol=pictures["protocol"],
+        width_px=pictures["width_px"],
+        width_long_px=pictures["width_long_px"],
+        initialise=document["beginning"]["initialise"],
+        seeds=tuple(training["seeds"]),
+        core_minutes=training["core_minutes"],
+        core_minutes_curve=tuple(training["core_minutes_curve"]),
+        core_minutes_long=training["core_minutes_long"],
+        policy=document["appearance"]["policy"],
+        hash=hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest(),
+    )

@@ -1,0 +1,115 @@
+"""One job of the comparison, in a process of its own with one thread: train, render, score, write down."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks._reconstruction.data import narrowed, opened, task_of
+from benchmarks._reconstruction.declared import Declared, declared
+from benchmarks._reconstruction.methods import Entry, entries
+from benchmarks._reconstruction.scoring import Scores, averaged, plain, scores_of
+from mirror.dataset.dataset import Dataset
+from mirror.evaluation.methods import Looking, Reconstructed
+from mirror.evaluation.progress import Silent
+from mirror.evaluation.truth.source import TruthSource
+from mirror.evaluation.views import Plan, plan_views
+from mirror.schema.files import write_bytes
+
+RUNS: Final = "runs"
+OUTCOMES: Final = "outcomes"
+NOVEL: Final = "novel"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be trained and scored.
+
+    Attributes:
+        entry: row of the comparison.
+        scene: which.
+        seed: of the training.
+        core_minutes: of training.
+        width_px: of the pictures.
+    """
+
+    entry: str
+    scene: str
+    seed: int
+    core_minutes: float
+    width_px: int
+
+    @property
+    def name(self) -> str:
+        """Of its folder and its outcome."""
+        return f"{self.entry}.{self.scene}.{self.core_minutes:g}min.{self.width_px}px.{self.seed}"
+
+
+def run(job: Job, folder: Path) -> Path:
+    """Do a job, or go on where it was stopped; its outcome is written last."""
+    declaration = declared()
+    outcome = folder / OUTCOMES / f"{job.name}.json"
+    entry = entries()[job.entry]
+    dataset = opened(folder)
+    split = entry.split or declaration.split
+    task = task_of(declaration, job.scene, split, job.width_px, job.core_minutes, job.seed)
+    model = folder / RUNS / job.name
+    done = entry.method.reconstruct(dataset, task, model, Silent())
+    plan = plan_views(dataset.where(scene=job.scene), narrowed(declaration, job.width_px), split)
+    scores = _scored(entry, model, dataset, plan, declaration)
+    document = {
+        "job": asdict(job),
+        "declaration": declaration.hash,
+        "dataset_hash": plan.dataset_hash,
+        **_costs(done),
+        **scores,
+    }
+    write_bytes(outcome, (json.dumps(document, indent=1) + "\n").encode())
+    return outcome
+
+
+def _costs(done: Reconstructed) -> dict[str, Any]:
+    return {
+        "steps": done.steps,
+        "core_s": done.core_s,
+        "gaussians": done.gaussians,
+        "model_bytes": done.model_bytes,
+        "driven_m": done.driven_m,
+        "pictures": done.pictures,
+    }
+
+
+def _scored(entry: Entry, model: Path, dataset: Dataset, plan: Plan, declaration: Declared) -> dict[str, Any]:
+    truth = TruthSource(dataset, plan.protocol, plan.layers)
+    groups = [group.name for group in plan.protocol.groups]
+    render = entry.method.open(model, Looking(declaration.policy, plan.views))
+    scores = scores_of(render, plan, truth, groups)
+    oracle = _oracle(entry, model, dataset, plan, truth)
+    return {
+        "means": {group: averaged(scores, group) for group in groups},
+        "oracle": averaged(oracle, NOVEL),
+        "scores": plain(scores),
+    }
+
+
+def _oracle(entry: Entry, model: Path, dataset: Dataset, plan: Plan, truth: TruthSource) -> list[Scores]:
+    """The held-out pictures with the looks of that training traversal with which they score best."""
+    own = dataset.where(split=plan.split, role="train", scene=plan.views[0].scene_id)
+    tried = [
+        scores_of(entry.method.open(model, Looking(traversal, plan.views)), plan, truth, [NOVEL])
+        for traversal in own.traversals()
+    ]
+    return max(tried, key=lambda scores: averaged(scores, NOVEL)["psnr_cc"])
+
+
+def main(argv: list[str]) -> int:
+    """``python -m benchmarks._reconstruction.job FOLDER JOB`` with the job as JSON."""
+    print(run(Job(**json.loads(argv[1])), Path(argv[0])))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,74 @@
+"""The methods that are compared, each with its settings, and ours with parts switched off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import mtgs_style
+import omnire_style
+import vanilla_3dgs
+from hybridworldsim.methods.static import StaticMethod
+from hybridworldsim.methods.street import StreetMethod
+from hybridworldsim.methods.street import make as make_street
+from hybridworldsim.scene.settings import Refinement, Settings
+
+OURS: Final = "ours"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of the comparison.
+
+    Attributes:
+        name: of the row.
+        method: with its settings.
+        group: ``comparison`` or ``ablation``.
+        split: another split than the declared one, of fewer training traversals.
+    """
+
+    name: str
+    method: StaticMethod
+    group: str = "comparison"
+    split: str | None = None
+
+
+def entries() -> dict[str, Entry]:
+    """All rows, by name."""
+    rows = [
+        Entry(OURS, _street(lambda settings: settings)),
+        *(
+            Entry(f"{package.__name__}-{label}", _explicit(package, settings))
+            for package in (vanilla_3dgs, mtgs_style, omnire_style)
+            for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
+        ),
+        *(Entry(name, _street(change), "ablation") for name, change in _ABLATIONS.items()),
+        *(Entry(f"{count}-traversals", _street(_same), "ablation", f"novel-{count}") for count in (1, 2)),
+    ]
+    return {row.name: row for row in rows}
+
+
+def _as_many_bytes(refinement: Refinement) -> Refinement:
+    """Code-Gaussians in place of anchors: 108 bytes each, against 284."""
+    return replace(refinement, most_ground=refinement.most_ground + refinement.most * 284 // 108)
+
+
+def _same(settings: Settings) -> Settings:
+    return settings
+
+
+_ABLATIONS: Final[dict[str, Callable[[Settings], Settings]]] = {
+    "no-appearance": lambda settings: replace(settings, latent=0),
+    "no-anchors": lambda settings: replace(settings, hybrid=False, refinement=_as_many_bytes(settings.refinement)),
+    "no-depth": lambda settings: replace(settings, depth_weight=0.0, normal_weight=0.0),
+    "no-normals": lambda settings: replace(settings, normal_weight=0.0),
+}
+
+
+def _street(change: Callable[[Settings], Settings]) -> StaticMethod:
+    return StreetMethod("hybridworldsim", make_street, lambda seed: change(replace(Settings(), seed=seed)))
+
+
+def _explicit(package: Any, settings: Any) -> StaticMethod:
+    return StaticMethod(package.__name__, package.make, lambda seed: replace(settings, seed=seed))

@@ -1,0 +1,112 @@
+"""Outcomes as tables: means over scenes and seeds, and paired differences to ours with their intervals."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t
+
+from benchmarks._reconstruction.declared import declared
+from benchmarks._reconstruction.job import OUTCOMES
+from benchmarks._reconstruction.methods import OURS
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job; `figures` by name."""
+
+    entry: str
+    scene: str
+    seed: int
+    core_minutes: float
+    width_px: int
+    figures: dict[str, float]
+
+
+FIGURES = {
+    "train PSNR": "dB",
+    "train SSIM": "",
+    "novel PSNR": "dB",
+    "novel PSNR*": "dB",
+    "novel SSIM": "",
+    "oracle PSNR*": "dB",
+    "MB": "",
+    "Gaussians": "",
+    "steps": "",
+}
+
+
+def outcomes(folder: Path) -> list[Outcome]:
+    """All that are of the declaration as it is now."""
+    wanted = declared().hash
+    read = (json.loads(path.read_text()) for path in sorted((folder / OUTCOMES).glob("*.json")))
+    return [_outcome(document) for document in read if document["declaration"] == wanted]
+
+
+def _outcome(document: dict[str, Any]) -> Outcome:
+    job, means = document["job"], document["means"]
+    return Outcome(
+        job["entry"],
+        job["scene"],
+        job["seed"],
+        job["core_minutes"],
+        job["width_px"],
+        {
+            "train PSNR": means["training"]["psnr"],
+            "train SSIM": means["training"]["ssim"],
+            "novel PSNR": means["novel"]["psnr"],
+            "novel PSNR*": means["novel"]["psnr_cc"],
+            "novel SSIM": means["novel"]["ssim"],
+            "oracle PSNR*": document["oracle"]["psnr_cc"],
+            "MB": document["model_bytes"] / 1e6,
+            "Gaussians": document["gaussians"],
+            "steps": document["steps"],
+        },
+    )
+
+
+def table(found: Sequence[Outcome], entries: Iterable[str]) -> str:
+    """Markdown: a row an entry, means over its outcomes, and of how many."""
+    lines = [f"| method | {' | '.join(FIGURES)} | runs |", "|---" * (len(FIGURES) + 2) + "|"]
+    for entry in entries:
+        own = [one for one in found if one.entry == entry]
+        if own:
+            cells = [_cell(name, float(np.mean([one.figures[name] for one in own]))) for name in FIGURES]
+            lines.append(f"| {entry} | {' | '.join(cells)} | {len(own)} |")
+    return "\n".join(lines)
+
+
+def differences(found: Sequence[Outcome], entries: Iterable[str], names: Sequence[str]) -> str:
+    """Markdown: ours minus each other, paired by scene and seed, with 95 % intervals of Student's t."""
+    lines = [f"| ours minus | {' | '.join(names)} | pairs |", "|---" * (len(names) + 2) + "|"]
+    ours = {(one.scene, one.seed): one for one in found if one.entry == OURS}
+    for entry in entries:
+        pairs = [(ours[key], one) for one in found if one.entry == entry and (key := (one.scene, one.seed)) in ours]
+        if entry == OURS or not pairs:
+            continue
+        cells = []
+        for name in names:
+            gaps = np.array([mine.figures[name] - other.figures[name] for mine, other in pairs])
+            low, high = interval(gaps)
+            cells.append(f"{gaps.mean():+.3f} [{low:+.3f}, {high:+.3f}]")
+        lines.append(f"| {entry} | {' | '.join(cells)} | {len(pairs)} |")
+    return "\n".join(lines)
+
+
+def interval(gaps: np.ndarray, level: float = 0.95) -> tuple[float, float]:
+    """Of the mean of paired differences; unbounded where there is one."""
+    if len(gaps) < 2:
+        return -np.inf, np.inf
+    half = float(t.ppf(0.5 + level / 2.0, len(gaps) - 1) * gaps.std(ddof=1) / np.sqrt(len(gaps)))
+    return float(gaps.mean()) - half, float(gaps.mean()) + half
+
+
+def _cell(name: str, value: float) -> str:
+    if name in ("Gaussians", "steps"):
+        return f"{value:,.0f}"
+    return f"{value:.3f}" if "SSIM" in name else f"{value:.2f}"

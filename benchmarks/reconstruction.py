@@ -1,0 +1,86 @@
+"""Static reconstruction: ours against vanilla 3DGS, MTGS-style and OmniRe-style, at equal cost, on declared scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from benchmarks.report import OUT
+from mirror.errors import ExitCode
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Prepare the scenes, run the jobs, show the tables; each goes on where it was stopped.
+
+    The whole comparison takes hours: 20 core-minutes a job, two jobs side by side on two cores.
+    """
+
+    what: tyro.conf.Positional[Literal["prepare", "run", "show"]] = "show"
+    """prepare: recordings, dataset, layers; run: train and score; show: tables of what is done."""
+    data: Path = OUT / "reconstruction"
+    """Folder of the scenes and of all that is made of them."""
+    entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Rows, such as ours or mtgs_style-tuned; may be repeated. Default: all of the group."""
+    group: Literal["comparison", "ablation"] = "comparison"
+    """Methods against each other, or ours with parts switched off."""
+    minutes: Annotated[tuple[float, ...], tyro.conf.UseAppendAction] = ()
+    """Core-minutes of training. Default: as declared."""
+    scenes: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Default: all that are declared."""
+    seeds: Annotated[tuple[int, ...], tyro.conf.UseAppendAction] = ()
+    """Default: all that are declared."""
+    width: int | None = None
+    """Of the pictures. Default: as declared."""
+    jobs: int = 2
+    """Side by side, each on one core."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the benchmark."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="python -m benchmarks reconstruction")
+
+    from benchmarks._reconstruction.data import prepare
+    from benchmarks._reconstruction.declared import declared
+    from benchmarks._reconstruction.job import Job
+    from benchmarks._reconstruction.methods import entries
+    from benchmarks._reconstruction.queue import run_all
+    from benchmarks._reconstruction.tables import differences, outcomes, table
+    from mirror.cli.watch import watching
+
+    declaration = declared()
+    if arguments.what == "prepare":
+        with watching(quiet=False) as watch:
+            prepare(arguments.data, declaration, watch)
+        return ExitCode.DONE
+    rows = [
+        name
+        for name, entry in entries().items()
+        if name in arguments.entries or (not arguments.entries and entry.group == arguments.group)
+    ]
+    width = arguments.width or declaration.width_px
+    budgets = arguments.minutes or (declaration.core_minutes,)
+    if arguments.what == "run":
+        jobs = [
+            Job(entry, scene, seed, minutes, width)
+            for seed in arguments.seeds or declaration.seeds
+            for minutes in budgets
+            for scene in arguments.scenes or declaration.scenes
+            for entry in rows
+        ]
+        return ExitCode.PARTLY_DONE if run_all(jobs, arguments.data, arguments.jobs) else ExitCode.DONE
+    found = outcomes(arguments.data)
+    print(f"declaration {declaration.hash[:16]}")
+    for minutes in budgets:
+        own = [one for one in found if one.core_minutes == minutes and one.width_px == width]
+        print(f"\n{minutes:g} core-minutes, {width} px\n\n{table(own, rows)}")
+        print(f"\n{differences(own, rows, ('train PSNR', 'train SSIM', 'novel PSNR*', 'novel SSIM'))}")
+    return ExitCode.DONE
+
+
+if __name__ == "__main__":
+    raise SystemExit(main([]))

@@ -1,1 +1,1 @@
-"""Rendering a trained street: several blocks at once, fast, along trajectories, as pictures or a video."""
+"""Rendering a trained street: several blocks as one, fast."""

@@ -2,54 +2,22 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, TypeAlias, TypeVar
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from hybridworldsim.rendering.partition import partition
+from hybridworldsim.rendering.parts import LEAST, Looks, Part, faded, parts_of
 from hybridworldsim.rendering.prepared import PreparedStreet
-from hybridworldsim.scene.appearance import Appearance
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.splats import Splats
 from hybridworldsim.scene.street import Drawn, Street, draw
 from hybridworldsim.scene.visible import visible
 from hybridworldsim.training.viewpoint import Viewpoint, viewpoint_of
-from mirror.errors import UsageError
+from mirror.arrays import Float64
 from mirror.evaluation.views.view import View
-
-_LEAST: Final = 1.0 / 255.0
-_TALLEST: Final = 2.0
-
-Looks: TypeAlias = Callable[[Appearance], tuple[Tensor, Tensor]]
-"""Of a block's latents, the appearance of its colours and of what is there."""
-
-_Node = TypeVar("_Node", bound=nn.Module)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """A block as it is drawn among others.
-
-    Attributes:
-        block: where it is.
-        street: its nodes, without the rows that are never drawn.
-        background: (anchors,) weights.
-        ground: (Gaussians,) weights.
-        spheres: of background, ground and sky, (4,): centre and radius of all that they hold.
-        held: Gaussians before any were left out.
-    """
-
-    block: Block
-    street: PreparedStreet
-    background: Tensor
-    ground: Tensor
-    spheres: tuple[Tensor, ...]
-    held: int
 
 
 class Composition:
@@ -71,13 +39,8 @@ class Composition:
     """
 
     def __init__(self, blocks: Sequence[tuple[Block, Street]]) -> None:
-        if not blocks or len({(block.size_m, block.overlap_m) for block, _ in blocks}) != 1:
-            raise UsageError(f"{len(blocks)} blocks to compose", expected="at least one, all of one size and overlap")
-        self._origin = np.mean([block.origin_m for block, _ in blocks], axis=0)
-        self._centres = torch.tensor(np.array([block.origin_m for block, _ in blocks])[:, :2] - self._origin[:2])
-        self._ramp_m = blocks[0][0].overlap_m
-        self._parts = tuple(self._part(place, [block for block, _ in blocks], blocks[place][1])
-                            for place in range(len(blocks)))  # fmt: skip
+        self._all = parts_of(blocks)
+        self._ready = [_Ready(part) for part in self._all.parts]
 
     @torch.inference_mode()
     def draw(self, view: View, looks: Looks) -> tuple[Drawn, Mapping[str, int]]:
@@ -90,107 +53,73 @@ class Composition:
         Returns:
             The picture, and counts: of blocks, nodes and Gaussians held, decoded and drawn.
         """
-        place = torch.from_numpy(view.pose.translation[:, :2] - self._origin[:2])
-        skies = partition(place, self._centres, self._ramp_m)[0]
-        home = self._parts[int(skies.argmax())].block
-        shown = [
-            _moved(splats, part.block, home)
-            for part, sky in zip(self._parts, skies)
-            for splats in self._decoded(part, viewpoint_of(view, np.array(part.block.origin_m)), float(sky), looks)
-        ]
+        skies = self._all.skies(view.pose.translation[0])
+        home = self._ready[int(skies.argmax())].part.block
+        shown = []
+        for ready, sky in zip(self._ready, skies.tolist()):
+            shift = np.array(ready.part.block.origin_m) - np.array(home.origin_m)
+            viewpoint = viewpoint_of(view, np.array(ready.part.block.origin_m))
+            shown += [_moved(splats, shift) for splats in ready.decoded(viewpoint, sky, looks)]
         drawn = draw(viewpoint_of(view, np.array(home.origin_m)), tuple(shown))
         counts = {
-            "blocks": len(self._parts),
-            "nodes": 3 * len(self._parts),
+            "blocks": len(self._ready),
+            "nodes": 3 * len(self._ready),
             "nodes_drawn": len(shown),
-            "held": sum(part.held for part in self._parts),
+            "held": sum(ready.part.held for ready in self._ready),
             "decoded": sum(splats.decoded for splats in shown),
             "drawn": sum(len(splats) for splats in shown),
         }
         return drawn, counts
 
-    def _part(self, place: int, blocks: list[Block], street: Street) -> _Part:
-        """A block without what it never shows beside the others."""
-        block = blocks[place]
 
-        def own(means: Tensor) -> Tensor:
-            shift = torch.tensor(np.array(block.origin_m)[:2] - self._origin[:2])
-            return partition(means[:, :2].double() + shift, self._centres, self._ramp_m)[:, place].to(means.dtype)
+class _Ready:
+    """A part, ready to be decoded.
 
-        sky = street.sky.means.detach()
-        kept = torch.ones(len(sky), dtype=torch.bool)
-        for other in blocks:
-            if other.index != block.index:
-                kept &= ~_within(other, block, sky)
-        weights = own(street.background.means.detach()), own(street.ground.means.detach())
-        rows = [(weight > _LEAST).nonzero().squeeze(1) for weight in weights]
-        smaller = Street(
-            subset(street.background, rows[0]),
-            subset(street.ground, rows[1]),
-            subset(street.sky, kept.nonzero().squeeze(1)),
-            street.appearance,
-        )
-        held = len(street.background) * street.background.k + len(street.ground) + len(street.sky)
-        nodes = (smaller.background, smaller.ground, smaller.sky)
-        spheres = tuple(_sphere(node.means.detach(), node.log_scales.detach()) for node in nodes)
-        shares = weights[0][rows[0]], weights[1][rows[1]]
-        return _Part(block, PreparedStreet(smaller), *shares, spheres, held)
+    Args:
+        part: which.
+    """
 
-    def _decoded(self, part: _Part, viewpoint: Viewpoint, sky: float, looks: Looks) -> list[Splats]:
-        """What the nodes of a block show that a viewpoint may see."""
-        seen = [len(visible(viewpoint, sphere[None, :3], sphere[3:])) > 0 for sphere in part.spheres]
-        seen[2] = seen[2] and sky > _LEAST
-        if not any(seen):
-            return []
+    def __init__(self, part: Part) -> None:
         street = part.street
+        self.part, self._street = part, PreparedStreet(street)
+        self._spheres = [
+            _sphere(node.means, node.log_scales) for node in (street.background, street.ground, street.sky)
+        ]
+        self._whole = bool((part.background == 1.0).all()), bool((part.ground == 1.0).all())
+
+    def decoded(self, viewpoint: Viewpoint, sky: float, looks: Looks) -> list[Splats]:
+        """What the nodes show that a viewpoint may see; nodes that it does not see are not even listed."""
+        background, ground, far = (len(visible(viewpoint, one[None, :3], one[3:])) > 0 for one in self._spheres)
+        far &= sky > LEAST
+        if not (background or ground or far):
+            return []
+        street, shown = self._street, []
         latent, content = looks(street.appearance)
-        shown = []
-        if seen[0]:
+        if background:
             splats = street.background.decode(viewpoint, latent, content)
-            shown.append(faded(splats, part.background[splats.rows // street.background.k]))
-        if seen[1]:
+            weights = None if self._whole[0] else self.part.background[splats.rows // street.background.k]
+            shown.append(splats if weights is None else faded(splats, weights))
+        if ground:
             splats = street.ground.decode(viewpoint, latent)
-            shown.append(faded(splats, part.ground[splats.rows]))
-        if seen[2]:
+            shown.append(splats if self._whole[1] else faded(splats, self.part.ground[splats.rows]))
+        if far:
             splats = street.sky.decode(viewpoint, latent)
-            shown.append(faded(splats, splats.opacities.new_full((len(splats),), sky)))
+            shown.append(splats if sky == 1.0 else faded(splats, splats.opacities.new_full((len(splats),), sky)))
         return shown
-
-
-def faded(splats: Splats, weights: Tensor) -> Splats:
-    """Gaussians whose optical depth is multiplied by weights (N,)."""
-    return replace(splats, opacities=1.0 - (1.0 - splats.opacities).clamp_min(1e-6) ** weights)
-
-
-def subset(node: _Node, rows: Tensor) -> _Node:
-    """A node with some of its rows alone; the networks are shared."""
-    smaller = copy.copy(node)
-    smaller._parameters = {
-        name: nn.Parameter(table.detach()[rows], requires_grad=False) if table is not None else None
-        for name, table in node._parameters.items()
-    }
-    return smaller
-
-
-def _within(other: Block, block: Block, means: Tensor) -> Tensor:
-    """(N,) which Gaussians of a block's frame stand where another block has geometry."""
-    shift = means.new_tensor(np.array(block.origin_m) - np.array(other.origin_m))
-    local = (means + shift).abs()
-    return (local[:, :2] <= other.near_m).all(1) & (local[:, 2] <= _TALLEST * other.near_m)
 
 
 def _sphere(means: Tensor, log_scales: Tensor) -> Tensor:
     """(4,) centre and radius of a sphere that holds all of a node; of an empty one, a radius that nothing sees."""
+    means, log_scales = means.detach(), log_scales.detach()
     if not len(means):
         return means.new_tensor((0.0, 0.0, 0.0, -1e9))
-    reach = 3.0 * log_scales.amax(1).exp()
     centre = (means.amin(0) + means.amax(0)) / 2.0
+    reach = 3.0 * log_scales.amax(1).exp()
     return torch.cat([centre, ((means - centre).norm(dim=1) + reach).max()[None]])
 
 
-def _moved(splats: Splats, block: Block, home: Block) -> Splats:
-    """Gaussians of a block's frame in another's."""
-    if block is home:
+def _moved(splats: Splats, shift_m: Float64) -> Splats:
+    """Gaussians in the frame of another block."""
+    if not shift_m.any():
         return splats
-    shift = splats.means.new_tensor(np.array(block.origin_m) - np.array(home.origin_m))
-    return replace(splats, means=splats.means + shift)
+    return replace(splats, means=splats.means + splats.means.new_tensor(shift_m))

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hybridworldsim.bake import Baked, bake, draw_baked, shortfall_db, write_ply
+from hybridworldsim.scene.appearance import Appearance
+from hybridworldsim.scene.blocks import Block
+from mirror.errors import UsageError
+from tests.street.streets import SOURCES, shifted, street, view
+
+A = Block((0, 0), (0.0, 0.0, 0.0), 40.0, 10.0)
+B = Block((1, 0), (30.0, 0.0, 0.0), 40.0, 10.0)
+UTM = (441_000.0, 4_475_000.0, 600.0)
+LINE = [view(float(x), 0.5) for x in np.arange(-28.0, 4.0, 2.0)]
+
+
+def looks(appearance: Appearance) -> tuple[torch.Tensor, torch.Tensor]:
+    latent = appearance(SOURCES[0])
+    return latent, latent
+
+
+def read_ply(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
+    """As viewers read it: a header of lines, then little-endian float32 by the properties' names."""
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    lines = head.decode("ascii").splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    names = [line.split()[2] for line in lines if line.startswith("property float ")]
+    (count,) = (int(line.split()[2]) for line in lines if line.startswith("element vertex "))
+    table = np.frombuffer(body, "<f4").reshape(count, len(names))
+    return lines, dict(zip(names, table.T))
+
+
+def test_the_file_is_what_viewers_expect(tmp_path: Path) -> None:
+    one = street()
+    block = Block((0, 0), UTM)
+    views = [view(UTM[0] + x, UTM[1], UTM[2] + 1.5) for x in (-20.0, 0.0, 20.0)]
+    baked = bake([(block, one)], views, looks)
+    size = write_ply(tmp_path / "street.ply", baked)
+    lines, columns = read_ply(tmp_path / "street.ply")
+    assert size == (tmp_path / "street.ply").stat().st_size
+    assert list(columns) == [
+        *"xyz", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(45)),
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ]  # fmt: skip
+    assert "comment world origin 441000.0 4475000.0 600.0" in lines
+    assert all(np.isfinite(column).all() for column in columns.values())
+    places = np.stack([columns[axis] for axis in "xyz"], axis=1)
+    assert np.linalg.norm(places, axis=1).max() <= 150.001
+    np.testing.assert_allclose(sum(columns[f"rot_{i}"] ** 2 for i in range(4)), 1.0, atol=1e-5)
+    # Logits and logarithms, not what they stand for.
+    assert columns["opacity"].min() < 0.0 and columns["opacity"].max() < 8.0
+    assert columns["scale_0"].min() < 0.0 and np.exp(columns["scale_0"]).max() < 100.0
+    # Above the constant all red harmonics stand before all green ones.
+    np.testing.assert_array_equal(columns["f_rest_0"], baked.harmonics[:, 1, 0].numpy())
+    np.testing.assert_array_equal(columns["f_rest_15"], baked.harmonics[:, 1, 1].numpy())
+    np.testing.assert_array_equal(columns["f_dc_2"], baked.harmonics[:, 0, 2].numpy())
+
+
+def test_what_does_not_depend_on_the_view_is_baked_exactly() -> None:
+    one = street()
+    for network in (one.background.geometry, one.background.colour, one.ground.colour, one.sky.colour):
+        network.own[1].data.zero_()
+    for degree in (0, 1, 3):
+        baked = bake([(A, one)], LINE, looks, degree=degree, sky="keep")
+        assert baked.harmonics.shape[1] == (degree + 1) ** 2
+        assert shortfall_db(baked, [(A, one)], LINE[:4], looks) > 45.0
+
+
+def test_harmonics_follow_colours_that_change_with_the_view() -> None:
+    one = street()
+    for network in (one.background.geometry,):
+        network.own[1].data.zero_()
+    plain, full = (
+        shortfall_db(bake([(A, one)], LINE, looks, degree=degree, sky="keep"), [(A, one)], LINE[1::3], looks)
+        for degree in (0, 3)
+    )
+    assert full > plain and full > 35.0
+
+
+def test_a_sky_pulled_in_looks_as_before_from_the_middle_and_is_nearer() -> None:
+    one = street()
+    kept, pulled, clipped = (bake([(A, one)], LINE, looks, sky=sky) for sky in ("keep", "pull", "clip"))
+    assert kept.means.norm(dim=1).max() > 290.0
+    assert pulled.means.norm(dim=1).max() < 150.1 and len(pulled) == len(kept)
+    assert clipped.means.norm(dim=1).max() < 150.1 and len(clipped) < len(kept)
+    middle = view(0.0, 0.0, 0.0)
+    assert float((draw_baked(kept, middle) - draw_baked(pulled, middle)).abs().mean()) < 1e-3
+
+
+def test_blocks_are_baked_as_one_street() -> None:
+    one = street()
+    both = [(A, one), (B, shifted(one, np.array([-30.0, 0.0, 0.0])))]
+    for node in (one, both[1][1]):
+        for network in (node.background.geometry, node.background.colour, node.ground.colour, node.sky.colour):
+            network.own[1].data.zero_()
+    views = [view(x, 0.5) for x in (-20.0, -10.0, -5.0)]
+    assert shortfall_db(bake(both, views, looks, sky="keep"), both, views, looks) > 40.0
+
+
+def test_nothing_to_bake_from_is_refused() -> None:
+    for views, degree in (([], 3), (LINE, 4)):
+        with pytest.raises(UsageError, match="degree"):
+            bake([(A, street())], views, looks, degree=degree)
+
+
+def test_a_baked_frame_far_from_the_worlds_origin_draws_the_same() -> None:
+    one = street()
+    near = bake([(A, one)], LINE, looks)
+    far = Baked(near.means, near.quats, near.log_scales, near.logits, near.harmonics, np.array(UTM))
+    there = view(UTM[0] - 10.0, UTM[1], UTM[2] + 1.5)
+    torch.testing.assert_close(draw_baked(near, view(-10.0)), draw_baked(far, there), atol=1e-4, rtol=0.0)

@@ -20,8 +20,8 @@ class Density:
     """The strategy with its clock, its cap and its chance.
 
     The strategy reads step numbers: here every round has two, the even one at which it refines and the odd one that
-    stands for all steps until the next. The cap, which rises from round to round, is kept by raising the gradient above which Gaussians grow, so that
-    those that need it most do. Scenes are in metres, hence its scene scale is 1.
+    stands for all steps until the next. The cap, which rises from round to round, is kept by raising the gradient above
+    which Gaussians grow, so that those that need it most do. Scenes are in metres, hence its scene scale is 1.
 
     Args:
         settings: when and what.

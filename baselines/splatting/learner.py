@@ -91,9 +91,7 @@ class SplattingLearner:
         if drawn.harmonics.grad is not None:
             for name, first, past in self.model.look.bands(picture.viewpoint.source, int(self.model.sh_degree)):
                 self._adams[name].update(drawn.rows, drawn.harmonics.grad, 3 * first, 3 * (past - first))
-        for own in self.model.look.optimizers():
-            own.step()
-            own.zero_grad(set_to_none=True)
+        self.model.look.learn(picture.viewpoint)
 
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:

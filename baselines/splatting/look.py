@@ -57,6 +57,9 @@ class Look(nn.Module):
         """Of the parameters that belong to no Gaussian."""
         return []
 
+    def learn(self, viewpoint: Viewpoint) -> None:
+        """Take a step with the gradients of these parameters, which then are none."""
+
     def prepare(self, viewpoint: Viewpoint, progress: float) -> None:
         """A picture from here is about to be learnt from; learning rates are to be those of progress, from 0 to 1."""
 

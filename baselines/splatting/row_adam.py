@@ -37,6 +37,8 @@ class RowAdam(Optimizer):
             first: how many numbers of a row of the gradients come before.
             count: how many numbers of the table they are of; None: all.
         """
+        if not len(rows):
+            return
         (group,) = self.param_groups
         (table,) = group["params"]
         state: dict[str, Any] = self.state[table]

@@ -19,6 +19,7 @@ class Rates:
         opacities: of logits.
         sh0: of the constant band of colour.
         shN: of the others.
+        adapter: of what a traversal adds to the constant band, where a method has that.
     """
 
     means: Rate = field(default=Rate(8e-3, 8e-5))
@@ -27,6 +28,7 @@ class Rates:
     opacities: Rate = field(default=Rate(5e-2, 5e-2))
     sh0: Rate = field(default=Rate(2.5e-3, 2.5e-3))
     shN: Rate = field(default=Rate(1.25e-4, 1.25e-4))
+    adapter: Rate | None = None
 
 
 @dataclass(frozen=True)

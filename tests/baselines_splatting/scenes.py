@@ -8,9 +8,10 @@ import numpy as np
 import torch
 
 from hybridworldsim.scene.seeding import Initial
+from hybridworldsim.scene.settings import Rate
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.viewpoint import Source, Viewpoint
-from splatting.settings import Densification, Seeding, Splatting
+from splatting.settings import Densification, Splatting
 
 WIDTH, HEIGHT = 48, 32
 SOURCES = (Source("a", "front"), Source("b", "front"))
@@ -18,22 +19,23 @@ SOURCES = (Source("a", "front"), Source("b", "front"))
 
 def initial(count: int = 120) -> Initial:
     rng = np.random.default_rng(3)
-    points = np.column_stack((rng.uniform(8.0, 9.0, count), rng.uniform(-6.0, 6.0, count), rng.uniform(0.0, 4.0, count)))
+    points = rng.uniform((8.0, -6.0, 0.0), (9.0, 6.0, 4.0), (count, 3))
     driven = np.column_stack((np.linspace(0.0, 6.0, 7), np.zeros(7), np.zeros(7)))
 
     def ground(places):
         return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
 
-    far = np.column_stack((rng.uniform(60.0, 70.0, 20), rng.uniform(-30.0, 30.0, 20), rng.uniform(0.0, 9.0, 20)))
+    far = rng.uniform((60.0, -30.0, 0.0), (70.0, 30.0, 9.0), (20, 3))
     return Initial(points, far, driven, ground, 30.0, SOURCES, rng.integers(0, 255, (count, 3)).astype(np.uint8))
 
 
 def small(settings: Splatting, **changes) -> Splatting:
-    """The same method with hardly anything to draw."""
+    """The same method with hardly anything to draw, and colours that are learnt in few steps."""
     seeding = replace(
         settings.seeding, most=100, spacing_m=0.2, ground_spacing_m=1.5, ground_reach_m=4.0, sky_count=60, far_count=10
     )
-    return replace(settings, **{"seeding": seeding, **changes})
+    quick = replace(settings.rates, sh0=Rate(3e-2, 3e-2), means=Rate(1e-2, 1e-3))
+    return replace(settings, **{"seeding": seeding, "rates": quick, **changes})
 
 
 def viewpoint(place: float = 0.0, source: Source = SOURCES[0]) -> Viewpoint:
@@ -56,14 +58,13 @@ def picture(rgb: torch.Tensor | float, at: Viewpoint | None = None, depth_m: flo
 
 
 def stripes(phase: float = 0.0) -> torch.Tensor:
-    columns = 0.5 + 0.4 * torch.sin(torch.arange(WIDTH) * 0.9 + phase)
-    return torch.stack((columns.expand(HEIGHT, WIDTH), columns.flip(0).expand(HEIGHT, WIDTH), columns.expand(HEIGHT, WIDTH)), 2)
+    columns = (0.5 + 0.4 * torch.sin(torch.arange(WIDTH) * 0.9 + phase)).expand(HEIGHT, WIDTH)
+    return torch.stack((columns, columns.flip(1), columns), 2)
 
 
 def pictures(count: int = 6) -> list[TrainingPicture]:
-    """Of both traversals, in turn."""
-    return [picture(stripes(0.3 * k), viewpoint(0.4 * k, SOURCES[k % 2])) for k in range(count)]
+    """Of both traversals, in turn, from places all but the same."""
+    return [picture(stripes(), viewpoint(0.02 * k, SOURCES[k % 2])) for k in range(count)]
 
 
 GROWING = Densification(begin=0.05, end=0.9, rounds=6, resets=1, most=400, gradient=1e-6, split_m=0.3, largest_m=None)
-SPARSE = Seeding(most=30)

@@ -1,0 +1,12 @@
+"""Gaussian splatting of one traversal after OmniRe (Chen et al. 2025): a cube of sky, an affine map a picture.
+
+OmniRe knows no traversals: all its pictures share their colours but for an affine map. It is meant for the pictures of
+one traversal, the nearest to the one that is to be rendered; who trains it chooses them, and it runs on several too.
+"""
+
+from __future__ import annotations
+
+from omnire_style.learner import make
+from omnire_style.settings import RELEASED, TUNED, OmnireStyle
+
+__all__ = ["RELEASED", "TUNED", "OmnireStyle", "make"]

@@ -1,0 +1,145 @@
+"""Wherein the rivals differ: harmonics of a traversal, exposures, embeddings, the cube of sky."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import mtgs_style
+import omnire_style
+from hybridworldsim.scene.settings import Rate
+from hybridworldsim.training.viewpoint import Source
+from mirror.errors import UsageError
+from omnire_style.cube import Cube
+from splatting.settings import Rates
+from tests.baselines_splatting.scenes import GROWING, SOURCES, initial, picture, small, stripes, viewpoint
+
+A, B = SOURCES
+
+
+def _mtgs(**changes):
+    rates = Rates(sh0=Rate(1e-2, 1e-3), shN=Rate(1e-2, 1e-3), adapter=Rate(1e-2, 1e-3))
+    return mtgs_style.make(
+        initial(), replace(small(mtgs_style.RELEASED, densification=GROWING), rates=rates, **changes)
+    )
+
+
+def test_a_traversal_learns_its_own_harmonics_and_no_others():
+    learner = _mtgs()
+    names = [name for name in learner.model.tables if name.endswith("_1")]
+    assert sorted(names) == ["adapter_1", "shN_1"]
+    before = {name: learner.model.tables[name].detach().clone() for name in learner.model.tables}
+    learner.step(picture(stripes(), viewpoint(0.0, A)), 0.01)
+    learner.step(picture(stripes(), viewpoint(0.1, A)), 0.04)  # of the first band beside the constant one
+    after = learner.model.tables
+    assert all(torch.equal(before[name], after[name]) for name in names)
+    assert not torch.equal(before["shN_0"], after["shN_0"])
+    assert not torch.equal(before["adapter_0"], after["adapter_0"])
+    rows, source = torch.arange(len(after["means"])), B
+    shared = learner.model.harmonics(rows, source)
+    torch.testing.assert_close(shared[:, :1], after["sh0"].detach())
+    assert (shared[:, 1:] == 0.0).all()
+
+
+def test_harmonics_are_the_sum_of_what_is_shared_and_what_is_a_traversals_own():
+    learner = _mtgs()
+    tables = learner.model.tables
+    with torch.no_grad():
+        learner.model.sh_degree.fill_(1)
+        tables["adapter_1"].fill_(0.25)
+        tables["shN_1"].fill_(2.0)
+    rows = torch.tensor([0, 3, 7])
+    found = learner.model.harmonics(rows, B)
+    torch.testing.assert_close(found[:, :1], tables["sh0"].detach()[rows] + 0.25)
+    assert found.shape == (3, 4, 3) and (found[:, 1:] == 2.0).all()
+    torch.testing.assert_close(learner.model.harmonics(rows, A)[:, :1], tables["sh0"].detach()[rows])
+
+
+def test_exposures_are_of_training_pictures_and_nothing_else():
+    learner = _mtgs(exposure=Rate(1e-1, 1e-1))
+    taken, novel = viewpoint(0.0, A), viewpoint(0.2, A)
+    learner.step(picture(stripes(), taken), 0.5)
+    exposures = learner.model.look.exposures
+    assert not torch.equal(exposures.table.detach()[0], torch.eye(3, 4).flatten())
+    plain, shown = learner.render(novel).rgb, learner.render(taken).rgb
+    with torch.no_grad():
+        exposures.table.add_(0.3)
+    assert torch.equal(learner.render(novel).rgb, plain)
+    assert torch.equal(learner.render(taken.seen_by(B)).rgb, learner.render(viewpoint(0.0, B)).rgb)
+    assert not torch.equal(learner.render(taken).rgb, shown)
+
+
+def test_without_a_rate_there_is_no_exposure():
+    learner = _mtgs(exposure=None)
+    learner.step(picture(stripes()), 0.5)
+    assert not len(learner.model.look.exposures.table)
+
+
+def test_a_traversal_that_was_not_trained_on_is_refused():
+    with pytest.raises(UsageError, match="elsewhere"):
+        _mtgs().render(viewpoint(0.0, Source("elsewhere", "front")))
+
+
+def test_a_novel_picture_has_the_mean_of_all_embeddings():
+    settings = replace(small(omnire_style.RELEASED, densification=GROWING), affine=Rate(1e-2, 1e-2))
+    learner = omnire_style.make(initial(), settings)
+    for place, value in ((0.0, 0.2), (0.1, 0.8), (0.0, 0.2), (0.1, 0.8)):
+        learner.step(picture(value, viewpoint(place)), 0.3)
+    embeddings = learner.model.look.embeddings
+    assert embeddings.table.shape == (2, settings.embedding)
+    novel = learner.render(viewpoint(0.05)).rgb
+    with torch.no_grad():
+        embeddings.table[:] = embeddings.table.mean(0)
+    torch.testing.assert_close(learner.render(viewpoint(0.05)).rgb, novel)
+
+
+def test_a_map_that_has_learnt_nothing_changes_nothing():
+    learner = omnire_style.make(initial(), small(omnire_style.RELEASED))
+    before = learner.render(viewpoint()).rgb
+    learner.model.look.prepare(viewpoint(), 0.0)
+    torch.testing.assert_close(learner.render(viewpoint()).rgb, before)
+
+
+def test_what_is_not_sky_is_made_opaque_and_sky_is_not():
+    learner = omnire_style.make(initial(), small(omnire_style.RELEASED))
+    taken = picture(0.5)
+    alpha = torch.full(taken.sky.shape, 0.5, requires_grad=True)
+    ((weight, loss),) = learner.model.look.losses(alpha, taken).values()
+    loss.backward()
+    assert weight > 0.0
+    assert (alpha.grad[taken.sky] > 0.0).all() and (alpha.grad[~taken.sky] < 0.0).all()
+    assert not learner.model.look.losses(alpha, replace(taken, sky=None))
+
+
+def _texel_directions(size: int) -> torch.Tensor:
+    """(size, 6 size, 3) directions of the centres of all faces' pixels, by the definition of a cube map."""
+    steps = (torch.arange(size) + 0.5) / size * 2.0 - 1.0
+    found = torch.empty(size, 6 * size, 3)
+    for face in range(6):
+        axis, sign = face // 2, 1.0 - 2.0 * (face % 2)
+        part = found[:, face * size : (face + 1) * size]
+        part[..., axis] = sign
+        part[..., (axis + 1) % 3] = steps[None, :]
+        part[..., (axis + 2) % 3] = steps[:, None]
+    return found
+
+
+def test_the_cube_shows_in_each_direction_what_is_there():
+    cube = Cube(64)
+    rays = torch.nn.functional.normalize(_texel_directions(64), dim=-1)
+    with torch.no_grad():
+        cube.faces.copy_(rays.permute(2, 0, 1)[None])
+        torch.testing.assert_close(cube.seen(3.0 * rays), rays, rtol=0, atol=1e-5)
+        torch.manual_seed(0)
+        anywhere = torch.nn.functional.normalize(torch.randn(40, 50, 3), dim=-1)
+        torch.testing.assert_close(cube.seen(anywhere), anywhere, rtol=0, atol=0.03)
+
+
+def test_the_sky_is_at_infinity_and_learns_where_it_is_seen():
+    cube = Cube(16)
+    assert torch.equal(cube(viewpoint(0.0)), cube(viewpoint(50.0)))
+    cube(viewpoint()).sum().backward()
+    forward = cube.faces.grad[0, 0, :, :16]  # the face of +x, whither the camera looks
+    assert forward.abs().sum() > 0.0 and cube.faces.grad[..., 16:32].abs().sum() == 0.0

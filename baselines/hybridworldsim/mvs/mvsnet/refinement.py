@@ -1,8 +1,8 @@
 """A residual of depth that the picture guides.
 
-The published PyTorch code declares this network but cannot run it, and its own evaluation leaves it out. Names and shapes
-are its, what is computed is the paper's (section 3.4): depth as a share of its range, the picture at depth's size, and
-no rectifier at the end, so that the residual can be negative.
+The published PyTorch code declares this network but cannot run it, and its own evaluation leaves it out. Names and
+shapes are its, what is computed is the paper's (section 3.4): depth as a share of its range, the picture at depth's
+size, and no rectifier at the end, so that the residual can be negative.
 """
 
 from __future__ import annotations

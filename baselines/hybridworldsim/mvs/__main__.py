@@ -1,0 +1,66 @@
+"""``python -m hybridworldsim.mvs DATASET --split NAME --method plane-sweep``."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from typing import Literal
+
+import tyro
+
+from hybridworldsim.mvs.run import Options
+from mirror.errors import ExitCode, MirrorError
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Write layers of depth, points and sky masks, from which a reconstruction of a split starts."""
+
+    dataset: tyro.conf.Positional[str]
+    """The dataset's folder."""
+    split: str
+    """Name of the split; only its training traversals are read."""
+    method: Literal["plane-sweep", "mvsnet", "patchmatchnet", "sparse"] = "plane-sweep"
+    """What estimates depth; sparse: no depth, points matched and triangulated."""
+    weights: str | None = None
+    """Path of the weights of a learned method."""
+    version: str | None = None
+    """Version of the layers; default: the split's name."""
+    options: tyro.conf.OmitArgPrefixes[Options] = field(default_factory=Options)
+
+
+def main() -> int:
+    """Run the command line."""
+    arguments = tyro.cli(Arguments, prog="python -m hybridworldsim.mvs")
+
+    import mirror
+    from hybridworldsim.mvs.methods import estimator_of
+    from hybridworldsim.mvs.run import initialise
+    from mirror.cli.progress import progress_bar
+
+    try:
+        dataset = mirror.open(arguments.dataset)
+        estimator, made_by = estimator_of(arguments.method, arguments.weights)
+        with progress_bar(quiet=False) as bar:
+            report = initialise(
+                dataset,
+                arguments.split,
+                estimator,
+                source=arguments.method,
+                version=arguments.version,
+                options=arguments.options,
+                made_by=made_by,
+                progress=bar,
+            )
+    except MirrorError as error:
+        print(f"mvs: {error}", file=sys.stderr)
+        return ExitCode.COULD_NOT_RUN
+    points = ", ".join(f"{count} {kind}" for kind, count in report.points.items())
+    print(f"layers {report.layer}: {len(report.written)} traversals written, {len(report.kept)} there already")
+    if report.written:
+        print(f"{report.pictures} pictures; depth of {report.known_share:.1%} of their static pixels; points: {points}")
+    return ExitCode.DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -52,17 +52,21 @@ def covariance_root(statistics: FeatureStatistics, ddof: int) -> CovarianceRoot:
     trace = float(np.trace(covariance))
     dimension = statistics.dimension
     inexact = UNIT_ROUNDOFF * trace * float(np.sqrt(dimension) * (np.sqrt(statistics.count) + np.sqrt(dimension)))
-    largest = min(trace, float(np.abs(covariance).sum(axis=1).max()))
-    try:
-        lower = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:
-        return CovarianceRoot(_pivoted_root(covariance, trace), None, trace, inexact, 0.0, largest)
-    from scipy.linalg.lapack import dpocon
+    from scipy.linalg.lapack import dpocon, dpotrf
 
     one_norm = float(np.abs(covariance).sum(axis=0).max())
+    largest = min(trace, one_norm)
+    # A symmetric matrix is its own transpose, one of which has the order of columns that LAPACK takes uncopied.
+    lower, info = dpotrf(
+        np.asfortranarray(covariance if covariance.flags.f_contiguous else covariance.T), lower=1, clean=0
+    )
+    if info != 0:
+        return CovarianceRoot(_pivoted_root(covariance, trace), None, trace, inexact, 0.0, largest)
+    for column in range(1, dimension):
+        lower[:column, column] = 0.0
     reciprocal, info = dpocon(lower, one_norm, uplo="L")
     least = one_norm * float(reciprocal) if info == 0 else 0.0
-    return CovarianceRoot(np.asarray(lower.T, np.float64), covariance, trace, inexact, least, largest)
+    return CovarianceRoot(lower.T, covariance, trace, inexact, least, largest)
 
 
 def _pivoted_root(covariance: Float64, trace: float) -> Float64:

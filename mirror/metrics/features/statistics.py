@@ -12,6 +12,7 @@ from mirror.errors import UsageError
 
 _BLOCK = 1024
 _PENDING = 2048
+_TILE = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class FeatureStatistics:
             rest = rows.mean(axis=0)
             rows -= rest
             return cls(count, mean + rest, rows=rows)
-        from scipy.linalg.blas import dsyrk
+        from scipy.linalg.blas import dsyr, dsyrk
 
         block = np.empty((_BLOCK, dimension))
 
@@ -77,10 +78,14 @@ class FeatureStatistics:
         for part in centred(mean):
             total += part.sum(axis=0)
             scatter = dsyrk(1.0, part.T, beta=1.0, c=scatter, lower=1, overwrite_c=1)
-        scatter += np.tril(scatter, -1).T
-        rest = total / count
-        scatter -= np.outer(rest, total)
-        return cls(count, mean + rest, scatter=scatter)
+        # What rounding left of the mean, off the lower triangle alone; then the other half is copied.
+        scatter = dsyr(-1.0 / count, total, lower=1, a=scatter, overwrite_a=1)
+        for start in range(0, dimension, _TILE):
+            end = start + _TILE
+            scatter[start:end, end:] = scatter[end:, start:end].T
+            square = scatter[start:end, start:end]
+            square += np.tril(square, -1).T - np.triu(square, 1)
+        return cls(count, mean + total / count, scatter=scatter)
 
     @classmethod
     def from_moments(cls, mean: AnyArray, covariance: AnyArray, count: int) -> FeatureStatistics:

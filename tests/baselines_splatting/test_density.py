@@ -1,0 +1,60 @@
+"""gsplat's strategy, driven by progress."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import vanilla_3dgs
+from tests.baselines_splatting.scenes import GROWING, initial, pictures, small
+
+pytest.importorskip("gsplat", reason="gsplat is not installed: its strategy is what densifies")
+
+
+def _rounds(steps, monkeypatch, **changes):
+    """Progress at each round, and at each reset of opacities, of training of so many steps."""
+    settings = replace(GROWING, **changes)
+    learner = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
+    density, rounds, resets = learner._density, [], []
+    after = density.after
+    monkeypatch.setattr("splatting.density.reset_opa", lambda *_: resets.append(None))
+
+    def watched(tables, optimizers, meta, progress):
+        before = len(resets)
+        if after(tables, optimizers, meta, progress):
+            rounds.append(progress)
+        if len(resets) > before:
+            resets[-1] = progress
+        return rounds[-1:] == [progress]
+
+    monkeypatch.setattr(density, "after", watched)
+    shown = pictures(2)
+    for step in range(steps):
+        learner.step(shown[step % 2], step / steps)
+    return rounds, resets
+
+
+@pytest.mark.parametrize("steps", [40, 90])
+def test_rounds_and_resets_come_at_the_same_progress_however_many_steps_there_are(steps, monkeypatch):
+    rounds, resets = _rounds(steps, monkeypatch, begin=0.1, end=0.7, rounds=6, resets=2)
+    expected = torch.linspace(0.2, 0.7, 6)
+    torch.testing.assert_close(torch.tensor(rounds), expected, rtol=0, atol=1.0 / steps + 1e-6)
+    # The last would be at the end of densification, and leave no time to grow dense again.
+    torch.testing.assert_close(torch.tensor(resets), torch.tensor([0.4]), rtol=0, atol=1.0 / steps + 1e-6)
+
+
+def test_rounds_that_fall_into_one_step_are_one(monkeypatch):
+    rounds, _ = _rounds(4, monkeypatch, begin=0.1, end=0.7, rounds=60)
+    assert rounds == [0.25, 0.5, 0.75]
+
+
+def test_what_is_transparent_goes():
+    learner = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=replace(GROWING, gradient=1e9)))
+    with torch.no_grad():
+        learner.model.tables["opacities"][:10] = -9.0
+    begun, shown = len(learner.model), pictures(2)
+    for step in range(20):
+        report = learner.step(shown[step % 2], step / 40)
+    assert report.gaussians == begun - 10

@@ -6,8 +6,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-_SOBEL = ((-1.0, 0.0, 1.0), (-2.0, 0.0, 2.0), (-1.0, 0.0, 1.0))
-
 
 def colour_loss(rendered: Tensor, taken: Tensor, scored: Tensor) -> Tensor:
     """Mean square error of the pixels that are scored.
@@ -55,10 +53,11 @@ def normals_of(depth_m: Tensor, K: Tensor) -> Tensor:
 
 def curvature(normals: Tensor) -> Tensor:
     """(H - 2, W - 2) curvature of normals (H, W, 3): squared Sobel gradients, summed over channels and directions."""
-    kernel = normals.new_tensor(_SOBEL)
-    kernels = torch.stack((kernel, kernel.T))[:, None]
-    gradients = functional.conv2d(normals.permute(2, 0, 1)[:, None], kernels)
-    return gradients.square().sum((0, 1))
+    # Sobel's kernels are a smoothing one way and a difference the other; sums of slices are far faster than convolutions
+    # of three channels, backwards above all.
+    down = normals[:-2] + 2.0 * normals[1:-1] + normals[2:]
+    across = normals[:, :-2] + 2.0 * normals[:, 1:-1] + normals[:, 2:]
+    return (down[:, 2:] - down[:, :-2]).square().sum(2) + (across[2:] - across[:-2]).square().sum(2)
 
 
 def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) -> Tensor:

@@ -31,3 +31,10 @@ def visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
             seen &= along + low * z > -reach_m * (1.0 + low * low) ** 0.5
             seen &= high * z - along > -reach_m * (1.0 + high * high) ** 0.5
         return seen.nonzero().squeeze(1)
+
+
+def unit(vectors: Tensor) -> Tensor:
+    """Vectors (N, 3) at length 1; those of no length stay as they are."""
+    # Torch's norms along an axis of three are several times slower.
+    x, y, z = vectors.unbind(1)
+    return vectors * (x * x + y * y + z * z).clamp_min(1e-24).rsqrt()[:, None]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
+from hybridworldsim.rasterizer.rows import copied_rows
 from hybridworldsim.scene.decoders import Conditioned
+from hybridworldsim.scene.nodes.assembly import GEOMETRY, assembled
 from hybridworldsim.scene.splats import Splats
-from hybridworldsim.scene.visible import visible
+from hybridworldsim.scene.visible import unit, visible
 from hybridworldsim.training.viewpoint import Viewpoint
 
-_GEOMETRY = 8  # opacity, three of scale, four of rotation
 _OPACITY = 0.3
 _SPREAD = 0.5
 
@@ -43,11 +43,11 @@ class Anchors(nn.Module):
         self.offsets = nn.Parameter(_SPREAD * (2.0 * torch.rand(count, offsets, 3) - 1.0))
         self.codes = nn.Parameter(torch.zeros(count, code))
         self.log_scales = nn.Parameter(spacing_m.log()[:, None].repeat(1, 6))
-        self.geometry = Conditioned((code, 3, 3), latent, hidden, _GEOMETRY * offsets)
+        self.geometry = Conditioned((code, 3, 3), latent, hidden, GEOMETRY * offsets)
         self.colour = Conditioned((code, 3, 3), latent, hidden, 3 * offsets)
         with torch.no_grad():
             # Visible and unturned to begin with: what is not drawn is not learnt.
-            bias = self.geometry.out.bias.view(offsets, _GEOMETRY)
+            bias = self.geometry.out.bias.view(offsets, GEOMETRY)
             bias.zero_()
             bias[:, 0], bias[:, 4] = _OPACITY, 1.0
 
@@ -66,24 +66,20 @@ class Anchors(nn.Module):
         with torch.no_grad():
             reach = 3.0 * self.log_scales.amax(1).exp()
         seen = visible(viewpoint, self.means, reach)
-        means, codes = self.means[seen], self.codes[seen]
-        directions = functional.normalize(means - viewpoint.centre, dim=1)
-        inputs = (codes, directions, means / self.radius_m)
-        scales = self.log_scales[seen].exp()
-        geometry = self.geometry(inputs, content).view(-1, self.k, _GEOMETRY)
-        opacities = geometry[..., 0].tanh().flatten()
-        drawn = (opacities.detach() > 0.0).nonzero().squeeze(1)
-        parents = drawn // self.k
-        rest = geometry.view(-1, _GEOMETRY)[drawn]
-        own = scales[parents]
-        offsets = self.offsets[seen].view(-1, 3)[drawn]
+        means = self.means[seen]
+        directions = unit(means - viewpoint.centre)
+        inputs = (copied_rows(self.codes, seen), directions, means / self.radius_m)
+        geometry, colours = self.geometry(inputs, content), self.colour(inputs, latent)
+        centres, quats, scales, opacities, tints, rows = assembled(
+            geometry, colours, seen, self.means, self.offsets, self.log_scales
+        )
         return Splats(
-            means[parents] + offsets * own[:, :3],
-            rest[:, 4:],
-            own[:, 3:] * rest[:, 1:4].sigmoid(),
-            opacities[drawn],
-            self.colour(inputs, latent).view(-1, 3)[drawn].sigmoid(),
-            rows=(seen[parents] * self.k + drawn % self.k),
+            centres,
+            quats,
+            scales,
+            opacities,
+            tints,
+            rows=rows,
             held=len(self) * self.k,
             decoded=len(seen) * self.k,
             seen=seen,

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
+from hybridworldsim.rasterizer.rows import copied_rows
 from hybridworldsim.scene.decoders import Conditioned
 from hybridworldsim.scene.splats import Splats
-from hybridworldsim.scene.visible import visible
+from hybridworldsim.scene.visible import unit, visible
 from hybridworldsim.training.viewpoint import Viewpoint
 
 _SIGMAS = 3.0
@@ -66,14 +66,14 @@ class CodeGaussians(nn.Module):
         with torch.no_grad():
             reach = _SIGMAS * self.log_scales.amax(1).exp()
         rows = visible(viewpoint, self.means, reach)
-        means, codes = self.means[rows], self.codes[rows]
-        directions = functional.normalize(means.detach() - viewpoint.centre, dim=1)
-        colours = self.colour((codes, directions), latent).sigmoid()
+        means = copied_rows(self.means, rows)
+        directions = unit(means.detach() - viewpoint.centre)
+        colours = self.colour((copied_rows(self.codes, rows), directions), latent).sigmoid()
         return Splats(
             means,
-            self.quats[rows],
-            self.log_scales[rows].exp(),
-            self.logits[rows].sigmoid(),
+            copied_rows(self.quats, rows),
+            copied_rows(self.log_scales, rows).exp(),
+            copied_rows(self.logits, rows).sigmoid(),
             colours,
             rows=rows,
             held=len(self),

@@ -28,6 +28,9 @@ VERBS = {
     "report": "write an HTML report of a dataset",
     "submission": "write the template of a benchmark submission, or check one",
     "evaluate": "score a submission by a protocol",
+    "reconstruct": "train a static model of a scene from its training traversals",
+    "render": "render a model: a submission, or a new trajectory as video",
+    "bake": "write a model as the PLY of 3D Gaussian Splatting, for viewers",
     "compare": "put results side by side, with paired significance",
 }
 

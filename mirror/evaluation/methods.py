@@ -7,24 +7,151 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, Literal, Protocol
 
 from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
+from mirror.evaluation import protocol as protocols
+from mirror.evaluation.progress import Watch
+from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
+from mirror.schema.documents import Document
+from mirror.schema.files import read_json
 
 GROUP: Final = "mirror.methods"
+DOCUMENT: Final = "reconstruction.json"
 _WARM_UP: Final = 3
 _LEAST_S: Final = 5.0
 _MOST_VIEWS: Final = 500
 
 
+class Costs(Document):
+    """What a model costs.
+
+    Attributes:
+        model_bytes: of all that rendering needs.
+        driven_m: length of the road that it covers.
+        core_s: processor time of training.
+        wall_s: time on the wall, of training.
+    """
+
+    model_bytes: int
+    driven_m: float
+    core_s: float
+    wall_s: float
+
+
+class Reconstruction(Document):
+    """``reconstruction.json`` in the folder of a trained model: which method renders it.
+
+    Attributes:
+        format: always ``mirror-reconstruction``.
+        version: of this document.
+        method: name of its entry point.
+        scene: that was reconstructed.
+        split: whose training traversals were looked at.
+        done: what it took, once it is done.
+    """
+
+    format: Literal["mirror-reconstruction"] = "mirror-reconstruction"
+    version: Literal["1"] = "1"
+    method: str
+    scene: str
+    split: str
+    done: Costs | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be reconstructed, and for how long.
+
+    Attributes:
+        scene: id.
+        split: name; only its training traversals are looked at.
+        protocol: whose raster and masks hold; pictures are no wider than it says.
+        steps: pictures to train on; or None.
+        core_minutes: processor time to train for, in each block; or None.
+        seed: of all that is left to chance.
+        initialise: where depth and points come from: ``dataset`` for the layers that it has, or an estimator's name.
+        threads: None: as many as the method takes by itself.
+        half: write the model in half precision.
+    """
+
+    scene: str
+    split: str
+    protocol: protocols.Protocol
+    steps: int | None = None
+    core_minutes: float | None = None
+    seed: int = 0
+    initialise: str = "dataset"
+    threads: int | None = None
+    half: bool = False
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """What came of it.
+
+    Attributes:
+        folder: of the model.
+        blocks: folders in it, in order.
+        psnr_db: of the pictures that were trained on last, mean of the blocks.
+        steps: pictures that were learnt from, of all blocks.
+        core_s: processor time of training.
+        wall_s: time on the wall, of training.
+        gaussians: held.
+        model_bytes: of all that rendering needs.
+        pictures: that were trained on.
+        driven_m: length of the road that the model covers.
+    """
+
+    folder: Path
+    blocks: tuple[str, ...]
+    psnr_db: float
+    steps: int
+    core_s: float
+    wall_s: float
+    gaussians: int
+    model_bytes: int
+    pictures: int
+    driven_m: float
+
+
+@dataclass(frozen=True)
+class Looking:
+    """How pictures shall look of traversals and cameras that were not trained on.
+
+    Attributes:
+        policy: ``nearest``, ``mean``, ``fit``, a traversal, a word of light or weather, or ``sweep:A:B``.
+        views: all that will be rendered, so that whole lines can be compared.
+        everywhere: the policy holds for what was trained on too: the light of a recorded traversal is edited.
+        truth: for ``fit`` alone: the dataset and the plan whose pictures may be looked at, in their left half.
+    """
+
+    policy: str = "nearest"
+    views: Sequence[View] = ()
+    everywhere: bool = False
+    truth: tuple[Dataset, Plan] | None = None
+
+
 class InstalledMethod(Protocol):
     """What an entry point names."""
 
-    def open(self, model: Path) -> Callable[[View], UInt8]:
+    def reconstruct(self, dataset: Dataset, task: Task, out: Path, watch: Watch) -> Reconstructed:
+        """Train a model, or go on where an earlier call was stopped.
+
+        Args:
+            dataset: where the pictures lie.
+            task: what is asked.
+            out: folder of the model; another task's is refused.
+            watch: told how it goes.
+        """
+
+    def open(self, model: Path, looking: Looking = ...) -> Callable[[View], UInt8]:
         """A renderer of a trained model: pixels (H, W, 3), RGB, of a view."""
 
 
@@ -40,6 +167,16 @@ def installed_method(name: str) -> InstalledMethod:
         raise UsageError(f"no method {name!r} is installed", expected=f"an entry point {GROUP}: {listed}")
     method: InstalledMethod = found[name].load()
     return method
+
+
+def read_reconstruction(model: Path) -> Reconstruction:
+    """What the model of a folder is.
+
+    Raises:
+        DatasetError: the folder holds no model.
+        SchemaError: its document is broken.
+    """
+    return read_json(model / DOCUMENT, Reconstruction)
 
 
 def frames_per_second(render: Callable[[View], UInt8], views: Sequence[View]) -> tuple[float, int]:

@@ -22,7 +22,7 @@ from hybridworldsim.training.loop import REPORTS, Options, train
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.run.curves import read_curves
 from hybridworldsim.training.run.folder import Outcome, Run, RunFolder
-from hybridworldsim.training.run.parameters import read_parameters, set_parameters
+from hybridworldsim.training.run.parameters import read_parameters, set_parameters, write_parameters
 from hybridworldsim.training.run.specimens import Specimen
 from mirror.errors import DatasetError, UsageError
 from tests.conftest import ROOT
@@ -41,6 +41,7 @@ RUN = Run(
     origin_m=(0.0, 0.0, 0.0),
     radius_m=30.0,
     width_px=32,
+    half=False,
     dataset_hash="0",
     plan_hash="0",
     settings_hash="0",
@@ -64,12 +65,15 @@ def run(
 ) -> Outcome:
     folder = RunFolder(path)
     folder.begin(RUN)
+    trained = more.pop("learner", None) or learner()
+    half = more.pop("half", False)
     return train(
-        more.pop("learner", None) or learner(),
+        trained,
         pictures or Painted(),
         more.pop("views", views()),
         Budget(steps=steps),
         folder,
+        lambda path: write_parameters(path, trained.model, half=half),
         options=options,
         **more,
     )
@@ -109,7 +113,7 @@ def replace_points():
 def test_half_precision_takes_half_the_bytes_and_hardly_shows(tmp_path: Path) -> None:
     trained = learner()
     whole = run(tmp_path / "whole", learner=trained)
-    half = run(tmp_path / "half", options=Options(half=True))
+    half = run(tmp_path / "half", half=True)
     assert 0.5 < half.model_bytes / whole.model_bytes < 0.62
     fresh = street_of(initial(), SETTINGS)
     set_parameters(fresh, read_parameters(tmp_path / "half" / "model.safetensors"))

@@ -41,3 +41,13 @@ class Appearance(nn.Module):
                 remedy="choose what to take in its place: --appearance nearest, mean or a traversal",
             )
         return self.latents[row]
+
+    def add(self, source: Source, latent: Tensor) -> None:
+        """Know one more pair, by a latent (size,) that was fitted to it; a known pair gets another latent."""
+        with torch.no_grad():
+            if source in self._rows:
+                self.latents[self._rows[source]] = latent
+                return
+            self._rows[source] = len(self.sources)
+            self.sources = (*self.sources, source)
+            self.latents = nn.Parameter(torch.cat([self.latents, latent[None]]))

@@ -6,9 +6,10 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import FrameType
 from typing import Final
 
@@ -44,13 +45,11 @@ class Options:
 
     Attributes:
         checkpoint_s: a checkpoint is written at the first step after so many seconds.
-        half: parameters are written in half precision.
         specimens: pictures that are rendered as training goes on.
         title: of the chart.
     """
 
     checkpoint_s: float = 30.0
-    half: bool = False
     specimens: Sequence[Specimen] = ()
     title: str = "training"
 
@@ -61,6 +60,7 @@ def train(
     views: Sequence[View],
     budget: Budget,
     folder: RunFolder,
+    write: Callable[[Path], int],
     *,
     seed: int = 0,
     options: Options | None = None,
@@ -76,6 +76,7 @@ def train(
         views: what is trained on, at least one.
         budget: how long.
         folder: that the run began in.
+        write: writes what was learnt to a path, and says how many bytes it has.
         seed: of the order of the pictures.
         options: see `Options`.
         watch: told how it goes.
@@ -136,7 +137,7 @@ def train(
         "psnr_db": last["psnr_db"],
         "gaussians": int(last["gaussians"]),
     }
-    return folder.finish(learner, outcome, options.title, half=options.half)
+    return folder.finish(write, outcome, options.title)
 
 
 def psnr_of(mean_square: float) -> float:

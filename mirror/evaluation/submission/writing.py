@@ -34,6 +34,7 @@ def write_submission(
     appearance: Appearance,
     out: Path,
     progress: Progress | None = None,
+    costs: Runtime | None = None,
 ) -> int:
     """Render a plan's views one by one and write them as a submission; the manifest is written last.
 
@@ -45,6 +46,7 @@ def write_submission(
         appearance: for the manifest.
         out: a new or an empty folder.
         progress: told of each view.
+        costs: what is known of them besides the speed.
 
     Returns:
         How many views were rendered.
@@ -71,6 +73,7 @@ def write_submission(
         begin = time.perf_counter()
     if written != len(expected):
         raise DatasetError(f"{written} of {len(expected)} views were rendered", file=out, expected="every view, once")
-    runtime = Runtime(device=f"{platform.machine()} CPU", frames_per_second=written / max(taken, 1e-9))
+    runtime = costs or Runtime(device=f"{platform.machine()} CPU")
+    runtime = runtime.model_copy(update={"frames_per_second": written / max(taken, 1e-9)})
     write_manifest(out, manifest_for(plan, method, appearance, runtime))
     return written

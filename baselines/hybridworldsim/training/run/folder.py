@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from hybridworldsim.training.learner import Learner
 from hybridworldsim.training.run.checkpoint import Position, read_checkpoint, write_checkpoint
 from hybridworldsim.training.run.curves import Row, read_curves, write_chart, write_curves
-from hybridworldsim.training.run.parameters import write_parameters
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import Document
 from mirror.schema.files import TEMPORARY, read_json, write_json
@@ -57,6 +56,7 @@ class Run(Document):
         origin_m: of the block's frame, in the scene's world frame.
         radius_m: of the block.
         width_px: pictures are no wider.
+        half: the model is written in half precision.
         dataset_hash: of what the split was made of.
         plan_hash: of the training pictures, their raster and the layers of masks.
         settings_hash: of the method's settings.
@@ -80,6 +80,7 @@ class Run(Document):
     origin_m: tuple[float, float, float]
     radius_m: float
     width_px: int
+    half: bool
     dataset_hash: str
     plan_hash: str
     settings_hash: str
@@ -188,9 +189,15 @@ class RunFolder:
         self._rows.append(row)
         write_curves(self._curves, self._rows)
 
-    def finish(self, learner: Learner, outcome: Mapping[str, Any], title: str, *, half: bool) -> Outcome:
-        """Write model, chart and outcome, in this order."""
-        size = write_parameters(self.model, learner.model, half=half)
+    def finish(self, write: Callable[[Path], int], outcome: Mapping[str, Any], title: str) -> Outcome:
+        """Write model, chart and outcome, in this order.
+
+        Args:
+            write: writes the model to a path, and says how many bytes it has.
+            outcome: but for these bytes.
+            title: of the chart.
+        """
+        size = write(self.model)
         write_chart(self.path / "curves.svg", self._rows, title)
         done = Outcome(**outcome, model_bytes=size)
         write_json(self.path / OUTCOME, done)

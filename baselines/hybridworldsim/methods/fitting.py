@@ -1,0 +1,87 @@
+"""Looks that are fitted to a declared part of held-out pictures, which is not scored: their left half."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import torch
+
+from hybridworldsim.scene.blocks import Block, views_of
+from hybridworldsim.scene.losses import colour_loss
+from hybridworldsim.scene.street import Street
+from hybridworldsim.training.appearance import Looks
+from hybridworldsim.training.feed import Pictures
+from hybridworldsim.training.run.folder import Seen
+from hybridworldsim.training.viewpoint import Source
+from mirror.errors import UsageError
+from mirror.evaluation.methods import Looking
+from mirror.evaluation.submission.manifest import Rectangle
+from mirror.evaluation.views.view import View
+
+PART: Final = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
+"""Of each held-out picture: what is looked at."""
+
+_STEPS: Final = 60
+_RATE: Final = 0.05
+_MOST_PICTURES: Final = 8
+
+
+def fit_looks(street: Street, block: Block, seen: tuple[Seen, ...], looking: Looking) -> tuple[Seen, ...]:
+    """Add a latent to a street for each traversal and camera that it was not trained on.
+
+    Each begins with the nearest trained one; nothing but the latent is learnt.
+
+    Args:
+        street: gets the latents.
+        block: where it is.
+        seen: what it was trained on.
+        looking: with the truth that may be looked at.
+
+    Returns:
+        What was trained on or fitted.
+
+    Raises:
+        UsageError: there is no truth to look at.
+    """
+    if looking.truth is None:
+        raise UsageError(
+            "there are no held-out pictures to fit to", place="--appearance fit", expected="--split and --protocol"
+        )
+    dataset, plan = looking.truth
+    pictures = Pictures(dataset, plan, np.array(block.origin_m))
+    known = {Source(one.traversal_id, one.camera) for one in seen}
+    looks = Looks(seen, "nearest", looking.views)
+    by_source: dict[Source, list[View]] = {}
+    for view in plan.views:
+        source = Source(view.traversal_id, view.camera)
+        if source not in known:
+            by_source.setdefault(source, []).append(view)
+    fitted = []
+    for source, views in by_source.items():
+        own = views_of(block, views) or tuple(views)
+        chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), _MOST_PICTURES)).round().astype(int))
+        near = looks.of(own[0]).content
+        latent = _fitted(street, near, pictures, [own[place] for place in chosen])
+        street.appearance.add(source, latent)
+        one = next(one for one in seen if (one.traversal_id, one.camera) == near)
+        fitted.append(one.model_copy(update={"traversal_id": source.traversal_id, "camera": source.camera}))
+    return (*seen, *fitted)
+
+
+def _fitted(street: Street, near: Source, pictures: Pictures, views: list[View]) -> torch.Tensor:
+    latent = street.appearance(near).detach().clone().requires_grad_()
+    adam = torch.optim.Adam([latent], lr=_RATE)
+    for step in range(_STEPS):
+        picture = pictures(views[step % len(views)])
+        part = torch.zeros_like(picture.scored)
+        part[:, : int(PART.right * part.shape[1])] = True
+        part &= picture.scored
+        if not part.any():
+            continue
+        drawn = street(picture.viewpoint, latent)
+        (gradient,) = torch.autograd.grad(colour_loss(drawn.rgb, picture.rgb, part), latent)
+        latent.grad = gradient
+        adam.param_groups[0]["lr"] = _RATE * (1.0 - step / _STEPS)
+        adam.step()
+    return latent.detach()

@@ -1,0 +1,95 @@
+"""Trained blocks of any method, ready to render."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from hybridworldsim.scene.seeding import Initial
+from hybridworldsim.training.appearance import FITTED, Looks
+from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.run.folder import MODEL, Run, read_run
+from hybridworldsim.training.run.parameters import read_parameters, set_parameters
+from hybridworldsim.training.run.specimens import pixels
+from hybridworldsim.training.viewpoint import Source, viewpoint_of
+from mirror.arrays import Float64, UInt8
+from mirror.errors import UsageError
+from mirror.evaluation.methods import Looking
+from mirror.evaluation.views.view import View
+
+
+@dataclass(frozen=True, eq=False)
+class OpenBlock:
+    """A block and what renders it."""
+
+    run: Run
+    learner: Learner
+
+
+def open_block(folder: Path, make: Callable[[Initial, Any], Learner], settings: type) -> OpenBlock:
+    """Read a trained block.
+
+    Args:
+        folder: of its run.
+        make: of the method.
+        settings: class of its settings.
+
+    Raises:
+        DatasetError: the model is missing or another method's.
+    """
+    run = read_run(folder)
+    learner = make(_placeholder(run), TypeAdapter(settings).validate_python(run.settings))
+    set_parameters(learner.model, read_parameters(folder / MODEL))
+    return OpenBlock(run, learner)
+
+
+class Opened:
+    """Renders views by the block that the camera is nearest to.
+
+    Args:
+        blocks: at least one.
+        looking: how pictures look that were not trained on. Methods without latents know the looks that were trained
+            on and nothing between them.
+
+    Raises:
+        UsageError: the policy needs latents.
+    """
+
+    def __init__(self, blocks: Sequence[OpenBlock], looking: Looking) -> None:
+        if looking.policy == FITTED:
+            raise UsageError(
+                f"{blocks[0].run.method} has no latents to fit", place="--appearance", expected="nearest, or given"
+            )
+        self._blocks = list(blocks)
+        self._looks = [Looks(one.run.sources, looking.policy, looking.views, looking.everywhere) for one in blocks]
+        self._centres = np.array([one.run.origin_m[:2] for one in blocks])
+
+    def __call__(self, view: View) -> UInt8:
+        """(H, W, 3) of a view."""
+        here = view.pose.translation[0, :2]
+        place = int(np.abs(self._centres - here).max(axis=1).argmin())
+        block = self._blocks[place]
+        look = self._looks[place].of(view)
+        sources = [source for source, weight in look.colours if weight > 0.0]
+        if len(sources) != 1:
+            raise UsageError(
+                f"{block.run.method} cannot mix looks", place="--appearance", expected="nearest, or one that is given"
+            )
+        viewpoint = viewpoint_of(view, np.array(block.run.origin_m)).seen_by(sources[0])
+        return pixels(block.learner.render(viewpoint).rgb)
+
+
+def _placeholder(run: Run) -> Initial:
+    """Something of the right kinds to make a model of: all its rows are replaced."""
+    flat: Float64 = np.zeros((1, 3))
+
+    def ground(places: Float64) -> tuple[Float64, Float64]:
+        return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
+
+    sources = [Source(one.traversal_id, one.camera) for one in run.sources]
+    return Initial(flat, np.empty((0, 3)), flat, ground, run.radius_m, sources, np.zeros((1, 3), np.uint8))

@@ -1,0 +1,249 @@
+"""A method of static reconstruction: trains the blocks of a scene, and renders them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from hybridworldsim.methods.layers import Layers, layers_for
+from hybridworldsim.methods.opened import Opened, open_block
+from hybridworldsim.scene.blocks import Block, divide, views_of
+from hybridworldsim.scene.initial import driven_m, initial_of
+from hybridworldsim.scene.seeding import Initial
+from hybridworldsim.training.appearance import Looks, seen_of
+from hybridworldsim.training.budget import Budget
+from hybridworldsim.training.feed import Pictures
+from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.loop import Options, train
+from hybridworldsim.training.run.folder import Outcome, Run, RunFolder
+from hybridworldsim.training.run.parameters import write_parameters
+from hybridworldsim.training.run.specimens import Specimen
+from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.training.views import TrainingViews, training_views
+from mirror.arrays import Float64, UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError, UsageError
+from mirror.evaluation.methods import (
+    DOCUMENT,
+    Costs,
+    Looking,
+    Reconstructed,
+    Reconstruction,
+    Task,
+    read_reconstruction,
+)
+from mirror.evaluation.progress import Watch
+from mirror.evaluation.views import Plan, plan_views
+from mirror.evaluation.views.view import View
+from mirror.schema.files import write_json
+
+_SPECIMENS: Final = 2
+
+
+@dataclass(frozen=True)
+class StaticMethod:
+    """What is trained by `hybridworldsim.training`; see `mirror.evaluation.methods.InstalledMethod`.
+
+    Attributes:
+        name: of the entry point.
+        make: a learner that has seen no picture yet, of what is known of a block and of settings.
+        settings: a dataclass, of a seed.
+    """
+
+    name: str
+    make: Callable[[Initial, Any], Learner]
+    settings: Callable[[int], Any]
+
+    def reconstruct(self, dataset: Dataset, task: Task, out: Path, watch: Watch) -> Reconstructed:
+        """Train each block of a scene; see `InstalledMethod.reconstruct`.
+
+        Raises:
+            UsageError: another run began in the folder, or the task cannot be.
+            DatasetError: there is nothing to train on or to begin with, or training failed.
+        """
+        if task.threads is not None:
+            torch.set_num_threads(task.threads)
+        layers = layers_for(dataset, task, watch)
+        training = training_views(layers.dataset, task.protocol, task.split, task.scene)
+        own = layers.dataset.where(split=task.split, role="train", scene=task.scene)
+        driven = driven_m(own)
+        # Before anything is written: a scene that cannot begin leaves nothing behind.
+        blocks = [(block, views) for block in divide(driven).blocks if (views := views_of(block, training.views))]
+        initials = [initial_of(own, block, _sources(views)) for block, views in blocks]
+        _begin(out, Reconstruction(method=self.name, scene=task.scene, split=task.split))
+        held_out = _held_out(layers.dataset, task)
+        outcomes = []
+        for place, ((block, views), initial) in enumerate(zip(blocks, initials)):
+            watch.say(f"block {place + 1} of {len(blocks)}: {len(views)} pictures, {len(initial.points_m)} points")
+            one = _Block(block, views, initial, layers, training, held_out)
+            outcomes.append(self._train(one, task, RunFolder(out / block.name), watch))
+        done = Reconstructed(
+            folder=out,
+            blocks=tuple(block.name for block, _ in blocks),
+            psnr_db=float(np.mean([one.psnr_db for one in outcomes])),
+            steps=sum(one.steps for one in outcomes),
+            core_s=sum(one.core_s for one in outcomes),
+            wall_s=sum(one.wall_s for one in outcomes),
+            gaussians=sum(one.gaussians for one in outcomes),
+            model_bytes=sum(one.model_bytes for one in outcomes),
+            pictures=len(training.views),
+            driven_m=_length(own),
+        )
+        _finish(out, done)
+        return done
+
+    def open(self, model: Path, looking: Looking = Looking()) -> Callable[[View], UInt8]:  # noqa: B008 - immutable
+        """A renderer; see `InstalledMethod.open`.
+
+        Raises:
+            UsageError: the policy of the looks is not for this method.
+            DatasetError: the folder holds no whole model of this method.
+        """
+        settings = type(self.settings(0))
+        return Opened([open_block(folder, self.make, settings) for folder in block_folders(model)], looking)
+
+    def write(self, path: Path, block: Block, learner: Learner, run: Run, *, half: bool) -> int:
+        """Write what rendering needs, and say how many bytes that is."""
+        return write_parameters(path, learner.model, half=half)
+
+    def _train(self, one: _Block, task: Task, folder: RunFolder, watch: Watch) -> Outcome:
+        run = self._run(one, task)
+        done = folder.begin(run)
+        if done is not None:
+            watch.say(f"{folder.path} is done: {done.psnr_db:.2f} dB after {done.steps} steps")
+            return done
+        learner = self.make(one.initial, self.settings(task.seed))
+        origin = np.array(one.block.origin_m)
+        return train(
+            learner,
+            Pictures(one.layers.dataset, one.training.plan, origin),
+            one.views,
+            Budget(task.steps, task.core_minutes),
+            folder,
+            lambda path: self.write(path, one.block, learner, run, half=task.half),
+            seed=task.seed,
+            options=Options(specimens=one.specimens(run), title=f"{self.name}, {task.scene}, {one.block.name}"),
+            watch=watch,
+        )
+
+    def _run(self, one: _Block, task: Task) -> Run:
+        settings = json.loads(json.dumps(asdict(self.settings(task.seed))))
+        return Run(
+            method=self.name,
+            settings=settings,
+            settings_hash=hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest(),
+            seed=task.seed,
+            steps=task.steps,
+            core_minutes=task.core_minutes,
+            threads=torch.get_num_threads(),
+            scene=task.scene,
+            split=task.split,
+            block=one.block.name,
+            origin_m=one.block.origin_m,
+            radius_m=one.initial.radius_m,
+            width_px=task.protocol.pixels.max_width_px,
+            half=task.half,
+            dataset_hash=one.training.plan.dataset_hash,
+            plan_hash=one.training.plan.hash,
+            depth=one.layers.depth,
+            points=one.layers.points,
+            pictures=len(one.views),
+            sources=seen_of(one.views),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """What one block is trained with."""
+
+    block: Block
+    views: tuple[View, ...]
+    initial: Initial
+    layers: Layers
+    training: TrainingViews
+    held_out: Plan | None
+
+    def specimens(self, run: Run) -> list[Specimen]:
+        """A few training and held-out pictures of the block."""
+        shown = [("training", self.training.plan, self.views)]
+        if self.held_out is not None:
+            shown.append(("held-out", self.held_out, views_of(self.block, self.held_out.views)))
+        looks = Looks(run.sources, "nearest", [view for _, plan, _ in shown for view in plan.views])
+        found = []
+        for name, plan, views in shown:
+            pictures = Pictures(self.layers.dataset, plan, np.array(self.block.origin_m))
+            middles = (np.arange(_SPECIMENS) + 0.5) / _SPECIMENS * len(views)
+            for number, place in enumerate(sorted(set(middles.astype(int).tolist())) if views else []):
+                view = views[place]
+                found.append(Specimen(f"{name}-{number}", pictures(view), looks.of(view).colours[0][0]))
+        return found
+
+
+def block_folders(model: Path) -> list[Path]:
+    """The folders of a model's blocks.
+
+    Raises:
+        DatasetError: a block is not done, or there is none.
+    """
+    read_reconstruction(model)
+    folders = sorted(path.parent for path in model.glob("*/run.json"))
+    undone = [path for path in folders if RunFolder(path).outcome is None]
+    if undone or not folders:
+        raise DatasetError(
+            f"{len(undone)} blocks are not trained to the end" if folders else "no block", file=model,
+            expected="a model", remedy="run the same `mirror reconstruct` again: it goes on where it stopped",
+        )  # fmt: skip
+    return folders
+
+
+def _sources(views: Sequence[View]) -> list[Source]:
+    return sorted({Source(view.traversal_id, view.camera) for view in views})
+
+
+def _begin(out: Path, document: Reconstruction) -> None:
+    """Say what the folder is, or see that it is that."""
+    if not (out / DOCUMENT).exists():
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise UsageError("not an empty folder, and no model", file=out, remedy="name a new one with --out")
+        write_json(out / DOCUMENT, document)
+        return
+    before = read_reconstruction(out)
+    if before.model_copy(update={"done": None}) != document:
+        raise UsageError(
+            f"a model of scene {before.scene}, split {before.split}, by {before.method} is there", file=out,
+            remedy="name another folder with --out",
+        )  # fmt: skip
+
+
+def _finish(out: Path, done: Reconstructed) -> None:
+    costs = Costs(model_bytes=done.model_bytes, driven_m=done.driven_m, core_s=done.core_s, wall_s=done.wall_s)
+    write_json(out / DOCUMENT, read_reconstruction(out).model_copy(update={"done": costs}))
+
+
+def _held_out(dataset: Dataset, task: Task) -> Plan | None:
+    """Views of the scene's held-out traversals, to look at: nothing is learnt from them. None: there are none."""
+    roles = ("held_out", "test")
+    groups = tuple(one for one in task.protocol.groups if set(one.roles) <= set(roles) and not one.ego_shift_m)
+    if not groups:
+        return None
+    asked = task.protocol.model_copy(update={"groups": groups})
+    own = dataset.where(scene=task.scene)
+    if not own.where(split=task.split, role=roles).count("traversals"):
+        return None
+    return plan_views(own, asked, task.split)
+
+
+def _length(dataset: Dataset) -> float:
+    """Length of the longest driven line of a view's traversals: that of the road, if all drive along it."""
+    lengths = [0.0]
+    for traversal in dataset.traversals():
+        places: Float64 = driven_m(dataset.where(traversal=traversal))
+        lengths.append(float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()))
+    return max(lengths)

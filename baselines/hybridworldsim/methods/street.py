@@ -1,0 +1,125 @@
+"""The method of the paper: streets of anchors and Code-Gaussians, several blocks drawn as one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.bake import bake, shortfall_db, write_ply
+from hybridworldsim.methods.fitting import fit_looks
+from hybridworldsim.methods.static import StaticMethod, block_folders
+from hybridworldsim.rendering.composition import Composition
+from hybridworldsim.scene.appearance import Appearance
+from hybridworldsim.scene.blocks import Block
+from hybridworldsim.scene.learning import StreetLearner
+from hybridworldsim.scene.seeding import Initial, street_of
+from hybridworldsim.scene.settings import Settings
+from hybridworldsim.scene.storage import load_block, save_block
+from hybridworldsim.scene.street import Street
+from hybridworldsim.training.appearance import FITTED, Blend, Looks
+from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.run.folder import MODEL, Run, read_run
+from hybridworldsim.training.run.specimens import pixels
+from mirror.arrays import UInt8
+from mirror.errors import UsageError
+from mirror.evaluation.baking import BakeOptions, Baking
+from mirror.evaluation.methods import Looking
+from mirror.evaluation.views.view import View
+
+NAME: Final = "hybridworldsim"
+
+
+class StreetMethod(StaticMethod):
+    """`StaticMethod` whose blocks are composed, and whose looks are latents that can be mixed and fitted."""
+
+    def open(self, model: Path, looking: Looking = Looking()) -> Callable[[View], UInt8]:  # noqa: B008 - immutable
+        """See `StaticMethod.open`."""
+        return OpenStreet([_open(folder) for folder in block_folders(model)], looking)
+
+    def bake(
+        self,
+        model: Path,
+        views: Sequence[View],
+        out: Path,
+        options: BakeOptions,
+        looking: Looking = Looking(),  # noqa: B008
+    ) -> Baking:
+        """See `mirror.evaluation.baking.BakingMethod`."""
+        street = OpenStreet([_open(folder) for folder in block_folders(model)], looking)
+        looks = street.latents(views[0])
+        baked = bake(street.blocks, views, looks, degree=options.degree, sky=options.sky, reach_m=options.reach_m)
+        size = write_ply(out, baked)
+        x, y, z = baked.origin_m.tolist()
+        return Baking(len(baked), size, shortfall_db(baked, street.blocks, views, looks), (x, y, z))
+
+    def write(self, path: Path, block: Block, learner: Learner, run: Run, *, half: bool) -> int:
+        """See `StaticMethod.write`."""
+        if not isinstance(learner, StreetLearner):
+            raise UsageError(f"a {type(learner).__name__}", expected="a learner of a street")
+        return save_block(path, block, learner.street, half=half, about={"settings_hash": run.settings_hash})
+
+
+@dataclass(frozen=True, eq=False)
+class OpenBlock:
+    """A trained block."""
+
+    run: Run
+    block: Block
+    street: Street
+
+
+class OpenStreet:
+    """Renders views by all blocks that they see.
+
+    Args:
+        blocks: at least one.
+        looking: how pictures look that were not trained on.
+    """
+
+    def __init__(self, blocks: Sequence[OpenBlock], looking: Looking) -> None:
+        self._looks: dict[int, Looks] = {}
+        for one in blocks:
+            seen = one.run.sources
+            if looking.policy == FITTED:
+                seen = fit_looks(one.street, one.block, seen, looking)
+            # Whatever is drawn of a block shares its latents.
+            self._looks[id(one.street.appearance)] = Looks(seen, looking.policy, looking.views, looking.everywhere)
+        self.blocks = [(one.block, one.street) for one in blocks]
+        self._composition = Composition(self.blocks)
+
+    def __call__(self, view: View) -> UInt8:
+        """(H, W, 3) of a view."""
+        drawn, _ = self._composition.draw(view, self.latents(view))
+        return pixels(drawn.rgb)
+
+    def latents(self, view: View) -> Callable[[Appearance], tuple[Tensor, Tensor]]:
+        """Of a block's appearance, what a view's colours and content are drawn with."""
+
+        def of(appearance: Appearance) -> tuple[Tensor, Tensor]:
+            look = self._looks[id(appearance)].of(view)
+            return blended(appearance, look.colours), appearance(look.content)
+
+        return of
+
+
+def blended(appearance: Appearance, blend: Blend) -> Tensor:
+    """The latent of a mixture of looks."""
+    return torch.stack([weight * appearance(source) for source, weight in blend]).sum(0)
+
+
+def make(initial: Initial, settings: Any) -> StreetLearner:
+    """A street that has seen no picture yet."""
+    return StreetLearner(street_of(initial, settings), settings)
+
+
+def _open(folder: Path) -> OpenBlock:
+    block, street, _ = load_block(folder / MODEL)
+    return OpenBlock(read_run(folder), block, street)
+
+
+METHOD: Final = StreetMethod(NAME, make, lambda seed: replace(Settings(), seed=seed))

@@ -1,0 +1,213 @@
+"""Whose look a picture gets that was not trained on: policies, each by name.
+
+``nearest``: of the training traversal that drove the most similar line. ``mean``: of all. A traversal's id, or a word
+of light or weather (``night``, ``rain``): given. ``sweep:A:B``: from one to the other along the trajectory. Of a
+traversal's cameras it is the one of the same name; where there is none, the one that looks in the most similar
+direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from hybridworldsim.training.run.folder import Seen
+from hybridworldsim.training.viewpoint import Source
+from mirror.arrays import Float64
+from mirror.errors import UsageError
+from mirror.evaluation.views.view import View
+
+Blend: TypeAlias = tuple[tuple[Source, float], ...]
+"""Looks that were trained on, with weights that sum to one."""
+
+FITTED: Final = "fit"
+SWEEP: Final = "sweep:"
+_STEP_M: Final = 0.5
+_MOST_PLACES: Final = 48
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one picture looks.
+
+    Attributes:
+        colours: of what.
+        content: whose leaves and billboards are there; it stays where only the light is edited.
+    """
+
+    colours: Blend
+    content: Source
+
+
+def seen_of(views: Sequence[View]) -> tuple[Seen, ...]:
+    """The traversals and cameras of training views, with some of the places that they were at."""
+    by_source: dict[Source, list[View]] = {}
+    for view in views:
+        by_source.setdefault(Source(view.traversal_id, view.camera), []).append(view)
+    found = []
+    for source, own in sorted(by_source.items()):
+        chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), _MOST_PLACES)).round().astype(int))
+        places = [own[place].pose for place in chosen]
+        found.append(
+            Seen(
+                traversal_id=source.traversal_id,
+                camera=source.camera,
+                light=own[0].light,
+                weather=own[0].weather,
+                centre_m=tuple(_three(pose.translation[0]) for pose in places),
+                forward=tuple(_three(pose.matrix()[0, :3, 2]) for pose in places),
+            )
+        )
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Looks:
+    """The looks of pictures that shall be rendered.
+
+    Attributes:
+        seen: what was trained on, at least one.
+        policy: one of the names above; ``fit`` is not among them: it looks at pictures.
+        views: all that will be rendered: what they tell of a traversal's line decides which is nearest to it. A
+            traversal that is not among them is judged by the one picture that is asked for.
+        everywhere: the policy holds for traversals that were trained on too: to edit the light of one.
+    """
+
+    seen: tuple[Seen, ...]
+    policy: str = "nearest"
+    views: Sequence[View] = ()
+    everywhere: bool = False
+    _nearest: dict[tuple[str, str | None], str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for word in self._words:
+            self._matching(word)
+
+    def of(self, view: View) -> Look:
+        """The look of one picture.
+
+        Raises:
+            UsageError: nothing that was trained on matches the policy.
+        """
+        own = Source(view.traversal_id, view.camera)
+        trained = own in self._by_source
+        content = own if trained else self._of_camera(self._traversal(view, None), view)
+        if (trained and not self.everywhere) or self.policy in ("nearest", FITTED):
+            return Look(((content, 1.0),), content)
+        if self.policy == "mean":
+            alike = [source for source in self._by_source if source.camera == content.camera]
+            return Look(tuple((source, 1.0 / len(alike)) for source in alike), content)
+        ends = [self._of_camera(self._traversal(view, word), view) for word in self._words]
+        if len(ends) == 1:
+            return Look(((ends[0], 1.0),), content)
+        share = self._share(view)
+        return Look(((ends[0], 1.0 - share), (ends[1], share)), content)
+
+    @property
+    def _words(self) -> list[str]:
+        if self.policy in ("nearest", "mean", FITTED):
+            return []
+        if not self.policy.startswith(SWEEP):
+            return [self.policy]
+        words = self.policy.removeprefix(SWEEP).split(":")
+        if len(words) != 2:
+            raise UsageError(f"{self.policy!r}", place="--appearance", expected="sweep:FROM:TO")
+        return words
+
+    @cached_property
+    def _by_source(self) -> dict[Source, Seen]:
+        return {Source(one.traversal_id, one.camera): one for one in self.seen}
+
+    @cached_property
+    def _lines(self) -> dict[str, Float64]:
+        lines: dict[str, list[Float64]] = {}
+        for one in self.seen:
+            lines.setdefault(one.traversal_id, []).append(_dense(np.array(one.centre_m)))
+        return {name: np.concatenate(own) for name, own in lines.items()}
+
+    @cached_property
+    def _asked(self) -> Mapping[str, Float64]:
+        by_camera: dict[Source, list[Float64]] = {}
+        for view in self.views:
+            by_camera.setdefault(Source(view.traversal_id, view.camera), []).append(view.pose.translation[0])
+        lines: dict[str, list[Float64]] = {}
+        for source, places in by_camera.items():
+            lines.setdefault(source.traversal_id, []).append(_dense(np.array(places)))
+        return {name: np.concatenate(own) for name, own in lines.items()}
+
+    @cached_property
+    def _order(self) -> dict[int, float]:
+        frames = sorted({view.frame_index for view in self.views})
+        return {frame: place / max(len(frames) - 1, 1) for place, frame in enumerate(frames)}
+
+    def _share(self, view: View) -> float:
+        if view.frame_index not in self._order:
+            raise UsageError("a sweep needs all pictures that shall be rendered", expected="a trajectory")
+        return self._order[view.frame_index]
+
+    def _matching(self, word: str) -> list[str]:
+        """Traversals that a word means."""
+        found = sorted({one.traversal_id for one in self.seen if word in (one.traversal_id, one.light, one.weather)})
+        if not found:
+            lights = sorted({word for one in self.seen for word in (one.light, one.weather)})
+            traversals = sorted({one.traversal_id for one in self.seen})
+            raise UsageError(
+                f"nothing that was trained on is {word!r}", place="--appearance",
+                expected=f"nearest, mean, fit, sweep:A:B, {', '.join(lights)}, or one of {', '.join(traversals)}",
+            )  # fmt: skip
+        return found
+
+    def _traversal(self, view: View, word: str | None) -> str:
+        """Of the traversals that a word means, or of all, the one whose line is nearest to a view's."""
+        known = view.traversal_id in self._asked
+        key = (view.traversal_id, word)
+        if known and key in self._nearest:
+            return self._nearest[key]
+        names = sorted(self._lines) if word is None else self._matching(word)
+        line = self._asked[view.traversal_id] if known else view.pose.translation
+        chosen = min(names, key=lambda name: chamfer_m(line, self._lines[name]))
+        if known:
+            self._nearest[key] = chosen
+        return chosen
+
+    def _of_camera(self, traversal_id: str, view: View) -> Source:
+        wanted = Source(traversal_id, view.camera)
+        if wanted in self._by_source:
+            return wanted
+        here, forward = view.pose.translation[0], view.pose.matrix()[0, :3, 2]
+        own = [source for source in self._by_source if source.traversal_id == traversal_id]
+
+        def likeness(source: Source) -> float:
+            one = self._by_source[source]
+            nearest = np.linalg.norm(np.array(one.centre_m) - here, axis=1).argmin()
+            return float(np.array(one.forward[nearest]) @ forward)
+
+        return max(own, key=likeness)
+
+
+def chamfer_m(ours: Float64, theirs: Float64) -> float:
+    """Mean distance of two sets of places (N, 3), (M, 3) to the nearest of the other, there and back."""
+    from scipy.spatial import cKDTree
+
+    there, back = cKDTree(theirs).query(ours)[0], cKDTree(ours).query(theirs)[0]
+    return float(there.mean() + back.mean())
+
+
+def _dense(places: Float64) -> Float64:
+    """Places (N, 3) of a line, filled up so that neighbours are near."""
+    parts = [places[:1]]
+    for begin, end in pairwise(places):
+        count = max(int(np.ceil(np.linalg.norm(end - begin) / _STEP_M)), 1)
+        shares = np.arange(1, count + 1)[:, None] / count
+        parts.append(begin + shares * (end - begin))
+    return np.concatenate(parts)
+
+
+def _three(numbers: Float64) -> tuple[float, float, float]:
+    x, y, z = np.round(numbers, 3).tolist()
+    return x, y, z

@@ -1,0 +1,227 @@
+"""``mirror render MODEL --dataset DATASET``: a submission, or pictures along a trajectory."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from mirror.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mirror.arrays import UInt8
+    from mirror.dataset.dataset import Dataset
+    from mirror.evaluation.methods import Looking
+    from mirror.evaluation.submission.manifest import Appearance, Runtime
+    from mirror.evaluation.submission.writing import Render
+    from mirror.evaluation.views.plan import Plan
+    from mirror.evaluation.views.view import View
+
+_VIDEOS = (".mp4", ".mkv")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Render a trained model.
+
+    With --split, the views that a protocol asks for: a submission that `mirror evaluate` takes. With --trajectory,
+    where nobody drove: a video, or a folder of pictures.
+    """
+
+    models: tyro.conf.Positional[tuple[Path, ...]]
+    """Folder that `mirror reconstruct` wrote; for a split of several scenes one of each."""
+    dataset: str
+    """The dataset's folder or URL: for poses and lenses; with --appearance fit, for the left half of pictures too."""
+    out: Path
+    """A new folder; along a trajectory also FILE.mp4."""
+    split: str | None = None
+    """Name of the split to write a submission for."""
+    protocol: str = "static-reconstruction"
+    """Name of the protocol, or the path of its .toml."""
+    trajectory: str | None = None
+    """A traversal, lane-shift:METRES to its left, forward:METRES ahead of it, or a CSV of poses (qw qx qy qz tx_m ty_m
+    tz_m, in the world of the scene)."""
+    traversal: str | None = None
+    """Whose rig, line and look a trajectory has. Default: the first that was trained on."""
+    cameras: str | None = None
+    """Of the rig, separated by commas. Default: all."""
+    appearance: str = "nearest"
+    """nearest, mean, fit, a traversal, a word of light or weather such as night, or sweep:A:B. In a submission what was
+    trained on keeps its own look; along a trajectory only the light changes, nothing moves."""
+    width: int | None = None
+    """Pictures along a trajectory are no wider. Default: what the protocol says."""
+    hz: float = 10.0
+    """Pictures a second along a trajectory."""
+    json: bool = False
+    """Print what was written as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror render")
+    if (arguments.split is None) == (arguments.trajectory is None):
+        raise UsageError("what shall be rendered?", expected="--split for a submission, or --trajectory, one of them")
+
+    import mirror
+
+    dataset = mirror.open(arguments.dataset)
+    return _trajectory(arguments, dataset) if arguments.trajectory is not None else _submission(arguments, dataset)
+
+
+def _submission(arguments: Arguments, dataset: Dataset) -> int:
+    from mirror.cli.progress import progress_bar
+    from mirror.evaluation.methods import Looking, installed_method
+    from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.submission.manifest import Method
+    from mirror.evaluation.submission.writing import write_submission
+    from mirror.evaluation.views import plan_views
+
+    if arguments.appearance.startswith("sweep:"):
+        raise UsageError("a sweep is for trajectories", place="--appearance", expected="one look for all views")
+    name, models = _models(arguments.models)
+    plan = plan_views(dataset, load_protocol(arguments.protocol), str(arguments.split))
+    bare = sorted({view.scene_id for view in plan.views} - set(models))
+    if bare:
+        raise UsageError(
+            f"split {arguments.split} has views of {', '.join(bare)} too", expected="a model of each of its scenes",
+            remedy="reconstruct them, and name all models; or make a split of fewer scenes",
+        )  # fmt: skip
+    looking = Looking(arguments.appearance, plan.views, truth=(dataset, plan))
+
+    def renderer(_: Dataset, asked: Plan) -> Iterator[Render]:
+        for scene, model in models.items():
+            render = installed_method(name).open(model, looking)
+            for view in asked.views:
+                if view.scene_id == scene:
+                    yield [view], render(view)
+
+    about = Method(name=name, licence="Apache-2.0", trained_on="the split's training traversals of the scene alone")
+    with progress_bar(quiet=arguments.json) as bar:
+        count = write_submission(
+            dataset, plan, renderer, about, appearance_of(looking), arguments.out, bar, _costs(models.values())
+        )
+    said = {"out": str(arguments.out), "views": count, "method": name}
+    print(json.dumps(said) if arguments.json else f"{count} renders by {name}: {arguments.out}")
+    if not arguments.json:
+        print(f"next: mirror evaluate {arguments.out} --truth {arguments.dataset}")
+    return ExitCode.DONE
+
+
+def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
+    """The method of models, and each by its scene."""
+    from mirror.evaluation.methods import read_reconstruction
+
+    documents = [(folder, read_reconstruction(folder)) for folder in folders]
+    methods = sorted({document.method for _, document in documents})
+    scenes = {document.scene: folder for folder, document in documents}
+    if len(methods) != 1 or len(scenes) != len(documents):
+        raise UsageError(
+            f"{len(documents)} models by {', '.join(methods)} of {len(scenes)} scenes",
+            expected="models by one method, one of each scene",
+        )
+    return methods[0], scenes
+
+
+def _costs(models: Iterable[Path]) -> Runtime:
+    from mirror.evaluation.methods import read_reconstruction
+    from mirror.evaluation.submission.manifest import Runtime
+
+    device = f"{platform.machine()} CPU"
+    costs = [read_reconstruction(model).done for model in models]
+    known = [one for one in costs if one is not None]
+    if len(known) < len(costs):
+        return Runtime(device=device)
+    return Runtime(
+        device=device,
+        model_bytes=sum(one.model_bytes for one in known),
+        driven_m=sum(one.driven_m for one in known),
+        training_s=sum(one.wall_s for one in known),
+    )
+
+
+def appearance_of(looking: Looking) -> Appearance:
+    """What a manifest says of the looks of pictures that were not trained on."""
+    from mirror.evaluation.submission.manifest import Appearance, Rectangle
+
+    if looking.policy == "nearest":
+        return Appearance(policy="nearest-traversal", description="by the symmetric chamfer distance of driven lines")
+    if looking.policy == "mean":
+        return Appearance(policy="mean", description="of the latents of the camera")
+    if looking.policy == "fit":
+        left = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
+        return Appearance(policy="fitted", description="the latent alone", held_out_pixels=(left,))
+    return Appearance(policy="other", description=f"given: {looking.policy}")
+
+
+def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
+    from mirror.cli.progress import progress_bar
+    from mirror.evaluation.methods import Looking, installed_method
+    from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.views.trajectories import named, views_along
+
+    pixels = load_protocol(arguments.protocol).pixels
+    if arguments.width is not None:
+        pixels = pixels.model_copy(update={"max_width_px": arguments.width})
+    name, models = _models(arguments.models)
+    if len(models) != 1:
+        raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
+    ((scene, model),) = models.items()
+    own = dataset.where(scene=scene)
+    base = arguments.traversal or _base(own, str(arguments.trajectory))
+    cameras = None if arguments.cameras is None else arguments.cameras.split(",")
+    trajectory = named(own, str(arguments.trajectory), base).at_rate(arguments.hz)
+    views = views_along(own, base, trajectory, pixels, cameras)
+    asked = sorted({view.camera for view in views})
+    if arguments.out.suffix in _VIDEOS and len(asked) > 1 and len({(v.width_px, v.height_px) for v in views}) > 1:
+        raise UsageError(
+            f"cameras {', '.join(asked)} have pictures of different sizes", place="--cameras", expected="one of them"
+        )
+    render = installed_method(name).open(model, Looking(arguments.appearance, views, everywhere=True))
+    begin = time.perf_counter()
+    with progress_bar(quiet=arguments.json) as bar:
+        bar.start("rendering", len(views))
+        if arguments.out.suffix in _VIDEOS:
+            from mirror.view.video import write_video
+
+            count = write_video(arguments.out, _side_by_side(views, render, len(asked), bar.advance), arguments.hz)
+        else:
+            count = _pictures(arguments.out, views, render, bar.advance)
+    speed = len(views) / (time.perf_counter() - begin)
+    said = {"out": str(arguments.out), "pictures": count, "method": name, "frames_per_second": speed}
+    words = f"{count} pictures by {name}, {speed:.1f} a second: {arguments.out}"
+    print(json.dumps(said) if arguments.json else words)
+    return ExitCode.DONE
+
+
+def _base(dataset: Dataset, trajectory: str) -> str:
+    """The traversal that a trajectory goes along, if it names one; else the first of the scene."""
+    traversals = dataset.traversals()
+    return trajectory if trajectory in traversals else traversals[0]
+
+
+def _side_by_side(
+    views: Sequence[View], render: Callable[[View], UInt8], cameras: int, advance: Callable[[int], None]
+) -> Iterator[UInt8]:
+    import numpy as np
+
+    for start in range(0, len(views), cameras):
+        yield np.concatenate([render(view) for view in views[start : start + cameras]], axis=1)
+        advance(cameras)
+
+
+def _pictures(out: Path, views: Sequence[View], render: Callable[[View], UInt8], advance: Callable[[int], None]) -> int:
+    from mirror.evaluation.submission.png import encode_png
+    from mirror.schema.files import write_bytes
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
+    for view in views:
+        write_bytes(out / view.camera / f"{view.frame_index:05d}.png", encode_png(render(view)))
+        advance(1)
+    return len(views)

@@ -1,0 +1,198 @@
+"""`mirror reconstruct` and `mirror render`: from a dataset to a submission, and along a line that nobody drove."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import mirror
+from mirror.cli.main import main
+from mirror.dataset import Dataset
+from mirror.dataset.index import build_index
+from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layout import Layout
+from mirror.errors import ExitCode
+from mirror.evaluation.methods import read_reconstruction
+from mirror.schema.tables import POINTS
+from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
+
+STEPS = 40
+
+
+@pytest.fixture(autouse=True)
+def _threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def dataset(street: Dataset) -> Dataset:  # noqa: F811
+    """The street with points of its training traversals: a wall on either side."""
+    train = street.where(split="novel", role="train")
+    poses = train.table("ego_poses", ["tx_m", "ty_m", "tz_m"])
+    x, y, z = (column.to_numpy() for column in poses.columns)
+    rng = np.random.default_rng(0)
+    for traversal in train.traversals():
+        rows = [
+            {
+                "point": number,
+                "x_m": float(x.mean() + rng.uniform(-40, 40)),
+                "y_m": float(y.mean() + rng.choice((-12.0, 12.0))),
+                "z_m": float(z.mean() + rng.uniform(0, 8)),
+                "r": 90, "g": 90, "b": 90, "kind": "background", "views": 3, "sigma_m": None,
+            }
+            for number in range(150)
+        ]  # fmt: skip
+        LayerWriter(Layout(Path(street.root)), traversal, "points", "made", "1").finish(POINTS, rows, {})
+    build_index(Path(street.root))
+    return mirror.open(street.root)
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: object, code: int = ExitCode.DONE) -> dict[str, Any]:
+    assert main([str(word) for word in (*words, "--json")]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def reconstruct(dataset: Dataset, out: Path, *more: object) -> tuple[object, ...]:
+    words = ("--split", "novel", "--out", out, "--steps", STEPS, "--width", 48, "--threads", 1)
+    return ("reconstruct", dataset.root, *words, *more)
+
+
+def test_from_a_dataset_to_a_submission_and_along_a_new_line(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "model"
+    done = said(capsys, *reconstruct(dataset, model))
+    assert done["steps"] == STEPS * len(done["blocks"]) and done["psnr_db"] > 9.0
+    assert done["initialise"] == "dataset" and done["pictures"] > 0 and done["driven_m"] > 10.0
+    document = read_reconstruction(model)
+    assert document.method == "hybridworldsim" and document.done is not None
+    assert document.done.model_bytes == done["model_bytes"]
+    block = model / done["blocks"][0]
+    run = json.loads((block / "run.json").read_text())
+    assert run["points"] == "made@1" and run["depth"] is None and len(run["sources"]) == 6
+    assert {path.name.rpartition("-")[0] for path in (block / "pictures").iterdir()} == {
+        "training-0", "training-1", "held-out-0", "held-out-1",
+    }  # fmt: skip
+    # A done run is told of again, not trained again.
+    stamp = (block / "model.safetensors").stat().st_mtime_ns
+    assert said(capsys, *reconstruct(dataset, model)) == done
+    assert (block / "model.safetensors").stat().st_mtime_ns == stamp
+
+    protocol = narrow(tmp_path)
+    submission = tmp_path / "submission"
+    words = ("--dataset", dataset.root, "--split", "novel", "--protocol", protocol, "--out", submission)
+    assert said(capsys, "render", model, *words)["method"] == "hybridworldsim"
+    manifest = json.loads((submission / "manifest.json").read_text())
+    assert manifest["appearance"]["policy"] == "nearest-traversal"
+    assert manifest["runtime"]["model_bytes"] == done["model_bytes"]
+    assert main(["submission", "check", str(submission), "--truth", dataset.root, "--protocol", str(protocol)]) == 0
+    capsys.readouterr()
+
+    ply = tmp_path / "street.ply"
+    baked = said(capsys, "bake", model, "--dataset", dataset.root, "--out", ply, "--degree", 1)
+    assert baked["bytes"] == ply.stat().st_size and baked["gaussians"] > 100 and baked["psnr_db"] > 30.0
+
+    # The nearest line is the oncoming one; the given one has another colour.
+    shifted = ("--dataset", dataset.root, "--trajectory", "lane-shift:2.0", "--width", 48, "--hz", 1)
+    new = next(name for name in dataset.traversals() if ".new." in name)
+    looks = {}
+    for word in ("nearest", "mean", next(name for name in dataset.traversals() if ".near." in name)):
+        out = tmp_path / f"pictures-{len(looks)}"
+        cameras = ("--cameras", "front_wide", "--traversal", new, "--appearance", word)
+        told = said(capsys, "render", model, *shifted, *cameras, "--out", out)
+        files = sorted(out.glob("front_wide/*.png"))
+        assert len(files) == told["pictures"] > 5
+        looks[word] = np.mean([cv2.imread(str(file))[..., ::-1].mean((0, 1)) for file in files], axis=0)
+    nearest, mean, given = looks.values()
+    assert nearest.argmax() == 2 and given.argmax() == 0 and np.ptp(mean) < min(np.ptp(nearest), np.ptp(given))
+
+
+def narrow(folder: Path) -> Path:
+    """The protocol in 48 pixels, by PSNR."""
+    text = Path(mirror.__file__).parent.joinpath("evaluation/protocols/static-reconstruction.toml").read_text()
+    path = folder / "narrow.toml"
+    path.write_text(text.replace("max_width_px = 960", "max_width_px = 48"))
+    return path
+
+
+def test_looks_are_fitted_to_the_left_half_and_said_to_be(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "model"
+    said(capsys, *reconstruct(dataset, model))
+    psnr = {}
+    for policy in ("nearest", "fit"):
+        out = tmp_path / policy
+        words = ("--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path), "--out", out)
+        said(capsys, "render", model, *words, "--appearance", policy)
+        files = sorted(out.glob("renders/novel/*/front_wide/*.png"))
+        psnr[policy] = np.mean([np.abs(cv2.imread(str(file))[:, 24:].astype(float) - 120).mean() for file in files])
+    assert psnr["fit"] < 0.7 * psnr["nearest"]
+    appearance = json.loads((tmp_path / "fit" / "manifest.json").read_text())["appearance"]
+    assert appearance["policy"] == "fitted"
+    assert appearance["held_out_pixels"] == [{"left": 0.0, "top": 0.0, "right": 0.5, "bottom": 1.0}]
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--steps", 9), "a run of other settings began here: steps 3, now 9"),
+        (("--steps", 3, "--seed", 5), "seed 0, now 5"),
+        (("--steps", 3, "--half"), "half False, now True"),
+        (("--steps", 3, "--width", 32), "width_px 48, now 32"),
+    ],
+)
+def test_a_run_of_other_settings_is_refused(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[object, ...], message: str
+) -> None:
+    words = ("reconstruct", dataset.root, "--split", "novel", "--out", tmp_path / "model", "--threads", 1)
+    said(capsys, *words, "--width", 48, "--steps", 3)
+    width = () if "--width" in more else ("--width", 48)
+    assert message in said(capsys, *words, *width, *more, code=ExitCode.COULD_NOT_RUN)["problem"]
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--scene", "elsewhere"), "no training traversals in scene 'elsewhere'"),
+        (("--method", "magic"), "no method 'magic' is installed"),
+        (("--minutes", 1), "both --minutes and --steps"),
+        (("--threads", 0), "0"),
+        (("--split", "none"), "no such split"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[object, ...], message: str
+) -> None:
+    words = reconstruct(dataset, tmp_path / "model", *more)
+    assert message in said(capsys, *words, code=ExitCode.COULD_NOT_RUN)["problem"]
+    assert not (tmp_path / "model").exists()
+
+
+def test_without_points_the_remedy_is_named(
+    street: Dataset,  # noqa: F811
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = reconstruct(street, tmp_path / "model", "--initialise", "dataset")
+    problem = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
+    assert "no points" in problem["problem"] and "--initialise plane-sweep" in problem["remedy"]
+
+
+def test_another_folder_is_left_alone(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    problem = said(capsys, *reconstruct(dataset, tmp_path), code=ExitCode.COULD_NOT_RUN)["problem"]
+    assert "not an empty folder" in problem
+    problem = said(
+        capsys, "render", tmp_path, "--dataset", dataset.root, "--split", "novel", "--out", tmp_path / "new",
+        code=ExitCode.COULD_NOT_RUN,
+    )  # fmt: skip
+    assert problem["problem"] == "missing"

@@ -1,0 +1,99 @@
+"""Whose look a picture gets: each policy against a street of parallel lines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hybridworldsim.training.appearance import Looks, chamfer_m, seen_of
+from hybridworldsim.training.viewpoint import Source
+from mirror.errors import UsageError
+from mirror.evaluation.views.view import View
+from tests.training.street import view
+
+CAMERAS = ("front_wide", "rear")
+BACK = (0.5, -0.5, -0.5, 0.5)
+"""Of a camera that looks along minus x."""
+
+
+def line(traversal: str, y_m: float, cameras: tuple[str, ...] = CAMERAS, weather: str = "clear") -> list[View]:
+    found = []
+    for frame in range(10):
+        for camera in cameras:
+            one = view(traversal, frame, camera)
+            quaternion = BACK if "rear" in camera else one.world_SE3_camera[:4]
+            pose = (*quaternion, 1.0 * frame, y_m, 1.5)
+            found.append(one.model_copy(update={"world_SE3_camera": pose, "weather": weather}))
+    return found
+
+
+TRAINED = [*line("s.day.0", 0.0), *line("s.day.1", 8.0, weather="rain"), *line("s.night.0", 4.0)]
+SEEN = seen_of(TRAINED)
+
+
+def look(policy: str, asked: list[View], which: int = 0, everywhere: bool = False):
+    return Looks(SEEN, policy, asked, everywhere).of(asked[which])
+
+
+def test_what_was_trained_on_keeps_its_look() -> None:
+    for policy in ("nearest", "mean", "night"):
+        assert look(policy, TRAINED).colours == ((Source("s.day.0", "front_wide"), 1.0),)
+
+
+def test_nearest_is_the_line_driven_beside() -> None:
+    for y_m, expected in ((1.0, "s.day.0"), (3.5, "s.night.0"), (30.0, "s.day.1")):
+        found = look("nearest", line("s.new.0", y_m))
+        assert found.colours == ((Source(expected, "front_wide"), 1.0),) and found.content == found.colours[0][0]
+
+
+def test_whole_lines_are_compared_not_the_nearest_picture() -> None:
+    # It begins where one traversal drove, and goes on where another did.
+    asked = [*line("s.new.0", 0.0)[:4], *line("s.new.0", 8.0)[4:]]
+    assert look("nearest", asked).content.traversal_id == "s.day.1"
+    assert Looks(SEEN, "nearest").of(asked[0]).content.traversal_id == "s.day.0"
+
+
+def test_words_mean_light_weather_or_a_traversal_and_move_nothing() -> None:
+    asked = line("s.new.0", 0.5)
+    for word, expected in (("night", "s.night.0"), ("rain", "s.day.1"), ("clear", "s.day.0"), ("s.day.1", "s.day.1")):
+        found = look(word, asked)
+        assert found.colours == ((Source(expected, "front_wide"), 1.0),)
+        assert found.content == Source("s.day.0", "front_wide")
+    edited = look("night", TRAINED, everywhere=True)
+    assert edited.colours[0][0].traversal_id == "s.night.0" and edited.content.traversal_id == "s.day.0"
+
+
+def test_mean_is_of_the_camera() -> None:
+    found = look("mean", line("s.new.0", 0.0), which=1)
+    assert {source.camera for source, _ in found.colours} == {"rear"} and len(found.colours) == 3
+    assert sum(weight for _, weight in found.colours) == pytest.approx(1.0)
+
+
+def test_a_sweep_goes_from_one_to_the_other() -> None:
+    asked = line("s.new.0", 0.5)
+    looks = Looks(SEEN, "sweep:day:night", asked)
+    shares = [looks.of(one).colours for one in asked[::2]]
+    assert [blend[1][1] for blend in shares] == pytest.approx(np.linspace(0.0, 1.0, 10).tolist())
+    assert {blend[0][0].traversal_id for blend in shares} == {"s.day.0"}
+
+
+def test_cameras_of_other_names_are_told_by_where_they_look() -> None:
+    asked = line("s.new.0", 0.0, ("centre", "rear_view"))
+    assert [look("nearest", asked, which).content.camera for which in (0, 1)] == ["front_wide", "rear"]
+
+
+@pytest.mark.parametrize("policy", ["snow", "sweep:day", "sweep:day:snow", "sweep:a:b:c", ""])
+def test_looks_that_nothing_has_are_refused(policy: str) -> None:
+    with pytest.raises(UsageError):
+        Looks(SEEN, policy, TRAINED)
+
+
+@given(st.floats(-1e3, 1e3), st.integers(1, 5), st.floats(4e5, 6e6))
+def test_chamfer_is_symmetric_and_does_not_depend_on_the_origin(shift: float, count: int, origin: float) -> None:
+    ours = np.column_stack((np.arange(5.0), np.zeros(5), np.zeros(5)))
+    theirs = np.add(ours[:count], (0.0, shift, 0.0))
+    assert chamfer_m(ours, theirs) == pytest.approx(chamfer_m(theirs, ours))
+    assert chamfer_m(ours + origin, theirs + origin) == pytest.approx(chamfer_m(ours, theirs), abs=1e-6)
+    assert chamfer_m(ours, ours) == 0.0

@@ -134,12 +134,15 @@ class PreparedStreet:
     @torch.inference_mode()
     def __call__(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor | None = None) -> Drawn:
         """See `Street.forward`."""
-        parts = (
-            self.background.decode(viewpoint, latent, latent if content is None else content),
+        return draw(viewpoint, self.decode(viewpoint, latent, latent if content is None else content))
+
+    def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Splats, ...]:
+        """See `Street.decode`."""
+        return (
+            self.background.decode(viewpoint, latent, content),
             self.ground.decode(viewpoint, latent),
             self.sky.decode(viewpoint, latent),
         )
-        return draw(viewpoint, parts)
 
 
 class _Layer:

@@ -1,0 +1,77 @@
+"""``mirror bake MODEL --dataset DATASET --out STREET.ply``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from mirror.errors import ExitCode, UsageError
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Write a trained model as the PLY of 3D Gaussian Splatting, as one camera on one drive sees it.
+
+    It opens in viewers such as SuperSplat and viser. How much the pictures lose is measured and said.
+    """
+
+    model: tyro.conf.Positional[Path]
+    """Folder that `mirror reconstruct` wrote."""
+    dataset: str
+    """The dataset's folder or URL: for poses and lenses."""
+    out: Path
+    """The file, .ply."""
+    traversal: str | None = None
+    """Whose look and driven line. Default: the first of the scene."""
+    camera: str | None = None
+    """Whose look. Default: the first of the rig."""
+    appearance: str | None = None
+    """Another look: mean, a traversal, or a word of light or weather such as night. Default: the traversal's own."""
+    degree: int = 3
+    """Of the spherical harmonics, 0 to 3: 0 is smallest, and looks the same from everywhere."""
+    sky: Literal["pull", "clip", "keep"] = "pull"
+    """What lies beyond --reach is pulled in to it, left out, or kept; viewers sort what is near less well where
+    something is very far."""
+    reach: float = 150.0
+    """Metres from the middle of the street."""
+    json: bool = False
+    """Print what was written as JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror bake")
+    if arguments.out.suffix != ".ply":
+        raise UsageError(f"{arguments.out}", place="--out", expected="a name that ends in .ply")
+    if not arguments.reach > 0.0:
+        raise UsageError(f"{arguments.reach:g} m", place="--reach", expected="more than nothing")
+
+    import mirror
+    from mirror.evaluation.baking import BakeOptions, baking_method
+    from mirror.evaluation.methods import Looking, read_reconstruction
+    from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.views.trajectories import recorded, views_along
+
+    document = read_reconstruction(arguments.model)
+    dataset = mirror.open(arguments.dataset).where(scene=document.scene)
+    traversal = arguments.traversal or dataset.traversals()[0]
+    cameras = None if arguments.camera is None else [arguments.camera]
+    pixels = load_protocol("static-reconstruction").pixels
+    views = views_along(dataset, traversal, recorded(dataset, traversal).at_rate(2.0), pixels, cameras)
+    views = tuple(view for view in views if view.camera == views[0].camera)
+    looking = Looking(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
+    options = BakeOptions(arguments.degree, arguments.sky, arguments.reach)
+    baking = baking_method(document.method).bake(arguments.model, views, arguments.out, options, looking)
+    if arguments.json:
+        print(json.dumps({"out": str(arguments.out), **asdict(baking)}))
+    else:
+        print(
+            f"{baking.gaussians} Gaussians, {baking.bytes / 1e6:.1f} MB, as {views[0].camera} of {traversal} sees them;"
+            f" {baking.psnr_db:.1f} dB PSNR to the model's pictures: {arguments.out}"
+        )
+    return ExitCode.DONE

@@ -27,7 +27,7 @@ def seeded(initial: Initial, settings: Seeding) -> dict[str, Tensor]:
         (N, 1, 3).
     """
     ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m)
-    sky = sky_seeds(initial, settings.sky_count, settings.sky_radii, settings.far_count)
+    sky = _sky(initial, settings)
     points, colours = _background(initial, settings)
     parts = (points, ground, sky)
     opacities = [torch.full((len(part.means),), part.opacity) for part in parts]
@@ -39,6 +39,15 @@ def seeded(initial: Initial, settings: Seeding) -> dict[str, Tensor]:
         "opacities": torch.cat(opacities).logit(),
         "sh0": ((torch.cat([colours, *grey]) - 0.5) / _BAND0)[:, None],
     }
+
+
+def _sky(initial: Initial, settings: Seeding) -> Seeds:
+    count = settings.sky_count
+    seeds = sky_seeds(initial, max(count, 1), settings.sky_radii, settings.far_count)
+    if count:
+        return seeds
+    # Whose sky is no Gaussians has the points beyond the block alone.
+    return Seeds(seeds.means[1:], seeds.quats[1:], seeds.scales[1:], seeds.opacity)
 
 
 def _background(initial: Initial, settings: Seeding) -> tuple[Seeds, Tensor]:

@@ -32,7 +32,13 @@ def initial(count: int = 120) -> Initial:
 def small(settings: Splatting, **changes) -> Splatting:
     """The same method with hardly anything to draw, and colours that are learnt in few steps."""
     seeding = replace(
-        settings.seeding, most=100, spacing_m=0.2, ground_spacing_m=1.5, ground_reach_m=4.0, sky_count=60, far_count=10
+        settings.seeding,
+        most=100,
+        spacing_m=0.2,
+        ground_spacing_m=1.5,
+        ground_reach_m=4.0,
+        sky_count=min(settings.seeding.sky_count, 60),
+        far_count=10,
     )
     quick = replace(settings.rates, sh0=Rate(3e-2, 3e-2), means=Rate(1e-2, 1e-3))
     return replace(settings, **{"seeding": seeding, "rates": quick, **changes})

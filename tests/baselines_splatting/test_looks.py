@@ -13,6 +13,7 @@ from hybridworldsim.scene.settings import Rate
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from omnire_style.cube import Cube
+from splatting.seeding import seeded
 from splatting.settings import Rates
 from tests.baselines_splatting.scenes import GROWING, SOURCES, initial, picture, small, stripes, viewpoint
 
@@ -143,3 +144,13 @@ def test_the_sky_is_at_infinity_and_learns_where_it_is_seen():
     cube(viewpoint()).sum().backward()
     forward = cube.faces.grad[0, 0, :, :16]  # the face of +x, whither the camera looks
     assert forward.abs().sum() > 0.0 and cube.faces.grad[..., 16:32].abs().sum() == 0.0
+
+
+def test_only_the_method_whose_sky_is_a_cube_begins_without_gaussians_in_the_sky():
+    street = initial()
+    plain = replace(mtgs_style.RELEASED.seeding, sky_count=60)
+    dome = seeded(street, plain)["means"][:, 2].max()
+    assert dome > 3.0 * street.radius_m
+    without = seeded(street, replace(plain, sky_count=0))["means"]
+    assert without[:, 2].max() < street.radius_m and len(without) == len(seeded(street, plain)["means"]) - 60
+    assert not omnire_style.RELEASED.seeding.sky_count and not omnire_style.TUNED.seeding.sky_count

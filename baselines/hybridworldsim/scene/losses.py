@@ -53,8 +53,8 @@ def normals_of(depth_m: Tensor, K: Tensor) -> Tensor:
 
 def curvature(normals: Tensor) -> Tensor:
     """(H - 2, W - 2) curvature of normals (H, W, 3): squared Sobel gradients, summed over channels and directions."""
-    # Sobel's kernels are a smoothing one way and a difference the other; sums of slices are far faster than convolutions
-    # of three channels, backwards above all.
+    # Sobel's kernels are a smoothing one way and a difference the other; sums of slices are far faster than torch's
+    # convolutions of three channels, backwards above all.
     down = normals[:-2] + 2.0 * normals[1:-1] + normals[2:]
     across = normals[:, :-2] + 2.0 * normals[:, 1:-1] + normals[:, 2:]
     return (down[:, 2:] - down[:, :-2]).square().sum(2) + (across[2:] - across[:-2]).square().sum(2)

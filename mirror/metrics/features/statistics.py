@@ -73,7 +73,7 @@ class FeatureStatistics:
                 batch = values[start : start + _BLOCK]
                 yield np.subtract(batch, about, out=block[: len(batch)])
 
-        mean = values[0] + sum(part.sum(axis=0) for part in centred(values[0])) / count
+        mean = np.full(count, 1.0 / count) @ values
         scatter, total = np.zeros((dimension, dimension), order="F"), np.zeros(dimension)
         for part in centred(mean):
             total += part.sum(axis=0)

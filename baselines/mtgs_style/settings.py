@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from hybridworldsim.scene.settings import Rate
+from splatting import tuned
 from splatting.settings import Densification, Rates, Seeding, Splatting, Weights
 
 
@@ -35,4 +36,12 @@ RELEASED: Final = MtgsStyle(
 traversal are the higher bands alone there: its `features_adapters` have the learning rate 0, and are left out. Large
 Gaussians stay, as its sky does; its normals are of LiDAR, here the street's loss with the street's weight."""
 
-TUNED: Final = RELEASED
+TUNED: Final = MtgsStyle(
+    seeding=tuned.SEEDING,
+    rates=replace(tuned.RATES, adapter=Rate(1e-2, 1e-3)),
+    densification=replace(tuned.DENSIFICATION, absolute=True),
+    weights=tuned.WEIGHTS,
+    sh_degree=1,
+    antialiased=True,
+)
+"""Traversals differ in the constant band, and no band is higher than the first."""

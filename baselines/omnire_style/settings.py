@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from hybridworldsim.scene.settings import Rate
+from splatting import tuned
 from splatting.settings import Densification, Rates, Seeding, Splatting, Weights
 
 
@@ -40,4 +41,11 @@ RELEASED: Final = OmnireStyle(
 """Of drivestudio's configs/omnire.yaml (commit e59bda4f); counts and schedules as shares of 30,000 steps. Its faces of
 sky are 1024 pixels wide for pictures of 1600; these are for 240."""
 
-TUNED: Final = RELEASED
+TUNED: Final = OmnireStyle(
+    seeding=replace(tuned.SEEDING, sky_count=0),
+    rates=tuned.RATES,
+    densification=tuned.DENSIFICATION,
+    weights=tuned.WEIGHTS,
+    sh_degree=1,
+    affine=Rate(1e-3, 1e-4),
+)

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
+from hybridworldsim.scene.settings import Rate
+from splatting import tuned
 from splatting.settings import Splatting
 
 RELEASED: Final = Splatting()
-TUNED: Final = RELEASED
+TUNED: Final = Splatting(
+    seeding=tuned.SEEDING,
+    rates=replace(tuned.RATES, shN=Rate(4e-3, 4e-4)),
+    densification=tuned.DENSIFICATION,
+    weights=tuned.WEIGHTS,
+)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, field
-from typing import Literal
+from pathlib import Path
 
 import tyro
 
-from hybridworldsim.mvs.run import Options
+from hybridworldsim.mvs.methods import Method
+from hybridworldsim.mvs.options import Options
 from mirror.errors import ExitCode, MirrorError
 
 
@@ -20,9 +21,9 @@ class Arguments:
     """The dataset's folder."""
     split: str
     """Name of the split; only its training traversals are read."""
-    method: Literal["plane-sweep", "mvsnet", "patchmatchnet", "sparse"] = "plane-sweep"
+    method: Method = "plane-sweep"
     """What estimates depth; sparse: no depth, points matched and triangulated."""
-    weights: str | None = None
+    weights: Path | None = None
     """Path of the weights of a learned method."""
     version: str | None = None
     """Version of the layers; default: the split's name."""
@@ -34,22 +35,18 @@ def main() -> int:
     arguments = tyro.cli(Arguments, prog="python -m hybridworldsim.mvs")
 
     import mirror
-    from hybridworldsim.mvs.methods import estimator_of
     from hybridworldsim.mvs.run import initialise
     from mirror.cli.progress import progress_bar
 
     try:
-        dataset = mirror.open(arguments.dataset)
-        estimator, made_by = estimator_of(arguments.method, arguments.weights)
         with progress_bar(quiet=False) as bar:
             report = initialise(
-                dataset,
+                mirror.open(arguments.dataset),
                 arguments.split,
-                estimator,
-                source=arguments.method,
+                method=arguments.method,
+                weights=arguments.weights,
                 version=arguments.version,
                 options=arguments.options,
-                made_by=made_by,
                 progress=bar,
             )
     except MirrorError as error:
@@ -58,7 +55,7 @@ def main() -> int:
     points = ", ".join(f"{count} {kind}" for kind, count in report.points.items())
     print(f"layers {report.layer}: {len(report.written)} traversals written, {len(report.kept)} there already")
     if report.written:
-        print(f"{report.pictures} pictures; depth of {report.known_share:.1%} of their static pixels; points: {points}")
+        print(f"{report.pictures} pictures, {report.known_share:.1%} of static pixels with a depth; points: {points}")
     return ExitCode.DONE
 
 

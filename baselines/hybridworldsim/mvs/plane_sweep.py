@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
-from hybridworldsim.mvs.planes import Planes, facing_planes, road_planes, upright_planes
+from hybridworldsim.mvs.sweep.planes import Planes, facing_planes, road_planes, upright_planes
 from mirror.arrays import Float32, Float64
 from mirror.errors import UsageError
 
@@ -59,8 +59,8 @@ class PlaneSweep:
         if not sources:
             shape = reference.valid.shape
             return DepthMap(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))
-        from hybridworldsim.mvs.path_costs import decide, smoothed
-        from hybridworldsim.mvs.sweep_kernel import COSTS, cost_volume
+        from hybridworldsim.mvs.sweep.correlation import COSTS, cost_volume
+        from hybridworldsim.mvs.sweep.path_costs import decide, smoothed
 
         planes = self._planes(reference, sources, near_m, far_m)
         own, span = grey(reference), (1.0 / far_m, 1.0 / near_m)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from hybridworldsim.mvs.sweep_kernel import UNKNOWN
+from hybridworldsim.mvs.sweep.correlation import UNKNOWN
 from mirror.arrays import AnyArray, Float32, UInt8
 
 

@@ -1,0 +1,1 @@
+"""The parts of plane-sweep stereo: planes, correlations, smoothing."""

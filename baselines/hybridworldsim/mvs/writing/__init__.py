@@ -1,0 +1,1 @@
+"""From depth maps to layers of a dataset, scene by scene."""

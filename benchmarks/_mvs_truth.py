@@ -1,0 +1,44 @@
+"""What a synthetic recording's truth says of depth maps, points, ground and sky; for benchmarks and tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mirror.arrays import Float64, UInt8
+from mirror.geometry.cameras import Camera
+from mirror.synth.truth import Truth
+
+
+@dataclass(frozen=True, eq=False)
+class TruePicture:
+    """The truth of a picture in an undistorted raster.
+
+    Attributes:
+        depth_m: (H, W) camera z; infinite in the sky, NaN where the lens sees nothing.
+        label: (H, W) values of `mirror.synth.model.Label`; 255 where the lens sees nothing.
+    """
+
+    depth_m: Float64
+    label: UInt8
+
+
+def true_picture(truth: Truth, camera: str, timestamp_ns: int, recorded: Camera, lens: Camera) -> TruePicture:
+    """The truth of one picture, looked up where each pixel's centre looks.
+
+    Args:
+        truth: of its recording, with depth and semantic.
+        camera: its camera.
+        timestamp_ns: its recorded stamp.
+        recorded: the lens that it was recorded through.
+        lens: the pinhole whose raster is wanted.
+    """
+    distance = truth.read("depth", camera, timestamp_ns)
+    label = truth.read("semantic", camera, timestamp_ns)
+    rays = lens.rays().direction
+    seen = recorded.project(rays)
+    place = np.floor(np.where(seen.valid[..., None], seen.uv_px, 0.0)).astype(np.int64)
+    row, column = place[..., 1], place[..., 0]
+    depth = np.where(seen.valid, distance[row, column] * rays[..., 2], np.nan)
+    return TruePicture(depth, np.where(seen.valid, label[row, column], 255).astype(np.uint8))

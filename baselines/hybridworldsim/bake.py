@@ -15,10 +15,10 @@ from torch.nn import functional
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.reference.harmonics import harmonics
 from hybridworldsim.rendering.composition import Composition
-from hybridworldsim.rendering.kernels import GEOMETRY
 from hybridworldsim.rendering.parts import LEAST, Looks, parts_of
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.nodes.anchors import Anchors
+from hybridworldsim.scene.nodes.assembly import GEOMETRY
 from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.scene.street import Street
 from hybridworldsim.scene.visible import visible
@@ -259,8 +259,8 @@ def _fitted(
     kept = ((opacity >= LEAST) & torch.isfinite(places).all(1)).nonzero().squeeze(1)
     places, opacity = places[kept], opacity[kept].clamp_max(_MOST)
     bands = (degree + 1) ** 2
-    identity = torch.eye(bands).expand(len(kept), bands, bands)
-    basis = torch.stack([harmonics(degree, places - eye.centre, identity) for eye in eyes]).double()
+    identity = torch.eye(bands)[None]  # its sums are the harmonics themselves
+    basis = torch.stack([harmonics(degree, places - eye.centre, identity) for eye in eyes])
     weight = weights[:, kept].double()
     weight = weight / weight.sum(0)
     left = torch.einsum("vn,vnk,vnl->nkl", weight, basis, basis)

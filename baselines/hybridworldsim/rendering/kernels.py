@@ -10,9 +10,7 @@ import numpy as np
 
 from hybridworldsim.rasterizer.cpu.machine.vectors import WIDTH, fma, lift, load, spread, store, total
 from hybridworldsim.rasterizer.cpu.machine.vectors import choose as chosen
-
-GEOMETRY = 8
-"""Numbers of a Gaussian that are no colour: opacity, three of scale, four of rotation."""
+from hybridworldsim.scene.nodes.assembly import GEOMETRY
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

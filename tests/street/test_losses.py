@@ -1,0 +1,94 @@
+import math
+
+import pytest
+import torch
+from torch.nn import functional
+
+from hybridworldsim.scene.losses import colour_loss, curvature, depth_loss, normal_loss, normals_of
+
+K = torch.tensor([[60.0, 0.0, 32.0], [0.0, 55.0, 24.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+
+
+def plane(normal, distance, height=48, width=64):
+    """Depth (H, W) of the plane n . p = d."""
+    x = (torch.arange(width, dtype=torch.float64) + 0.5 - K[0, 2]) / K[0, 0]
+    y = (torch.arange(height, dtype=torch.float64) + 0.5 - K[1, 2]) / K[1, 1]
+    return distance / (normal[0] * x[None] + normal[1] * y[:, None] + normal[2])
+
+
+def test_colour_loss_is_the_mean_square_of_scored_pixels():
+    rendered, taken = torch.rand(5, 7, 3), torch.rand(5, 7, 3)
+    scored = torch.zeros(5, 7, dtype=torch.bool)
+    scored[1:3, 2:6] = True
+    expected = (rendered - taken)[scored].square().mean()
+    torch.testing.assert_close(colour_loss(rendered, taken, scored), expected)
+
+
+def test_pixels_that_are_not_scored_pull_at_nothing():
+    rendered = torch.rand(4, 4, 3, requires_grad=True)
+    scored = torch.eye(4, dtype=torch.bool)
+    colour_loss(rendered, torch.zeros(4, 4, 3), scored).backward()
+    assert not rendered.grad[~scored].any()
+    assert rendered.grad[scored].all()
+
+
+def test_depth_errors_count_as_shares_and_no_more_than_whole():
+    stereo = torch.tensor([[10.0, 10.0, 10.0, 0.0]])
+    rendered = torch.tensor([[11.0, 9.0, 1e6, 5.0]])
+    assert depth_loss(rendered, stereo, stereo > 0) == pytest.approx((0.01 + 0.01 + 1.0) / 3)
+
+
+def test_nothing_known_costs_nothing():
+    depth = torch.rand(6, 6, requires_grad=True)
+    none = torch.zeros(6, 6, dtype=torch.bool)
+    loss = depth_loss(depth, torch.zeros(6, 6), none) + normal_loss(depth, torch.zeros(6, 6), none, K.float())
+    loss.backward()
+    assert loss == 0.0
+    assert not depth.grad.any()
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, -0.2, 0.9), (0.0, 0.9, 0.4)])
+def test_normals_of_a_plane_are_its_own_and_have_no_curvature(normal):
+    unit = torch.tensor(normal, dtype=torch.float64)
+    unit = unit / unit.norm()
+    depth = plane(unit, 8.0, height=20)
+    found = normals_of(depth, K)
+    inner = found[1:-1, 1:-1]
+    torch.testing.assert_close(inner, (-unit).expand_as(inner), atol=1e-9, rtol=0.0)
+    assert curvature(inner).abs().max() < 1e-15
+
+
+def test_curvature_is_that_of_sobel_convolutions():
+    normals = torch.randn(9, 11, 3, dtype=torch.float64)
+    x = torch.tensor([[-1.0, 0.0, 1.0], [-2.0, 0.0, 2.0], [-1.0, 0.0, 1.0]], dtype=torch.float64)
+    kernels = torch.stack((x, x.T))[:, None]
+    expected = functional.conv2d(normals.permute(2, 0, 1)[:, None], kernels).square().sum((0, 1))
+    torch.testing.assert_close(curvature(normals), expected)
+
+
+def test_normals_of_a_sphere_point_from_its_centre():
+    radius, far = 2.0, 10.0
+    x = (torch.arange(64, dtype=torch.float64) + 0.5 - K[0, 2]) / K[0, 0]
+    y = (torch.arange(48, dtype=torch.float64) + 0.5 - K[1, 2]) / K[1, 1]
+    square = x[None] ** 2 + y[:, None] ** 2 + 1.0
+    # |t ray - centre| = radius
+    root = far**2 - square * (far**2 - radius**2)
+    hit = root > 0.2
+    depth = torch.where(hit, (far - root.clamp_min(0).sqrt()) / square, 1.0)
+    points = torch.stack((x * depth, y[:, None] * depth, depth), 2)
+    points[..., 2] -= far
+    found = normals_of(depth, K)
+    inside = -functional.max_pool2d(-hit[None].double(), 3, 1, 1)[0] > 0.5
+    angles = torch.rad2deg(torch.arccos((found * points / radius).sum(2).clamp(-1, 1)))
+    assert inside.sum() > 50
+    assert angles[inside].max() < 3.0
+
+
+def test_equal_depths_have_no_normal_loss_and_a_step_has():
+    flat = torch.full((20, 20), 5.0)
+    known = torch.ones(20, 20, dtype=torch.bool)
+    step = flat.clone()
+    step[:, 10:] = 7.0
+    assert normal_loss(flat, flat, known, K.float()) < 1e-9
+    assert normal_loss(step, flat, known, K.float()) > 1e-3
+    assert math.isfinite(float(normal_loss(torch.zeros(20, 20), flat, known, K.float())))

@@ -1,0 +1,81 @@
+import numpy as np
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import nn
+
+from hybridworldsim.scene.refining.cells import best_of_each, cells, grown
+from hybridworldsim.scene.refining.pace import due, wanted
+from hybridworldsim.scene.refining.rows import replace_rows
+from hybridworldsim.scene.settings import Refinement
+
+
+@given(st.integers(0, 10_000), st.integers(0, 60), st.integers(0, 40), st.integers(0, 50))
+@settings(max_examples=60, deadline=None)
+def test_new_anchors_are_those_that_all_pairs_would_choose(seed, candidates, standing, room):
+    rng = np.random.default_rng(seed)
+    points = torch.from_numpy(rng.uniform(-2, 2, (candidates, 3)))
+    scores = torch.from_numpy(rng.permutation(candidates).astype(np.float64))
+    least = torch.from_numpy(rng.choice([0.1, 0.5, 2.0], candidates))
+    occupied = torch.from_numpy(rng.uniform(-2, 2, (standing, 3)))
+    sizes = (1.0, 0.4)
+    centres, widths, parents = grown(points, scores, least, occupied, sizes, room)
+
+    expected, taken, left = [], [tuple(row) for row in occupied.tolist()], room
+    for remaining, size in zip((2, 1), sizes):
+        full = {tuple(np.floor(np.array(row) / size).astype(int)) for row in taken}
+        chosen = []
+        for row in sorted(range(candidates), key=lambda row: -scores[row]):
+            cell = tuple(np.floor(points[row].numpy() / size).astype(int))
+            if cell in full or least[row] > size or len(chosen) == left // remaining:
+                continue
+            full.add(cell)
+            chosen.append((row, size, (np.array(cell) + 0.5) * size))
+        left -= len(chosen)
+        taken += [tuple(centre) for _, _, centre in chosen]
+        expected += chosen
+    assert parents.tolist() == [row for row, _, _ in expected]
+    assert widths.tolist() == [size for _, size, _ in expected]
+    if expected:
+        np.testing.assert_allclose(centres.numpy(), [centre for _, _, centre in expected])
+
+
+def test_cells_tell_neighbours_apart_and_far_points_from_each_other():
+    points = torch.tensor([[0.05, 0.0, 0.0], [-0.05, 0.0, 0.0], [0.05, 0.05, 0.0], [9e4, 0.0, -9e4], [9e4, 0.2, -9e4]])
+    keys = cells(points.double(), 0.1)
+    assert keys[0] == keys[2]
+    assert len(set(keys.tolist())) == 4
+
+
+def test_the_first_of_equal_scores_is_the_best():
+    keys, scores = torch.tensor([7, 3, 7, 3, 9]), torch.tensor([1.0, 5.0, 1.0, 5.0, 0.0])
+    assert best_of_each(keys, scores).tolist() == [1, 0, 4]
+    assert best_of_each(keys[:0], scores[:0]).tolist() == []
+
+
+def test_rows_take_their_moments_with_them():
+    module = nn.Module()
+    module.table, module.fixed = nn.Parameter(torch.arange(8.0).view(4, 2)), nn.Parameter(torch.ones(4), False)
+    adam = torch.optim.Adam([module.table], lr=0.1)
+    (module.table.sum() + (module.table**2).sum()).backward()
+    adam.step()
+    before = adam.state[module.table]["exp_avg"].clone()
+    value = module.table.detach().clone()
+    added = {"table": torch.full((1, 2), 9.0), "fixed": torch.zeros(1)}
+    replace_rows(module, ["table", "fixed"], adam, torch.tensor([3, 1]), added)
+    assert torch.equal(module.table.detach(), torch.cat([value[[3, 1]], added["table"]]))
+    assert torch.equal(adam.state[module.table]["exp_avg"], torch.cat([before[[3, 1]], torch.zeros(1, 2)]))
+    assert module.fixed.tolist() == [1.0, 1.0, 0.0]
+    assert not module.fixed.requires_grad
+    module.table.sum().backward()
+    adam.step()
+    assert len(adam.state) == 1
+
+
+def test_refinements_are_due_evenly_and_never_too_many():
+    refinement = Refinement(begin=0.1, end=0.6, times=10)
+    assert [due(refinement, progress) for progress in (0.0, 0.1, 0.149, 0.151, 0.6, 1.0)] == [0, 0, 0, 1, 10, 10]
+    counts = [wanted(refinement, done, 100, 1000) for done in range(11)]
+    assert counts[0] == 100
+    assert counts[-1] == 1000
+    assert counts == sorted(counts)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import mirror
-from hybridworldsim.mvs.methods import estimator_of
-from hybridworldsim.mvs.run import Options, initialise
+from hybridworldsim.mvs.run import initialise
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.methods import Task
@@ -45,16 +44,13 @@ def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
     if task.initialise == BROUGHT:
         return Layers(dataset, *(_only(dataset, task, kind) for kind in ("depth", "points")))
     width = task.protocol.pixels.max_width_px
-    estimator, made_by = estimator_of(task.initialise, None)
     done = initialise(
         dataset.where(scene=task.scene),
         task.split,
-        estimator,
-        source=task.initialise,
+        method=task.initialise,
+        width_px=width,
         # Of other training traversals or another width they are other layers.
         version=f"{task.split}-{width}",
-        options=Options(width_px=width),
-        made_by=made_by,
         progress=progress,
     )
     made = mirror.open(dataset.root)

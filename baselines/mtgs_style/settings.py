@@ -38,8 +38,8 @@ Gaussians stay, as its sky does; its normals are of LiDAR, here the street's los
 
 TUNED: Final = MtgsStyle(
     seeding=tuned.SEEDING,
-    rates=replace(tuned.RATES, adapter=Rate(1e-2, 1e-3)),
-    densification=replace(tuned.DENSIFICATION, absolute=True),
+    rates=replace(tuned.RATES, adapter=Rate(2e-2, 2e-3)),
+    densification=tuned.DENSIFICATION,
     weights=tuned.WEIGHTS,
     sh_degree=1,
     antialiased=True,

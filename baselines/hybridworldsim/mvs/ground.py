@@ -1,7 +1,7 @@
 """A robust ground: a smooth height field through where the vehicles drove and what was seen of the road.
 
-The origin of the ego frame is on the ground under the rear axle, so each driven line is a line of the ground. The field
-is a cubic B-spline surface over a regular grid (its height is linear in the knots), fitted by least squares with a
+The origin of the ego frame is on the ground under the rear axle, so each drive is a strip of the ground. The field is a
+cubic B-spline surface over a regular grid (its height is linear in the knots), fitted by least squares with a
 thin-plate penalty (Eilers and Marx, "Flexible smoothing with B-splines and penalties", Statistical Science 1996), and
 by iteratively reweighted least squares with Huber's weights for points, which may not be of the ground at all.
 """
@@ -15,6 +15,7 @@ import numpy as np
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
+from mirror.geometry.poses import Poses
 
 _SPACING_M: Final = 4.0
 _MARGIN_M: Final = 60.0
@@ -22,6 +23,8 @@ _MOST_KNOTS: Final = 250_000
 _LINE_SIGMA_M: Final = 0.03
 _POINT_SIGMA_M: Final = 0.15
 _SMOOTH: Final = 0.4
+_LEVEL: Final = 1.0
+_TRACK_M: Final = 1.6
 _ROUNDS: Final = 8
 _GATE_M: Final = 0.6
 
@@ -63,11 +66,21 @@ class Ground:
         return np.asarray(values)
 
 
+def wheel_places(world_SE3_ego: Poses) -> Float64:
+    """Where vehicles touch the ground: (3 N, 3) the middle and the ends of the rear axle, projected onto it.
+
+    The ego frame stands on the ground as the vehicle does, so its attitude tells the road's cross slope.
+    """
+    matrix = world_SE3_ego.matrix()
+    middle, aside = matrix[:, :3, 3], 0.5 * _TRACK_M * matrix[:, :3, 1]
+    return np.concatenate([middle, middle + aside, middle - aside])
+
+
 def fit_ground(driven_m: Float64, points_m: Float64 | None = None) -> Ground:
     """Fit the ground of a scene.
 
     Args:
-        driven_m: (N, 3) places of the ego frame's origin, of all drives.
+        driven_m: (N, 3) places on the ground: see `wheel_places`.
         points_m: (M, 3) points that may be of the ground; those far from it lose their weight. None: the driven lines
             alone.
 
@@ -137,9 +150,9 @@ def _solve(places: Float64, weight: Float64, low: Float64, shape: tuple[int, ...
     ]
     # A bend of one part in a hundred between knots counts as much as one sigma of a driven place.
     matrix = design.T @ design + (_SMOOTH / _LINE_SIGMA_M) ** 2 * sum(bend.T @ bend for bend in bends)
-    # A whisper towards level decides what neither places nor bends do: one line leaves its cross slope free.
+    # Without a pull towards level the camber of the road would go on through pavements and houses.
     tilts = [kron(first(shape[0]), identity(shape[1])), kron(identity(shape[0]), first(shape[1]))]
-    matrix = matrix + 1e-2 * sum(tilt.T @ tilt for tilt in tilts)
+    matrix = matrix + (_LEVEL / _LINE_SIGMA_M) ** 2 * sum(tilt.T @ tilt for tilt in tilts)
     knots = spsolve(matrix.tocsc(), design.T @ (weight * (places[:, 2] - level)))
     return Ground(low, _SPACING_M, knots.reshape(shape[0], shape[1]) + level, np.nan)
 

@@ -14,6 +14,9 @@ RADIUS = 2
 """Half the side of a window, rounded down: known to the compiler, which then needs a third less time."""
 
 _SIDE = 2 * RADIUS + 1
+_SLACK_PX = np.float32(1e-3)
+"""What single precision may put a pixel of the border outside by."""
+
 _NONE = np.float32(-2.0)
 """A score where there is none: below every correlation."""
 
@@ -172,7 +175,8 @@ def _warp(source: AnyArray, h: AnyArray, first: int, start: int, end: int, place
         for column in range(count):
             s, t = x[column], y[column]
             value = np.float32(np.nan)
-            if s >= np.float32(0.0) and t >= np.float32(0.0) and s <= right and t <= bottom:
+            if s >= -_SLACK_PX and t >= -_SLACK_PX and s <= right + _SLACK_PX and t <= bottom + _SLACK_PX:
+                s, t = min(max(s, np.float32(0.0)), right), min(max(t, np.float32(0.0)), bottom)
                 left, top = min(np.int32(s), np.int32(width - 2)), min(np.int32(t), np.int32(height - 2))
                 a, b = s - np.float32(left), t - np.float32(top)
                 above = source[top, left] + a * (source[top, left + 1] - source[top, left])

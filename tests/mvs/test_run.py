@@ -1,0 +1,144 @@
+"""Initialisation of a small dataset: which layers there are, what they are made of, how it goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import mirror
+from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
+from hybridworldsim.mvs.options import Options
+from hybridworldsim.mvs.run import initialise
+from mirror.dataset.check.run import check
+from mirror.dataset.index import build_index
+from mirror.dataset.layout import manifest_sha256
+from mirror.dataset.splits import make_split
+from mirror.errors import DatasetError, UsageError
+from mirror.schema.documents import NovelTraversal
+from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+
+CAMERAS = ("front_wide", "front_left")
+
+
+class LevelRoad:
+    """Knows that all is a level road: the depth of each pixel below the horizon, seen by no source at all."""
+
+    def __init__(self, fails_at: int | None = None) -> None:
+        self.calls, self._fails_at = 0, fails_at
+
+    def __repr__(self) -> str:
+        return "LevelRoad()"
+
+    def __call__(self, reference: PosedPicture, sources: object, near_m: float, far_m: float) -> DepthMap:
+        self.calls += 1
+        if self.calls == self._fails_at:
+            raise KeyboardInterrupt
+        height, width = reference.valid.shape
+        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(reference.K).T
+        pose = reference.world_SE3_camera.matrix()[0]
+        depth = -pose[2, 3] / (rays @ pose[2, :3])
+        known = (depth > near_m) & (depth < far_m)
+        return DepthMap(np.where(known, depth, np.nan).astype(np.float32), known.astype(np.float32))
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    builder = Builder(tmp_path, cameras=CAMERAS, size=(96, 64))
+    builder.scene("a")
+    for number in range(3):
+        # Traversals with the same bytes are not divided.
+        noise = np.random.default_rng(number).integers(0, 255, (64, 96, 3)).astype(np.uint8)
+        pictures = dict.fromkeys(CAMERAS, bytes(cv2.imencode(".jpg", noise)[1]))
+        entry = EPOCH + number * 1000 * SECOND
+        builder.drive(
+            f"d{number}", [Pass("a", entry, pictures=pictures, offset_m=0.5 * number)], vehicle_id=f"v{number}"
+        )
+    build_index(tmp_path)
+    make_split(tmp_path, "s", NovelTraversal(train=2))
+    return tmp_path
+
+
+def files(root: Path) -> dict[str, str]:
+    return {
+        folder.parent.relative_to(root).as_posix(): manifest_sha256(folder.parent)
+        for folder in sorted(root.glob("traversals/*/layers/*/*/manifest.json"))
+    }
+
+
+def test_layers_are_written_for_training_traversals_only(dataset: Path) -> None:
+    opened = mirror.open(dataset)
+    train = opened.where(split="s", role="train").traversals()
+    report = initialise(opened, "s", method="road", estimator=LevelRoad(), width_px=48)
+    assert report.layer == "road@s" and set(report.written) == set(train) and not report.kept
+    assert report.pictures == len(train) * len(CAMERAS) * 5 and report.known_share > 0.25
+    assert report.points["ground"] > 100
+    after = mirror.open(dataset).where(split="s")
+    own = {
+        row["traversal_id"]: row["layers"] for row in after.table("traversals", ["traversal_id", "layers"]).to_pylist()
+    }
+    for traversal_id, layers in own.items():
+        there = {"depth/road@s", "masks/road@s", "points/road@s"} if traversal_id in train else set()
+        assert there == set(layers)
+    points = after.where(role="train", split="s").points()
+    assert np.abs(points.position_m[:, 2]).max() < 0.3 and set(points.traversal_id) <= set(train)
+    image = after.where(traversal=train[0]).frames()[0].images["front_wide"]
+    depth = image.depth()
+    assert depth is not None and depth.lens.width_px == 48 and np.isfinite(depth.decode()).any()
+    assert [mask.kind for mask in image.masks()] == ["sky"] and image.masks()[0].decode().shape == (64, 96)
+    assert not (dataset / ".mvs" / "road@s").exists()
+    groups = ("DEP", "PTS", "MSK", "TAB", "DS0", "IDX")
+    wrong = [finding for rule, finding in check(dataset).findings if rule.rule_id.startswith(groups)]
+    assert not wrong
+
+
+def test_what_is_there_is_kept_and_what_was_interrupted_goes_on(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(fails_at=8), width_px=48)
+    assert files(dataset) == {}
+    estimator = LevelRoad()
+    initialise(mirror.open(dataset), "s", method="road", estimator=estimator, width_px=48)
+    assert estimator.calls == 20 - 7
+    first = files(dataset)
+    report = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+    assert len(report.kept) == 2 and not report.written and report.pictures == 0 and files(dataset) == first
+    other = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48, version="again")
+    assert len(other.written) == 2
+    tables = [
+        (folder / "points.parquet").read_bytes() for folder in sorted(dataset.glob("traversals/*/layers/points/*"))
+    ]
+    assert len(tables) == 4
+
+
+def test_points_that_a_killed_run_did_not_write_come_out_the_same(dataset: Path) -> None:
+    initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+    before = files(dataset)
+    last = sorted(dataset.glob("traversals/*/layers/points/road@s/manifest.json"))[-1]
+    last.unlink()
+    build_index(dataset)
+    report = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+    assert len(report.written) == 1 and files(dataset) == before
+
+
+def test_layers_made_of_something_else_are_refused(dataset: Path) -> None:
+    initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+    with pytest.raises(DatasetError, match="options differs"):
+        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=32)
+    make_split(dataset, "other", NovelTraversal(train=1))
+    with pytest.raises(DatasetError, match="differs"):
+        initialise(mirror.open(dataset), "other", method="road", estimator=LevelRoad(), width_px=48, version="s")
+
+
+def test_the_plane_sweep_runs_on_noise_and_without_masks_of_the_sky(dataset: Path) -> None:
+    report = initialise(mirror.open(dataset), "s", width_px=48, options=Options(sky=False))
+    assert report.layer == "plane-sweep@s"
+    layers = mirror.open(dataset).where(split="s", role="train").table("traversals", ["layers"]).column(0).to_pylist()
+    assert all(set(own) == {"depth/plane-sweep@s", "points/plane-sweep@s"} for own in layers)
+
+
+def test_unknown_methods_are_refused(dataset: Path) -> None:
+    with pytest.raises(UsageError, match="no estimator"):
+        initialise(mirror.open(dataset), "s", method="magic")

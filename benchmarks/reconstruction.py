@@ -53,23 +53,25 @@ def main(argv: Sequence[str]) -> int:
     from mirror.cli.watch import watching
 
     declaration = declared()
-    if arguments.what == "prepare":
-        with watching(quiet=False) as watch:
-            prepare(arguments.data, declaration, watch)
-        return ExitCode.DONE
     rows = [
         name
         for name, entry in entries().items()
         if name in arguments.entries or (not arguments.entries and entry.group == arguments.group)
     ]
     width = arguments.width or declaration.width_px
+    scenes = arguments.scenes or declaration.scenes
+    if arguments.what == "prepare":
+        splits = dict.fromkeys(entries()[row].split or declaration.split for row in rows)
+        with watching(quiet=False) as watch:
+            prepare(arguments.data, declaration, scenes, list(splits), width, watch)
+        return ExitCode.DONE
     budgets = arguments.minutes or (declaration.core_minutes,)
     if arguments.what == "run":
         jobs = [
             Job(entry, scene, seed, minutes, width)
             for seed in arguments.seeds or declaration.seeds
             for minutes in budgets
-            for scene in arguments.scenes or declaration.scenes
+            for scene in scenes
             for entry in rows
         ]
         return ExitCode.PARTLY_DONE if run_all(jobs, arguments.data, arguments.jobs) else ExitCode.DONE

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import mirror
 from benchmarks._reconstruction.declared import Declared
+from hybridworldsim.methods.layers import layers_for
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.evaluation.methods import Task
@@ -38,8 +40,19 @@ def opened(folder: Path) -> Dataset:
     return mirror.open(folder / DATASET)
 
 
-def prepare(folder: Path, declaration: Declared, watch: Watch) -> None:
-    """Make what is not there yet."""
+def prepare(
+    folder: Path, declaration: Declared, scenes: Sequence[str], splits: Sequence[str], width_px: int, watch: Watch
+) -> None:
+    """Make what is not there yet.
+
+    Args:
+        folder: of the comparison.
+        declaration: what is made.
+        scenes: that get layers.
+        splits: whose training traversals get them.
+        width_px: of the pictures that are matched.
+        watch: told how it goes.
+    """
     from mirror.cli.main import main
 
     recordings, dataset = folder / RECORDINGS, folder / DATASET
@@ -55,7 +68,9 @@ def prepare(folder: Path, declaration: Declared, watch: Watch) -> None:
         _run(main, ["split", str(dataset), declaration.split, "--seed", str(declaration.split_seed)])
     for count in (1, 2):
         _fewer(split, count)
-    _initialise(dataset, declaration, watch)
+    for scene in scenes:
+        for one in splits:
+            layers_for(mirror.open(dataset), task_of(declaration, scene, one, width_px, 1.0, 0), watch)
 
 
 def _run(main: object, words: list[str]) -> None:
@@ -90,16 +105,3 @@ def task_of(declaration: Declared, scene: str, split: str, width_px: int, core_m
         initialise=declaration.initialise,
         threads=1,
     )
-
-
-def _initialise(dataset: Path, declaration: Declared, watch: Watch) -> None:
-    from hybridworldsim.methods.layers import layers_for
-
-    for scene in declaration.scenes:
-        for split, width in (
-            (declaration.split, declaration.width_px),
-            (f"{declaration.split}-1", declaration.width_px),
-            (f"{declaration.split}-2", declaration.width_px),
-            (declaration.split, declaration.width_long_px),
-        ):
-            layers_for(mirror.open(dataset), task_of(declaration, scene, split, width, 1.0, 0), watch)

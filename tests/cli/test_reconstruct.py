@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import mirror
+from hybridworldsim.scene.blocks import divide
 from mirror.cli.main import main
 from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
@@ -129,7 +130,7 @@ def test_looks_are_fitted_to_the_left_half_and_said_to_be(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model = tmp_path / "model"
-    said(capsys, *reconstruct(dataset, model))
+    said(capsys, *reconstruct(dataset, model, "--steps", 12))
     psnr = {}
     for policy in ("nearest", "fit"):
         out = tmp_path / policy
@@ -156,6 +157,22 @@ def test_rivals_go_through_the_same_verbs(
         capsys, *words, "--appearance", "mean", "--out", tmp_path / "mean", code=ExitCode.COULD_NOT_RUN
     )  # fmt: skip
     assert f"{method} cannot mix looks" in mixed["problem"]
+
+
+@pytest.mark.parametrize("method", ["hybridworldsim", "vanilla_3dgs"])
+def test_a_long_street_is_several_blocks(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hybridworldsim.methods.static.divide", lambda driven: divide(driven, 16.0))
+    model = tmp_path / "model"
+    done = said(capsys, *reconstruct(dataset, model, "--method", method, "--steps", 4))
+    assert len(done["blocks"]) > 1 and done["steps"] == 4 * len(done["blocks"])
+    assert done["model_bytes"] == sum(file.stat().st_size for file in model.glob("*/model.safetensors"))
+    words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))
+    assert said(capsys, *words, "--out", tmp_path / "submission")["views"] > 0
+    (model / done["blocks"][1] / "outcome.json").unlink()
+    undone = said(capsys, *words, "--out", tmp_path / "other", code=ExitCode.COULD_NOT_RUN)
+    assert "1 blocks are not trained to the end" in undone["problem"]
 
 
 @pytest.mark.parametrize(

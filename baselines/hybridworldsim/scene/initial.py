@@ -35,10 +35,12 @@ def initial_of(dataset: Dataset, block: Block, sources: Sequence[Source]) -> Ini
     """
     points = dataset.points()
     if not len(points):
+        made = dataset.layers.points
         raise DatasetError(
             f"no points in the {dataset.count('traversals')} training traversals", file=dataset.root,
             place=f"scene {', '.join(dataset.scenes())}", expected="a layer of points",
-            remedy="make one of the pictures: --initialise plane-sweep",
+            remedy=f"{made} found nothing to match: look at pictures and poses, or try another --initialise"
+            if made else "make one of the pictures: --initialise plane-sweep",
         )  # fmt: skip
     driven = driven_m(dataset)
     kind = np.array(points.kind)

@@ -161,7 +161,7 @@ def appearance_of(looking: Looking) -> Appearance:
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.cli.progress import progress_bar
-    from mirror.evaluation.methods import Looking, installed_method
+    from mirror.evaluation.methods import Looking, installed_method, read_reconstruction
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.views.trajectories import named, views_along
 
@@ -173,7 +173,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
         raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
     ((scene, model),) = models.items()
     own = dataset.where(scene=scene)
-    base = arguments.traversal or _base(own, str(arguments.trajectory))
+    base = arguments.traversal or _base(own, str(arguments.trajectory), read_reconstruction(model).split)
     cameras = None if arguments.cameras is None else arguments.cameras.split(",")
     trajectory = named(own, str(arguments.trajectory), base).at_rate(arguments.hz)
     views = views_along(own, base, trajectory, pixels, cameras)
@@ -199,10 +199,11 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     return ExitCode.DONE
 
 
-def _base(dataset: Dataset, trajectory: str) -> str:
-    """The traversal that a trajectory goes along, if it names one; else the first of the scene."""
-    traversals = dataset.traversals()
-    return trajectory if trajectory in traversals else traversals[0]
+def _base(dataset: Dataset, trajectory: str, split: str) -> str:
+    """The traversal that a trajectory goes along, if it names one; else the first that was trained on."""
+    if trajectory in dataset.traversals():
+        return trajectory
+    return dataset.where(split=split, role="train").traversals()[0]
 
 
 def _side_by_side(

@@ -14,6 +14,7 @@ import torch
 import mirror
 from hybridworldsim.scene.blocks import divide
 from mirror.cli.main import main
+from mirror.cli.watch import watching
 from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
@@ -157,6 +158,16 @@ def test_rivals_go_through_the_same_verbs(
         capsys, *words, "--appearance", "mean", "--out", tmp_path / "mean", code=ExitCode.COULD_NOT_RUN
     )  # fmt: skip
     assert f"{method} cannot mix looks" in mixed["problem"]
+
+
+def test_where_no_bar_moves_each_report_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for quiet, expected in ((False, "50 %\n"), (True, "")):
+        with watching(quiet=quiet) as watch:
+            watch.start("training", 10)
+            watch.now("5 dB")
+            watch.advance(5)
+            watch.say("50 %")
+        assert capsys.readouterr() == ("", expected)
 
 
 @pytest.mark.parametrize("method", ["hybridworldsim", "vanilla_3dgs"])

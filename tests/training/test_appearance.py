@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,7 +12,7 @@ from hybridworldsim.training.appearance import Looks, chamfer_m, seen_of
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror.evaluation.views.view import View
-from tests.training.street import view
+from tests.training.street import Painted, learner, view
 
 CAMERAS = ("front_wide", "rear")
 BACK = (0.5, -0.5, -0.5, 0.5)
@@ -82,6 +83,19 @@ def test_a_sweep_goes_from_one_to_the_other() -> None:
 def test_cameras_of_other_names_are_told_by_where_they_look() -> None:
     asked = line("s.new.0", 0.0, ("centre", "rear_view"))
     assert [look("nearest", asked, which).content.camera for which in (0, 1)] == ["front_wide", "rear"]
+
+
+def test_an_edit_of_the_light_moves_nothing() -> None:
+    street = learner().street
+    with torch.no_grad():
+        # As after training: what is there depends on the look.
+        street.appearance.latents.mul_(20.0)
+        day, night = (street.appearance(source) for source in street.appearance.sources)
+        viewpoint = Painted()(view("s.day.0", 2)).viewpoint
+        as_it_was, edited, other = (street(viewpoint, *pair) for pair in ((day, day), (night, day), (night, night)))
+    assert torch.equal(as_it_was.depth_m, edited.depth_m) and torch.equal(as_it_was.alpha, edited.alpha)
+    assert (as_it_was.rgb - edited.rgb).abs().max() > 0.01
+    assert not torch.equal(as_it_was.depth_m, other.depth_m)
 
 
 @pytest.mark.parametrize("policy", ["snow", "sweep:day", "sweep:day:snow", "sweep:a:b:c", ""])

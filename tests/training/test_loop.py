@@ -190,6 +190,15 @@ def test_a_done_run_says_so_and_another_is_refused(tmp_path: Path) -> None:
         RunFolder(tmp_path / "other").begin(RUN)
 
 
+def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    folder.begin(RUN)
+    with folder.alone(), pytest.raises(DatasetError, match="another process"), RunFolder(tmp_path / "run").alone():
+        pass
+    with folder.alone():
+        pass
+
+
 def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
     run(tmp_path / "run")
     path = tmp_path / "run" / "checkpoint.safetensors"

@@ -121,17 +121,18 @@ class StaticMethod:
             return done
         learner = self.make(one.initial, self.settings(task.seed))
         origin = np.array(one.block.origin_m)
-        return train(
-            learner,
-            Pictures(one.layers.dataset, one.training.plan, origin),
-            one.views,
-            Budget(task.steps, task.core_minutes),
-            folder,
-            lambda path: self.write(path, one.block, learner, run, half=task.half),
-            seed=task.seed,
-            options=Options(specimens=one.specimens(run), title=f"{self.name}, {task.scene}, {one.block.name}"),
-            watch=watch,
-        )
+        with folder.alone():
+            return train(
+                learner,
+                Pictures(one.layers.dataset, one.training.plan, origin),
+                one.views,
+                Budget(task.steps, task.core_minutes),
+                folder,
+                lambda path: self.write(path, one.block, learner, run, half=task.half),
+                seed=task.seed,
+                options=Options(specimens=one.specimens(run), title=f"{self.name}, {task.scene}, {one.block.name}"),
+                watch=watch,
+            )
 
     def _run(self, one: _Block, task: Task) -> Run:
         settings = json.loads(json.dumps(asdict(self.settings(task.seed))))

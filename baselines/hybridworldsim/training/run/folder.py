@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import fcntl
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -155,6 +157,22 @@ class RunFolder:
         """What came of the run; None: it is not done."""
         path = self.path / OUTCOME
         return read_json(path, Outcome) if path.exists() else None
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """One process at a time trains a run; the lock goes when its holder dies, however it dies.
+
+        Raises:
+            DatasetError: another one does.
+        """
+        with (self.path / ".lock").open("a") as handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise DatasetError(
+                    "another process is training here", file=self.path, remedy="let it finish, or name another folder"
+                ) from error
+            yield
 
     def resume(self, learner: Learner) -> Position:
         """Take a learner to where the run is; the beginning, where there is no checkpoint yet.

@@ -19,9 +19,12 @@ from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
+from mirror.dataset.pictures.depth import encode_depth
 from mirror.errors import ExitCode
-from mirror.evaluation.methods import read_reconstruction
-from mirror.schema.tables import POINTS
+from mirror.evaluation.methods import Task, installed_method, read_reconstruction
+from mirror.evaluation.progress import Silent
+from mirror.evaluation.protocol import load_protocol
+from mirror.schema.tables import DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 
 STEPS = 40
@@ -36,7 +39,7 @@ def _threads():
 
 @pytest.fixture
 def dataset(street: Dataset) -> Dataset:  # noqa: F811
-    """The street with points of its training traversals: a wall on either side."""
+    """The street with points of its training traversals, a wall on either side, and a depth map of each."""
     train = street.where(split="novel", role="train")
     poses = train.table("ego_poses", ["tx_m", "ty_m", "tz_m"])
     x, y, z = (column.to_numpy() for column in poses.columns)
@@ -52,7 +55,14 @@ def dataset(street: Dataset) -> Dataset:  # noqa: F811
             }
             for number in range(150)
         ]  # fmt: skip
-        LayerWriter(Layout(Path(street.root)), traversal, "points", "made", "1").finish(POINTS, rows, {})
+        layout = Layout(Path(street.root))
+        LayerWriter(layout, traversal, "points", "made", "1").finish(POINTS, rows, {})
+        image = street.where(traversal=traversal).frames()[0].images["front_wide"]
+        depth = LayerWriter(layout, traversal, "depth", "made", "1")
+        lens = {"width_px": 6, "height_px": 4, "fx_px": 5.0, "fy_px": 5.0, "cx_px": 3.0, "cy_px": 2.0}
+        key = {"camera": "front_wide", "timestamp_ns": image.timestamp_ns}
+        flat = depth.file("map.png", encode_depth(np.full((4, 6), 9.0)))
+        depth.finish(DEPTH, [{**key, **lens, **flat}], {})
     build_index(Path(street.root))
     return mirror.open(street.root)
 
@@ -79,7 +89,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     assert document.done.model_bytes == done["model_bytes"]
     block = model / done["blocks"][0]
     run = json.loads((block / "run.json").read_text())
-    assert run["points"] == "made@1" and run["depth"] is None and len(run["sources"]) == 6
+    assert run["points"] == run["depth"] == "made@1" and len(run["sources"]) == 6
     assert {path.name.rpartition("-")[0] for path in (block / "pictures").iterdir()} == {
         "training-0", "training-1", "held-out-0", "held-out-1",
     }  # fmt: skip
@@ -117,6 +127,13 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     red, _, blue = given - nearest
     assert red > 1.0 and blue < -1.0
     assert nearest[0] < mean[0] < given[0] and nearest[2] > mean[2] > given[2]
+
+
+def test_held_out_traversals_need_no_layers(dataset: Dataset, tmp_path: Path) -> None:
+    chosen = dataset.with_layers(depth="made@1", points="made@1")
+    task = Task("street", "novel", load_protocol(str(narrow(tmp_path))), steps=4, threads=1)
+    done = installed_method("hybridworldsim").reconstruct(chosen, task, tmp_path / "model", Silent())
+    assert done.steps == 4 and list((tmp_path / "model").glob("*/pictures/held-out-0-*.jpg"))
 
 
 def narrow(folder: Path) -> Path:

@@ -49,7 +49,7 @@ def fit_looks(street: Street, block: Block, seen: tuple[Seen, ...], looking: Loo
             "there are no held-out pictures to fit to", place="--appearance fit", expected="--split and --protocol"
         )
     dataset, plan = looking.truth
-    pictures = Pictures(dataset, plan, np.array(block.origin_m))
+    pictures = Pictures(dataset, plan, np.array(block.origin_m), depth=False)
     known = {Source(one.traversal_id, one.camera) for one in seen}
     looks = Looks(seen, "nearest", looking.views)
     by_source: dict[Source, list[View]] = {}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Set
 from dataclasses import dataclass
 
 import mirror
@@ -10,6 +13,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.methods import Task
 from mirror.evaluation.progress import Progress
+from mirror.evaluation.training import Picture
 
 BROUGHT = "dataset"
 
@@ -49,13 +53,19 @@ def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
         task.split,
         method=task.initialise,
         width_px=width,
-        # Of other training traversals or another width they are other layers.
-        version=f"{task.split}-{width}",
+        # Of other training pictures or another width they are other layers.
+        version=f"{task.split}-{width}{_without(task.withheld)}",
+        withheld=task.withheld,
         progress=progress,
     )
     made = mirror.open(dataset.root)
     depth, points = (done.layer if done.layer in _there(made, task, kind) else None for kind in ("depth", "points"))
     return Layers(made.with_layers(depth=depth, points=points), depth, points)
+
+
+def _without(withheld: Set[Picture]) -> str:
+    named = hashlib.sha256(json.dumps(sorted(withheld)).encode()).hexdigest()
+    return f"-without-{len(withheld)}-{named[:8]}" if withheld else ""
 
 
 def _there(dataset: Dataset, task: Task, kind: str) -> set[str]:

@@ -40,6 +40,7 @@ from mirror.evaluation.methods import (
     read_reconstruction,
 )
 from mirror.evaluation.progress import Watch
+from mirror.evaluation.protocol import Group
 from mirror.evaluation.views import Plan, plan_views
 from mirror.evaluation.views.view import View
 from mirror.schema.files import write_json
@@ -71,13 +72,13 @@ class StaticMethod:
         if task.threads is not None:
             torch.set_num_threads(task.threads)
         layers = layers_for(dataset, task, watch)
-        training = training_views(layers.dataset, task.protocol, task.split, task.scene)
+        training = training_views(layers.dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
         own = layers.dataset.where(split=task.split, role="train", scene=task.scene)
         driven = driven_m(own)
         # Before anything is written: a scene that cannot begin leaves nothing behind.
         blocks = [(block, views) for block in divide(driven).blocks if (views := views_of(block, training.views))]
         initials = [initial_of(own, block, _sources(views)) for block, views in blocks]
-        _begin(out, Reconstruction(method=self.name, scene=task.scene, split=task.split))
+        _begin(out, Reconstruction(method=self.name, scene=task.scene, split=task.split, withheld=len(task.withheld)))
         held_out = _held_out(layers.dataset, task)
         outcomes = []
         for place, ((block, views), initial) in enumerate(zip(blocks, initials)):
@@ -156,6 +157,7 @@ class StaticMethod:
             depth=one.layers.depth,
             points=one.layers.points,
             pictures=len(one.views),
+            withheld=tuple("/".join(map(str, picture)) for picture in sorted(task.withheld)),
             sources=seen_of(one.views),
         )
 
@@ -179,7 +181,7 @@ class _Block:
         looks = Looks(run.sources, "nearest", [view for _, plan, _ in shown for view in plan.views])
         found = []
         for name, plan, views in shown:
-            pictures = Pictures(self.layers.dataset, plan, np.array(self.block.origin_m))
+            pictures = Pictures(self.layers.dataset, plan, np.array(self.block.origin_m), depth=False)
             middles = (np.arange(_SPECIMENS) + 0.5) / _SPECIMENS * len(views)
             for number, place in enumerate(sorted(set(middles.astype(int).tolist())) if views else []):
                 view = views[place]
@@ -229,16 +231,15 @@ def _finish(out: Path, done: Reconstructed) -> None:
 
 
 def _held_out(dataset: Dataset, task: Task) -> Plan | None:
-    """Views of the scene's held-out traversals, to look at: nothing is learnt from them. None: there are none."""
+    """Views of what is held out of the scene, to look at: nothing is learnt from them. None: there are none."""
     roles = ("held_out", "test")
-    groups = tuple(one for one in task.protocol.groups if set(one.roles) <= set(roles) and not one.ego_shift_m)
-    if not groups:
-        return None
-    asked = task.protocol.model_copy(update={"groups": groups})
     own = dataset.where(scene=task.scene)
+    groups = tuple(one for one in task.protocol.groups if set(one.roles) <= set(roles) and not one.ego_shift_m)
     if not own.where(split=task.split, role=roles).count("traversals"):
-        return None
-    return plan_views(own, asked, task.split)
+        groups = ()
+    if task.withheld:
+        groups = (*groups, Group(name="withheld", roles=("train",)))
+    return plan_views(own, task.protocol.model_copy(update={"groups": groups}), task.split) if groups else None
 
 
 def _length(dataset: Dataset) -> float:

@@ -32,10 +32,13 @@ class Pictures:
         plan: whose protocol says raster and masks.
         origin_m: (3,) of the block, in the world.
         cache_bytes: held at most; memory does not grow with the number of pictures beyond it.
+        depth: read depth maps too; held-out traversals have none of the layer that is chosen for training.
     """
 
-    def __init__(self, dataset: Dataset, plan: Plan, origin_m: Float64, cache_bytes: int = CACHE_BYTES) -> None:
-        self._plan, self._origin, self._most = plan, origin_m, cache_bytes
+    def __init__(
+        self, dataset: Dataset, plan: Plan, origin_m: Float64, cache_bytes: int = CACHE_BYTES, *, depth: bool = True
+    ) -> None:
+        self._plan, self._origin, self._most, self._depth = plan, origin_m, cache_bytes, depth
         self._source = TruthSource(dataset, plan.protocol, plan.layers)
         self._held: OrderedDict[str, TrainingPicture] = OrderedDict()
         self._bytes = 0
@@ -67,7 +70,7 @@ class Pictures:
         for mask in image.masks():
             if mask.kind == "sky":
                 sky = torch.from_numpy(~raster.excluded(mask.decode() == 0))
-        depth = image.depth()
+        depth = image.depth() if self._depth else None
         depth_m = None
         if depth is not None:
             metres = np.nan_to_num(depth.decode(), nan=0.0)

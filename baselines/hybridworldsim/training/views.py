@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,6 +13,7 @@ from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.evaluation.protocol import Frames, Group, Protocol
+from mirror.evaluation.training import Picture
 from mirror.evaluation.views import plan_views
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
@@ -35,7 +37,13 @@ class TrainingViews:
 
 
 def training_views(
-    dataset: Dataset, protocol: Protocol, split: str, scene: str, *, standing_m: float = STANDING_M
+    dataset: Dataset,
+    protocol: Protocol,
+    split: str,
+    scene: str,
+    *,
+    withheld: Set[Picture] = frozenset(),
+    standing_m: float = STANDING_M,
 ) -> TrainingViews:
     """The training pictures of a scene, in the raster and with the masks of a protocol.
 
@@ -44,6 +52,7 @@ def training_views(
         protocol: what the method will be scored by; its groups and its choice of frames do not matter.
         split: whose training traversals are meant.
         scene: which scene.
+        withheld: pictures that are left out.
         standing_m: a picture is left out where its camera is nearer than this to the last one kept.
 
     Raises:
@@ -56,13 +65,15 @@ def training_views(
         }
     )
     plan = plan_views(dataset.where(scene=scene), every, split)
-    if not plan.views:
+    own = [view for view in plan.views if (view.traversal_id, view.camera, view.timestamp_ns) not in withheld]
+    if not own:
         raise DatasetError(
             f"scene {scene} has no training picture", file=dataset.root, place=f"split {split}",
-            expected="training traversals with pictures", remedy="choose another scene or split",
+            expected=f"training traversals with pictures, besides the {len(withheld)} that are held out",
+            remedy="choose another scene or split, or a protocol that asks for fewer",
         )  # fmt: skip
-    moving = _moving(plan.views, standing_m)
-    return TrainingViews(plan, moving, len(plan.views) - len(moving))
+    moving = _moving(own, standing_m)
+    return TrainingViews(plan, moving, len(own) - len(moving))
 
 
 def _moving(views: Sequence[View], standing_m: float) -> tuple[View, ...]:

@@ -65,6 +65,7 @@ class Run(Document):
         depth: ``source@version`` of the layers of depth maps that were read, or None.
         points: ``source@version`` of the layers of points that were read, or None.
         pictures: how many are trained on.
+        withheld: ``traversal/camera/timestamp_ns`` of training traversals' pictures that are not looked at.
         sources: traversals and cameras that are trained on.
     """
 
@@ -89,6 +90,7 @@ class Run(Document):
     depth: str | None
     points: str | None
     pictures: int
+    withheld: tuple[str, ...] = ()
     sources: tuple[Seen, ...]
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from pydantic import TypeAdapter
 
 from hybridworldsim.scene.seeding import Initial
 from hybridworldsim.training.appearance import FITTED, Looks
-from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.learner import Learner, Rendering
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters
 from hybridworldsim.training.run.specimens import pixels
@@ -21,6 +21,18 @@ from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
 from mirror.evaluation.methods import Looking
 from mirror.evaluation.views.view import View
+
+
+class Renderer(Protocol):
+    """Renders views of a trained model."""
+
+    def __call__(self, view: View) -> UInt8:
+        """(H, W, 3) of a view."""
+        ...
+
+    def drawn(self, view: View) -> Rendering:
+        """A view with its depth."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +83,14 @@ class Opened:
 
     def __call__(self, view: View) -> UInt8:
         """(H, W, 3) of a view."""
+        return pixels(self.drawn(view).rgb)
+
+    def drawn(self, view: View) -> Rendering:
+        """A view with its depth.
+
+        Raises:
+            UsageError: its look is a mixture.
+        """
         here = view.pose.translation[0, :2]
         place = int(np.abs(self._centres - here).max(axis=1).argmin())
         block = self._blocks[place]
@@ -81,7 +101,7 @@ class Opened:
                 f"{block.run.method} cannot mix looks", place="--appearance", expected="nearest, or one that is given"
             )
         viewpoint = viewpoint_of(view, np.array(block.run.origin_m)).seen_by(sources[0])
-        return pixels(block.learner.render(viewpoint).rgb)
+        return block.learner.render(viewpoint)
 
 
 def _placeholder(run: Run) -> Initial:

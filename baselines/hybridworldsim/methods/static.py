@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from hybridworldsim.methods.layers import Layers, layers_for
-from hybridworldsim.methods.opened import Opened, open_block
-from hybridworldsim.scene.blocks import Block, divide, views_of
+from hybridworldsim.methods.opened import Opened, Renderer, open_block
+from hybridworldsim.scene.blocks import SIZE_M, Block, divide, views_of
 from hybridworldsim.scene.initial import driven_m, initial_of
 from hybridworldsim.scene.seeding import Initial
 from hybridworldsim.training.appearance import Looks, seen_of
@@ -27,7 +27,7 @@ from hybridworldsim.training.run.parameters import write_parameters
 from hybridworldsim.training.run.specimens import Specimen
 from hybridworldsim.training.viewpoint import Source
 from hybridworldsim.training.views import TrainingViews, training_views
-from mirror.arrays import Float64, UInt8
+from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.methods import (
@@ -56,11 +56,13 @@ class StaticMethod:
         name: of the entry point.
         make: a learner that has seen no picture yet, of what is known of a block and of settings.
         settings: a dataclass, of a seed.
+        block_m: edge of a block.
     """
 
     name: str
     make: Callable[[Initial, Any], Learner]
     settings: Callable[[int], Any]
+    block_m: float = SIZE_M
 
     def reconstruct(self, dataset: Dataset, task: Task, out: Path, watch: Watch) -> Reconstructed:
         """Train each block of a scene; see `InstalledMethod.reconstruct`.
@@ -74,9 +76,9 @@ class StaticMethod:
         layers = layers_for(dataset, task, watch)
         training = training_views(layers.dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
         own = layers.dataset.where(split=task.split, role="train", scene=task.scene)
-        driven = driven_m(own)
+        there = divide(driven_m(own), self.block_m).blocks
         # Before anything is written: a scene that cannot begin leaves nothing behind.
-        blocks = [(block, views) for block in divide(driven).blocks if (views := views_of(block, training.views))]
+        blocks = [(block, views) for block in there if (views := views_of(block, training.views))]
         initials = [initial_of(own, block, _sources(views)) for block, views in blocks]
         _begin(out, Reconstruction(method=self.name, scene=task.scene, split=task.split, withheld=len(task.withheld)))
         held_out = _held_out(layers.dataset, task)
@@ -100,7 +102,7 @@ class StaticMethod:
         _finish(out, done)
         return done
 
-    def open(self, model: Path, looking: Looking = Looking()) -> Callable[[View], UInt8]:  # noqa: B008 - immutable
+    def open(self, model: Path, looking: Looking = Looking()) -> Renderer:  # noqa: B008 - immutable
         """A renderer; see `InstalledMethod.open`.
 
         Raises:

@@ -22,7 +22,7 @@ from hybridworldsim.scene.settings import Settings
 from hybridworldsim.scene.storage import load_block, save_block
 from hybridworldsim.scene.street import Street
 from hybridworldsim.training.appearance import FITTED, Blend, Looks
-from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.learner import Learner, Rendering
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.specimens import pixels
 from mirror.arrays import UInt8
@@ -37,7 +37,7 @@ NAME: Final = "hybridworldsim"
 class StreetMethod(StaticMethod):
     """`StaticMethod` whose blocks are composed, and whose looks are latents that can be mixed and fitted."""
 
-    def open(self, model: Path, looking: Looking = Looking()) -> Callable[[View], UInt8]:  # noqa: B008 - immutable
+    def open(self, model: Path, looking: Looking = Looking()) -> OpenStreet:  # noqa: B008 - immutable
         """See `StaticMethod.open`."""
         return OpenStreet([_open(folder) for folder in block_folders(model)], looking)
 
@@ -94,8 +94,12 @@ class OpenStreet:
 
     def __call__(self, view: View) -> UInt8:
         """(H, W, 3) of a view."""
-        drawn, _ = self._composition.draw(view, self.latents(view))
-        return pixels(drawn.rgb)
+        return pixels(self.drawn(view).rgb)
+
+    def drawn(self, view: View) -> Rendering:
+        """A view with its depth."""
+        drawn, counts = self._composition.draw(view, self.latents(view))
+        return Rendering(drawn.rgb, drawn.alpha, drawn.depth_m, counts)
 
     def latents(self, view: View) -> Callable[[Appearance], tuple[Tensor, Tensor]]:
         """Of a block's appearance, what a view's colours and content are drawn with."""

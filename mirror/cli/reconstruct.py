@@ -44,6 +44,9 @@ class Arguments:
     """Pictures are scaled down to so many pixels."""
     protocol: str = "static-reconstruction"
     """Whose raster and masks hold: a name, or the path of its .toml."""
+    hold_out: bool = False
+    """Learn neither colours nor depth from what the protocol asks for of training traversals: these pictures are the
+    test, where there is no other traversal."""
     seed: int = 0
     """Of all that is left to chance."""
     initialise: Literal["plane-sweep", "sparse", "mvsnet", "patchmatchnet", "dataset"] | None = None
@@ -78,6 +81,7 @@ def main(argv: Sequence[str]) -> int:
     import mirror
     from mirror.cli.watch import watching
     from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.training import asked_of_training
 
     dataset = mirror.open(arguments.dataset)
     protocol = load_protocol(arguments.protocol)
@@ -96,11 +100,13 @@ def main(argv: Sequence[str]) -> int:
         initialise=arguments.initialise or _brought(dataset, arguments.split, scene),
         threads=arguments.threads,
         half=arguments.half,
+        withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
     )
     with watching(quiet=arguments.json) as watch:
         done = method.reconstruct(dataset, task, arguments.out, watch)
     if arguments.json:
-        print(json.dumps({**asdict(done), "folder": str(done.folder), "scene": scene, "initialise": task.initialise}))
+        said = {"folder": str(done.folder), "scene": scene, "initialise": task.initialise}
+        print(json.dumps({**asdict(done), **said, "withheld": len(task.withheld)}))
     else:
         _print(done, scene)
     return ExitCode.DONE

@@ -101,7 +101,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 if view.scene_id == scene:
                     yield [view], render(view)
 
-    about = Method(name=name, licence="Apache-2.0", trained_on="the split's training traversals of the scene alone")
+    about = Method(name=name, licence="Apache-2.0", trained_on=_trained_on(models.values()))
     with progress_bar(quiet=arguments.json) as bar:
         count = write_submission(
             dataset, plan, renderer, about, appearance_of(looking), arguments.out, bar, _costs(models.values())
@@ -126,6 +126,14 @@ def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
             expected="models by one method, one of each scene",
         )
     return methods[0], scenes
+
+
+def _trained_on(models: Iterable[Path]) -> str:
+    from mirror.evaluation.methods import read_reconstruction
+
+    withheld = sum(read_reconstruction(model).withheld for model in models)
+    alone = "the split's training traversals of the scene alone"
+    return f"{alone}, without {withheld} of their pictures" if withheld else alone
 
 
 def _costs(models: Iterable[Path]) -> Runtime:

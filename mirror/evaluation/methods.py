@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final, Literal, Protocol
@@ -17,6 +17,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation import protocol as protocols
 from mirror.evaluation.progress import Watch
+from mirror.evaluation.training import Picture
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
 from mirror.schema.documents import Document
@@ -54,6 +55,7 @@ class Reconstruction(Document):
         method: name of its entry point.
         scene: that was reconstructed.
         split: whose training traversals were looked at.
+        withheld: pictures of training traversals that were not learnt from.
         done: what it took, once it is done.
     """
 
@@ -62,6 +64,7 @@ class Reconstruction(Document):
     method: str
     scene: str
     split: str
+    withheld: int = 0
     done: Costs | None = None
 
 
@@ -79,6 +82,8 @@ class Task:
         initialise: where depth and points come from: ``dataset`` for the layers that it has, or an estimator's name.
         threads: None: as many as the method takes by itself.
         half: write the model in half precision.
+        withheld: pictures of training traversals that are not looked at, such as
+            `mirror.evaluation.training.asked_of_training` names.
     """
 
     scene: str
@@ -90,6 +95,7 @@ class Task:
     initialise: str = "dataset"
     threads: int | None = None
     half: bool = False
+    withheld: frozenset[Picture] = field(default=frozenset())
 
 
 @dataclass(frozen=True)

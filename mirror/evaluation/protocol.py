@@ -59,11 +59,13 @@ class Frames(Document):
 
     Attributes:
         every: each so many-th, from the first (MTGS: 5, 10 Hz to 2 Hz; OmniRe for novel views: 10).
+        first: position of the first one. No part of the hash where it is 0.
         last: the last one too, as MTGS has it.
         cameras: of the rig; None: all.
     """
 
     every: int = Field(ge=1)
+    first: int = Field(default=0, ge=0, exclude_if=lambda first: first == 0)
     last: bool
     cameras: tuple[str, ...] | None = None
 

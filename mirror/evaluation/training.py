@@ -11,7 +11,8 @@ import numpy as np
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Image
 from mirror.errors import DatasetError
-from mirror.evaluation.views.plan import Plan
+from mirror.evaluation.protocol import Group, Protocol
+from mirror.evaluation.views.plan import Plan, plan_views
 from mirror.geometry.poses import Poses
 
 
@@ -27,6 +28,9 @@ class TrainingPictures:
     images: tuple[Image, ...]
     world_SE3_camera: Poses
 
+
+Picture: TypeAlias = tuple[str, str, int]
+"""One recorded picture: traversal, camera, timestamp_ns."""
 
 ByCamera: TypeAlias = Mapping[tuple[str, str], TrainingPictures]
 """By scene and camera."""
@@ -45,8 +49,7 @@ def training_pictures(dataset: Dataset, plan: Plan) -> ByCamera:
         DatasetError: a scene and camera that is asked for has no training picture; poses or calibrations are missing.
     """
     wanted = dict.fromkeys((view.scene_id, view.camera) for view in plan.views)
-    moved = {group.name for group in plan.protocol.groups if group.ego_shift_m != 0.0}
-    asked = {(view.traversal_id, view.camera, view.timestamp_ns) for view in plan.views if view.group not in moved}
+    asked = _truths(plan)
     images: dict[tuple[str, str], list[Image]] = {key: [] for key in wanted}
     for scene in dict.fromkeys(scene for scene, _ in wanted):
         for frame in dataset.where(split=plan.split, role="train", scene=scene).frames():
@@ -64,6 +67,39 @@ def training_pictures(dataset: Dataset, plan: Plan) -> ByCamera:
             remedy="choose another split",
         )
     return {key: TrainingPictures(tuple(own), _poses(own)) for key, own in images.items()}
+
+
+def asked_of_training(dataset: Dataset, protocol: Protocol, split: str, scene: str) -> frozenset[Picture]:
+    """The pictures of a scene's training traversals that a protocol asks for.
+
+    Where they are the test, as in OmniRe's protocol or where there is one traversal alone, nothing may learn from them.
+
+    Args:
+        dataset: the truth.
+        protocol: what asks.
+        split: name.
+        scene: id.
+
+    Raises:
+        DatasetError: no such split, or no picture is asked for.
+    """
+    recorded = [group for group in protocol.groups if "train" in group.roles and group.ego_shift_m == 0.0]
+    if not recorded:
+        raise DatasetError(
+            f"protocol {protocol.name} asks for no picture of a training traversal", file=dataset.root,
+            place=f"split {split}", expected="a group with the role train",
+            remedy="choose another protocol; held-out traversals are not learnt from anyhow",
+        )  # fmt: skip
+    own = protocol.model_copy(update={"groups": (Group(name=recorded[0].name, roles=("train",)),)})
+    return _truths(plan_views(dataset.where(scene=scene), own, split))
+
+
+def _truths(plan: Plan) -> frozenset[Picture]:
+    """The recorded pictures that are themselves the truth of a view."""
+    moved = {group.name for group in plan.protocol.groups if group.ego_shift_m != 0.0}
+    return frozenset(
+        (view.traversal_id, view.camera, view.timestamp_ns) for view in plan.views if view.group not in moved
+    )
 
 
 def _poses(images: list[Image]) -> Poses:

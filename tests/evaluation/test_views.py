@@ -7,7 +7,7 @@ import pytest
 
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
-from mirror.evaluation.protocol import Pixels, load_protocol
+from mirror.evaluation.protocol import Frames, Pixels, load_protocol
 from mirror.evaluation.truth.raster import Raster
 from mirror.evaluation.views import plan_views
 from mirror.evaluation.views.final_camera import final_camera, undistorted
@@ -26,17 +26,28 @@ LENSES = [
 
 
 @pytest.mark.parametrize(
-    ("count", "every", "last", "chosen"),
+    ("count", "first", "every", "last", "chosen"),
     [
-        (11, 5, True, [0, 5, 10]),
-        (12, 5, True, [0, 5, 10, 11]),
-        (12, 5, False, [0, 5, 10]),
-        (1, 5, True, [0]),
-        (0, 5, True, []),
+        (11, 0, 5, True, [0, 5, 10]),
+        (12, 0, 5, True, [0, 5, 10, 11]),
+        (12, 0, 5, False, [0, 5, 10]),
+        (1, 0, 5, True, [0]),
+        (0, 0, 5, True, []),
+        (3, 1, 2, False, [1]),
+        (29, 7, 8, False, [7, 15, 23]),
+        (1, 1, 2, False, []),
+        (1, 1, 2, True, [0]),
     ],
 )
-def test_every_so_many_th_frame_and_the_last(count: int, every: int, last: bool, chosen: list[int]) -> None:
-    assert chosen_frames(count, every, last) == chosen
+def test_every_so_many_th_frame_and_the_last(count: int, first: int, every: int, last: bool, chosen: list[int]) -> None:
+    assert chosen_frames(count, Frames(first=first, every=every, last=last)) == chosen
+
+
+def test_frames_from_the_first_on_are_hashed_as_ever() -> None:
+    protocol = load_protocol("static-reconstruction")
+    later = protocol.model_copy(update={"frames": protocol.frames.model_copy(update={"first": 1})})
+    assert "first" not in protocol.model_dump(mode="json")["frames"]
+    assert later.hash != protocol.hash
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from mirror.dataset.layout import read_manifest
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError
 from mirror.evaluation.progress import Progress, Silent
+from mirror.evaluation.training import Picture
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ def initialise(
     estimator: DepthEstimator | None = None,
     version: str | None = None,
     options: Options | None = None,
+    withheld: Set[Picture] = frozenset(),
     progress: Progress | None = None,
 ) -> Initialised:
     """Write layers of depth, points and sky masks for the training traversals of a split.
@@ -73,6 +75,8 @@ def initialise(
         estimator: of depth, in the place of that which ``method`` names; its ``repr`` must tell it from others.
         version: of the layers; None: the name of the split, as other training traversals make other layers.
         options: how; None: the defaults.
+        withheld: pictures of training traversals that are not opened either; of their vehicle's poses the ground is
+            still told.
         progress: told of the phases.
 
     Raises:
@@ -89,10 +93,10 @@ def initialise(
         estimator = estimator or estimator_of(method, weights)
         kinds = ("depth", "masks", "points") if chosen.sky else ("depth", "points")
     told = progress or Silent()
-    made_of = _made_of(view, chosen, estimator)
+    made_of = _made_of(view, chosen, estimator, withheld)
     with writer_lock(view.layout, wait=False):
         report = _all_scenes(
-            view, Layers(view.layout, method, version or split, kinds, made_of), chosen, estimator, told
+            view, Layers(view.layout, method, version or split, kinds, made_of), chosen, estimator, withheld, told
         )
         told.start("index", 1)
         build_index(view.layout.root)
@@ -100,9 +104,13 @@ def initialise(
     return report
 
 
-def _made_of(view: Dataset, options: Options, estimator: DepthEstimator | None) -> dict[str, str]:
+def _made_of(
+    view: Dataset, options: Options, estimator: DepthEstimator | None, withheld: Set[Picture]
+) -> dict[str, str]:
     """Hashes of all that the layers of a view depend on."""
     hashes = {"options": _digest(json.dumps(asdict(options), sort_keys=True)), "estimator": _digest(repr(estimator))}
+    if withheld:
+        hashes["withheld"] = _digest(json.dumps(sorted(withheld)))
     for traversal_id in view.traversals():
         manifest = read_manifest(view.layout.recorded(traversal_id))
         if manifest is None:
@@ -116,7 +124,12 @@ def _digest(text: str) -> str:
 
 
 def _all_scenes(
-    view: Dataset, layers: Layers, options: Options, estimator: DepthEstimator | None, progress: Progress
+    view: Dataset,
+    layers: Layers,
+    options: Options,
+    estimator: DepthEstimator | None,
+    withheld: Set[Picture],
+    progress: Progress,
 ) -> Initialised:
     kept = tuple(one for one in view.traversals() if layers.complete(one))
     counts: dict[str, int] = dict.fromkeys(("ground", "background", "far"), 0)
@@ -126,7 +139,7 @@ def _all_scenes(
         own = view.where(scene=name)
         if all(one in kept for one in own.traversals()):
             continue
-        scene = Scene(own, layers, options, progress)
+        scene = Scene(own, layers, options, withheld, progress)
         if estimator is None:
             clouds = scene.triangulate()
         else:

@@ -13,7 +13,7 @@ import numpy as np
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame, Image
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.protocol import Group, Protocol
+from mirror.evaluation.protocol import Frames, Group, Protocol
 from mirror.evaluation.views.edits import Editor
 from mirror.evaluation.views.final_camera import final_camera
 from mirror.evaluation.views.view import View, pose_numbers
@@ -112,10 +112,10 @@ def render_path(group: str, traversal_id: str, camera: str, timestamp_ns: int) -
     return f"renders/{group}/{traversal_id}/{camera}/{timestamp_ns}.png"
 
 
-def chosen_frames(count: int, every: int, last: bool) -> list[int]:
+def chosen_frames(count: int, frames: Frames) -> list[int]:
     """Positions of the frames that are rendered, of so many."""
-    positions = list(range(0, count, every))
-    return [*positions, count - 1] if last and count and positions[-1] != count - 1 else positions
+    positions = range(frames.first, count, frames.every)
+    return sorted({*positions, *([count - 1] if frames.last and count else [])})
 
 
 def _has(dataset: Dataset, split: str) -> bool:
@@ -134,7 +134,7 @@ def _of_group(
     finals: dict[Camera, Camera] = {}
     for row in table:
         frames = view.where(traversal=row["traversal_id"]).frames()
-        for position in chosen_frames(len(frames), protocol.frames.every, protocol.frames.last):
+        for position in chosen_frames(len(frames), protocol.frames):
             frame = frames[position]
             for image in frame.images.values():
                 camera = image.camera_model

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,6 +16,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame, Image
 from mirror.errors import DatasetError
 from mirror.evaluation.protocol import Pixels
+from mirror.evaluation.training import Picture
 from mirror.evaluation.truth.raster import raster_of
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera
@@ -48,12 +49,13 @@ class Shot:
     world_SE3_camera: Poses
 
 
-def shots_of(dataset: Dataset, pixels: Pixels) -> list[Shot]:
+def shots_of(dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset()) -> list[Shot]:
     """The pictures of a view, in order of traversal, camera and time.
 
     Args:
         dataset: the view.
         pixels: the raster in which they are matched.
+        withheld: pictures that are left out.
 
     Raises:
         DatasetError: the view has none, or poses or calibrations are missing.
@@ -73,6 +75,7 @@ def shots_of(dataset: Dataset, pixels: Pixels) -> list[Shot]:
         )
         for frame in dataset.frames()
         for image in frame.images.values()
+        if (frame.traversal_id, image.camera, image.timestamp_ns) not in withheld
     ]
     if not shots:
         raise DatasetError(

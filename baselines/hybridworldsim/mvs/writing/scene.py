@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +26,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.pictures.depth import decode_depth, encode_depth
 from mirror.errors import DatasetError
 from mirror.evaluation.progress import Progress
+from mirror.evaluation.training import Picture
 from mirror.geometry.poses import COLUMNS, Poses
 from mirror.schema.files import read_table, write_bytes
 from mirror.schema.tables import DEPTH, MASKS, POINTS
@@ -42,15 +43,18 @@ class Scene:
         view: the scene's training traversals.
         layers: to be written.
         options: how.
+        withheld: pictures that are not opened.
         progress: told of the phases.
 
     Attributes:
         counts: points written, by kind.
     """
 
-    def __init__(self, view: Dataset, layers: Layers, options: Options, progress: Progress) -> None:
+    def __init__(
+        self, view: Dataset, layers: Layers, options: Options, withheld: Set[Picture], progress: Progress
+    ) -> None:
         self._layers, self._options, self._progress = layers, options, progress
-        self._shots = shots_of(view, options.pixels)
+        self._shots = shots_of(view, options.pixels, withheld)
         self._pictures = Pictures(self._shots, options.pixels)
         self._sources = choose_sources(self._shots, max(options.sources, options.held_against))
         self._held: OrderedDict[int, Float32] = OrderedDict()

@@ -14,8 +14,10 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.learning import StreetLearner
 from hybridworldsim.scene.seeding import street_of
+from hybridworldsim.scene.storage import save_block
 from hybridworldsim.training.budget import Budget
 from hybridworldsim.training.learner import StepReport
 from hybridworldsim.training.loop import REPORTS, Options, train
@@ -121,6 +123,13 @@ def test_half_precision_takes_half_the_bytes_and_hardly_shows(tmp_path: Path) ->
     with torch.no_grad():
         drawn = fresh(viewpoint, fresh.appearance(viewpoint.source))
     assert (drawn.rgb - trained.render(viewpoint).rgb).abs().max() < 0.02
+
+
+def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
+    block, street = Block((0, 0), (1.0, 2.0, 3.0)), learner().street
+    for number in range(5):
+        save_block(tmp_path / f"{number}.safetensors", block, street)
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
 
 
 _CHILD = """

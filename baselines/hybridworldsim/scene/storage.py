@@ -22,6 +22,7 @@ from mirror.errors import DatasetError
 from mirror.schema.files import write_bytes
 
 FORMAT: Final = "hybridworldsim.block/1"
+_ENTRY: Final = "hybridworldsim"
 _TABLES: Final = ("offsets", "codes", "log_scales", "quats", "logits")
 
 
@@ -55,7 +56,8 @@ def save_block(
         "sources": json.dumps([tuple(source) for source in street.appearance.sources]),
         "about": json.dumps(dict(about or {}), sort_keys=True),
     }
-    data = save(tables, said)
+    # One entry: safetensors writes several in any order, and equal models are to have equal bytes.
+    data = save(tables, {_ENTRY: json.dumps(said, sort_keys=True)})
     write_bytes(path, data)
     return len(data)
 
@@ -73,7 +75,7 @@ def load_block(path: Path) -> tuple[Block, Street, dict[str, Any]]:
 
     try:
         with safe_open(path, "pt") as file:
-            said = file.metadata() or {}
+            said = json.loads((file.metadata() or {}).get(_ENTRY, "{}"))
             if said.get("format") != FORMAT:
                 raise DatasetError(f"format {said.get('format')!r}", file=path, expected=FORMAT)
             tables = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no mapping

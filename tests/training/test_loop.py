@@ -133,14 +133,18 @@ def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
 
 
 _CHILD = """
-import sys, torch
+import sys, time, torch
 torch.set_num_threads(1)
 from pathlib import Path
 from tests.training.test_loop import run
 from tests.training.street import Painted
-from hybridworldsim.training.learner import StepReport
 from hybridworldsim.training.loop import Options
-run(Path(sys.argv[1]), 160, options=Options(checkpoint_s=0.1))
+class Stuck(Painted):
+    def __call__(self, one):
+        if self.opened == 120:
+            time.sleep(600)  # To be killed within.
+        return super().__call__(one)
+run(Path(sys.argv[1]), 160, pictures=Stuck(), options=Options(checkpoint_s=0.1))
 """
 
 
@@ -149,7 +153,7 @@ def test_killed_and_resumed_it_is_the_same_model(tmp_path: Path) -> None:
     child = subprocess.Popen([sys.executable, "-c", _CHILD, str(tmp_path / "killed")], env=environment, cwd=ROOT)
     checkpoint = tmp_path / "killed" / "checkpoint.safetensors"
     waiting = time.monotonic()
-    while not checkpoint.exists() and time.monotonic() - waiting < 60 and child.poll() is None:
+    while not checkpoint.exists() and time.monotonic() - waiting < 300 and child.poll() is None:
         time.sleep(0.01)
     time.sleep(0.05)
     child.send_signal(signal.SIGKILL)

@@ -65,7 +65,7 @@ class Layers:
                 f"the layer was made of something else: {differing} differs",
                 file=self.folder(traversal_id, kind),
                 expected="the same training traversals, options and estimator",
-                remedy="write another version beside it: choose another --version",
+                remedy="write another version beside it, or take it as it is: mirror reconstruct --initialise dataset",
             )
         return True
 

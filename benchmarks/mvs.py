@@ -50,14 +50,16 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--recordings", type=Path, help="from which it was ingested, with truth")
     parser.add_argument("--split", default="novel")
     parser.add_argument("--preset", default="quick", help="of the recordings; seed 0")
+    parser.add_argument("--traversal", action="append", help="only this training traversal; may be repeated")
     parser.add_argument("--version", help="of the layers; default: the split's name")
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
         if options.dataset is None:
             options.dataset, options.recordings = _street(Path(folder), options.preset, options.split)
         with progress_bar(quiet=False) as bar:
-            made = initialise(mirror.open(options.dataset), options.split, version=options.version, progress=bar)
-        dataset = mirror.open(options.dataset).where(split=options.split, role="train")
+            part = mirror.open(options.dataset).where(traversal=options.traversal)
+            made = initialise(part, options.split, version=options.version, progress=bar)
+        dataset = mirror.open(options.dataset).where(split=options.split, role="train", traversal=options.traversal)
         dataset = dataset.with_layers(depth=made.layer, points=made.layer)
         measured = _Measured(dataset, options.recordings, made.layer)
         groups = {

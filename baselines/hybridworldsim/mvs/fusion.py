@@ -1,7 +1,7 @@
 """Fusion: depths that other pictures confirm, and the thinned points that they make.
 
 A depth is confirmed by another picture if the point that it makes, looked up in that picture's depth map and brought
-back, lands within a pixel of where it came from and within one per cent of its depth (the check of MVSNet, Yao et al.,
+back, lands within a pixel of where it came from and has nearly its depth (the check of MVSNet, Yao et al.,
 ECCV 2018, section 4.2, and of Galliani et al., "Massively parallel multiview stereopsis", ICCV 2015).
 """
 

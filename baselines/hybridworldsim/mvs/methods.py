@@ -13,7 +13,7 @@ Method = Literal["plane-sweep", "mvsnet", "patchmatchnet", "sparse"]
 SPARSE: Final = "sparse"
 """The method that estimates no depth: it matches features and triangulates them."""
 
-LEAST_CONFIDENCE: Final = {"plane-sweep": 0.1, "mvsnet": 0.8, "patchmatchnet": 0.8}
+LEAST_CONFIDENCE: Final = {"plane-sweep": 0.05, "mvsnet": 0.8, "patchmatchnet": 0.8}
 """Confidence below which an estimate is unknown, by method."""
 
 

@@ -18,6 +18,7 @@ class Options:
         near_m: smallest depth searched.
         far_m: largest depth searched.
         least_confidence: an estimate below it is unknown; None: what the method's own authors use, or like it.
+        agree_share: depths agree that differ by at most this share of them, and whose points land within a pixel.
         depth_views: a depth is written if so many pictures agree on it, its own included.
         point_views: a point is made of it if so many agree.
         voxel_m: side of the cells that hold one point each.
@@ -31,8 +32,9 @@ class Options:
     near_m: float = 2.0
     far_m: float = 200.0
     least_confidence: float | None = None
-    depth_views: int = 2
-    point_views: int = 3
+    agree_share: float = 0.02
+    depth_views: int = 3
+    point_views: int = 4
     voxel_m: float = 0.1
     far_from_m: float = 60.0
     sky: bool = True

@@ -46,9 +46,9 @@ class PlaneSweep:
     road_planes: int = 32
     upright_planes: int = 0
     best: int = 2
-    least_score: float = 0.5
-    least_margin: float = 0.1
-    least_deviation: float = 0.012
+    least_score: float = 0.4
+    least_margin: float = 0.05
+    least_deviation: float = 0.008
 
     def __call__(
         self, reference: PosedPicture, sources: Sequence[PosedPicture], near_m: float, far_m: float

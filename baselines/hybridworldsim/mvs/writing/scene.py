@@ -158,7 +158,7 @@ class Scene:
 
     def _confirmed(self, number: int) -> Confirmed:
         others = [self._posed(other) for other in self._sources[number][: self._options.held_against].tolist()]
-        return confirm(self._above_ground(self._posed(number)), others)
+        return confirm(self._above_ground(self._posed(number)), others, most_share=self._options.agree_share)
 
     def _above_ground(self, one: PosedDepth) -> PosedDepth:
         """A map without the depths that lie below the ground: what a wet road mirrors agrees in all pictures."""

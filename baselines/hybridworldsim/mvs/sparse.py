@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -47,11 +47,11 @@ class SparsePoints:
     first: Int64
 
 
-def triangulate(pictures: Sequence[PosedPicture] | Any, sources: Sequence[Int64]) -> SparsePoints:
+def triangulate(picture_of: Callable[[int], PosedPicture], sources: Sequence[Int64]) -> SparsePoints:
     """The points that pictures of known poses have in common.
 
     Args:
-        pictures: by position; each is opened once.
+        picture_of: gives the picture at a position; each is asked for once.
         sources: for each picture the positions of those it is matched with.
 
     Raises:
@@ -62,7 +62,7 @@ def triangulate(pictures: Sequence[PosedPicture] | Any, sources: Sequence[Int64]
     colours: dict[int, Any] = {}
     sizes: dict[int, tuple[int, int]] = {}
     for number in range(len(sources)):
-        picture = pictures[number]
+        picture = picture_of(number)
         features[number] = features_of(picture)
         place = np.clip(features[number].uv_px.astype(np.int64), 0, np.array(picture.valid.shape[::-1]) - 1)
         colours[number] = picture.rgb[place[:, 1], place[:, 0]]
@@ -74,6 +74,8 @@ def triangulate(pictures: Sequence[PosedPicture] | Any, sources: Sequence[Int64]
         found = _matched(features[one], features[other], _fundamental(cameras[one], cameras[other]))
         if len(found):
             matches[one, other] = found
+    if not matches:
+        return SparsePoints(Cloud.together([]), np.empty(0, np.int64))
     return _triangulated(features, colours, cameras, sizes, matches)
 
 

@@ -129,7 +129,7 @@ class Scene:
     def triangulate(self) -> dict[str, Cloud]:
         """Sparse points by the traversal that sees each first."""
         self._progress.start("sparse points", 1)
-        found = triangulate(self._pictures, [own[: self._options.sources] for own in self._sources])
+        found = triangulate(self._pictures.__getitem__, [own[: self._options.sources] for own in self._sources])
         owner = np.array([self._shots[first].traversal_id for first in found.first.tolist()], dtype=object)
         self._progress.advance(1)
         return {traversal_id: found.cloud.only(owner == traversal_id) for traversal_id, _ in self._by_traversal()}

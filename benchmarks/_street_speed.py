@@ -32,6 +32,7 @@ _ANCHORS = 30_000
 _ONE_LEVEL = 1.0 / 255.0  # a Gaussian at the threshold of what is blended may fall on either side
 
 _Result = TypeVar("_Result")
+_View = TypeVar("_View")
 
 
 def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
@@ -83,15 +84,15 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
         name: of the street.
     """
     ready, latent = PreparedStreet(street), street.appearance(views[0].source).detach()
-    fast, fast_ms = _timed(lambda view: ready(view, latent), views)
+    fast, fast_ms = timed(lambda view: ready(view, latent), views)
 
     @torch.inference_mode()
     def plain(view: Viewpoint) -> Drawn:
         return street(view, latent)
 
-    slow, slow_ms = _timed(plain, views)
-    core_ms = _timed(lambda view: ready(view, latent), views, time.process_time)[1]
-    decode_ms = _timed(lambda view: ready.decode(view, latent, latent), views)[1]
+    slow, slow_ms = timed(plain, views)
+    core_ms = timed(lambda view: ready(view, latent), views, time.process_time)[1]
+    decode_ms = timed(lambda view: ready.decode(view, latent, latent), views)[1]
     errors = torch.stack([(ours.rgb - theirs.rgb).abs().max() for ours, theirs in zip(fast, slow)])
     drawn = float(np.mean([sum(map(len, one.parts)) for one in fast]))
     held = sum(part.held for part in fast[0].parts)
@@ -126,8 +127,8 @@ def half_rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row
     ]
 
 
-def _timed(
-    call: Callable[[Viewpoint], _Result], views: Sequence[Viewpoint], clock: Callable[[], float] = time.perf_counter
+def timed(
+    call: Callable[[_View], _Result], views: Sequence[_View], clock: Callable[[], float] = time.perf_counter
 ) -> tuple[list[_Result], float]:
     """Results, and the mean over views of the least of three times in milliseconds."""
     results = [call(view) for view in views]

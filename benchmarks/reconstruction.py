@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from benchmarks.report import OUT
 from mirror.errors import ExitCode
+
+if TYPE_CHECKING:
+    from benchmarks._reconstruction.job import Job
 
 
 @dataclass(frozen=True)
@@ -20,14 +23,15 @@ class Arguments:
     The whole comparison takes hours: 20 core-minutes a job, two jobs side by side on two cores.
     """
 
-    what: tyro.conf.Positional[Literal["prepare", "run", "show"]] = "show"
-    """prepare: recordings, dataset, layers; run: train and score; show: tables of what is done."""
+    what: tyro.conf.Positional[Literal["prepare", "run", "show", "truth"]] = "show"
+    """prepare: recordings, dataset, layers; run: train and score; show: tables of what is done;
+    truth: hold trained models against exact truth."""
     data: Path = OUT / "reconstruction"
     """Folder of the scenes and of all that is made of them."""
     entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Rows, such as ours or mtgs_style-tuned; may be repeated. Default: all of the group."""
-    group: Literal["comparison", "ablation"] = "comparison"
-    """Methods against each other, or ours with parts switched off."""
+    group: Literal["comparison", "ablation", "seam"] = "comparison"
+    """Methods against each other, ours with parts switched off, or ours in two blocks."""
     minutes: Annotated[tuple[float, ...], tyro.conf.UseAppendAction] = ()
     """Core-minutes of training. Default: as declared."""
     scenes: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -75,6 +79,15 @@ def main(argv: Sequence[str]) -> int:
             for entry in rows
         ]
         return ExitCode.PARTLY_DONE if run_all(jobs, arguments.data, arguments.jobs) else ExitCode.DONE
+    if arguments.what == "truth":
+        # It takes what no table of outcomes needs: the street is built again.
+        from benchmarks._reconstruction.truth.run import measure_all
+        from benchmarks._reconstruction.truth.tables import tables
+        from benchmarks._reconstruction.truth.trained import done_jobs
+
+        trained = [job for job in done_jobs(arguments.data) if job.entry in rows and _is_meant(job, arguments)]
+        print(tables(measure_all(trained, arguments.data)) or "no model is trained to the end")
+        return ExitCode.DONE
     found = outcomes(arguments.data)
     print(f"declaration {declaration.hash[:16]}")
     for minutes in budgets:
@@ -82,6 +95,17 @@ def main(argv: Sequence[str]) -> int:
         print(f"\n{minutes:g} core-minutes, {width} px\n\n{table(own, rows)}")
         print(f"\n{differences(own, rows, ('train PSNR', 'train SSIM', 'novel PSNR*', 'novel SSIM'))}")
     return ExitCode.DONE
+
+
+def _is_meant(job: Job, arguments: Arguments) -> bool:
+    """Whether a trained model is one that the arguments name; those that are not given are for any."""
+    asked = (
+        (job.core_minutes, arguments.minutes),
+        (job.scene, arguments.scenes),
+        (job.seed, arguments.seeds),
+        (job.width_px, (arguments.width,) if arguments.width else ()),
+    )
+    return all(not wanted or value in wanted for value, wanted in asked)
 
 
 if __name__ == "__main__":

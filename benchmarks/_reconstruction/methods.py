@@ -15,6 +15,8 @@ from hybridworldsim.methods.street import make as make_street
 from hybridworldsim.scene.settings import Refinement, Settings
 
 OURS: Final = "ours"
+_TWO_BLOCKS_M: Final = 70.0
+"""Each declared scene has two blocks of this size side by side."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Entry:
     Attributes:
         name: of the row.
         method: with its settings.
-        group: ``comparison`` or ``ablation``.
+        group: ``comparison``, ``ablation`` or ``seam``.
         split: another split than the declared one, of fewer training traversals.
     """
 
@@ -44,6 +46,7 @@ def entries() -> dict[str, Entry]:
             for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
         ),
         *(Entry(name, _street(change), "ablation") for name, change in _ABLATIONS.items()),
+        Entry("two-blocks", replace(_street(_same), block_m=_TWO_BLOCKS_M), "seam"),
         *(Entry(f"{count}-traversals", _street(_same), "ablation", f"novel-{count}") for count in (1, 2)),
     ]
     return {row.name: row for row in rows}

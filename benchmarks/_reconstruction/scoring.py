@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mirror.arrays import UInt8
+from mirror.arrays import Bool, UInt8
 from mirror.evaluation.truth.source import TruthSource
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
@@ -35,18 +35,20 @@ def scores_of(render: Callable[[View], UInt8], plan: Plan, truth: TruthSource, g
     for view in plan.views:
         if view.group not in groups:
             continue
-        picture, true, mask = render(view), truth.picture(view), truth.scored(view)
-        found.append(
-            Scores(
-                view.path,
-                view.group,
-                view.traversal_id,
-                float(psnr(picture, true, mask=mask)),
-                float(psnr_cc(picture, true, mask=mask).db),
-                float(ssim(picture, true, mask=mask, preset="gaussian11", mask_mode="map")),
-            )
-        )
+        found.append(scored(view, render(view), truth.picture(view), truth.scored(view)))
     return found
+
+
+def scored(view: View, picture: UInt8, true: UInt8, mask: Bool) -> Scores:
+    """Score a picture (H, W, 3) of a view by what is true of the pixels of a mask (H, W)."""
+    return Scores(
+        view.path,
+        view.group,
+        view.traversal_id,
+        float(psnr(picture, true, mask=mask)),
+        float(psnr_cc(picture, true, mask=mask).db),
+        float(ssim(picture, true, mask=mask, preset="gaussian11", mask_mode="map")),
+    )
 
 
 def averaged(scores: Sequence[Scores], group: str) -> dict[str, float]:

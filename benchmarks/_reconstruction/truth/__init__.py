@@ -1,0 +1,1 @@
+"""Trained models held against what is exactly known of the synthetic street."""

@@ -1,0 +1,62 @@
+"""Measures trained models, one after the other, and writes down what came of it beside the outcomes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks._reconstruction.declared import declared
+from benchmarks._reconstruction.job import Job
+from benchmarks._reconstruction.truth.costs import costs_of
+from benchmarks._reconstruction.truth.geometry import geometry_of
+from benchmarks._reconstruction.truth.lighting import lighting_of
+from benchmarks._reconstruction.truth.seam import seam_of
+from benchmarks._reconstruction.truth.sweep import write_sweep
+from benchmarks._reconstruction.truth.tables import Measured
+from benchmarks._reconstruction.truth.trained import Trained
+from hybridworldsim.methods.street import OpenStreet
+from mirror.schema.files import write_bytes
+
+TRUTH: Final = "truth"
+
+
+def measure_all(jobs: Sequence[Job], folder: Path) -> list[Measured]:
+    """What comes of each job's model; what is written down of the same model is read."""
+    return [_measured(job, folder) for job in jobs]
+
+
+def _measured(job: Job, folder: Path) -> Measured:
+    trained, path = Trained(job, folder, declared()), folder / TRUTH / f"{job.name}.json"
+    identity = {"declaration": trained.declaration.hash, "model": trained.hash}
+    if path.is_file():
+        before: Measured = json.loads(path.read_text())
+        if {key: before[key] for key in identity} == identity:
+            return before
+    print(f"measuring {job.name}", flush=True)
+    lighting = lighting_of(trained)
+    document = {
+        "job": asdict(job),
+        **identity,
+        **geometry_of(trained),
+        "lighting": lighting,
+        "seam": seam_of(trained),
+        "costs": costs_of(trained),
+    }
+    if lighting and isinstance(trained.open(), OpenStreet):
+        write_sweep(trained, path.with_suffix(".sweep.png"))
+    document = _known(document)
+    write_bytes(path, (json.dumps(document, indent=1) + "\n").encode())
+    return document
+
+
+def _known(value: Any) -> Any:
+    """JSON has no number for what is unknown or infinite."""
+    if isinstance(value, dict):
+        return {key: _known(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_known(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,40 @@
+"""What is seen of the boundary between two blocks that were trained by themselves on the same data."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks._reconstruction.truth.trained import Trained, spread
+from benchmarks._street_seam import seam_rows
+from hybridworldsim.methods.street import OpenStreet
+from hybridworldsim.scene.blocks import Block
+from mirror.evaluation.views.view import View
+
+_NEAR_M: Final = 12.0
+_MOST_VIEWS: Final = 8
+
+
+def seam_of(trained: Trained) -> list[dict[str, Any]]:
+    """Rows of `seam_rows` for each two neighbouring blocks; none for a model of one block, or without blocks."""
+    street = trained.open()
+    if not isinstance(street, OpenStreet):
+        return []
+    rows = []
+    for pair in combinations(street.blocks, 2):
+        (a, _), (b, _) = pair
+        views = _across(a, b, list(trained.plan.views))
+        if np.abs(np.subtract(a.index, b.index)).sum() == 1 and views:
+            rows += seam_rows(pair, views, street.latents, f"{a.name} to {b.name}")
+    return [asdict(row) for row in rows]
+
+
+def _across(a: Block, b: Block, views: list[View]) -> list[View]:
+    """Some views from near the boundary of two blocks, evenly chosen."""
+    here, there = np.array(a.origin_m[:2]), np.array(b.origin_m[:2])
+    way = (there - here) / np.linalg.norm(there - here)
+    near = [view for view in views if abs((view.pose.translation[0, :2] - (here + there) / 2.0) @ way) <= _NEAR_M]
+    return spread(near, _MOST_VIEWS)

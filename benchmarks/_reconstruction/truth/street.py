@@ -1,0 +1,198 @@
+"""The truth of views of the synthetic street: how far everything is, and how it looks in another light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Bool, Float32, Float64, UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError
+from mirror.evaluation.truth.raster import raster_of
+from mirror.evaluation.truth.source import TruthSource
+from mirror.evaluation.views.plan import Plan
+from mirror.evaluation.views.view import View
+from mirror.geometry.cameras import Camera
+from mirror.metrics.images.psnr import psnr
+from mirror.synth.model import NO_OBJECT
+
+if TYPE_CHECKING:
+    from mirror.synth.fleet.drive import SynthDrive
+    from mirror.synth.render.scene import Scene
+    from mirror.synth.writing.shots import Shots
+
+_LEAST_DB: Final = 28.0
+"""What is rendered again of a picture differs from it by noise and what JPEG loses; another street's has 20 dB."""
+_GROUND_M: Final = 500.0
+"""The ground of a scene reaches further than this from its middle, along either axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrueView:
+    """What a view's pixels show.
+
+    Attributes:
+        depth_m: (H, W) float32 camera z at the pixels' centres; infinite in the sky.
+        label: (H, W) values of `mirror.synth.model.Label`.
+        static: (H, W) whether it is the street: neither sky nor a road user.
+    """
+
+    depth_m: Float32
+    label: UInt8
+    static: Bool
+
+
+def camera_z(distance_m: npt.ArrayLike, lens: Camera) -> Float64:
+    """Camera z (H, W) of distances (H, W) along the rays of a lens's pixel centres; infinite where those are."""
+    direction = lens.rays().direction
+    z: Float64 = np.asarray(distance_m, np.float64) * direction[..., 2] / np.linalg.norm(direction, axis=-1)
+    return z
+
+
+def world_points(depth_m: npt.ArrayLike, view: View) -> Float64:
+    """World points (H, W, 3) that pixels with camera z (H, W) show."""
+    direction = view.lens.rays().direction
+    local = np.asarray(depth_m, np.float64)[..., None] * direction / direction[..., 2:]
+    points: Float64 = local @ view.pose.matrix()[0, :3, :3].T + view.pose.translation[0]
+    return points
+
+
+class StreetTruth:
+    """The synthetic street that a dataset's recordings are of.
+
+    Args:
+        dataset: of recordings that ``mirror synth`` wrote.
+        plan: of the views that will be asked for.
+        preset: that the recordings were made with.
+        seed: that the recordings were made with.
+
+    Attributes:
+        pictures: what was recorded, and which pixels of it are scored.
+    """
+
+    def __init__(self, dataset: Dataset, plan: Plan, preset: str, seed: int) -> None:
+        rows = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
+        self._drive_ids = {row["traversal_id"]: row["drive_id"] for row in rows}
+        self.pictures = TruthSource(dataset, plan.protocol, plan.layers)
+        self._pixels, self._preset, self._seed = plan.protocol.pixels, preset, seed
+        self._checked: set[str] = set()
+        self._seen: dict[str, TrueView] = {}
+        self._lit: dict[tuple[str, str], UInt8] = {}
+
+    def of(self, view: View) -> TrueView:
+        """How far everything is from the pose that the view asks for, through its lens; kept for the next model.
+
+        Raises:
+            DatasetError: the street is not the one that was recorded.
+        """
+        if view.path not in self._seen:
+            self._seen[view.path] = self._see(view)
+        return self._seen[view.path]
+
+    def lit_as(self, view: View, traversal_id: str) -> UInt8:
+        """The view's picture (H, W, 3), RGB, with the light, weather, leaves and cameras' looks of a traversal.
+
+        Pose, lens and road users are those of the view's own traversal, headlights those of its vehicle. It is
+        rendered as recorded pictures are, brought into the view's raster as they are, and kept.
+
+        Raises:
+            DatasetError: the street is not the one that was recorded.
+        """
+        if (view.path, traversal_id) not in self._lit:
+            self._require(view)
+            self._lit[view.path, traversal_id] = self._lit_as(view, traversal_id)
+        return self._lit[view.path, traversal_id]
+
+    def height_m(self, view: View, points_m: Float64) -> Float64:
+        """Heights (...,) of the ground under or above points (..., 3) of a view's scene."""
+        x, y = (np.clip(points_m[..., axis], -_GROUND_M, _GROUND_M) for axis in (0, 1))
+        return self._drive(view.traversal_id).drive.world.height_m(x, y)
+
+    def _see(self, view: View) -> TrueView:
+        from mirror.synth.render.lens import make_lens
+        from mirror.synth.render.view import see
+
+        self._require(view)
+        drive, moment = self._drive(view.traversal_id), self._moment(view)
+        pose = view.pose
+        instant = drive.drive.stage.around(moment.seconds, pose.translation[0])
+        seen = see(instant.surroundings, make_lens(view.lens), pose.matrix()[0, :3, :3], pose.translation[0])
+        depth = camera_z(seen.distance_m, view.lens).astype(np.float32)
+        return TrueView(depth, seen.label, np.isfinite(depth) & (seen.object == NO_OBJECT))
+
+    def _require(self, view: View) -> None:
+        """The first view of each traversal, rendered as it was taken, is what was recorded."""
+        if view.traversal_id in self._checked:
+            return
+        alike = float(psnr(self._lit_as(view, view.traversal_id), self.pictures.picture(view)))
+        if alike < _LEAST_DB:
+            raise DatasetError(
+                f"preset {self._preset}, seed {self._seed}, is not what was recorded ({alike:.1f} dB)",
+                place=view.path,
+                expected=f"a picture that is rendered again within {_LEAST_DB:g} dB",
+                remedy="make the recordings again",
+            )
+        self._checked.add(view.traversal_id)
+
+    def _lit_as(self, view: View, traversal_id: str) -> UInt8:
+        own, other, moment = self._drive(view.traversal_id), self._drive(traversal_id), self._moment(view)
+        stage = own.lit_by(other)
+        stamps = np.array([moment.true_ns])
+        drive = own.drive
+        picture = stage.picture(
+            stage.at(moment.seconds, drive.world_SE3_ego(stamps)),
+            drive.lenses[view.camera],
+            drive.world_SE3_camera(view.camera, stamps),
+            look=other.drive.looks[view.camera],
+            seed=moment.true_ns % (1 << 31),
+        )
+        _, image = self.pictures.recorded(view)
+        raster = raster_of(image.camera_model, self._pixels)
+        return raster.picture(np.ascontiguousarray(picture.bgr[..., ::-1]))
+
+    def _moment(self, view: View) -> _Moment:
+        drive = self._drive(view.traversal_id)
+        at = np.flatnonzero(drive.shots.recorded_ns[view.camera] == view.timestamp_ns)
+        if not len(at):
+            raise DatasetError(
+                f"preset {self._preset}, seed {self._seed}, has no picture at {view.timestamp_ns}", place=view.path
+            )
+        true_ns = int(drive.shots.true_ns[view.camera][at[0]])
+        return _Moment(true_ns, float(drive.drive.seconds(np.array([true_ns]))[0]))
+
+    @cache  # noqa: B019 - as many as the dataset has traversals
+    def _drive(self, traversal_id: str) -> _Drive:
+        from mirror.synth.fleet.drives import drive_named
+
+        return _Drive(drive_named(self._preset, self._seed, self._drive_ids[traversal_id]))
+
+
+@dataclass(frozen=True)
+class _Moment:
+    true_ns: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    drive: SynthDrive
+
+    @cached_property
+    def shots(self) -> Shots:
+        from mirror.synth.writing.shots import shots_of
+
+        return shots_of(self.drive, self.drive.preset.errors)
+
+    @cache  # noqa: B019 - as many as the dataset has traversals
+    def lit_by(self, other: _Drive) -> Scene:
+        """Its traffic in the light of another drive."""
+        from mirror.synth.render.scene import Scene
+
+        if other is self:
+            return self.drive.stage
+        own = self.drive
+        return Scene(own.world, other.drive.condition, own.users, own.own, clock_s=own.truth.clock_s)

@@ -83,8 +83,7 @@ def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...]) -> Drawn:
         viewpoint.height_px,
         near_plane=0.2,
         render_mode="RGB+ED",
+        absgrad=splats.means.requires_grad,
         nonfinite="cull",
     )
-    if pictures.requires_grad:
-        meta["means2d"].retain_grad()
     return Drawn(pictures[0, ..., :3], alphas[0, ..., 0], pictures[0, ..., 3], parts, meta)

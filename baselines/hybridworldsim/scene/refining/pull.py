@@ -12,7 +12,7 @@ from hybridworldsim.training.viewpoint import Viewpoint
 
 
 def pulls(drawn: Drawn, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]:
-    """For each node the Gaussians that the picture shows, and the gradients of their places in it.
+    """For each node the Gaussians that the picture shows, and how strongly it pulls at their places in it.
 
     Args:
         drawn: after the backward pass.
@@ -22,7 +22,9 @@ def pulls(drawn: Drawn, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]
         Pairs: (M,) int64 rows of the node's part of `drawn`, (M,) lengths of the gradients in half widths and heights
         of the picture, as 3DGS has them.
     """
-    ids, gradient = drawn.meta["gaussian_ids"], drawn.meta["means2d"].grad
+    ids = drawn.meta["gaussian_ids"]
+    # Summed over pixels without their signs (AbsGS): what is pulled apart must not cancel.
+    gradient = getattr(drawn.meta["means2d"], "absgrad", None)
     size = torch.tensor((viewpoint.width_px / 2.0, viewpoint.height_px / 2.0))
     lengths = torch.zeros(len(ids)) if gradient is None else (gradient * size).norm(dim=1)
     ends = torch.tensor([len(part) for part in drawn.parts]).cumsum(0)

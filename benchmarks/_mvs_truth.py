@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mirror.arrays import Float64, UInt8
+from mirror.arrays import AnyArray, Float64, UInt8
 from mirror.geometry.cameras import Camera
 from mirror.synth.truth import Truth
 
@@ -34,11 +34,14 @@ def true_picture(truth: Truth, camera: str, timestamp_ns: int, recorded: Camera,
         recorded: the lens that it was recorded through.
         lens: the pinhole whose raster is wanted.
     """
-    distance = truth.read("depth", camera, timestamp_ns)
-    label = truth.read("semantic", camera, timestamp_ns)
     rays = lens.rays().direction
-    seen = recorded.project(rays)
+    distance = looked_up(truth.read("depth", camera, timestamp_ns), recorded, lens, np.nan)
+    label = looked_up(truth.read("semantic", camera, timestamp_ns), recorded, lens, 255)
+    return TruePicture(distance * rays[..., 2], label.astype(np.uint8))
+
+
+def looked_up(values: AnyArray, recorded: Camera, lens: Camera, nothing: float) -> AnyArray:
+    """The values (H, W) of a recorded raster where each pixel's centre of another lens looks; else ``nothing``."""
+    seen = recorded.project(lens.rays().direction)
     place = np.floor(np.where(seen.valid[..., None], seen.uv_px, 0.0)).astype(np.int64)
-    row, column = place[..., 1], place[..., 0]
-    depth = np.where(seen.valid, distance[row, column] * rays[..., 2], np.nan)
-    return TruePicture(depth, np.where(seen.valid, label[row, column], 255).astype(np.uint8))
+    return np.where(seen.valid, values[place[..., 1], place[..., 0]], nothing)

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 import mirror
-from benchmarks._mvs_truth import TruePicture, true_picture
+from benchmarks._mvs_truth import TruePicture, looked_up, true_picture
 from benchmarks.report import Row, report
 from hybridworldsim.mvs.estimator import PosedPicture
 from hybridworldsim.mvs.ground import Ground, fit_ground, wheel_places
@@ -29,8 +29,6 @@ from mirror.cli.main import main as mirror_command
 from mirror.cli.progress import progress_bar
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Image
-from mirror.evaluation.protocol import Pixels
-from mirror.evaluation.truth.raster import raster_of
 from mirror.geometry.poses import COLUMNS, Poses
 from mirror.synth.fleet.drives import drive_named
 from mirror.synth.model import Label
@@ -159,8 +157,8 @@ class _Measured:
             depth = image.depth()
             if not masks or depth is None:
                 continue
-            raster = raster_of(image.camera_model, Pixels(space="undistorted", max_width_px=depth.lens.width_px))
-            found, true = raster.excluded(masks[0].decode() > 0), truth.label == int(Label.SKY)
+            found = looked_up(masks[0].decode(), image.camera_model, depth.lens, 0) > 0
+            true = truth.label == int(Label.SKY)
             own = counts.setdefault(light, [0, 0, 0])
             for place, part in enumerate((found & true, found & ~true, ~found & true)):
                 own[place] += int(part.sum())

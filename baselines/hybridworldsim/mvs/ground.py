@@ -26,7 +26,8 @@ _SMOOTH: Final = 0.4
 _LEVEL: Final = 1.0
 _TRACK_M: Final = 1.6
 _ROUNDS: Final = 8
-_GATE_M: Final = 0.6
+_GATE_M: Final = 0.3
+_ABOVE: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,9 @@ def fit_ground(driven_m: Float64, points_m: Float64 | None = None) -> Ground:
     for _ in range(_ROUNDS if len(points) else 0):
         off = points[:, 2] - ground.height(points[:, :2])
         near = np.abs(off) < _GATE_M
+        # What stands on the ground is above it; what is below it is noise alone.
         share = np.minimum(1.0, _POINT_SIGMA_M / np.maximum(np.abs(off[near]), 1e-9))
+        share *= np.where(off[near] > 0.0, _ABOVE, 1.0)
         both = np.concatenate([driven, points[near]])
         weight = np.concatenate([np.full(len(driven), 1.0 / _LINE_SIGMA_M), np.sqrt(share) / _POINT_SIGMA_M])
         ground = _solve(both, weight, low, shape, middle[2])

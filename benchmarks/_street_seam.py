@@ -21,13 +21,18 @@ STEP_M = 0.1
 
 
 def seam_rows(
-    blocks: Sequence[tuple[Block, Street]], views: Sequence[View], looks: Callable[[View], Looks], name: str
+    blocks: Sequence[tuple[Block, Street]],
+    views: Sequence[View],
+    inside: Sequence[View],
+    looks: Callable[[View], Looks],
+    name: str,
 ) -> list[Row]:
     """Steps of cameras across the boundary of two blocks, and inside them.
 
     Args:
         blocks: two neighbours.
         views: near their boundary; each is moved onto it.
+        inside: from where one block alone is shown; each steps where it is, the same way.
         looks: of a view, the appearance.
         name: of the street.
     """
@@ -44,22 +49,26 @@ def seam_rows(
         beyond = float((view.pose.translation[0, :2] - middle) @ way) >= 0.0
         return alone[beyond].draw(view, looks(view))[0].rgb.clamp(0.0, 1.0)
 
-    def step_db(draw: Callable[[View], Tensor], offset_m: float) -> float:
+    def onto_m(view: View) -> float:
+        return float((middle - view.pose.translation[0, :2]) @ way)
+
+    def step_db(draw: Callable[[View], Tensor], chosen: Sequence[View], moved_m: Callable[[View], float]) -> float:
         errors = []
-        for view in views:
-            onto = float((middle - view.pose.translation[0, :2]) @ way) + offset_m
-            before, after = (draw(_moved(view, (onto + side * STEP_M / 2.0) * way)) for side in (-1.0, 1.0))
+        for view in chosen:
+            before, after = (draw(_moved(view, (moved_m(view) + side * STEP_M / 2.0) * way)) for side in (-1.0, 1.0))
             errors.append((after - before).square().mean())
         return float(-10.0 * torch.stack(errors).mean().clamp_min(1e-12).log10())
 
-    # Beyond the strip that both show, on either side.
-    inside = min(step_db(composed, side * a.overlap_m) for side in (-1.0, 1.0))
     size = f"{len(views)} views, steps of {STEP_M:g} m"
-    peers = (Peer("one block at a time", step_db(switched, 0.0)),)
+    peers = (Peer("one block at a time", step_db(switched, views, onto_m)),)
     whole = torch.stack([(composed(view) - switched(view)).square().mean() for view in views]).mean()
     return [
-        Row(f"{name}: dB PSNR of a step across", size, step_db(composed, 0.0), peers=peers),
-        Row(f"{name}: dB PSNR of a step inside", size, inside),
+        Row(f"{name}: dB PSNR of a step across", size, step_db(composed, views, onto_m), peers=peers),
+        Row(
+            f"{name}: dB PSNR of a step inside",
+            f"{len(inside)} views, the same",
+            step_db(composed, inside, lambda _: 0.0),
+        ),
         Row(
             f"{name}: dB PSNR, composed to the camera's own block", f"{len(views)} views", float(-10.0 * whole.log10())
         ),

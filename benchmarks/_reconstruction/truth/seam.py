@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import combinations
 from typing import Any, Final
@@ -14,7 +15,7 @@ from hybridworldsim.methods.street import OpenStreet
 from hybridworldsim.scene.blocks import Block
 from mirror.evaluation.views.view import View
 
-_NEAR_M: Final = 12.0
+_NEAR_M: Final = 5.0
 _MOST_VIEWS: Final = 8
 
 
@@ -26,15 +27,17 @@ def seam_of(trained: Trained) -> list[dict[str, Any]]:
     rows = []
     for pair in combinations(street.blocks, 2):
         (a, _), (b, _) = pair
-        views = _across(a, b, list(trained.plan.views))
-        if np.abs(np.subtract(a.index, b.index)).sum() == 1 and views:
-            rows += seam_rows(pair, views, street.latents, f"{a.name} to {b.name}")
+        across, inside = _views(a, b, trained.plan.views)
+        if np.abs(np.subtract(a.index, b.index)).sum() == 1 and across and inside:
+            rows += seam_rows(pair, across, inside, street.latents, f"{a.name} to {b.name}")
     return [asdict(row) for row in rows]
 
 
-def _across(a: Block, b: Block, views: list[View]) -> list[View]:
-    """Some views from near the boundary of two blocks, evenly chosen."""
+def _views(a: Block, b: Block, views: Sequence[View]) -> tuple[list[View], list[View]]:
+    """Some views from near the boundary of two blocks, and some beyond the strip that both show, evenly chosen."""
     here, there = np.array(a.origin_m[:2]), np.array(b.origin_m[:2])
     way = (there - here) / np.linalg.norm(there - here)
-    near = [view for view in views if abs((view.pose.translation[0, :2] - (here + there) / 2.0) @ way) <= _NEAR_M]
-    return spread(near, _MOST_VIEWS)
+    away = [abs(float((view.pose.translation[0, :2] - (here + there) / 2.0) @ way)) for view in views]
+    near = [view for view, metres in zip(views, away) if metres <= _NEAR_M]
+    inside = [view for view, metres in zip(views, away) if metres > a.overlap_m]
+    return spread(near, _MOST_VIEWS), spread(inside, _MOST_VIEWS)

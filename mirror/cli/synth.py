@@ -23,9 +23,9 @@ class Arguments:
 
     out: Path
     """An empty folder, or one to be made."""
-    preset: Literal["demo", "quick", "tiny", "reconstruction", "benchmark", "paper"] = "demo"
-    """demo: two scenes; quick: one small scene; tiny: two traversals, for tests; reconstruction: three
-    blocks of 100 m; benchmark: four scenes of eight
+    preset: Literal["demo", "quick", "tiny", "block", "reconstruction", "benchmark", "paper"] = "demo"
+    """demo: two scenes; quick: one small scene; tiny: two traversals, for tests; block and
+    reconstruction: one and three blocks of a street; benchmark: four scenes of eight
     traversals; paper: ten scenes in six cities, whose pictures are rendered when they are loaded."""
     scenes: int | None = None
     """How many scenes. Default: all that the preset has."""

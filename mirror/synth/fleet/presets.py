@@ -107,22 +107,19 @@ def _benchmark() -> Preset:
     )
 
 
-def _reconstruction() -> Preset:
-    def site(roi: Roi, yaw_deg: float, first: int) -> Site:
-        routes = (("along", 0), ("back", 0))
-        return Site(places.small(roi, 50.0), yaw_deg, 7.5, programme(routes, _SEVEN, 5, first), bustle=0.6)
+def _block(roi: Roi, yaw_deg: float, radius_m: float, first: int) -> Site:
+    """A scene of one block, driven there and back in five conditions."""
+    routes = (("along", 0), ("back", 0))
+    return Site(places.small(roi, radius_m), yaw_deg, 7.5, programme(routes, _SEVEN, 5, first), bustle=0.6)
 
-    return Preset(
-        "reconstruction",
-        (
-            site(places.GUANGZHOU_URBAN, 24.0, 0),
-            site(places.KARLSRUHE_RURAL, -38.0, 1),
-            site(places.KARLSRUHE_CAMPUS, -61.0, 2),
-        ),
-        traversals=5,
-        width_px=480,
-        picture_hz=1.0,
+
+def _reconstruction() -> Preset:
+    sites = (
+        _block(places.GUANGZHOU_URBAN, 24.0, 50.0, 0),
+        _block(places.KARLSRUHE_RURAL, -38.0, 50.0, 1),
+        _block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),
     )
+    return Preset("reconstruction", sites, traversals=5, width_px=480, picture_hz=1.0)
 
 
 def _paper() -> Preset:
@@ -168,14 +165,15 @@ PRESETS: Final = {
             width_px=400,
             picture_hz=0.3,
         ),
+        Preset("block", (_block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),), 5, 240, picture_hz=0.5),
         _reconstruction(),
         _benchmark(),
         _paper(),
     )
 }
-"""By name. ``tiny`` for tests, ``quick`` and ``demo`` to look at, ``reconstruction`` with three blocks
-of 100 m, ``benchmark`` with four kinds of scene in six conditions, ``paper`` as large as the paper's dataset: ten scenes in six cities, seven types of vehicle; pictures
-on demand."""
+"""By name. ``tiny`` for tests, ``quick`` and ``demo`` to look at, ``block`` and ``reconstruction`` with one and three
+blocks of a street, ``benchmark`` with four kinds of scene in six conditions, ``paper`` as large as the paper's dataset:
+ten scenes in six cities, seven types of vehicle; pictures on demand."""
 
 
 def planned(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:

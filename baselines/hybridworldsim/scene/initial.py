@@ -39,7 +39,7 @@ def initial_of(dataset: Dataset, block: Block, sources: Sequence[Source]) -> Ini
         raise DatasetError(
             f"no points in the {dataset.count('traversals')} training traversals", file=dataset.root,
             place=f"scene {', '.join(dataset.scenes())}", expected="a layer of points",
-            remedy=f"{made} found nothing to match: look at pictures and poses, or try another --initialise"
+            remedy=f"{made} found nothing to match: look at pictures, masks and poses, or try another --initialise"
             if made else "make one of the pictures: --initialise plane-sweep",
         )  # fmt: skip
     driven = driven_m(dataset)

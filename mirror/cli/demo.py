@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
@@ -28,14 +29,15 @@ _NOTE = "`mirror demo` may remove this folder and make it anew.\n"
 class Arguments:
     """Make recordings of a synthetic street, and run the verbs that turn them into a dataset, a split and a report.
 
-    Then two baselines are scored on the traversals that were held out, and stand on a board beside the paper's tables.
+    Then two baselines are scored on the traversals that were held out, and stand on a board beside the paper's tables;
+    and one block of another street is reconstructed, and scored beside the pictures that were taken nearest.
     Every command is shown as it would be typed. Run again, it makes its own folder anew.
     """
 
     out: Path = Path("demo")
     """A new folder, or one that an earlier demo made."""
     quick: bool = False
-    """One small scene instead of two, and one baseline."""
+    """One small scene instead of two, one baseline, nothing reconstructed."""
     seed: int = 0
     """Of the street and of the split."""
 
@@ -60,6 +62,10 @@ def main(argv: Sequence[str]) -> int:
     )
     print(f"{out / 'results'} what the baselines score on it", end="")
     print(f", {out / 'site' / 'index.html'} the board." if _LEADERBOARD.exists() else f"; {_NO_BOARD}.")
+    if _reconstructs(arguments):
+        print(f"{out / 'block' / 'model'} is a reconstructed block, {out / 'block' / 'results'} what it scores.")
+    elif not arguments.quick:
+        print("Nothing was reconstructed: torch is not installed (pip install 'mirror-dataset[models]').")
     return ExitCode.DONE
 
 
@@ -94,8 +100,34 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
             shown = ["--submission", submission, "--truth", dataset, "--board", board]
             name = ["--dataset", f"demo street ({preset}, seed {seed})"]
             yield ["python", "-m", "leaderboard", "add", str(result / "result.json"), *name, *shown]
+    if _reconstructs(arguments):
+        yield from _block(arguments)
     if _LEADERBOARD.exists():
         yield ["python", "-m", "leaderboard", "build", "--also", board, "--out", str(out / "site")]
+
+
+def _reconstructs(arguments: Arguments) -> bool:
+    return not arguments.quick and find_spec("torch") is not None
+
+
+def _block(arguments: Arguments) -> Iterator[list[str]]:
+    """Reconstruct one block of another street, and hold it against the pictures that were taken nearest."""
+    out, seed = arguments.out / "block", str(arguments.seed)
+    recordings, dataset, model = out / "recordings", str(out / "dataset"), str(out / "model")
+    rois = str(recordings / "rois.geojson")
+    yield ["mirror", "synth", "--out", str(recordings), "--preset", "block", "--seed", seed]
+    yield ["mirror", "ingest", str(recordings / "*-*"), "--rois", rois, "--out", dataset, "--licence", "CC0-1.0"]
+    yield ["mirror", "split", dataset, "novel", "--seed", seed]
+    begin = ["--minutes", "0.75", "--width", "160", "--initialise", "plane-sweep"]
+    yield ["mirror", "reconstruct", dataset, "--split", "novel", *begin, "--out", model]
+    ours, floor = str(out / "submissions" / "reconstructed"), str(out / "submissions" / "nearest_frame")
+    yield ["mirror", "render", model, "--dataset", dataset, "--split", "novel", "--out", ours]
+    yield ["python", "-m", "nearest_frame", dataset, "--split", "novel", "--out", floor]
+    results = []
+    for submission in (ours, floor):
+        results.append(str(out / "results" / Path(submission).name))
+        yield ["mirror", "evaluate", submission, "--truth", dataset, "--out", results[-1], "--report"]
+    yield ["mirror", "compare", *(str(Path(result) / "result.json") for result in results)]
 
 
 def _typed(words: Sequence[str]) -> str:

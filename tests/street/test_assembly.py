@@ -1,5 +1,6 @@
 import pytest
 import torch
+
 from hybridworldsim.scene.nodes.assembly import assembled
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from hybridworldsim.methods.layers import Layers, layers_for
 from hybridworldsim.methods.opened import Opened, Renderer, open_block
@@ -76,7 +77,7 @@ class StaticMethod:
         layers = layers_for(dataset, task, watch)
         training = training_views(layers.dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
         own = layers.dataset.where(split=task.split, role="train", scene=task.scene)
-        there = divide(driven_m(own), self.block_m).blocks
+        there = divide(_pictured_m(driven_m(own), training.views), self.block_m).blocks
         # Before anything is written: a scene that cannot begin leaves nothing behind.
         blocks = [(block, views) for block in there if (views := views_of(block, training.views))]
         initials = [initial_of(own, block, _sources(views)) for block, views in blocks]
@@ -206,6 +207,13 @@ def block_folders(model: Path) -> list[Path]:
             expected="a model", remedy="run the same `mirror reconstruct` again: it goes on where it stopped",
         )  # fmt: skip
     return folders
+
+
+def _pictured_m(driven: Float64, views: Sequence[View]) -> Float64:
+    """Driven places (N, 3) at which pictures were taken: poses go on before the first and after the last of them."""
+    cameras = np.array([view.pose.translation[0] for view in views])
+    _, nearest = cKDTree(driven[:, :2]).query(cameras[:, :2])
+    return driven[np.unique(nearest)]
 
 
 def _sources(views: Sequence[View]) -> list[Source]:

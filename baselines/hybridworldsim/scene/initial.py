@@ -6,19 +6,27 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybridworldsim.mvs.ground import fit_ground
+from hybridworldsim.mvs.ground import fit_ground, wheel_places
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.seeding import Initial
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
+from mirror.geometry.poses import Poses
+
+_COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 
 
 def driven_m(dataset: Dataset) -> Float64:
     """(N, 3) where vehicles drove in the traversals of a view, on the ground, in the world."""
-    table = dataset.table("ego_poses", ["tx_m", "ty_m", "tz_m"])
-    return np.stack([column.to_numpy() for column in table.columns], axis=1).astype(np.float64)
+    return _poses(dataset).translation
+
+
+def _poses(dataset: Dataset) -> Poses:
+    table = dataset.table("ego_poses", _COLUMNS)
+    numbers = np.stack([column.to_numpy() for column in table.columns], axis=1).astype(np.float64)
+    return Poses(numbers[:, :4], numbers[:, 4:])
 
 
 def initial_of(dataset: Dataset, block: Block, sources: Sequence[Source]) -> Initial:
@@ -45,7 +53,7 @@ def initial_of(dataset: Dataset, block: Block, sources: Sequence[Source]) -> Ini
     driven = driven_m(dataset)
     kind = np.array(points.kind)
     on_ground = kind == "ground"
-    ground = fit_ground(driven, points.position_m[on_ground])
+    ground = fit_ground(wheel_places(_poses(dataset)), points.position_m[on_ground])
     origin = np.array(block.origin_m)
 
     def surface(places_m: Float64) -> tuple[Float64, Float64]:

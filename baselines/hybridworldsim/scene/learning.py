@@ -49,7 +49,7 @@ class StreetLearner:
         self._anchors = AnchorRefiner(background, refinement)
         self._ground = CodeRefiner(street.ground, refinement, refinement.most_ground)
         self._sky = CodeRefiner(street.sky, refinement, refinement.most_sky)
-        self._steps, self._refined = 0, 0
+        self._steps, self._refined, self._last = 0, 0, 0
 
     @property
     def model(self) -> Street:
@@ -112,8 +112,8 @@ class StreetLearner:
         self._anchors.note(drawn.parts[0], rows, pull, viewpoint)
         for refiner, part, (rows, pull) in zip((self._ground, self._sky), drawn.parts[1:], others):
             refiner.note(part, rows, pull)
-        if due(refinement, progress) > self._refined:
-            self._refined = due(refinement, progress)
+        if due(refinement, progress) > self._refined and self._steps >= self._last + refinement.least_steps:
+            self._refined, self._last = due(refinement, progress), self._steps
             self._anchors.refine(self._refined, self._adam, self._generator)
             self._ground.refine(self._refined, self._adam)
             self._sky.refine(self._refined, self._adam)
@@ -125,7 +125,7 @@ class StreetLearner:
             for name, refiner in self._refiners().items()
             for key, table in refiner.state().items()
         }
-        counters = torch.tensor([self._steps, self._refined])
+        counters = torch.tensor([self._steps, self._refined, self._last])
         return {
             **dumped(self.street, self._adam), **kept, "generator": self._generator.get_state(), "counters": counters
         }  # fmt: skip
@@ -137,7 +137,7 @@ class StreetLearner:
             own = f"{name}."
             refiner.restore({key.removeprefix(own): table for key, table in state.items() if key.startswith(own)})
         self._generator.set_state(state["generator"])
-        self._steps, self._refined = state["counters"].tolist()
+        self._steps, self._refined, self._last = state["counters"].tolist()
 
     def _refiners(self) -> dict[str, AnchorRefiner | CodeRefiner]:
         return {"anchors": self._anchors, "ground": self._ground, "sky": self._sky}

@@ -47,6 +47,7 @@ class Refinement:
         begin: progress.
         end: progress.
         times: how often in between.
+        least_steps: but not before so many pictures told something since the last time.
         most: anchors in a block, at most.
         most_ground: Code-Gaussians on the ground, at most.
         most_sky: and in the sky.
@@ -59,6 +60,7 @@ class Refinement:
     begin: float = 0.05
     end: float = 0.6
     times: int = 40
+    least_steps: int = 20
     most: int = 15_000
     most_ground: int = 20_000
     most_sky: int = 5_000

@@ -37,7 +37,8 @@ def test_a_missed_bar_is_a_finding(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_command_lists_and_refuses(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main([]) == 0
-    assert {"geometry", "ingest", "query"} <= {line.split()[0] for line in capsys.readouterr().out.splitlines()}
+    lines = filter(str.strip, capsys.readouterr().out.splitlines())
+    assert {"geometry", "ingest", "query"} <= {line.split()[0] for line in lines}
     assert command.main(["nothing"]) == 2
 
 

@@ -82,7 +82,9 @@ def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     own = tmp_path / "own"
     assert demo(["--out", str(own)]) == 0
     modules = [words[2] for words in ran if words[0] == "python"]
-    assert modules == ["nearest_frame", "leaderboard", "mean_color", "leaderboard", "leaderboard"]
+    assert modules == ["nearest_frame", "leaderboard", "mean_color", "leaderboard", "nearest_frame", "leaderboard"]
+    verbs = [words[1] for words in ran if words[0] == "mirror"]
+    assert verbs.index("reconstruct") < verbs.index("render") < verbs.index("compare")
     (own / "old.txt").write_text("from the last demo")
     assert demo(["--out", str(own)]) == 0
     assert not (own / "old.txt").exists()

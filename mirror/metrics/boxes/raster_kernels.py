@@ -23,6 +23,11 @@ def fill(mask: Bool, polygon: Float64) -> None:
         for row in range(first, last):
             share = (row + 0.5 - upper[1]) / (lower[1] - upper[1])
             column = _whole(upper[0] + share * (lower[0] - upper[0]), width)
+            # The quotient is rounded; these products are exact for corners of few digits, such as whole pixels.
+            while column > 0 and _right_of(column - 0.5, row + 0.5, upper, lower):
+                column -= 1
+            while column < width and not _right_of(column + 0.5, row + 0.5, upper, lower):
+                column += 1
             left, right = min(left, column), max(right, column)
             if column < width:
                 mask[row, column] ^= True
@@ -40,3 +45,9 @@ def fill(mask: Bool, polygon: Float64) -> None:
 def _whole(coordinate: float, size: int) -> int:
     """The first pixel whose centre is not below a coordinate, or one beyond the last."""
     return math.ceil(min(max(coordinate - 0.5, 0.0), float(size)))
+
+
+@njit(cache=True, nogil=True)
+def _right_of(x: float, y: float, upper: Float64, lower: Float64) -> bool:
+    """Whether a point lies on a side that goes down, or to the right of it."""
+    return (x - upper[0]) * (lower[1] - upper[1]) >= (y - upper[1]) * (lower[0] - upper[0])

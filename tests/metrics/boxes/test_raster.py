@@ -7,7 +7,7 @@ from fractions import Fraction
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mirror.errors import UsageError
@@ -38,6 +38,7 @@ corners = st.lists(st.tuples(grid, grid), min_size=3, max_size=7)
 
 
 @given(corners)
+@example([(0.0, 0.0), (-0.5, -0.5), (12.0, 12.0)])
 @settings(max_examples=60, deadline=None)
 def test_every_pixel_is_what_rational_arithmetic_says(polygon: list[tuple[float, float]]) -> None:
     np.testing.assert_array_equal(polygon_mask(polygon, 11, 9), mask_by_fractions(np.array(polygon), 11, 9))

@@ -118,7 +118,7 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     yield ["mirror", "synth", "--out", str(recordings), "--preset", "block", "--seed", seed]
     yield ["mirror", "ingest", str(recordings / "*-*"), "--rois", rois, "--out", dataset, "--licence", "CC0-1.0"]
     yield ["mirror", "split", dataset, "novel", "--seed", seed]
-    begin = ["--minutes", "0.75", "--width", "160", "--initialise", "plane-sweep"]
+    begin = ["--minutes", "1.5", "--width", "160", "--initialise", "plane-sweep"]
     yield ["mirror", "reconstruct", dataset, "--split", "novel", *begin, "--out", model]
     ours, floor = str(out / "submissions" / "reconstructed"), str(out / "submissions" / "nearest_frame")
     yield ["mirror", "render", model, "--dataset", dataset, "--split", "novel", "--out", ours]

@@ -9,4 +9,4 @@ from hybridworldsim.methods.static import StaticMethod
 from omnire_style.learner import make
 from omnire_style.settings import TUNED
 
-METHOD: Final = StaticMethod("omnire_style", make, lambda seed: replace(TUNED, seed=seed))
+METHOD: Final = StaticMethod("omnire_style", make, lambda seed: replace(TUNED, seed=seed), sky=True)

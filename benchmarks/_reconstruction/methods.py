@@ -74,4 +74,6 @@ def _street(change: Callable[[Settings], Settings]) -> StaticMethod:
 
 
 def _explicit(package: Any, settings: Any) -> StaticMethod:
-    return StaticMethod(package.__name__, package.make, lambda seed: replace(settings, seed=seed))
+    return StaticMethod(
+        package.__name__, package.make, lambda seed: replace(settings, seed=seed), sky=package is omnire_style
+    )

@@ -58,12 +58,14 @@ class StaticMethod:
         make: a learner that has seen no picture yet, of what is known of a block and of settings.
         settings: a dataclass, of a seed.
         block_m: edge of a block.
+        sky: whether the method learns from masks of the sky.
     """
 
     name: str
     make: Callable[[Initial, Any], Learner]
     settings: Callable[[int], Any]
     block_m: float = SIZE_M
+    sky: bool = False
 
     def reconstruct(self, dataset: Dataset, task: Task, out: Path, watch: Watch) -> Reconstructed:
         """Train each block of a scene; see `InstalledMethod.reconstruct`.
@@ -128,7 +130,7 @@ class StaticMethod:
         with folder.alone():
             return train(
                 learner,
-                Pictures(one.layers.dataset, one.training.plan, origin),
+                Pictures(one.layers.dataset, one.training.plan, origin, sky=self.sky),
                 one.views,
                 Budget(task.steps, task.core_minutes),
                 folder,

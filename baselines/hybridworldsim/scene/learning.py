@@ -68,7 +68,6 @@ class StreetLearner:
             "rgb": 1.0,
             "depth": settings.depth_weight,
             "normal": settings.normal_weight * settings.normal_every,
-            "volume": settings.volume_weight,
         }
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
         self._adam.zero_grad(set_to_none=True)
@@ -99,8 +98,6 @@ class StreetLearner:
             losses["depth"] = depth_loss(drawn.depth_m, picture.depth_m, known)
             if settings.normal_weight and self._steps % settings.normal_every == 0:
                 losses["normal"] = normal_loss(drawn.depth_m, picture.depth_m, known, picture.viewpoint.K)
-        if settings.volume_weight and len(drawn.parts[0]):
-            losses["volume"] = drawn.parts[0].scales.prod(1).mean()
         return losses
 
     def _refine(self, drawn: Drawn, viewpoint: Viewpoint, progress: float) -> None:

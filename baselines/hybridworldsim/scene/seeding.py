@@ -61,7 +61,7 @@ def street_of(initial: Initial, settings: Settings) -> Street:
         background = _background(initial, settings)
         on_ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m)
         if not settings.hybrid:
-            on_ground = both(on_ground, _round(_by_distance(initial, settings), settings.first_spacing_m, _SOLID))
+            on_ground = both(on_ground, _round(_by_distance(initial, settings), settings.first_spacing_m))
         in_sky = sky_seeds(initial, settings.sky_count, settings.sky_radius, settings.far_count)
         ground = CodeGaussians(on_ground, settings.plain_code, settings.latent, settings.hidden)
         sky = CodeGaussians(in_sky, settings.plain_code, settings.latent, settings.hidden)
@@ -155,7 +155,7 @@ def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> See
     each = radius * np.sqrt(2.0 * np.pi * (1.0 - _LOWEST) / count)
     flat = np.tile((0.7 * each, 0.7 * each, _THIN * each), (count, 1))
     dome = _seeds(radius * directions, _from_z(directions), flat, _SOLID)
-    return both(dome, _round(thinned(initial.far_m, _FAR_SPACING_M, far_count), _FAR_SPACING_M, _SOLID))
+    return both(dome, _round(thinned(initial.far_m, _FAR_SPACING_M, far_count), _FAR_SPACING_M))
 
 
 def both(one: Seeds, other: Seeds) -> Seeds:
@@ -168,9 +168,9 @@ def both(one: Seeds, other: Seeds) -> Seeds:
     )
 
 
-def _round(points: Float64, least_m: float, opacity: float) -> Seeds:
+def _round(points: Float64, least_m: float) -> Seeds:
     turned = np.tile((1.0, 0.0, 0.0, 0.0), (len(points), 1))
-    return _seeds(points, turned, np.repeat(0.5 * spacing(points, least_m)[:, None], 3, axis=1), opacity)
+    return _seeds(points, turned, np.repeat(0.5 * spacing(points, least_m)[:, None], 3, axis=1), _SOLID)
 
 
 def _from_z(normals: Float64) -> Float64:

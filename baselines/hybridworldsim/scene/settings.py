@@ -92,7 +92,6 @@ class Settings:
         depth_weight: of the depth loss.
         normal_weight: of the normal loss.
         normal_every: it is computed at each so many-th step, with so many times the weight.
-        volume_weight: of the mean volume of the drawn Gaussians of anchors, in cubic metres (Scaffold-GS).
         rates: learning rates.
         refinement: of the anchors.
         seed: of everything that is left to chance.
@@ -115,7 +114,6 @@ class Settings:
     depth_weight: float = 0.02
     normal_weight: float = 0.001
     normal_every: int = 4
-    volume_weight: float = 0.0
     rates: Rates = field(default_factory=Rates)
     refinement: Refinement = field(default_factory=Refinement)
     seed: int = 0

@@ -32,13 +32,22 @@ class Pictures:
         plan: whose protocol says raster and masks.
         origin_m: (3,) of the block, in the world.
         cache_bytes: held at most; memory does not grow with the number of pictures beyond it.
+        sky: read masks of the sky too, for a method that learns from them.
         depth: read depth maps too; held-out traversals have none of the layer that is chosen for training.
     """
 
     def __init__(
-        self, dataset: Dataset, plan: Plan, origin_m: Float64, cache_bytes: int = CACHE_BYTES, *, depth: bool = True
+        self,
+        dataset: Dataset,
+        plan: Plan,
+        origin_m: Float64,
+        cache_bytes: int = CACHE_BYTES,
+        *,
+        sky: bool = False,
+        depth: bool = True,
     ) -> None:
-        self._plan, self._origin, self._most, self._depth = plan, origin_m, cache_bytes, depth
+        self._plan, self._origin, self._most = plan, origin_m, cache_bytes
+        self._sky, self._depth = sky, depth
         self._source = TruthSource(dataset, plan.protocol, plan.layers)
         self._held: OrderedDict[str, TrainingPicture] = OrderedDict()
         self._bytes = 0
@@ -67,7 +76,7 @@ class Pictures:
         _, image = self._source.recorded(view)
         raster = raster_of(image.camera_model, self._plan.protocol.pixels)
         sky = None
-        for mask in image.masks():
+        for mask in image.masks() if self._sky else ():
             if mask.kind == "sky":
                 sky = torch.from_numpy(~raster.excluded(mask.decode() == 0))
         depth = image.depth() if self._depth else None

@@ -17,7 +17,7 @@ class TrainingPicture:
         viewpoint: where it was taken.
         rgb: (H, W, 3) float32 in [0, 1].
         scored: (H, W) bool: pixels that are the static street; not road users, the vehicle itself, or outside the lens.
-        sky: (H, W) bool, or None where the dataset has no such mask.
+        sky: (H, W) bool, or None where the dataset has no such mask, or the method does not read it.
         depth_m: (H, W) float32 camera z of multi-view stereo, 0 where unknown; None where the dataset has none.
         name: for messages.
     """

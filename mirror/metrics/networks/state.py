@@ -23,7 +23,7 @@ def load_strictly(network: nn.Module, state: Mapping[str, Tensor], *, unused: tu
     given = {name: tensor for name, tensor in state.items() if not name.startswith(unused or ("\0",))}
     wanted = network.state_dict()
     faults = [f"{name} is missing" for name in wanted if name not in given]
-    faults += [f"{name} is unknown" for name in given if name not in wanted]
+    faults += [f"{name} is unknown, it is not part of it" for name in given if name not in wanted]
     faults += [
         f"{name} is {tuple(tensor.shape)}, not {tuple(wanted[name].shape)}"
         for name, tensor in given.items()

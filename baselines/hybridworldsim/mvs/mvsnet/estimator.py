@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
-from hybridworldsim.mvs.learned.checkpoint import fill, public_state_dict
+from hybridworldsim.mvs.learned.checkpoint import public_state_dict
 from hybridworldsim.mvs.learned.layers import fold_norms
 from hybridworldsim.mvs.learned.pictures import (
     hidden_samples,
@@ -24,6 +24,7 @@ from hybridworldsim.mvs.mvsnet.enlargement import enlarged, repeated
 from hybridworldsim.mvs.mvsnet.network import FEATURE_STRIDE, PLANES_STRIDE, STRIDE, MVSNet, SourcePicture
 from hybridworldsim.mvs.mvsnet.planes import DepthPlanes, Spacing
 from mirror.errors import UsageError
+from mirror.metrics.networks.state import load_strictly
 from mirror.weights.resolve import WeightResolver
 
 NAME: Final = "mvsnet"
@@ -77,7 +78,7 @@ class MVSNetEstimator:
         """
         state, sha256 = public_state_dict(NAME, resolver or WeightResolver())
         network = MVSNet(refine=any(key.startswith("refine_network.") for key in state))
-        fill(network, state, NAME)
+        load_strictly(network, state)
         fold_norms(network)
         return cls(
             network=network, sha256=sha256, planes=planes, spacing=spacing, threads=threads, memory_bytes=memory_bytes

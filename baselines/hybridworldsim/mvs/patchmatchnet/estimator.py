@@ -9,7 +9,7 @@ from typing import Final
 import torch
 
 from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
-from hybridworldsim.mvs.learned.checkpoint import fill, public_state_dict
+from hybridworldsim.mvs.learned.checkpoint import public_state_dict
 from hybridworldsim.mvs.learned.layers import fold_norms
 from hybridworldsim.mvs.learned.pictures import (
     hidden_samples,
@@ -24,6 +24,7 @@ from hybridworldsim.mvs.learned.pictures import (
 from hybridworldsim.mvs.learned.warping import relative_motion
 from hybridworldsim.mvs.patchmatchnet.network import STRIDE, PatchmatchNet, SourcePicture
 from hybridworldsim.mvs.patchmatchnet.stage import LEVELS
+from mirror.metrics.networks.state import load_strictly
 from mirror.weights.resolve import WeightResolver
 
 NAME: Final = "patchmatchnet"
@@ -65,7 +66,7 @@ class PatchmatchNetEstimator:
         """
         state, sha256 = public_state_dict(NAME, resolver or WeightResolver())
         network = PatchmatchNet()
-        fill(network, state, NAME)
+        load_strictly(network, state)
         fold_norms(network)
         return cls(network=network, sha256=sha256, seed=seed, threads=threads, memory_bytes=memory_bytes)
 

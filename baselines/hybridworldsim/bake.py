@@ -184,9 +184,9 @@ def _background(
         means, codes, sizes = node.means[span], node.codes[span], node.log_scales[span].exp()
         raw, colours = [], []
         for eye in eyes:
-            inputs = (codes, functional.normalize(means - eye.centre, dim=1), means / node.radius_m)
-            raw.append(node.geometry(inputs, content).view(-1, GEOMETRY))
-            colours.append(node.colour(inputs, latent).view(-1, _CHANNELS).sigmoid())
+            beside = torch.cat((functional.normalize(means - eye.centre, dim=1), means / node.radius_m), dim=1)
+            raw.append(node.geometry(codes, beside, content).view(-1, GEOMETRY))
+            colours.append(node.colour(codes, beside, latent).view(-1, _CHANNELS).sigmoid())
         own = sizes.repeat_interleave(node.k, dim=0)
         places = means.repeat_interleave(node.k, dim=0) + node.offsets[span].reshape(-1, 3) * own[:, :3]
         weight = seeing[:, span].repeat_interleave(node.k, dim=1)
@@ -217,7 +217,7 @@ def _coded(
         span = slice(start, start + _CHUNK * 8)
         means = node.means[span]
         colours = [
-            node.colour((node.codes[span], functional.normalize(means - eye.centre, dim=1)), latent).sigmoid()
+            node.colour(node.codes[span], functional.normalize(means - eye.centre, dim=1), latent).sigmoid()
             for eye in eyes
         ]
         opacity = 1.0 - (1.0 - node.logits[span].sigmoid().clamp_max(_MOST)) ** weights[span]

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from hybridworldsim.scene.nodes.code_gaussians import Seeds
-from hybridworldsim.scene.seeding import Initial, ground_seeds, sky_seeds, spacing, thinned
+from hybridworldsim.scene.seeding import Initial, background_points, ground_seeds, sky_seeds, spacing
 from splatting.settings import Seeding
 
 _BAND0 = 0.28209479177387814
@@ -51,7 +51,7 @@ def _sky(initial: Initial, settings: Seeding) -> Seeds:
 
 
 def _background(initial: Initial, settings: Seeding) -> tuple[Seeds, Tensor]:
-    points = thinned(initial.points_m, settings.spacing_m, settings.most)
+    points = background_points(initial, settings.spacing_m, settings.share, settings.most)
     sizes = settings.size * spacing(points, settings.spacing_m)
     colours = np.full((len(points), 3), _GREY)
     if initial.points_rgb is not None and len(points):

@@ -38,6 +38,7 @@ class Seeding:
     Attributes:
         most: background points, thinned to so many at most.
         spacing_m: and to one a cell of this size.
+        share: but no closer than this share of the distance from where vehicles drive.
         size: a Gaussian begins with this share of the distance to its neighbours.
         opacity: of a point's Gaussian.
         ground_spacing_m: of the grid on the ground.
@@ -49,6 +50,7 @@ class Seeding:
 
     most: int = 40_000
     spacing_m: float = 0.15
+    share: float = 0.02
     size: float = 1.0
     opacity: float = 0.1
     ground_spacing_m: float = 0.35

@@ -15,8 +15,11 @@ from hybridworldsim.mvs.run import initialise
 from mirror.dataset.check.run import check
 from mirror.dataset.index import build_index
 from mirror.dataset.layout import manifest_sha256
+from mirror.dataset.lock import writer_lock
 from mirror.dataset.splits import make_split
 from mirror.errors import DatasetError, UsageError
+from mirror.evaluation.protocol import load_protocol
+from mirror.evaluation.views import plan_views
 from mirror.schema.documents import NovelTraversal
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
 
@@ -104,7 +107,9 @@ def test_what_is_there_is_kept_and_what_was_interrupted_goes_on(dataset: Path, t
     initialise(mirror.open(dataset), "s", method="road", estimator=estimator, width_px=48)
     assert estimator.calls == 20 - 7
     first = files(dataset)
-    report = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+    # Another run may write meanwhile.
+    with writer_lock(mirror.open(dataset).layout, wait=False):
+        report = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
     assert len(report.kept) == 2 and not report.written and report.pictures == 0 and files(dataset) == first
     other = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48, version="again")
     assert len(other.written) == 2
@@ -143,3 +148,11 @@ def test_the_plane_sweep_runs_on_noise_and_without_masks_of_the_sky(dataset: Pat
 def test_unknown_methods_are_refused(dataset: Path) -> None:
     with pytest.raises(UsageError, match="no estimator"):
         initialise(mirror.open(dataset), "s", method="magic")
+
+
+def test_masks_of_the_sky_do_not_pass_for_masks_of_road_users(dataset: Path) -> None:
+    initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+    made = mirror.open(dataset)
+    assert set(made.table("masks", ["kind"]).column(0).to_pylist()) == {"sky"}
+    with pytest.raises(DatasetError, match="nothing to mask road users by"):
+        plan_views(made, load_protocol("static-reconstruction"), "s")

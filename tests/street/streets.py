@@ -47,7 +47,7 @@ def street(anchors: int = 300, seed: int = 0, k: int = 10, hidden: int = 12) -> 
         around = torch.nn.functional.normalize(torch.randn(200, 3), dim=1)
         around[:, 2] = around[:, 2].abs()
         for network in (background.geometry, background.colour):
-            network.own[2].data.zero_()
+            network.own.data[:, -3:] = 0.0
         return Street(
             background,
             code_gaussians(flat, 1.5, seed + 1, hidden),

@@ -23,8 +23,10 @@ def agree(ours: Splats, theirs: Splats) -> None:
 @pytest.mark.parametrize(("hidden", "k"), [(32, 10), (12, 10), (20, 3), (16, 1)])
 def test_compiled_decoding_is_that_of_torch(hidden: int, k: int) -> None:
     one = street(seed=hidden, k=k, hidden=hidden)
-    torch.nn.init.normal_(one.background.geometry.own[2])
-    torch.nn.init.normal_(one.background.colour.own[2])
+    for network in (one.background.geometry, one.background.colour):
+        torch.nn.init.normal_(network.own[:, -3:])
+    for network in (one.background.colour, one.ground.colour, one.sky.colour):
+        torch.nn.init.normal_(network.bend)
     ready = PreparedStreet(one)
     latent, content = (one.appearance(source) for source in SOURCES)
     for place in (view(-25.0), view(3.0, 5.0), view(200.0)):

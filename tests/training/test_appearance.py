@@ -89,7 +89,7 @@ def test_an_edit_of_the_light_moves_nothing() -> None:
     street = learner().street
     with torch.no_grad():
         # As after training: what is there depends on the look.
-        street.appearance.latents.mul_(20.0)
+        street.appearance.drives.mul_(20.0)
         day, night = (street.appearance(source) for source in street.appearance.sources)
         viewpoint = Painted()(view("s.day.0", 2)).viewpoint
         as_it_was, edited, other = (street(viewpoint, *pair) for pair in ((day, day), (night, day), (night, night)))

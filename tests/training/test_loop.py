@@ -268,7 +268,7 @@ def test_parameters_that_are_none_reach_no_checkpoint(tmp_path: Path) -> None:
     # What they draw is culled, so that no loss tells of them.
     broken = learner()
     with torch.no_grad():
-        broken.street.appearance.latents[0, 0] = torch.nan
+        broken.street.appearance.drives[0, 0] = torch.nan
     with pytest.raises(DatasetError, match=r"holds numbers that are none at step [12];.*smaller learning rates"):
         run(tmp_path / "run", learner=broken)
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()

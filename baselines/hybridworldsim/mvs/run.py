@@ -94,10 +94,12 @@ def initialise(
         kinds = ("depth", "masks", "points") if chosen.sky else ("depth", "points")
     told = progress or Silent()
     made_of = _made_of(view, chosen, estimator, withheld)
+    layers = Layers(view.layout, method, version or split, kinds, made_of)
+    if all(layers.complete(one) for one in view.traversals()):
+        # Nothing is written, so that runs side by side may share what is there.
+        return _all_scenes(view, layers, chosen, estimator, withheld, told)
     with writer_lock(view.layout, wait=False):
-        report = _all_scenes(
-            view, Layers(view.layout, method, version or split, kinds, made_of), chosen, estimator, withheld, told
-        )
+        report = _all_scenes(view, layers, chosen, estimator, withheld, told)
         told.start("index", 1)
         build_index(view.layout.root)
         told.advance(1)

@@ -50,26 +50,24 @@ def rows_seen(begin: Any, end: Any, means: Any, reach: Any, view: Any, rows: Any
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _hidden(base: Any, row: Any, shared: Any, steer: Any, x: Any, y: Any, z: Any, width: Any, out: Any) -> None:
-    """Write the hidden layer of a row: its own part, what all share, and what the direction adds, cut off at zero."""
-    zero = spread(np.float32(0.0))
-    for start in range(0, width, WIDTH):
-        value = load(base, row * width + start) + load(shared, start)
-        value = fma(load(steer, start), x, value)
-        value = fma(load(steer, width + start), y, value)
-        value = fma(load(steer, 2 * width + start), z, value)
-        store(out, start, chosen(value > zero, value, zero))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _outputs(hidden: Any, first: Any, count: Any, weights: Any, bias: Any, wide: Any, out: Any, to: Any) -> None:
-    """Write the last layer, ``bias + weights.T @ hidden``, of so many numbers of the hidden layer."""
+def _layer(values: Any, first: Any, count: Any, weights: Any, bias: Any, out: Any, to: Any) -> None:
+    """Write a layer, ``bias + weights.T @ values``, of an even number of values that begin at `first`."""
+    wide = len(bias)
     for start in range(0, wide, WIDTH):
         even, odd = load(bias, start), spread(np.float32(0.0))
         for unit in range(0, count, 2):
-            even = fma(lift(hidden, first + unit), load(weights, unit * wide + start), even)
-            odd = fma(lift(hidden, first + unit + 1), load(weights, (unit + 1) * wide + start), odd)
+            even = fma(lift(values, first + unit), load(weights, unit * wide + start), even)
+            odd = fma(lift(values, first + unit + 1), load(weights, (unit + 1) * wide + start), odd)
         store(out, to + start, even + odd)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _cut(values: Any, first: Any, count: Any) -> None:
+    """Cut values off at zero."""
+    zero = spread(np.float32(0.0))
+    for start in range(first, first + count, WIDTH):
+        value = load(values, start)
+        store(values, start, chosen(value > zero, value, zero))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -91,9 +89,10 @@ def decode_anchors(
     means: Any,
     offsets: Any,
     sizes: Any,
-    base: Any,
-    shared: Any,
-    steer: Any,
+    codes: Any,
+    radius: Any,
+    first: Any,
+    first_bias: Any,
     geometry: Any,
     geometry_bias: Any,
     colour: Any,
@@ -114,14 +113,16 @@ def decode_anchors(
         means: (N, 3) anchors.
         offsets: (N, k, 3).
         sizes: (N, 6) of offsets and Gaussians, metres.
-        base: (N * 2 H,) the anchors' own part of the hidden layers, of geometry and colour.
-        shared: (2 H,) what the appearance adds.
-        steer: (3 * 2 H,) what the direction adds.
+        codes: (N, F).
+        radius: of the block.
+        first: (D * 2 H,) first layers of geometry and colour, of F + 6 numbers, D of them with the padding, an even
+            number.
+        first_bias: (2 H,), H a multiple of 16.
         geometry: (H * G,) last layer, G a multiple of 16.
         geometry_bias: (G,).
         colour: (H * C,), C a multiple of 16.
         colour_bias: (C,).
-        scratch: (2 H + G + C,) for its own use.
+        scratch: (2 H + G + C + D,) of zeros, for its own use.
         places: (M k, 3) gets centres, as do the others what their names say.
         quats: (M k, 4).
         scales: (M k, 3).
@@ -132,19 +133,26 @@ def decode_anchors(
     Returns:
         How many Gaussians.
     """
-    both, tall, wide = len(shared), len(geometry_bias), len(colour_bias)
+    both, tall, wide, size = len(first_bias), len(geometry_bias), len(colour_bias), codes.shape[1]
     half, k, count = both // 2, offsets.shape[1], 0
+    given, deep = both + tall + wide, len(first) // both
     for place in range(len(rows)):
         row = rows[place]
-        x, y, z = _direction(means, row, eye)
-        _hidden(base, row, shared, steer, x, y, z, both, scratch)
-        _outputs(scratch, 0, half, geometry, geometry_bias, tall, scratch, both)
+        for number in range(size):
+            scratch[given + number] = codes[row, number]
+        direction = _direction(means, row, eye)
+        for axis in range(3):
+            scratch[given + size + axis] = direction[axis]
+            scratch[given + size + 3 + axis] = means[row, axis] / radius
+        _layer(scratch, given, deep, first, first_bias, scratch, 0)
+        _cut(scratch, 0, both)
+        _layer(scratch, 0, half, geometry, geometry_bias, scratch, both)
         any_drawn = False
         for offset in range(k):
             any_drawn |= scratch[both + GEOMETRY * offset] > 0.0
         if not any_drawn:
             continue
-        _outputs(scratch, half, half, colour, colour_bias, wide, scratch, both + tall)
+        _layer(scratch, half, half, colour, colour_bias, scratch, both + tall)
         for offset in range(k):
             own = both + GEOMETRY * offset
             if not scratch[own] > 0.0:
@@ -168,9 +176,9 @@ def decode_colours(
     rows: Any,
     eye: Any,
     means: Any,
-    base: Any,
-    shared: Any,
-    steer: Any,
+    codes: Any,
+    first: Any,
+    first_bias: Any,
     colour: Any,
     colour_bias: Any,
     scratch: Any,
@@ -182,19 +190,25 @@ def decode_colours(
         rows: (M,) int64.
         eye: (3,) camera.
         means: (N, 3).
-        base: (N * H,) their own part of the hidden layer.
-        shared: (H,) what the appearance adds.
-        steer: (3 * H,) what the direction adds.
+        codes: (N, F).
+        first: (D * H,) first layer, of F + 3 numbers, D of them with the padding, an even number.
+        first_bias: (H,), H a multiple of 16.
         colour: (3 * H,) last layer, a row a channel.
         colour_bias: (3,).
-        scratch: (H,) for its own use.
+        scratch: (H + D,) of zeros, for its own use.
         colours: (M, 3) gets them.
     """
-    width = len(shared)
+    width, size = len(first_bias), codes.shape[1]
+    deep = len(first) // width
     for place in range(len(rows)):
         row = rows[place]
-        x, y, z = _direction(means, row, eye)
-        _hidden(base, row, shared, steer, x, y, z, width, scratch)
+        for number in range(size):
+            scratch[width + number] = codes[row, number]
+        direction = _direction(means, row, eye)
+        for axis in range(3):
+            scratch[width + size + axis] = direction[axis]
+        _layer(scratch, width, deep, first, first_bias, scratch, 0)
+        _cut(scratch, 0, width)
         for channel in range(3):
             summed = spread(np.float32(0.0))
             for start in range(0, width, WIDTH):

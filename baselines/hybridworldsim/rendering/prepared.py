@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from hybridworldsim.rasterizer.cpu.machine.memory import room
 from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
@@ -27,24 +27,17 @@ _PARTS: Final = 8
 class PreparedAnchors:
     """`Anchors` that decode as those do, without gradients.
 
-    Of the hidden layers, what comes of codes and places is the same in every view and is kept: 256 bytes an anchor with
-    32 units.
-
     Args:
         node: as it was trained; later changes to it are not noticed.
     """
 
     def __init__(self, node: Anchors) -> None:
-        self.k, self._count = node.k, len(node)
-        self._means, self._offsets = _array(node.means), _array(node.offsets)
+        self.k, self._count, self._radius = node.k, len(node), np.float32(node.radius_m)
+        self._means, self._offsets, self._codes = _array(node.means), _array(node.offsets), _array(node.codes)
         self._sizes = _array(node.log_scales.exp())
         self._reach = _array(3.0 * node.log_scales.amax(1).exp() if len(node) else node.log_scales[:, 0])
-        inputs = (node.codes, node.means / node.radius_m)
-        layers = [_Layer(network, inputs) for network in (node.geometry, node.colour)]
-        self._geometry, self._colour = layers
-        self._base = np.concatenate([layer.base for layer in layers], axis=1).ravel()
-        self._steer = np.concatenate([layer.steer for layer in layers], axis=1).ravel()
-        self._last = [_wide(layer.out) for layer in layers]
+        self._networks = node.geometry, node.colour
+        self._last = [_wide(network.out) for network in self._networks]
 
     def __len__(self) -> int:
         return self._count
@@ -52,7 +45,8 @@ class PreparedAnchors:
     def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> Splats:
         """See `Anchors.decode`."""
         seen = seen_rows(viewpoint, self._means, self._reach)
-        shared = np.concatenate([self._geometry.shared(content), self._colour.shared(latent)])
+        layers = [_first(network, z) for network, z in zip(self._networks, (content, latent))]
+        first, bias = np.concatenate([one for one, _ in layers], axis=1), np.concatenate([one for _, one in layers])
         eye = _array(viewpoint.centre)
         (tall, tall_bias), (wide, wide_bias) = self._last
         most = len(seen) * self.k
@@ -61,11 +55,11 @@ class PreparedAnchors:
 
         def work(part: int) -> None:
             begin, end = edges[part], edges[part + 1]
-            scratch = np.empty(len(shared) + len(tall_bias) + len(wide_bias), np.float32)
+            scratch = np.zeros(len(bias) + len(tall_bias) + len(wide_bias) + len(first), np.float32)
             into = [column[begin * self.k : end * self.k] for column in columns]
             counts[part] = decode_anchors(
-                seen[begin:end], eye, self._means, self._offsets, self._sizes, self._base, shared, self._steer,
-                tall, tall_bias, wide, wide_bias, scratch, *into,
+                seen[begin:end], eye, self._means, self._offsets, self._sizes, self._codes, self._radius,
+                first.ravel(), bias, tall, tall_bias, wide, wide_bias, scratch, *into,
             )  # fmt: skip
 
         in_parallel(work, _PARTS)
@@ -90,11 +84,10 @@ class PreparedCodeGaussians:
         self._tables = tuple(
             table.detach().clone() for table in (node.means, node.quats, node.log_scales.exp(), node.logits.sigmoid())
         )
-        self._means = _array(node.means)
+        self._means, self._codes = _array(node.means), _array(node.codes)
         self._reach = _array(3.0 * node.log_scales.amax(1).exp() if len(node) else node.logits)
-        self._layer = _Layer(node.colour, (node.codes,))
-        self._base, self._steer = self._layer.base.ravel(), self._layer.steer.ravel()
-        self._out = self._layer.out[0].ravel()
+        self._network = node.colour
+        self._last = _padded(node.colour.out.weight).ravel(), _array(node.colour.out.bias)
 
     def __len__(self) -> int:
         return self._count
@@ -102,15 +95,15 @@ class PreparedCodeGaussians:
     def decode(self, viewpoint: Viewpoint, latent: Tensor) -> Splats:
         """See `CodeGaussians.decode`."""
         seen = seen_rows(viewpoint, self._means, self._reach)
-        shared, eye = self._layer.shared(latent), _array(viewpoint.centre)
+        (first, bias), eye = _first(self._network, latent), _array(viewpoint.centre)
         colours = np.empty((len(seen), 3), np.float32)
         edges = _edges(len(seen))
 
         def work(part: int) -> None:
             span = slice(edges[part], edges[part + 1])
             decode_colours(
-                seen[span], eye, self._means, self._base, shared, self._steer, self._out, self._layer.out[1],
-                np.empty(len(shared), np.float32), colours[span],
+                seen[span], eye, self._means, self._codes, first.ravel(), bias, *self._last,
+                np.zeros(len(bias) + len(first), np.float32), colours[span],
             )  # fmt: skip
 
         in_parallel(work, _PARTS)
@@ -145,31 +138,6 @@ class PreparedStreet:
         )
 
 
-class _Layer:
-    """A `Conditioned` network whose inputs are those that views share, and the direction, given second.
-
-    The hidden units are padded with ones that are always zero.
-
-    Args:
-        network: whose first input is the codes, whose second the direction.
-        inputs: codes, and what follows the direction.
-    """
-
-    def __init__(self, network: Conditioned, inputs: tuple[Tensor, ...]) -> None:
-        with torch.no_grad():
-            matrices = [network.own[0], *list(network.own)[2:]]
-            base = network.bias + sum(values @ matrix.T for values, matrix in zip(inputs, matrices, strict=True))
-            self._pad = -base.shape[1] % WIDTH
-            self.base = np.pad(_array(base), ((0, 0), (0, self._pad)))
-            self.steer = np.pad(_array(network.own[1].T), ((0, 0), (0, self._pad)))
-            self.out = np.pad(_array(network.out.weight), ((0, 0), (0, self._pad))), _array(network.out.bias)
-            self._matrix = network.shared.detach().clone()
-
-    def shared(self, latent: Tensor) -> Float32:
-        """(H,) that an appearance adds to the hidden layer."""
-        return np.pad(_array(self._matrix @ latent.detach()), (0, self._pad))
-
-
 def seen_rows(viewpoint: Viewpoint, means: Float32, reach_m: Float32) -> Int64:
     """Rows whose sphere a view's pyramid may meet, ascending; see `hybridworldsim.scene.visible.visible`."""
     view = _view(viewpoint)
@@ -202,11 +170,22 @@ def _columns(most: int) -> tuple[AnyArray, ...]:
     return (*(room(int(np.prod(shape))).reshape(shape) for shape in shapes), room(most, np.int64))
 
 
-def _wide(out: tuple[Float32, Float32]) -> tuple[Float32, Float32]:
-    """A last layer (M, H), (M,) with a row a hidden unit, flat, the outputs filled up to whole vectors."""
-    weight, bias = out
-    more = -len(bias) % WIDTH
-    return np.ascontiguousarray(np.pad(weight.T, ((0, 0), (0, more)))).ravel(), np.pad(bias, (0, more))
+def _first(network: Conditioned, latent: Tensor) -> tuple[Float32, Float32]:
+    """A first layer under an appearance: (D, H) with a row a number of the input, one of zeros if D were odd; (H,)."""
+    matrix, bias = network.first(latent)
+    table = _padded(matrix.T)
+    return np.pad(table, ((0, len(table) % 2), (0, 0))), _padded(bias[None])[0]
+
+
+def _wide(out: nn.Linear) -> tuple[Float32, Float32]:
+    """A last layer with a row a hidden unit, flat, and its bias."""
+    weight = _padded(out.weight.T)
+    return np.pad(weight, ((0, -len(weight) % WIDTH), (0, 0))).ravel(), _padded(out.bias[None])[0]
+
+
+def _padded(table: Tensor) -> Float32:
+    """A table (N, M) whose rows are filled up with zeros to whole vectors."""
+    return np.pad(_array(table), ((0, 0), (0, -table.shape[1] % WIDTH)))
 
 
 def _edges(count: int) -> Int64:

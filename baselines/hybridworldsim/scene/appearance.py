@@ -14,7 +14,10 @@ _SPREAD = 0.1
 
 
 class Appearance(nn.Module):
-    """z(drive, sensor), supplement "Controllable Lighting Change".
+    """z(drive, sensor), supplement "Controllable Lighting Change": what a traversal looks like, and a camera in it.
+
+    A pair's latent is its traversal's and the pair's own, which begins at zero and learns slowly: a place that one
+    camera of a traversal never saw then looks there as it does to the others.
 
     Args:
         sources: pairs that are trained on.
@@ -23,9 +26,13 @@ class Appearance(nn.Module):
 
     def __init__(self, sources: Sequence[Source], size: int) -> None:
         super().__init__()
-        self.sources = tuple(sources)
-        self._rows = {source: row for row, source in enumerate(self.sources)}
-        self.latents = nn.Parameter(_SPREAD * torch.randn(len(self.sources), size))
+        self.sources: tuple[Source, ...] = ()
+        self._rows: dict[Source, int] = {}
+        self._drives: dict[str, int] = {}
+        for source in sources:
+            self._know(source)
+        self.drives = nn.Parameter(_SPREAD * torch.randn(len(self._drives), size))
+        self.sensors = nn.Parameter(torch.zeros(len(self.sources), size))
 
     def forward(self, source: Source) -> Tensor:
         """(size,) of a pair.
@@ -40,14 +47,20 @@ class Appearance(nn.Module):
                 expected=f"one of the {len(self.sources)} pairs that were trained on",
                 remedy="choose what to take in its place: --appearance nearest, mean or a traversal",
             )
-        return self.latents[row]
+        return self.drives[self._drives[source.traversal_id]] + self.sensors[row]
 
     def add(self, source: Source, latent: Tensor) -> None:
         """Know one more pair, by a latent (size,) that was fitted to it; a known pair gets another latent."""
         with torch.no_grad():
-            if source in self._rows:
-                self.latents[self._rows[source]] = latent
-                return
+            self._know(source)
+            self.drives, self.sensors = (
+                nn.Parameter(torch.cat([table, table.new_zeros(count - len(table), table.shape[1])]))
+                for table, count in ((self.drives, len(self._drives)), (self.sensors, len(self.sources)))
+            )
+            self.sensors[self._rows[source]] = latent - self.drives[self._drives[source.traversal_id]]
+
+    def _know(self, source: Source) -> None:
+        if source not in self._rows:
             self._rows[source] = len(self.sources)
             self.sources = (*self.sources, source)
-            self.latents = nn.Parameter(torch.cat([self.latents, latent[None]]))
+            self._drives.setdefault(source.traversal_id, len(self._drives))

@@ -19,6 +19,11 @@ from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.state import dumped, load
 from hybridworldsim.training.viewpoint import Viewpoint
 
+_BETAS = (0.9, 0.99)
+"""A hundred steps of memory, not Adam's thousand: a picture in ten shows a Gaussian, and few of them the same side."""
+_SENSORS = 0.1
+"""What tells a camera from the others of its traversal learns at this share of the traversal's rate."""
+
 
 class StreetLearner:
     """A street that learns; a `hybridworldsim.training.learner.Learner`.
@@ -43,8 +48,10 @@ class StreetLearner:
             groups.append({"params": [getattr(background, name)], "rate": name, "factor": 1.0})
         networks = [*background.geometry.parameters(), *background.colour.parameters()]
         groups.append({"params": networks, "rate": "networks", "factor": 1.0})
-        groups.append({"params": [street.appearance.latents], "rate": "latents", "factor": 1.0})
-        self._adam = torch.optim.Adam(groups, lr=1e-3, eps=1e-15, fused=True)
+        appearance = street.appearance
+        groups.append({"params": [appearance.drives], "rate": "latents", "factor": 1.0})
+        groups.append({"params": [appearance.sensors], "rate": "latents", "factor": _SENSORS})
+        self._adam = torch.optim.Adam(groups, lr=1e-3, betas=_BETAS, eps=1e-15, fused=True)
         refinement = settings.refinement
         self._anchors = AnchorRefiner(background, refinement)
         self._ground = CodeRefiner(street.ground, refinement, refinement.most_ground)

@@ -48,7 +48,9 @@ def normals_of(depth_m: Tensor, K: Tensor) -> Tensor:
     padded = functional.pad(points, (1, 1, 1, 1), mode="replicate")
     right = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
     down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
-    return functional.normalize(torch.linalg.cross(down, right, dim=0), dim=0).permute(1, 2, 0)
+    across = torch.linalg.cross(down, right, dim=0)
+    # Torch's norms along an axis of three are many times slower.
+    return (across * across.square().sum(0).clamp_min(1e-24).rsqrt()).permute(1, 2, 0)
 
 
 def curvature(normals: Tensor) -> Tensor:

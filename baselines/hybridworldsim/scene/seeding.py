@@ -61,7 +61,7 @@ def street_of(initial: Initial, settings: Settings) -> Street:
         background = _background(initial, settings)
         on_ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m)
         if not settings.hybrid:
-            on_ground = both(on_ground, _round(_by_distance(initial, settings), settings.first_spacing_m))
+            on_ground = both(on_ground, _round(_first_points(initial, settings), settings.first_spacing_m))
         in_sky = sky_seeds(initial, settings.sky_count, settings.sky_radius, settings.far_count)
         ground = CodeGaussians(on_ground, settings.plain_code, settings.latent, settings.hidden)
         sky = CodeGaussians(in_sky, settings.plain_code, settings.latent, settings.hidden)
@@ -80,7 +80,7 @@ def thinned(points: Float64, size_m: float, most: int) -> Float64:
 
 
 def _background(initial: Initial, settings: Settings) -> Anchors:
-    points = _by_distance(initial, settings) if settings.hybrid else np.empty((0, 3))
+    points = _first_points(initial, settings) if settings.hybrid else np.empty((0, 3))
     return Anchors(
         torch.from_numpy(points.astype(np.float32)),
         torch.from_numpy(spacing(points, settings.first_spacing_m).astype(np.float32)),
@@ -92,16 +92,26 @@ def _background(initial: Initial, settings: Settings) -> Anchors:
     )
 
 
-def _by_distance(initial: Initial, settings: Settings) -> Float64:
-    """Points (N, 3) of the background: those far from where vehicles drive are seen small, and thinned more."""
+def _first_points(initial: Initial, settings: Settings) -> Float64:
+    return background_points(initial, settings.first_spacing_m, settings.first_share, settings.first_anchors)
+
+
+def background_points(initial: Initial, spacing_m: float, share: float, most: int) -> Float64:
+    """Points (N, 3) of the background: those far from where vehicles drive are seen small, and thinned more.
+
+    Args:
+        initial: what is known.
+        spacing_m: one a cell of this size.
+        share: or of this share of the distance from where vehicles drive, if that is more.
+        most: so many, at most.
+    """
     distance, _ = cKDTree(initial.driven_m).query(initial.points_m)
-    times = np.maximum(settings.first_share * distance / settings.first_spacing_m, 1.0)
-    level = np.ceil(np.log2(times)).astype(np.int64)
+    level = np.ceil(np.log2(np.maximum(share * distance / spacing_m, 1.0))).astype(np.int64)
     spaced = [
-        thinned(initial.points_m[level == one], settings.first_spacing_m * 2.0**one, len(level))
+        thinned(initial.points_m[level == one], spacing_m * 2.0**one, len(level))
         for one in range(int(level.max(initial=0)) + 1)
     ]
-    return thinned(np.concatenate(spaced), settings.first_spacing_m, settings.first_anchors)
+    return thinned(np.concatenate(spaced), spacing_m, most)
 
 
 def spacing(points: Float64, least_m: float) -> Float64:

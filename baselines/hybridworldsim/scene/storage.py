@@ -21,7 +21,7 @@ from hybridworldsim.training.viewpoint import Source
 from mirror.errors import DatasetError
 from mirror.schema.files import write_bytes
 
-FORMAT: Final = "hybridworldsim.block/1"
+FORMAT: Final = "hybridworldsim.block/2"
 _ENTRY: Final = "hybridworldsim"
 _TABLES: Final = ("offsets", "codes", "log_scales", "quats", "logits")
 
@@ -102,7 +102,7 @@ def _stored(name: str, parameter: Tensor, half: bool, path: Path) -> Tensor:
 
 def _empty(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source]) -> Street:
     """A street of the same sizes without rows."""
-    latent = tables["appearance.latents"].shape[1]
+    latent = tables["appearance.drives"].shape[1]
     none = torch.empty(0, 3)
     with torch.random.fork_rng(devices=[]):
         background = Anchors(

@@ -23,7 +23,7 @@ def scored_pixels(protocol: Protocol, view: View, frame: Frame, image: Image, la
         view: the view.
         frame: its frame.
         image: its recorded picture.
-        layers: ``kind/source@version`` of the traversal's layers of masks and boxes.
+        layers: of the traversal, as `Plan` has them.
 
     Returns:
         (H, W), True where pixels are scored.

@@ -21,7 +21,7 @@ from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.schema.documents import SplitDocument
 
-_MASKING = ("boxes", "masks")
+_MASKS = "masks"
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Plan:
         protocol: what asks.
         split: the split's name.
         dataset_hash: of what the split was made of.
-        layers: kinds of layers that decide what is scored, with their versions, by traversal.
+        layers: those that decide what is scored, ``kind/source@version``, by traversal. Masks that say nothing of road
+            users have what they do say before that: ``sky:masks/source@version``.
         views: in order of group, traversal, frame and camera.
         empty_groups: groups whose roles no traversal of the split has, or that found no view.
         hash: SHA-256 of all this but poses and lenses, whose last digits depend on the machine.
@@ -95,7 +96,7 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
             expected=f"traversals with pictures in the roles {', '.join(roles)}",
             remedy="choose another split or protocol",
         )
-    layers = _layers(dataset, sorted({view.traversal_id for view in views}))
+    layers = _layers(dataset, protocol, sorted({view.traversal_id for view in views}))
     _require_maskable(dataset, protocol, layers)
     return Plan(protocol, split, document.dataset_hash, layers, tuple(views), tuple(empty))
 
@@ -177,14 +178,35 @@ def _view(group: Group, frame: Frame, image: Image, camera: Camera, row: dict[st
     )
 
 
-def _layers(dataset: Dataset, traversals: list[str]) -> dict[str, tuple[str, ...]]:
-    table = dataset.table("traversals", ["traversal_id", "layers"]).to_pylist()
-    wanted = set(traversals)
-    return {
-        row["traversal_id"]: tuple(sorted(one for one in row["layers"] if one.partition("/")[0] in _MASKING))
-        for row in table
-        if row["traversal_id"] in wanted
-    }
+def _layers(dataset: Dataset, protocol: Protocol, traversals: list[str]) -> dict[str, tuple[str, ...]]:
+    rows = dataset.table("traversals", ["traversal_id", "layers"]).to_pylist()
+    wanted, told = set(traversals), _kinds_of_masks(dataset)
+    asked = {kind for kind, read in (("ego", protocol.masks.ego), ("sky", protocol.masks.sky)) if read}
+    found = {}
+    for row in rows:
+        if row["traversal_id"] not in wanted:
+            continue
+        own = [layer for layer in row["layers"] if layer.startswith("boxes/")]
+        for layer in row["layers"]:
+            if layer.startswith(f"{_MASKS}/"):
+                kinds = told.get((row["traversal_id"], layer))
+                # A layer without rows was made, and found no road user.
+                if kinds is None or "dynamic" in kinds:
+                    own.append(layer)
+                else:
+                    own += [f"{kind}:{layer}" for kind in kinds & asked]
+        found[row["traversal_id"]] = tuple(sorted(own))
+    return found
+
+
+def _kinds_of_masks(dataset: Dataset) -> dict[tuple[str, str], set[str]]:
+    """What the layers of masks mask, by traversal and layer."""
+    names = ["traversal_id", "source", "source_version", "kind"]
+    found: dict[tuple[str, str], set[str]] = {}
+    for row in dataset.table(_MASKS, names).group_by(names).aggregate([]).to_pylist():
+        layer = f"{_MASKS}/{row['source']}@{row['source_version']}"
+        found.setdefault((row["traversal_id"], layer), set()).add(row["kind"])
+    return found
 
 
 def _require_maskable(dataset: Dataset, protocol: Protocol, layers: dict[str, tuple[str, ...]]) -> None:

@@ -43,8 +43,8 @@ class Anchors(nn.Module):
         self.offsets = nn.Parameter(_SPREAD * (2.0 * torch.rand(count, offsets, 3) - 1.0))
         self.codes = nn.Parameter(torch.zeros(count, code))
         self.log_scales = nn.Parameter(spacing_m.log()[:, None].repeat(1, 6))
-        self.geometry = Conditioned((code, 3, 3), latent, hidden, GEOMETRY * offsets)
-        self.colour = Conditioned((code, 3, 3), latent, hidden, 3 * offsets)
+        self.geometry = Conditioned(code, 6, latent, hidden, GEOMETRY * offsets, bent=False)
+        self.colour = Conditioned(code, 6, latent, hidden, 3 * offsets, bent=True)
         with torch.no_grad():
             # Visible and unturned to begin with: what is not drawn is not learnt.
             bias = self.geometry.out.bias.view(offsets, GEOMETRY)
@@ -67,9 +67,9 @@ class Anchors(nn.Module):
             reach = 3.0 * self.log_scales.amax(1).exp()
         seen = visible(viewpoint, self.means, reach)
         means = self.means[seen]
-        directions = unit(means - viewpoint.centre)
-        inputs = (copied_rows(self.codes, seen), directions, means / self.radius_m)
-        geometry, colours = self.geometry(inputs, content), self.colour(inputs, latent)
+        beside = torch.cat((unit(means - viewpoint.centre), means / self.radius_m), dim=1)
+        codes = copied_rows(self.codes, seen)
+        geometry, colours = self.geometry(codes, beside, content), self.colour(codes, beside, latent)
         centres, quats, scales, opacities, tints, rows = assembled(
             geometry, colours, seen, self.means, self.offsets, self.log_scales
         )

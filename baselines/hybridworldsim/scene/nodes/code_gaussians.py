@@ -51,7 +51,7 @@ class CodeGaussians(nn.Module):
         self.log_scales = nn.Parameter(seeds.scales.log())
         self.logits = nn.Parameter(torch.full((count,), seeds.opacity).logit())
         self.codes = nn.Parameter(torch.zeros(count, code))
-        self.colour = Conditioned((code, 3), latent, hidden, 3)
+        self.colour = Conditioned(code, 3, latent, hidden, 3, bent=True)
 
     def __len__(self) -> int:
         return len(self.means)
@@ -68,7 +68,7 @@ class CodeGaussians(nn.Module):
         rows = visible(viewpoint, self.means, reach)
         means = copied_rows(self.means, rows)
         directions = unit(means.detach() - viewpoint.centre)
-        colours = self.colour((copied_rows(self.codes, rows), directions), latent).sigmoid()
+        colours = self.colour(copied_rows(self.codes, rows), directions, latent).sigmoid()
         return Splats(
             means,
             copied_rows(self.quats, rows),

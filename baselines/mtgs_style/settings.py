@@ -28,7 +28,7 @@ RELEASED: Final = MtgsStyle(
         shN=Rate(1.25e-4, 1.25e-4),
     ),
     densification=Densification(gradient=1e-3, split_m=0.2, largest_m=None, absolute=True),
-    weights=Weights(depth=0.5, depth_kind="inverse", normal=1e-3),
+    weights=Weights(depth=0.5, depth_kind="inverse", normal=1e-5),
     antialiased=True,
     exposure=Rate(1e-3, 1e-4),
 )

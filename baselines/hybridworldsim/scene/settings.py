@@ -97,7 +97,7 @@ class Settings:
         seed: of everything that is left to chance.
     """
 
-    latent: int = 16
+    latent: int = 32
     hybrid: bool = True
     code: int = 32
     offsets: int = 10
@@ -111,8 +111,8 @@ class Settings:
     sky_count: int = 1_500
     sky_radius: float = 4.0
     far_count: int = 2_000
-    depth_weight: float = 0.02
-    normal_weight: float = 0.001
+    depth_weight: float = 0.04
+    normal_weight: float = 1e-5
     normal_every: int = 4
     rates: Rates = field(default_factory=Rates)
     refinement: Refinement = field(default_factory=Refinement)

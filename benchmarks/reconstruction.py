@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,17 +15,19 @@ from mirror.errors import ExitCode
 if TYPE_CHECKING:
     from benchmarks._reconstruction.job import Job
 
+_COMPARED = ("train PSNR", "train SSIM", "train ST-LPIPS", "novel PSNR*", "novel SSIM", "novel ST-LPIPS")
+
 
 @dataclass(frozen=True)
 class Arguments:
     """Prepare the scenes, run the jobs, show the tables; each goes on where it was stopped.
 
-    The whole comparison takes hours: 20 core-minutes a job, two jobs side by side on two cores.
+    The whole comparison takes hours: ten minutes a job, two jobs side by side on two cores.
     """
 
-    what: tyro.conf.Positional[Literal["prepare", "run", "show", "truth"]] = "show"
-    """prepare: recordings, dataset, layers; run: train and score; show: tables of what is done;
-    truth: hold trained models against exact truth."""
+    what: tyro.conf.Positional[Literal["tune", "prepare", "run", "show", "truth"]] = "show"
+    """tune: the same grid of settings for all methods, on a street of its own; prepare: recordings, dataset, layers;
+    run: train and score; show: tables of what is done; truth: hold trained models against exact truth."""
     data: Path = OUT / "reconstruction"
     """Folder of the scenes and of all that is made of them."""
     entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -57,6 +59,8 @@ def main(argv: Sequence[str]) -> int:
     from mirror.cli.watch import watching
 
     declaration = declared()
+    if arguments.what == "tune":
+        return _tune(arguments)
     rows = [
         name
         for name, entry in entries().items()
@@ -93,8 +97,31 @@ def main(argv: Sequence[str]) -> int:
     for minutes in budgets:
         own = [one for one in found if one.core_minutes == minutes and one.width_px == width]
         print(f"\n{minutes:g} core-minutes, {width} px\n\n{table(own, rows)}")
-        print(f"\n{differences(own, rows, ('train PSNR', 'train SSIM', 'novel PSNR*', 'novel SSIM'))}")
+        print(f"\n{differences(own, rows, _COMPARED)}")
     return ExitCode.DONE
+
+
+def _tune(arguments: Arguments) -> int:
+    """Make the street of the trials, run those that are not done, and show all."""
+    from benchmarks._reconstruction.data import prepare
+    from benchmarks._reconstruction.declared import declared
+    from benchmarks._reconstruction.job import Job
+    from benchmarks._reconstruction.methods import entries
+    from benchmarks._reconstruction.queue import run_all
+    from benchmarks._reconstruction.tables import outcomes, tuned
+    from mirror.cli.watch import watching
+
+    declaration = declared()
+    grid, folder = declaration.tuning, arguments.data / "tuning"
+    width = arguments.width or declaration.width_px
+    with watching(quiet=False) as watch:
+        street = replace(declaration, preset=grid.preset, scenes_seed=grid.seed)
+        prepare(folder, street, [grid.scene], [declaration.split], width, watch)
+    trials = [name for name, entry in entries().items() if entry.group == "tuning"]
+    jobs = [Job(name, grid.scene, declaration.seeds[0], grid.core_minutes, width) for name in trials]
+    failed = run_all(jobs, folder, arguments.jobs)
+    print(tuned(outcomes(folder), grid))
+    return ExitCode.PARTLY_DONE if failed else ExitCode.DONE
 
 
 def _is_meant(job: Job, arguments: Arguments) -> bool:

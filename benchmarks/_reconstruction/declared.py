@@ -13,6 +13,18 @@ FILE: Final = Path(__file__).with_name("comparison.toml")
 
 
 @dataclass(frozen=True)
+class Tuning:
+    """Where and over what every method is tuned."""
+
+    preset: str
+    seed: int
+    scene: str
+    core_minutes: float
+    rates: tuple[float, ...]
+    sizes: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Declared:
     """What is equal for all methods; `comparison.toml` says what each is."""
 
@@ -30,6 +42,7 @@ class Declared:
     core_minutes_curve: tuple[float, ...]
     core_minutes_long: float
     policy: str
+    tuning: Tuning
     hash: str
 
 
@@ -37,6 +50,7 @@ def declared() -> Declared:
     """The declaration as committed; its hash is of what it says, not of how it is written."""
     document = tomllib.loads(FILE.read_text())
     scenes, pictures, training = document["scenes"], document["pictures"], document["training"]
+    grid = document["tuning"]
     return Declared(
         preset=scenes["preset"],
         scenes_seed=scenes["seed"],
@@ -52,5 +66,13 @@ def declared() -> Declared:
         core_minutes_curve=tuple(training["core_minutes_curve"]),
         core_minutes_long=training["core_minutes_long"],
         policy=document["appearance"]["policy"],
+        tuning=Tuning(
+            preset=grid["preset"],
+            seed=grid["seed"],
+            scene=grid["scene"],
+            core_minutes=grid["core_minutes"],
+            rates=tuple(grid["rates"]),
+            sizes=tuple(grid["sizes"]),
+        ),
         hash=hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest(),
     )

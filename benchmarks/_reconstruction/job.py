@@ -17,6 +17,8 @@ from mirror.evaluation.methods import Looking, Reconstructed
 from mirror.evaluation.progress import Silent
 from mirror.evaluation.truth.source import TruthSource
 from mirror.evaluation.views import Plan, plan_views
+from mirror.metrics.features.perceptual import PerceptualDistance
+from mirror.metrics.features.st_lpips import load_st_lpips
 from mirror.schema.files import write_bytes
 
 RUNS: Final = "runs"
@@ -53,13 +55,15 @@ def run(job: Job, folder: Path) -> Path:
     declaration = declared()
     outcome = folder / OUTCOMES / f"{job.name}.json"
     entry = entries()[job.entry]
+    # Before hours of training are spent: it says what to install.
+    network = load_st_lpips()
     dataset = opened(folder)
     split = entry.split or declaration.split
     task = task_of(declaration, job.scene, split, job.width_px, job.core_minutes, job.seed)
     model = folder / RUNS / job.name
     done = entry.method.reconstruct(dataset, task, model, Silent())
     plan = plan_views(dataset.where(scene=job.scene), narrowed(declaration, job.width_px), split)
-    scores = _scored(entry, model, dataset, plan, declaration)
+    scores = _scored(entry, model, dataset, plan, declaration, network)
     document = {
         "job": asdict(job),
         "declaration": declaration.hash,
@@ -82,11 +86,13 @@ def _costs(done: Reconstructed) -> dict[str, Any]:
     }
 
 
-def _scored(entry: Entry, model: Path, dataset: Dataset, plan: Plan, declaration: Declared) -> dict[str, Any]:
+def _scored(
+    entry: Entry, model: Path, dataset: Dataset, plan: Plan, declaration: Declared, network: PerceptualDistance
+) -> dict[str, Any]:
     truth = TruthSource(dataset, plan.protocol, plan.layers)
     groups = [group.name for group in plan.protocol.groups]
     render = entry.method.open(model, Looking(declaration.policy, plan.views))
-    scores = scores_of(render, plan, truth, groups)
+    scores = scores_of(render, plan, truth, groups, network)
     oracle = _oracle(entry, model, dataset, plan, truth)
     return {
         "means": {group: averaged(scores, group) for group in groups},

@@ -12,9 +12,14 @@ from mirror.arrays import Bool, UInt8
 from mirror.evaluation.truth.source import TruthSource
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
+from mirror.metrics.features.perceptual import PerceptualDistance
+from mirror.metrics.features.st_lpips import st_lpips
 from mirror.metrics.images.colour_correction import psnr_cc
 from mirror.metrics.images.psnr import psnr
 from mirror.metrics.images.ssim import ssim
+
+_PERCEIVED = 40
+"""ST-LPIPS takes half a second a picture: about so many of a group get it, evenly chosen."""
 
 
 @dataclass(frozen=True)
@@ -27,19 +32,28 @@ class Scores:
     psnr: float
     psnr_cc: float
     ssim: float
+    st_lpips: float | None = None
 
 
-def scores_of(render: Callable[[View], UInt8], plan: Plan, truth: TruthSource, groups: Sequence[str]) -> list[Scores]:
-    """Render and score the views of some groups."""
+def scores_of(
+    render: Callable[[View], UInt8],
+    plan: Plan,
+    truth: TruthSource,
+    groups: Sequence[str],
+    network: PerceptualDistance | None = None,
+) -> list[Scores]:
+    """Render and score the views of some groups; some of each by ST-LPIPS too, where its network is given."""
     found = []
-    for view in plan.views:
-        if view.group not in groups:
-            continue
-        found.append(scored(view, render(view), truth.picture(view), truth.scored(view)))
+    for group in groups:
+        views = [view for view in plan.views if view.group == group]
+        every = max(len(views) // _PERCEIVED, 1)
+        for place, view in enumerate(views):
+            perceived = None if place % every else network
+            found.append(scored(view, render(view), truth.picture(view), truth.scored(view), perceived))
     return found
 
 
-def scored(view: View, picture: UInt8, true: UInt8, mask: Bool) -> Scores:
+def scored(view: View, picture: UInt8, true: UInt8, mask: Bool, network: PerceptualDistance | None = None) -> Scores:
     """Score a picture (H, W, 3) of a view by what is true of the pixels of a mask (H, W)."""
     return Scores(
         view.path,
@@ -48,6 +62,7 @@ def scored(view: View, picture: UInt8, true: UInt8, mask: Bool) -> Scores:
         float(psnr(picture, true, mask=mask)),
         float(psnr_cc(picture, true, mask=mask).db),
         float(ssim(picture, true, mask=mask, preset="gaussian11", mask_mode="map")),
+        None if network is None else float(st_lpips(picture, true, network, mask=mask)),
     )
 
 
@@ -56,8 +71,11 @@ def averaged(scores: Sequence[Scores], group: str) -> dict[str, float]:
     own = [one for one in scores if one.group == group]
     traversals = sorted({one.traversal_id for one in own})
     means = {}
-    for metric in ("psnr", "psnr_cc", "ssim"):
-        per = [np.nanmean([getattr(one, metric) for one in own if one.traversal_id == key]) for key in traversals]
+    for metric in ("psnr", "psnr_cc", "ssim", "st_lpips"):
+        values = [(one.traversal_id, value) for one in own if (value := getattr(one, metric)) is not None]
+        if not values:
+            continue
+        per = [np.nanmean([value for traversal, value in values if traversal == key]) for key in traversals]
         means[metric] = float(np.mean(per))
     return means
 

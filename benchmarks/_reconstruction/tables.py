@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import t
 
-from benchmarks._reconstruction.declared import declared
+from benchmarks._reconstruction.declared import Tuning, declared
 from benchmarks._reconstruction.job import OUTCOMES
-from benchmarks._reconstruction.methods import OURS
+from benchmarks._reconstruction.methods import OURS, RIVALS, trial
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,11 @@ class Outcome:
 FIGURES = {
     "train PSNR": "dB",
     "train SSIM": "",
+    "train ST-LPIPS": "",
     "novel PSNR": "dB",
     "novel PSNR*": "dB",
     "novel SSIM": "",
+    "novel ST-LPIPS": "",
     "oracle PSNR*": "dB",
     "MB": "",
     "Gaussians": "",
@@ -59,9 +62,11 @@ def _outcome(document: dict[str, Any]) -> Outcome:
         {
             "train PSNR": means["training"]["psnr"],
             "train SSIM": means["training"]["ssim"],
+            "train ST-LPIPS": means["training"]["st_lpips"],
             "novel PSNR": means["novel"]["psnr"],
             "novel PSNR*": means["novel"]["psnr_cc"],
             "novel SSIM": means["novel"]["ssim"],
+            "novel ST-LPIPS": means["novel"]["st_lpips"],
             "oracle PSNR*": document["oracle"]["psnr_cc"],
             "MB": document["model_bytes"] / 1e6,
             "Gaussians": document["gaussians"],
@@ -98,6 +103,21 @@ def differences(found: Sequence[Outcome], entries: Iterable[str], names: Sequenc
     return "\n".join(lines)
 
 
+def tuned(found: Sequence[Outcome], grid: Tuning) -> str:
+    """Markdown: of each method and cell of the grid training PSNR and PSNR*; the best sum of them is bold."""
+    columns = list(product(grid.rates, grid.sizes))
+    heads = [f"rates x {rates:g}, sizes x {sizes:g}" for rates, sizes in columns]
+    lines = [f"| method | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
+    known = {one.entry: (one.figures["train PSNR"], one.figures["novel PSNR*"]) for one in found}
+    for name in (OURS, *(package.__name__ for package in RIVALS)):
+        own = [known.get(trial(name, *column)) for column in columns]
+        best = max((sum(pair) for pair in own if pair), default=None)
+        cells = ["" if pair is None else f"{pair[0]:.2f} / {pair[1]:.2f}" for pair in own]
+        marked = [f"**{cell}**" if pair and sum(pair) == best else cell for cell, pair in zip(cells, own)]
+        lines.append(f"| {name} | {' | '.join(marked)} |")
+    return "\n".join(lines)
+
+
 def interval(gaps: np.ndarray, level: float = 0.95) -> tuple[float, float]:
     """Of the mean of paired differences; unbounded where there is one."""
     if len(gaps) < 2:
@@ -109,4 +129,4 @@ def interval(gaps: np.ndarray, level: float = 0.95) -> tuple[float, float]:
 def _cell(name: str, value: float) -> str:
     if name in ("Gaussians", "steps"):
         return f"{value:,.0f}"
-    return f"{value:.3f}" if "SSIM" in name else f"{value:.2f}"
+    return f"{value:.3f}" if name.endswith(("SSIM", "LPIPS")) else f"{value:.2f}"

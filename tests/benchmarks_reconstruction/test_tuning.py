@@ -1,0 +1,56 @@
+"""The same grid for every method: what its cells change, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import mtgs_style
+import omnire_style
+from benchmarks._reconstruction.declared import declared
+from benchmarks._reconstruction.methods import RIVALS, entries, scaled_explicit, scaled_street, trial
+from benchmarks._reconstruction.tables import Outcome, tuned
+from hybridworldsim.scene.settings import Rate, Settings
+
+GRID = declared().tuning
+METHODS = ("ours", *(package.__name__ for package in RIVALS))
+
+
+def test_every_method_tries_every_cell() -> None:
+    trials = [name for name, entry in entries().items() if entry.group == "tuning"]
+    cells = [(rates, sizes) for rates in GRID.rates for sizes in GRID.sizes]
+    assert sorted(trials) == sorted(trial(name, *cell) for name in METHODS for cell in cells)
+
+
+def test_the_middle_of_the_grid_is_what_a_method_has() -> None:
+    assert scaled_street(Settings(), 1.0, 1.0) == Settings()
+    for package in RIVALS:
+        assert scaled_explicit(package.TUNED, 1.0, 1.0) == package.TUNED
+
+
+def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
+    settings, changed = omnire_style.TUNED, scaled_explicit(omnire_style.TUNED, 2.0, 0.5)
+    assert changed.rates.means == Rate(2.0 * settings.rates.means.first, 2.0 * settings.rates.means.last)
+    assert changed.affine.first == pytest.approx(2.0 * settings.affine.first)
+    assert changed.densification.most == settings.densification.most // 2
+    back = scaled_explicit(changed, 0.5, 2.0)
+    assert back == settings
+    # None stays none: no rate appears that a method does not have.
+    assert scaled_explicit(mtgs_style.TUNED, 2.0, 1.0).exposure is None
+    ours = scaled_street(Settings(), 0.5, 2.0)
+    assert ours.refinement.most == 2 * Settings().refinement.most
+    assert (
+        replace(ours, rates=Settings().rates, refinement=Settings().refinement, first_anchors=Settings().first_anchors)
+        == Settings()
+    )
+
+
+def test_the_best_cell_of_each_method_is_marked() -> None:
+    found = [
+        Outcome(trial("ours", rates, sizes), GRID.scene, 0, GRID.core_minutes, 240,
+                {"train PSNR": 20.0 + rates, "novel PSNR*": 18.0 - sizes})
+        for rates in GRID.rates for sizes in GRID.sizes
+    ]  # fmt: skip
+    row = next(line for line in tuned(found, GRID).splitlines() if line.startswith("| ours"))
+    assert row.count("**") == 2 and f"**{20.0 + max(GRID.rates):.2f} / {18.0 - min(GRID.sizes):.2f}**" in row

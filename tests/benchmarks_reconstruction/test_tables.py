@@ -63,6 +63,7 @@ def measured(scene: str, median: float | None, moved_m: float, fps: float) -> di
         "job": {"entry": "ours", "scene": scene},
         "depth": [{"group": "novel", "from_m": 2.0, "to_m": 5.0, "median": median, "p90": median}],
         "ground": [{"surface": "as drawn", "bias_m": -0.01, "median_m": 0.02, "p90_m": 0.03}],
+        "ceiling": [{"group": "novel", "light": "nearest", "poses": "true", **scores}],
         "lighting": [{"edit": "day to night", "moved_m": moved_m, "edited": scores, "unedited": scores,
                       "recorded": scores}],
         "seam": [],
@@ -77,6 +78,7 @@ def test_tables_are_means_and_say_the_most_that_moves() -> None:
     assert "| ours | as drawn | -0.010 | 0.020 | 0.030 |" in text
     assert "| ours | day to night | 0.5 | 20.00 | 20.00 | 20.00 | 21.00" in text
     assert "| ours | 20 |" in text and "| paper, quoted | 21 | - | - | 400 |" in text
+    assert "| b | novel | nearest | true | 20.00 | 21.00 | 0.500 |" in text
     assert "Seams" not in text
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.job import Job
+from benchmarks._reconstruction.truth.ceiling import ceiling_of
 from benchmarks._reconstruction.truth.costs import costs_of
 from benchmarks._reconstruction.truth.geometry import geometry_of
 from benchmarks._reconstruction.truth.lighting import lighting_of
@@ -42,6 +43,7 @@ def _measured(job: Job, folder: Path) -> Measured:
         "job": asdict(job),
         **identity,
         **geometry_of(trained),
+        "ceiling": ceiling_of(trained),
         "lighting": lighting,
         "seam": seam_of(trained),
         "costs": costs_of(trained),

@@ -81,7 +81,7 @@ class StreetTruth:
         self._pixels, self._preset, self._seed = plan.protocol.pixels, preset, seed
         self._checked: set[str] = set()
         self._seen: dict[str, TrueView] = {}
-        self._lit: dict[tuple[str, str], UInt8] = {}
+        self._lit: dict[tuple[str, str, bool], UInt8] = {}
 
     def of(self, view: View) -> TrueView:
         """How far everything is from the pose that the view asks for, through its lens; kept for the next model.
@@ -93,19 +93,25 @@ class StreetTruth:
             self._seen[view.path] = self._see(view)
         return self._seen[view.path]
 
-    def lit_as(self, view: View, traversal_id: str) -> UInt8:
+    def lit_as(self, view: View, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
         """The view's picture (H, W, 3), RGB, with the light, weather, leaves and cameras' looks of a traversal.
 
-        Pose, lens and road users are those of the view's own traversal, headlights those of its vehicle. It is
-        rendered as recorded pictures are, brought into the view's raster as they are, and kept.
+        Lens and road users are those of the view's own traversal, headlights those of its vehicle. It is rendered as
+        recorded pictures are, brought into the view's raster as they are, and kept.
+
+        Args:
+            view: whence.
+            traversal_id: whose light.
+            as_recorded: from the pose that was recorded, which is all that a method is told, not from the true one.
 
         Raises:
             DatasetError: the street is not the one that was recorded.
         """
-        if (view.path, traversal_id) not in self._lit:
+        key = (view.path, traversal_id, as_recorded)
+        if key not in self._lit:
             self._require(view)
-            self._lit[view.path, traversal_id] = self._lit_as(view, traversal_id)
-        return self._lit[view.path, traversal_id]
+            self._lit[key] = self._lit_as(view, traversal_id, as_recorded=as_recorded)
+        return self._lit[key]
 
     def height_m(self, view: View, points_m: Float64) -> Float64:
         """Heights (...,) of the ground under or above points (..., 3) of a view's scene."""
@@ -138,7 +144,7 @@ class StreetTruth:
             )
         self._checked.add(view.traversal_id)
 
-    def _lit_as(self, view: View, traversal_id: str) -> UInt8:
+    def _lit_as(self, view: View, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
         own, other, moment = self._drive(view.traversal_id), self._drive(traversal_id), self._moment(view)
         stage = own.lit_by(other)
         stamps = np.array([moment.true_ns])
@@ -146,7 +152,7 @@ class StreetTruth:
         picture = stage.picture(
             stage.at(moment.seconds, drive.world_SE3_ego(stamps)),
             drive.lenses[view.camera],
-            drive.world_SE3_camera(view.camera, stamps),
+            view.pose if as_recorded else drive.world_SE3_camera(view.camera, stamps),
             look=other.drive.looks[view.camera],
             seed=moment.true_ns % (1 << 31),
         )

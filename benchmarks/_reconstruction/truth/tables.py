@@ -20,6 +20,7 @@ def tables(found: Sequence[Measured]) -> str:
     parts = (
         ("Relative error of depth, median / 90 %", depth_table),
         ("Height of the ground, metres", ground_table),
+        ("What a perfect street would score", ceiling_table),
         ("Edits of the light", light_table),
         ("Seams between blocks", seam_table),
         ("Costs", cost_table),
@@ -49,6 +50,16 @@ def ground_table(found: Sequence[Measured]) -> str:
         found, "ground", "surface", names, lambda name, value: f"{value:+.3f}" if name == "bias_m" else f"{value:.3f}"
     )
     return _markdown(["method", "surface", "bias", "median error", "90 %"], rows)
+
+
+def ceiling_table(found: Sequence[Measured]) -> str:
+    """A row a scene, group, light and kind of poses; it is the same whichever method was trained."""
+    rows = {}
+    for one in found:
+        for row in one["ceiling"]:
+            key = (one["job"]["scene"], row["group"], row["light"], row["poses"])
+            rows[key] = [*key, f"{row['psnr']:.2f}", f"{row['psnr_cc']:.2f}", f"{row['ssim']:.3f}"]
+    return _markdown(["scene", "views", "light", "poses", "PSNR", "PSNR*", "SSIM"], [rows[key] for key in sorted(rows)])
 
 
 def light_table(found: Sequence[Measured]) -> str:

@@ -32,8 +32,8 @@ class Arguments:
     """Folder of the scenes and of all that is made of them."""
     entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Rows, such as ours or mtgs_style-tuned; may be repeated. Default: all of the group."""
-    group: Literal["comparison", "ablation", "seam"] = "comparison"
-    """Methods against each other, ours with parts switched off, or ours in two blocks."""
+    group: Literal["comparison", "bytes", "ablation", "seam"] = "comparison"
+    """Methods against each other, rivals with as many bytes as ours, ours with parts switched off, or in two blocks."""
     minutes: Annotated[tuple[float, ...], tyro.conf.UseAppendAction] = ()
     """Core-minutes of training. Default: as declared."""
     scenes: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -53,7 +53,7 @@ def main(argv: Sequence[str]) -> int:
     from benchmarks._reconstruction.data import prepare
     from benchmarks._reconstruction.declared import declared
     from benchmarks._reconstruction.job import Job
-    from benchmarks._reconstruction.methods import entries
+    from benchmarks._reconstruction.methods import OURS, entries
     from benchmarks._reconstruction.queue import run_all
     from benchmarks._reconstruction.tables import differences, outcomes, table
     from mirror.cli.watch import watching
@@ -93,6 +93,7 @@ def main(argv: Sequence[str]) -> int:
         print(tables(measure_all(trained, arguments.data)) or "no model is trained to the end")
         return ExitCode.DONE
     found = outcomes(arguments.data)
+    rows = list(dict.fromkeys([OURS, *rows]))
     print(f"declaration {declaration.hash[:16]}")
     for minutes in budgets:
         own = [one for one in found if one.core_minutes == minutes and one.width_px == width]

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final
 
 import mtgs_style
 import omnire_style
 import vanilla_3dgs
 from benchmarks._reconstruction.declared import declared
+from benchmarks._reconstruction.scaled import scaled_explicit, scaled_street
+from benchmarks._reconstruction.small import as_small
 from hybridworldsim.methods.static import StaticMethod
 from hybridworldsim.methods.street import StreetMethod
 from hybridworldsim.methods.street import make as make_street
-from hybridworldsim.scene.settings import Rate, Refinement, Settings
-from splatting.settings import Splatting
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-_T = TypeVar("_T", bound="DataclassInstance")
+from hybridworldsim.scene.settings import Refinement, Settings
 
 OURS: Final = "ours"
 RIVALS: Final = (vanilla_3dgs, mtgs_style, omnire_style)
@@ -36,7 +32,7 @@ class Entry:
     Attributes:
         name: of the row.
         method: with its settings.
-        group: ``comparison``, ``ablation``, ``seam`` or ``tuning``.
+        group: ``comparison``, ``bytes``, ``ablation``, ``seam`` or ``tuning``.
         split: another split than the declared one, of fewer training traversals.
     """
 
@@ -54,6 +50,10 @@ def entries() -> dict[str, Entry]:
             Entry(f"{package.__name__}-{label}", _explicit(package, settings))
             for package in RIVALS
             for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
+        ),
+        *(
+            Entry(f"{package.__name__}-bytes", _explicit(package, as_small(package.TUNED)), "bytes")
+            for package in RIVALS
         ),
         *(Entry(name, _street(change), "ablation") for name, change in _ABLATIONS.items()),
         Entry("two-blocks", replace(_street(_same), block_m=_TWO_BLOCKS_M), "seam"),
@@ -75,40 +75,6 @@ def _trials() -> Iterator[Entry]:
         for package in RIVALS:
             settings = scaled_explicit(package.TUNED, rates, sizes)
             yield Entry(trial(package.__name__, rates, sizes), _explicit(package, settings), "tuning")
-
-
-def scaled_street(settings: Settings, rates: float, sizes: float) -> Settings:
-    """Our settings with all learning rates and all numbers of Gaussians times something."""
-    grown = settings.refinement
-    return replace(
-        settings,
-        rates=_faster(settings.rates, rates),
-        first_anchors=round(sizes * settings.first_anchors),
-        refinement=replace(
-            grown,
-            most=round(sizes * grown.most),
-            most_ground=round(sizes * grown.most_ground),
-            most_sky=round(sizes * grown.most_sky),
-        ),
-    )
-
-
-def scaled_explicit(settings: Splatting, rates: float, sizes: float) -> Splatting:
-    """A rival's settings with all learning rates and all numbers of Gaussians times something."""
-    seeding, density = settings.seeding, settings.densification
-    return replace(
-        _faster(settings, rates),
-        rates=_faster(settings.rates, rates),
-        seeding=replace(seeding, most=round(sizes * seeding.most)),
-        densification=replace(density, most=round(sizes * density.most)),
-    )
-
-
-def _faster(settings: _T, times: float) -> _T:
-    """Settings whose learning rates are times something."""
-    own = {field.name: getattr(settings, field.name) for field in fields(settings)}
-    rates = {name: rate for name, rate in own.items() if isinstance(rate, Rate)}
-    return replace(settings, **{name: Rate(times * rate.first, times * rate.last) for name, rate in rates.items()})
 
 
 def _as_many_bytes(refinement: Refinement) -> Refinement:

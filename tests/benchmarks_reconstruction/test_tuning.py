@@ -9,7 +9,8 @@ import pytest
 import mtgs_style
 import omnire_style
 from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.methods import RIVALS, entries, scaled_explicit, scaled_street, trial
+from benchmarks._reconstruction.methods import RIVALS, entries, trial
+from benchmarks._reconstruction.scaled import scaled_explicit, scaled_street
 from benchmarks._reconstruction.tables import Outcome, tuned
 from hybridworldsim.scene.settings import Rate, Settings
 

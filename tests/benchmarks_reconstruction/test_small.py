@@ -1,0 +1,56 @@
+"""Bytes of models, against models that are made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks._reconstruction.methods import RIVALS
+from benchmarks._reconstruction.small import as_small, numbers_of
+from hybridworldsim.scene.seeding import Initial, street_of
+from hybridworldsim.scene.settings import Refinement, Settings
+from hybridworldsim.training.viewpoint import Source
+from mirror.arrays import Float64
+
+
+def level(places: Float64) -> tuple[Float64, Float64]:
+    return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
+
+
+@pytest.fixture
+def initial() -> Initial:
+    rng = np.random.default_rng(0)
+    driven = np.column_stack([np.linspace(-20.0, 20.0, 30), np.zeros((30, 2))])
+    sources = [Source(f"s.{drive}.0", "front_wide") for drive in "abcd"]
+    return Initial(rng.uniform(-20.0, 20.0, (4000, 3)), rng.uniform(80.0, 90.0, (50, 3)), driven, level, 30.0, sources)
+
+
+def numbers(model: torch.nn.Module) -> int:
+    return sum(parameter.numel() for parameter in model.parameters())
+
+
+def test_numbers_of_our_model(initial: Initial) -> None:
+    street = street_of(initial, Settings())
+    full = replace(
+        Settings(),
+        refinement=Refinement(most=len(street.background), most_ground=len(street.ground), most_sky=len(street.sky)),
+    )
+    # The latents of the sources are not counted: they are few.
+    assert numbers_of(full) == numbers(street) - numbers(street.appearance)
+
+
+@pytest.mark.parametrize("package", RIVALS, ids=lambda package: package.__name__)
+def test_rivals_come_to_our_bytes(package: Any, initial: Initial) -> None:
+    settings = as_small(package.TUNED)
+    counts, sizes = [], []
+    for most in (1000, 2000):
+        learner = package.make(initial, replace(settings, seeding=replace(settings.seeding, most=most)))
+        counts.append(len(learner.model))
+        sizes.append(numbers(learner.model))
+    each = (sizes[1] - sizes[0]) / (counts[1] - counts[0])
+    full = sizes[0] + each * (settings.densification.most - counts[0])
+    assert full == pytest.approx(numbers_of(Settings()), rel=1e-2)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import cv2
-import numpy as np
-
+from benchmarks._reconstruction.tiles import sheet
 from benchmarks._reconstruction.truth.lighting import EDITS, target_of, views_in
 from benchmarks._reconstruction.truth.trained import Trained
 from hybridworldsim.training.appearance import SWEEP
@@ -18,7 +16,6 @@ from mirror.evaluation.views.view import View
 from mirror.schema.files import write_bytes
 
 _SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
-_CAPTION_PX: Final = 16
 _CAMERA: Final = "front_wide"
 
 
@@ -31,7 +28,7 @@ def write_sweep(trained: Trained, path: Path) -> None:
     tiles = [("recorded", street.pictures.picture(view))]
     tiles += [(f"{share:.0%} {after}", picture) for share, picture in zip(_SHARES, _renders(trained, view, target))]
     tiles.append((f"true {after}", street.lit_as(view, target)))
-    write_bytes(path, encode_png(np.hstack([_captioned(*tile) for tile in tiles])))
+    write_bytes(path, encode_png(sheet([tiles])))
 
 
 def _renders(trained: Trained, view: View, target: str) -> list[UInt8]:
@@ -41,9 +38,3 @@ def _renders(trained: Trained, view: View, target: str) -> list[UInt8]:
     looking = Looking(f"{SWEEP}{view.traversal_id}:{target}", views, everywhere=True)
     render = trained.entry.method.open(trained.model, looking)
     return [render(one) for one in views]
-
-
-def _captioned(text: str, picture: UInt8) -> UInt8:
-    tile = np.pad(picture, ((_CAPTION_PX, 0), (0, 4), (0, 0)), constant_values=255)
-    cv2.putText(tile, text, (2, _CAPTION_PX - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
-    return tile

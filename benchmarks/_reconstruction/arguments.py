@@ -1,0 +1,42 @@
+"""What the benchmark of static reconstruction may be asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from benchmarks.report import OUT
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Prepare the scenes, run the jobs, show the tables; each goes on where it was stopped.
+
+    The whole comparison takes hours: ten minutes a job, two jobs side by side on two cores.
+    """
+
+    what: tyro.conf.Positional[Literal["tune", "prepare", "run", "show", "truth", "figures"]] = "show"
+    """tune: the same grid of settings for all methods, on a street of its own; prepare: recordings, dataset, layers;
+    run: train and score; show: tables of what is done; truth: hold trained models against exact truth;
+    figures: sheets of renders and curves of budgets."""
+    data: Path = OUT / "reconstruction"
+    """Folder of the scenes and of all that is made of them."""
+    entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Rows, such as ours or mtgs_style-tuned; may be repeated. Default: all of the group."""
+    group: Literal["comparison", "bytes", "ablation", "seam"] = "comparison"
+    """Methods against each other, rivals with as many bytes as ours, ours with parts switched off, or in two blocks."""
+    minutes: Annotated[tuple[float, ...], tyro.conf.UseAppendAction] = ()
+    """Core-minutes of training. Default: as declared."""
+    scenes: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Default: all that are declared."""
+    seeds: Annotated[tuple[int, ...], tyro.conf.UseAppendAction] = ()
+    """Default: all that are declared."""
+    width: int | None = None
+    """Of the pictures. Default: as declared."""
+    jobs: int = 2
+    """Side by side, each on one core."""
+    out: Path = Path("docs/images/reconstruction")
+    """Folder of the figures."""

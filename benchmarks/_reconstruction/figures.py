@@ -1,0 +1,85 @@
+"""The comparison to look at: what each method draws of the same views, and what a budget buys."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from benchmarks._reconstruction.declared import declared
+from benchmarks._reconstruction.job import NOVEL, Job
+from benchmarks._reconstruction.scoring import scored
+from benchmarks._reconstruction.tables import Outcome
+from benchmarks._reconstruction.tiles import sheet
+from benchmarks._reconstruction.truth.lighting import TRAINING
+from benchmarks._reconstruction.truth.trained import Trained
+from mirror.arrays import UInt8
+from mirror.evaluation.submission.png import encode_png
+from mirror.schema.files import write_bytes
+
+_SHOWN: Final = ((NOVEL, "front_wide"), (NOVEL, "front_right"), (TRAINING, "front_wide"), (TRAINING, "rear_left"))
+_CURVES: Final = (("train PSNR", "training pictures, PSNR, dB"), ("novel PSNR*", "held-out traversal, PSNR*, dB"))
+
+
+def write_sheet(jobs: Sequence[Job], folder: Path, path: Path) -> None:
+    """Write what was recorded of a few views of a scene, and what the models of jobs draw of them, as PNG.
+
+    Args:
+        jobs: of one scene, each trained to the end.
+        folder: of the comparison.
+        path: of the sheet.
+    """
+    models = [Trained(job, folder, declared()) for job in jobs]
+    renderers = [model.open() for model in models]
+    rows = []
+    for group, camera in _SHOWN:
+        own = [view for view in models[0].views(group) if view.camera == camera]
+        if not own:
+            continue
+        view = own[len(own) // 2]
+        true, mask = models[0].street.pictures.picture(view), models[0].street.pictures.scored(view)
+        row = [(f"{group}, {view.light}, {view.weather}", _dimmed(true, mask))]
+        for job, render in zip(jobs, renderers):
+            drawn = render(view)
+            found = scored(view, drawn, true, mask)
+            row.append((f"{job.entry} {found.psnr:.1f}, * {found.psnr_cc:.1f} dB", drawn))
+        rows.append(row)
+    write_bytes(path, encode_png(sheet(rows)))
+
+
+def _dimmed(picture: UInt8, mask: np.ndarray) -> UInt8:
+    """A picture whose pixels that are not scored are dark."""
+    dark: UInt8 = np.where(mask[..., None], picture, picture // 4)
+    return dark
+
+
+def write_budgets(found: Sequence[Outcome], entries: Sequence[str], path: Path) -> None:
+    """Draw quality over core-minutes, a line an entry, means over scenes that have all its budgets, as PNG."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panels = pyplot.subplots(1, len(_CURVES), figsize=(10.0, 4.0), layout="constrained")
+    for panel, (name, label) in zip(panels, _CURVES):
+        for entry in entries:
+            own = [one for one in found if one.entry == entry]
+            budgets = sorted({one.core_minutes for one in own})
+            scenes = [
+                scene for scene in sorted({one.scene for one in own})
+                if {one.core_minutes for one in own if one.scene == scene} == set(budgets)
+            ]  # fmt: skip
+            means = [
+                np.mean([one.figures[name] for one in own if one.core_minutes == minutes and one.scene in scenes])
+                for minutes in budgets
+            ]
+            if scenes:
+                panel.plot(budgets, means, marker="o", label=entry)
+        panel.set(xscale="log", xlabel="core-minutes of training", ylabel=label)
+        panel.grid(alpha=0.3)
+    panels[0].legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)

@@ -18,9 +18,12 @@ from hybridworldsim.methods.static import StaticMethod
 from hybridworldsim.methods.street import StreetMethod
 from hybridworldsim.methods.street import make as make_street
 from hybridworldsim.scene.settings import Refinement, Settings
+from splatting.settings import Splatting
 
 OURS: Final = "ours"
 RIVALS: Final = (vanilla_3dgs, mtgs_style, omnire_style)
+_CHOSEN: Final = {"vanilla_3dgs": (2.0, 1.0), "mtgs_style": (2.0, 2.0), "omnire_style": (2.0, 2.0)}
+"""The cells of the grid, rates and sizes, that were best: ``python -m benchmarks reconstruction tune``."""
 _TWO_BLOCKS_M: Final = 70.0
 """Each declared scene has two blocks of this size side by side."""
 
@@ -49,10 +52,10 @@ def entries() -> dict[str, Entry]:
         *(
             Entry(f"{package.__name__}-{label}", _explicit(package, settings))
             for package in RIVALS
-            for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
+            for label, settings in (("released", package.RELEASED), ("tuned", _tuned(package)))
         ),
         *(
-            Entry(f"{package.__name__}-bytes", _explicit(package, as_small(package.TUNED)), "bytes")
+            Entry(f"{package.__name__}-bytes", _explicit(package, as_small(_tuned(package))), "bytes")
             for package in RIVALS
         ),
         *(Entry(name, _street(change), "ablation") for name, change in _ABLATIONS.items()),
@@ -75,6 +78,11 @@ def _trials() -> Iterator[Entry]:
         for package in RIVALS:
             settings = scaled_explicit(package.TUNED, rates, sizes)
             yield Entry(trial(package.__name__, rates, sizes), _explicit(package, settings), "tuning")
+
+
+def _tuned(package: Any) -> Splatting:
+    settings: Splatting = scaled_explicit(package.TUNED, *_CHOSEN[package.__name__])
+    return settings
 
 
 def _as_many_bytes(refinement: Refinement) -> Refinement:

@@ -184,7 +184,7 @@ def _background(
         means, codes, sizes = node.means[span], node.codes[span], node.log_scales[span].exp()
         raw, colours = [], []
         for eye in eyes:
-            beside = torch.cat((functional.normalize(means - eye.centre, dim=1), means / node.radius_m), dim=1)
+            beside = node.beside(means, eye)
             raw.append(node.geometry(codes, beside, content).view(-1, GEOMETRY))
             colours.append(node.colour(codes, beside, latent).view(-1, _CHANNELS).sigmoid())
         own = sizes.repeat_interleave(node.k, dim=0)

@@ -16,7 +16,9 @@ from omnire_style import OmnireStyle
 from splatting.settings import Splatting
 
 _GEOMETRY: Final = 11
+"""Numbers of a Gaussian that are no colour: place, rotation, scale, opacity."""
 _TRAVERSALS: Final = 4
+"""That a declared scene is trained on."""
 
 
 def as_small(settings: Splatting) -> Splatting:

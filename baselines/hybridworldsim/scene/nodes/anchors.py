@@ -67,8 +67,7 @@ class Anchors(nn.Module):
             reach = 3.0 * self.log_scales.amax(1).exp()
         seen = visible(viewpoint, self.means, reach)
         means = self.means[seen]
-        beside = torch.cat((unit(means - viewpoint.centre), means / self.radius_m), dim=1)
-        codes = copied_rows(self.codes, seen)
+        codes, beside = copied_rows(self.codes, seen), self.beside(means, viewpoint)
         geometry, colours = self.geometry(codes, beside, content), self.colour(codes, beside, latent)
         centres, quats, scales, opacities, tints, rows = assembled(
             geometry, colours, seen, self.means, self.offsets, self.log_scales
@@ -84,3 +83,7 @@ class Anchors(nn.Module):
             decoded=len(seen) * self.k,
             seen=seen,
         )
+
+    def beside(self, means: Tensor, viewpoint: Viewpoint) -> Tensor:
+        """(M, 6) what the networks are told of anchors at (M, 3) beside their codes: direction and place."""
+        return torch.cat((unit(means - viewpoint.centre), means / self.radius_m), dim=1)

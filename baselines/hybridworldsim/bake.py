@@ -181,12 +181,13 @@ def _background(
     seeing = _seeing(node.means, reach, eyes)
     for start in range(0, len(node), _CHUNK):
         span = slice(start, start + _CHUNK)
-        means, codes, sizes = node.means[span], node.codes[span], node.log_scales[span].exp()
+        means, sizes = node.means[span], node.log_scales[span].exp()
+        rows = torch.arange(start, start + len(means))
         raw, colours = [], []
         for eye in eyes:
-            beside = node.beside(means, eye)
-            raw.append(node.geometry(codes, beside, content).view(-1, GEOMETRY))
-            colours.append(node.colour(codes, beside, latent).view(-1, _CHANNELS).sigmoid())
+            geometry, tints = node.read(rows, eye, latent, content)
+            raw.append(geometry.view(-1, GEOMETRY))
+            colours.append(tints.view(-1, _CHANNELS).sigmoid())
         own = sizes.repeat_interleave(node.k, dim=0)
         places = means.repeat_interleave(node.k, dim=0) + node.offsets[span].reshape(-1, 3) * own[:, :3]
         weight = seeing[:, span].repeat_interleave(node.k, dim=1)
@@ -216,10 +217,8 @@ def _coded(
     for start in range(0, len(node), _CHUNK * 8):
         span = slice(start, start + _CHUNK * 8)
         means = node.means[span]
-        colours = [
-            node.colour(node.codes[span], functional.normalize(means - eye.centre, dim=1), latent).sigmoid()
-            for eye in eyes
-        ]
+        rows = torch.arange(start, start + len(means))
+        colours = [node.colours(rows, eye, latent) for eye in eyes]
         opacity = 1.0 - (1.0 - node.logits[span].sigmoid().clamp_max(_MOST)) ** weights[span]
         scales = node.log_scales[span].exp()
         yield _fitted(means, node.quats[span], scales, opacity, torch.stack(colours), seeing[:, span], eyes, degree)

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rendering.parts import LEAST, Looks, Part, faded, parts_of
-from hybridworldsim.rendering.prepared import PreparedStreet
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.splats import Splats
 from hybridworldsim.scene.street import Drawn, Street, draw
@@ -80,11 +79,9 @@ class _Ready:
     """
 
     def __init__(self, part: Part) -> None:
-        street = part.street
-        self.part, self._street = part, PreparedStreet(street)
-        self._spheres = [
-            _sphere(node.means, node.log_scales) for node in (street.background, street.ground, street.sky)
-        ]
+        self.part = part
+        nodes = part.street.background, part.street.ground, part.street.sky
+        self._spheres = [_sphere(node.means, node.log_scales) for node in nodes]
         self._whole = bool((part.background == 1.0).all()), bool((part.ground == 1.0).all())
 
     def decoded(self, viewpoint: Viewpoint, sky: float, looks: Looks) -> list[Splats]:
@@ -93,7 +90,7 @@ class _Ready:
         far &= sky > LEAST
         if not (background or ground or far):
             return []
-        street, shown = self._street, []
+        street, shown = self.part.street, []
         latent, content = looks(street.appearance)
         if background:
             splats = street.background.decode(viewpoint, latent, content)

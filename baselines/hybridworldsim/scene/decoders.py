@@ -34,44 +34,56 @@ class Conditioned(nn.Module):
         self.bend = nn.Parameter(torch.zeros(hidden * code, latent)) if bent else None
         self.out = nn.Linear(hidden, outputs)
 
-    def first(self, latent: Tensor) -> tuple[Tensor, Tensor]:
-        """Matrix (hidden, code + beside) and bias (hidden,) of the first layer under an appearance (latent,)."""
+    def first(self, latent: Tensor, width: int) -> Tensor:
+        """(hidden, width) the first layer under an appearance (latent,): matrix, bias, and as many zeros as are asked.
+
+        Args:
+            latent: the appearance.
+            width: of what the network is told.
+        """
+        matrix: Tensor = self.own
+        if self.bend is not None:
+            of_codes, others = matrix.tensor_split([self.code], dim=1)
+            matrix = torch.cat((of_codes + (self.bend @ latent).view_as(of_codes), others), dim=1)
         bias = self.bias + self.shared @ latent
-        if self.bend is None:
-            return self.own, bias
-        of_codes, others = self.own.tensor_split([self.code], dim=1)
-        return torch.cat((of_codes + (self.bend @ latent).view_as(of_codes), others), dim=1), bias
-
-    def forward(self, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:
-        """(N, outputs) of codes (N, code), what stands beside them (N, beside), and an appearance (latent,)."""
-        found: Tensor = _Perceptron.apply(codes, beside, *self.first(latent), self.out.weight, self.out.bias)
-        return found
+        return torch.cat((matrix, bias[:, None], matrix.new_zeros(len(matrix), width - matrix.shape[1] - 1)), dim=1)
 
 
-class _Perceptron(torch.autograd.Function):
-    """``out(relu(first(codes, beside)))`` in as few and as large products as there can be; no gradient to `beside`."""
+def decoded(told: Tensor, *networks: tuple[Conditioned, Tensor]) -> tuple[Tensor, ...]:
+    """What networks make of the same rows, each under an appearance of its own.
+
+    Args:
+        told: (N, code + beside + 1 or more) codes, what stands beside them, a one, and zeros; see `told`.
+        networks: each with an appearance (latent,).
+
+    Returns:
+        Of each network (N, outputs).
+    """
+    first = torch.cat([network.first(latent, told.shape[1]) for network, latent in networks])
+    lasts = [layer for network, _ in networks for layer in (network.out.weight, network.out.bias)]
+    found: tuple[Tensor, ...] = _Perceptrons.apply(told, first, *lasts)
+    return found
+
+
+class _Perceptrons(torch.autograd.Function):
+    """``out(relu(first(inputs)))`` of several networks, in as few and as large products as there can be."""
 
     @staticmethod
-    def forward(
-        ctx: Any, codes: Tensor, beside: Tensor, first: Tensor, first_bias: Tensor, last: Tensor, last_bias: Tensor
-    ) -> Tensor:
-        inputs = torch.cat((codes, beside), dim=1)
-        hidden = torch.addmm(first_bias, inputs, first.T).relu_()
-        ctx.save_for_backward(inputs, hidden, first, last)
-        ctx.code = codes.shape[1]
-        return torch.addmm(last_bias, hidden, last.T)
+    def forward(ctx: Any, inputs: Tensor, first: Tensor, *lasts: Tensor) -> tuple[Tensor, ...]:
+        hidden = torch.mm(inputs, first.T).relu_()
+        weights = lasts[::2]
+        ctx.save_for_backward(inputs, hidden, first, *weights)
+        parts = hidden.split([weight.shape[1] for weight in weights], dim=1)
+        return tuple(torch.addmm(bias, part, weight.T) for part, weight, bias in zip(parts, weights, lasts[1::2]))
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        (gradient,) = gradients
-        inputs, hidden, first, last = ctx.saved_tensors
-        to_hidden = torch.ops.aten.threshold_backward(gradient @ last, hidden, 0.0)
-        return (
-            to_hidden @ first[:, : ctx.code],
-            None,
-            to_hidden.T @ inputs,
-            to_hidden.sum(0),
-            gradient.T @ hidden,
-            gradient.sum(0),
-        )
+        inputs, hidden, first, *weights = ctx.saved_tensors
+        sizes, to_hidden, to_lasts = [weight.shape[1] for weight in weights], torch.empty_like(hidden), []
+        spans = zip(gradients, weights, hidden.split(sizes, dim=1), to_hidden.split(sizes, dim=1))
+        for gradient, weight, part, to_part in spans:
+            torch.mm(gradient, weight, out=to_part)
+            to_lasts += [gradient.T @ part, gradient.sum(0)]
+        torch.ops.aten.threshold_backward.grad_input(to_hidden, hidden, 0.0, grad_input=to_hidden)
+        return to_hidden @ first, to_hidden.T @ inputs, *to_lasts

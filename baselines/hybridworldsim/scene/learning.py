@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from hybridworldsim.scene.losses import colour_loss, depth_loss, normal_loss
 from hybridworldsim.scene.refining.anchors import AnchorRefiner
@@ -36,24 +37,13 @@ class StreetLearner:
     def __init__(self, street: Street, settings: Settings) -> None:
         self.street, self.settings = street, settings
         self._generator = torch.Generator().manual_seed(settings.seed)
-        groups = []
-        sky_scale = settings.sky_radius
-        for node, scale in ((street.ground, 1.0), (street.sky, sky_scale)):
-            for name in ("means", "quats", "log_scales", "logits", "codes"):
-                factor = scale if name == "means" else 1.0
-                groups.append({"params": [getattr(node, name)], "rate": name, "factor": factor})
-            groups.append({"params": list(node.colour.parameters()), "rate": "networks", "factor": 1.0})
-        background = street.background
-        for name in ("offsets", "codes", "log_scales"):
-            groups.append({"params": [getattr(background, name)], "rate": name, "factor": 1.0})
-        networks = [*background.geometry.parameters(), *background.colour.parameters()]
-        groups.append({"params": networks, "rate": "networks", "factor": 1.0})
-        appearance = street.appearance
-        groups.append({"params": [appearance.drives], "rate": "latents", "factor": 1.0})
-        groups.append({"params": [appearance.sensors], "rate": "latents", "factor": _SENSORS})
+        groups = [
+            {"params": parameters, "rate": rate, "factor": factor}
+            for (rate, factor), parameters in _by_rate(street, settings.sky_radius).items()
+        ]
         self._adam = torch.optim.Adam(groups, lr=1e-3, betas=_BETAS, eps=1e-15, fused=True)
         refinement = settings.refinement
-        self._anchors = AnchorRefiner(background, refinement)
+        self._anchors = AnchorRefiner(street.background, refinement)
         self._ground = CodeRefiner(street.ground, refinement, refinement.most_ground)
         self._sky = CodeRefiner(street.sky, refinement, refinement.most_sky)
         self._steps, self._refined, self._last = 0, 0, 0
@@ -145,3 +135,20 @@ class StreetLearner:
 
     def _refiners(self) -> dict[str, AnchorRefiner | CodeRefiner]:
         return {"anchors": self._anchors, "ground": self._ground, "sky": self._sky}
+
+
+def _by_rate(street: Street, sky_radius: float) -> dict[tuple[str, float], list[nn.Parameter]]:
+    """What learns at the same share of the same rate together: each group costs a step of its own."""
+    groups: dict[tuple[str, float], list[nn.Parameter]] = defaultdict(list)
+    for node, factor in ((street.ground, 1.0), (street.sky, sky_radius)):
+        groups["means", factor].append(node.means)
+        for name in ("quats", "log_scales", "logits", "codes"):
+            groups[name, 1.0].append(getattr(node, name))
+        groups["networks", 1.0] += node.colour.parameters()
+    background = street.background
+    for name in ("offsets", "codes", "log_scales"):
+        groups[name, 1.0].append(getattr(background, name))
+    groups["networks", 1.0] += [*background.geometry.parameters(), *background.colour.parameters()]
+    groups["latents", 1.0].append(street.appearance.drives)
+    groups["latents", _SENSORS].append(street.appearance.sensors)
+    return groups

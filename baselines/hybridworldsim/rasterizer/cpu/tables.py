@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,10 +11,8 @@ from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.machine.memory import room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel, spans
 from mirror.arrays import Float32, Float64, Int64
-
-_PARTS: Final = 8
 
 
 class _Rows(torch.autograd.Function):
@@ -26,8 +24,8 @@ class _Rows(torch.autograd.Function):
         beside = np.empty(0, np.float32) if column is None else _flat(column)[:, 0]
         wide = flat.shape[1] + ctx.beside
         out = room(len(numbers) * wide).reshape(len(numbers), wide)
-        edges = _edges(len(numbers))
-        in_parallel(lambda part: _gather(edges[part], edges[part + 1], flat, numbers, beside, out), _PARTS)
+        edges = spans(len(numbers))
+        in_parallel(lambda part: _gather(edges[part], edges[part + 1], flat, numbers, beside, out), len(edges) - 1)
         return torch.from_numpy(out if ctx.beside else out.reshape(len(numbers), *table.shape[1:]))
 
     @staticmethod
@@ -37,8 +35,8 @@ class _Rows(torch.autograd.Function):
         gradient, numbers = _flat(gradients[0]), ids.numpy()
         wide = gradient.shape[1] - ctx.beside
         out = room(ctx.shape[0] * wide).reshape(ctx.shape[0], wide)
-        edges = _edges(len(numbers))
-        in_parallel(lambda part: _scatter(edges[part], edges[part + 1], gradient, numbers, out), _PARTS)
+        edges = spans(len(numbers))
+        in_parallel(lambda part: _scatter(edges[part], edges[part + 1], gradient, numbers, out), len(edges) - 1)
         column = torch.from_numpy(gradient[:, -1].copy()) if ctx.beside and ctx.needs_input_grad[2] else None
         return torch.from_numpy(out.reshape(ctx.shape)), None, column
 
@@ -61,18 +59,15 @@ def rows(table: Tensor, ids: Tensor, column: Tensor | None = None) -> Tensor:
 def sum_of(table: Tensor) -> float:
     """The sum of a float32 table's numbers, in float64."""
     numbers = table.detach().contiguous().numpy().reshape(-1)
-    edges, sums = _edges(len(numbers)), np.zeros(_PARTS)
-    in_parallel(lambda part: _add(edges[part], edges[part + 1], numbers, sums[part : part + 1]), _PARTS)
+    edges = spans(len(numbers))
+    sums = np.zeros(len(edges) - 1)
+    in_parallel(lambda part: _add(edges[part], edges[part + 1], numbers, sums[part : part + 1]), len(sums))
     return float(sums.sum())
 
 
 def _flat(table: Tensor) -> Float32:
     numbers: Float32 = table.detach().contiguous().numpy()
     return numbers.reshape(len(numbers), int(np.prod(numbers.shape[1:])))
-
-
-def _edges(count: int) -> Int64:
-    return np.linspace(0, count, _PARTS + 1).astype(np.int64)
 
 
 @kernel()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.rasterizer.rows import copied_rows
-from hybridworldsim.scene.decoders import Conditioned
+from hybridworldsim.scene.decoders import Conditioned, decoded
 from hybridworldsim.scene.nodes.assembly import GEOMETRY, assembled
+from hybridworldsim.scene.nodes.gathering import told
 from hybridworldsim.scene.splats import Splats
-from hybridworldsim.scene.visible import unit, visible
+from hybridworldsim.scene.visible import visible
 from hybridworldsim.training.viewpoint import Viewpoint
 
 _OPACITY = 0.3
@@ -66,9 +66,7 @@ class Anchors(nn.Module):
         with torch.no_grad():
             reach = 3.0 * self.log_scales.amax(1).exp()
         seen = visible(viewpoint, self.means, reach)
-        means = self.means[seen]
-        codes, beside = copied_rows(self.codes, seen), self.beside(means, viewpoint)
-        geometry, colours = self.geometry(codes, beside, content), self.colour(codes, beside, latent)
+        geometry, colours = self.read(seen, viewpoint, latent, content)
         centres, quats, scales, opacities, tints, rows = assembled(
             geometry, colours, seen, self.means, self.offsets, self.log_scales
         )
@@ -84,6 +82,8 @@ class Anchors(nn.Module):
             seen=seen,
         )
 
-    def beside(self, means: Tensor, viewpoint: Viewpoint) -> Tensor:
-        """(M, 6) what the networks are told of anchors at (M, 3) beside their codes: direction and place."""
-        return torch.cat((unit(means - viewpoint.centre), means / self.radius_m), dim=1)
+    def read(self, rows: Tensor, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
+        """What the networks say of anchors (M,), (M, k * 8) and (M, k * 3); see `assembled`."""
+        facts = told(self.codes, rows, self.means, viewpoint.centre, self.radius_m)
+        geometry, colours = decoded(facts, (self.geometry, content), (self.colour, latent))
+        return geometry, colours

@@ -15,13 +15,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.cpu.machine.memory import filled, room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel, spans
 from mirror.arrays import AnyArray, Float32
 
 GEOMETRY: Final = 8
 """Numbers of a Gaussian that are no colour: opacity, three of scale, four of rotation."""
-
-_PARTS: Final = 8
 
 
 def assembled(
@@ -57,31 +55,30 @@ def count_drawn(geometry: Any, begin: Any, end: Any) -> Any:
     return count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sigmoid(number: Any) -> Any:
-    return np.float32(1.0) / (np.float32(1.0) + np.float32(math.exp(-number)))
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def assemble(
     geometry: Any, colours: Any, seen: Any, anchors: Any, offsets: Any, log_scales: Any, begin: Any, end: Any,
-    first: Any, means: Any, quats: Any, scales: Any, opacities: Any, tints: Any, rows: Any, slots: Any,
+    first: Any, sizes: Any, means: Any, quats: Any, shares: Any, opacities: Any, tints: Any, rows: Any, slots: Any,
 ) -> None:  # fmt: skip
-    """Write the Gaussians of anchors in a range, from `first` on; `slots` gets anchor times k plus offset as seen."""
+    """Write the Gaussians of anchors in a range, from `first` on, what tanh and sigmoid belong to without those.
+
+    `sizes` (M, 6) gets metres of the anchors that have Gaussians, `slots` anchor times k plus offset as seen.
+    """
     k, place = offsets.shape[1], first
     for anchor in range(begin, end):
-        row = seen[anchor]
+        row, begun = seen[anchor], place
         for offset in range(k):
             own = GEOMETRY * offset
             if not geometry[anchor, own] > 0.0:
                 continue
-            opacities[place] = math.tanh(geometry[anchor, own])
+            if place == begun:
+                for axis in range(6):
+                    sizes[anchor, axis] = math.exp(log_scales[row, axis])
+            opacities[place] = geometry[anchor, own]
             for axis in range(3):
-                spread = np.float32(math.exp(log_scales[row, axis]))
-                size = np.float32(math.exp(log_scales[row, 3 + axis]))
-                means[place, axis] = anchors[row, axis] + offsets[row, offset, axis] * spread
-                scales[place, axis] = size * _sigmoid(geometry[anchor, own + 1 + axis])
-                tints[place, axis] = _sigmoid(colours[anchor, 3 * offset + axis])
+                means[place, axis] = anchors[row, axis] + offsets[row, offset, axis] * sizes[anchor, axis]
+                shares[place, axis] = geometry[anchor, own + 1 + axis]
+                tints[place, axis] = colours[anchor, 3 * offset + axis]
             for part in range(4):
                 quats[place, part] = geometry[anchor, own + 4 + part]
             rows[place] = row * k + offset
@@ -90,28 +87,36 @@ def assemble(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def enlarge(begin: Any, end: Any, k: Any, slots: Any, sizes: Any, shares: Any, scales: Any) -> None:
+    """Scales of Gaussians in a range: their shares of their anchors' sizes."""
+    for place in range(begin, end):
+        anchor = slots[place] // k
+        for axis in range(3):
+            scales[place, axis] = sizes[anchor, 3 + axis] * shares[place, axis]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def assemble_backward(
-    seen: Any, offsets: Any, log_scales: Any, scales: Any, opacities: Any, tints: Any, slots: Any, begin: Any, end: Any,
+    seen: Any, offsets: Any, sizes: Any, shares: Any, opacities: Any, tints: Any, slots: Any, begin: Any, end: Any,
     to_means: Any, to_quats: Any, to_scales: Any, to_opacities: Any, to_tints: Any,
     to_geometry: Any, to_colours: Any, to_offsets: Any, to_log_scales: Any,
 ) -> None:  # fmt: skip
     """Gradients of Gaussians in a range, into what was zero; no anchor has Gaussians in two ranges."""
-    k = offsets.shape[1]
+    k, one = offsets.shape[1], np.float32(1.0)
     for place in range(begin, end):
         anchor, offset = slots[place] // k, slots[place] % k
         row, own = seen[anchor], GEOMETRY * offset
         opacity = opacities[place]
-        to_geometry[anchor, own] = to_opacities[place] * (np.float32(1.0) - opacity * opacity)
+        to_geometry[anchor, own] = to_opacities[place] * (one - opacity * opacity)
         for axis in range(3):
-            spread = np.float32(math.exp(log_scales[row, axis]))
-            size = np.float32(math.exp(log_scales[row, 3 + axis]))
-            scale, tint = scales[place, axis], tints[place, axis]
-            pull = to_means[place, axis] * spread
+            share, tint = shares[place, axis], tints[place, axis]
+            pull = to_means[place, axis] * sizes[anchor, axis]
+            swell = to_scales[place, axis] * sizes[anchor, 3 + axis] * share
             to_offsets[row, offset, axis] = pull
             to_log_scales[row, axis] += pull * offsets[row, offset, axis]
-            to_log_scales[row, 3 + axis] += to_scales[place, axis] * scale
-            to_geometry[anchor, own + 1 + axis] = to_scales[place, axis] * scale * (np.float32(1.0) - scale / size)
-            to_colours[anchor, 3 * offset + axis] = to_tints[place, axis] * tint * (np.float32(1.0) - tint)
+            to_log_scales[row, 3 + axis] += swell
+            to_geometry[anchor, own + 1 + axis] = swell * (one - share)
+            to_colours[anchor, 3 * offset + axis] = to_tints[place, axis] * tint * (one - tint)
         for part in range(4):
             to_geometry[anchor, own + 4 + part] = to_quats[place, part]
 
@@ -122,44 +127,44 @@ class _Assembly(torch.autograd.Function):
         ctx: Any, geometry: Tensor, colours: Tensor, seen: Tensor, means: Tensor, offsets: Tensor, log_scales: Tensor
     ) -> tuple[Tensor, ...]:
         given = _array(geometry), _array(colours), seen.numpy(), _array(means), _array(offsets), _array(log_scales)
-        edges = np.linspace(0, len(seen), _PARTS + 1).astype(np.int64)
-        counts = np.zeros(_PARTS, np.int64)
+        edges, k = spans(len(seen)), offsets.shape[1]
+        counts = np.zeros(len(edges) - 1, np.int64)
 
         def count(part: int) -> None:
             counts[part] = count_drawn(given[0], edges[part], edges[part + 1])
 
-        in_parallel(count, _PARTS)
+        in_parallel(count, len(counts))
         firsts = np.concatenate([[0], counts.cumsum()])
         total = int(firsts[-1])
-        columns = [_table(total, width) for width in (3, 4, 3, 1, 3)]
-        columns[3] = columns[3].reshape(total)
-        rows, slots = room(total, np.int64), room(total, np.int64)
+        centres, quats, shares, tints = (_table(total, width) for width in (3, 4, 3, 3))
+        opacities, rows, slots = room(total), room(total, np.int64), room(total, np.int64)
+        sizes, scales = _table(len(seen), 6), _table(total, 3)
 
         def fill(part: int) -> None:
             span = edges[part], edges[part + 1], firsts[part]
-            assemble(*given, *span, *columns, rows, slots)  # type: ignore[call-arg]
+            assemble(*given, *span, sizes, centres, quats, shares, opacities, tints, rows, slots)
 
-        in_parallel(fill, _PARTS)
-        ctx.given, ctx.slots, ctx.firsts, ctx.columns = given, slots, firsts, columns
+        in_parallel(fill, len(counts))
+        for numbers in (shares, tints):
+            torch.from_numpy(numbers).sigmoid_()
+        torch.from_numpy(opacities).tanh_()
+        in_parallel(lambda part: enlarge(firsts[part], firsts[part + 1], k, slots, sizes, shares, scales), len(counts))
+        ctx.read = given[2], given[4], sizes, shares, opacities, tints, slots
+        ctx.firsts, ctx.shapes = firsts, [table.shape for table in (geometry, colours, offsets, log_scales)]
         ids = torch.from_numpy(rows)
         ctx.mark_non_differentiable(ids)
-        return (*map(torch.from_numpy, columns), ids)
+        return (*map(torch.from_numpy, (centres, quats, scales, opacities, tints)), ids)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        geometry, colours, seen, _, offsets, log_scales = ctx.given
-        _, _, scales, opacities, tints = ctx.columns
         to = [_array(gradient) for gradient in gradients[:5]]
-        into = [filled(table.size, 0.0).reshape(table.shape) for table in (geometry, colours, offsets, log_scales)]
+        into = [filled(shape.numel(), 0.0).reshape(shape) for shape in ctx.shapes]
 
         def one(part: int) -> None:
-            assemble_backward(
-                seen, offsets, log_scales, scales, opacities, tints, ctx.slots,
-                ctx.firsts[part], ctx.firsts[part + 1], *to, *into,
-            )  # fmt: skip
+            assemble_backward(*ctx.read, ctx.firsts[part], ctx.firsts[part + 1], *to, *into)  # type: ignore[call-arg]
 
-        in_parallel(one, _PARTS)
+        in_parallel(one, len(ctx.firsts) - 1)
         to_geometry, to_colours, to_offsets, to_log_scales = map(torch.from_numpy, into)
         return to_geometry, to_colours, None, None, to_offsets, to_log_scales
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.rasterizer.rows import copied_rows
-from hybridworldsim.scene.decoders import Conditioned
+from hybridworldsim.scene.decoders import Conditioned, decoded
+from hybridworldsim.scene.nodes.gathering import shown, told
 from hybridworldsim.scene.splats import Splats
-from hybridworldsim.scene.visible import unit, visible
+from hybridworldsim.scene.visible import visible
 from hybridworldsim.training.viewpoint import Viewpoint
 
 _SIGMAS = 3.0
@@ -66,16 +66,11 @@ class CodeGaussians(nn.Module):
         with torch.no_grad():
             reach = _SIGMAS * self.log_scales.amax(1).exp()
         rows = visible(viewpoint, self.means, reach)
-        means = copied_rows(self.means, rows)
-        directions = unit(means.detach() - viewpoint.centre)
-        colours = self.colour(copied_rows(self.codes, rows), directions, latent).sigmoid()
-        return Splats(
-            means,
-            copied_rows(self.quats, rows),
-            copied_rows(self.log_scales, rows).exp(),
-            copied_rows(self.logits, rows).sigmoid(),
-            colours,
-            rows=rows,
-            held=len(self),
-            decoded=len(rows),
-        )
+        means, quats, scales, opacities = shown(rows, self.means, self.quats, self.log_scales, self.logits)
+        colours = self.colours(rows, viewpoint, latent)
+        return Splats(means, quats, scales, opacities, colours, rows=rows, held=len(self), decoded=len(rows))
+
+    def colours(self, rows: Tensor, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
+        """(M, 3) of Gaussians (M,), as a viewpoint sees them."""
+        (tints,) = decoded(told(self.codes, rows, self.means, viewpoint.centre), (self.colour, latent))
+        return tints.sigmoid()

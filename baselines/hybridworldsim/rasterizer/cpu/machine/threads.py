@@ -10,9 +10,14 @@ from itertools import count
 from threading import Event, current_thread
 from typing import Final
 
+import numpy as np
 import torch
 
+from mirror.arrays import Int64
+
 _NAME: Final = "rasterizer"
+_SPANS: Final = 4
+_LEAST_SPAN: Final = 512
 
 
 def in_parallel(call: Callable[[int], object], parts: int) -> None:
@@ -28,6 +33,11 @@ def in_parallel(call: Callable[[int], object], parts: int) -> None:
         call: writes where no other call does.
         parts: how many calls; the earliest begin first.
     """
+    helpers = min(torch.get_num_threads(), parts) - 1
+    if helpers <= 0 or current_thread().name.startswith(_NAME):
+        for part in range(parts):
+            call(part)
+        return
     numbers, failed = count(), Event()
 
     def work() -> None:
@@ -38,10 +48,6 @@ def in_parallel(call: Callable[[int], object], parts: int) -> None:
                 failed.set()
                 raise
 
-    helpers = min(torch.get_num_threads(), parts) - 1
-    if helpers <= 0 or current_thread().name.startswith(_NAME):
-        work()
-        return
     pool = _pool(helpers, os.getpid())
     waiting = [pool.submit(work) for _ in range(helpers)]
     try:
@@ -50,6 +56,20 @@ def in_parallel(call: Callable[[int], object], parts: int) -> None:
         wait(waiting)
     for one in waiting:
         one.result()
+
+
+def spans(count: int) -> Int64:
+    """Edges of spans of rows for `in_parallel`, where what comes out does not depend on how the rows are cut.
+
+    Args:
+        count: of rows.
+
+    Returns:
+        (P + 1,) ascending from 0 to `count`.
+    """
+    threads = torch.get_num_threads()
+    parts = 1 if threads == 1 else max(min(_SPANS * threads, count // _LEAST_SPAN), 1)
+    return count * np.arange(parts + 1) // parts
 
 
 @lru_cache(maxsize=4)

@@ -1,0 +1,197 @@
+"""Nodes decoded by compiled kernels, held against the same in plain torch and float64, gradients included."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch.nn import functional
+
+from hybridworldsim.scene.nodes.anchors import Anchors
+from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians
+from hybridworldsim.scene.nodes.gathering import shown, told
+from hybridworldsim.scene.visible import visible
+from hybridworldsim.training.viewpoint import viewpoint_of
+from tests.street.streets import SOURCES, street, view
+
+PLACES = (view(-25.0), view(3.0, 5.0), view(200.0))
+
+
+def perceptron(network, codes, beside, latent):
+    matrix = network.own
+    if network.bend is not None:
+        bend = (network.bend @ latent).view(-1, network.code)
+        matrix = torch.cat((matrix[:, : network.code] + bend, matrix[:, network.code :]), dim=1)
+    hidden = torch.cat((codes, beside), dim=1) @ matrix.T + network.bias + network.shared @ latent
+    return hidden.relu() @ network.out.weight.T + network.out.bias
+
+
+def plain_anchors(node: Anchors, rows, eye, latent, content):
+    means, sizes = node.means[rows], node.log_scales[rows].exp()
+    beside = torch.cat((functional.normalize(means - eye, dim=1), means / node.radius_m), dim=1)
+    numbers = perceptron(node.geometry, node.codes[rows], beside, content).view(-1, 8)
+    tints = perceptron(node.colour, node.codes[rows], beside, latent).view(-1, 3)
+    drawn = (numbers[:, 0] > 0.0).nonzero().squeeze(1)
+    own, parents = numbers[drawn], drawn // node.k
+    offsets = node.offsets[rows].view(-1, 3)[drawn]
+    return (
+        means[parents] + offsets * sizes[parents, :3],
+        own[:, 4:],
+        sizes[parents, 3:] * own[:, 1:4].sigmoid(),
+        own[:, 0].tanh(),
+        tints[drawn].sigmoid(),
+    )
+
+
+def plain_gaussians(node: CodeGaussians, rows, eye, latent):
+    means = node.means[rows]
+    directions = functional.normalize(means.detach() - eye, dim=1)
+    return (
+        means,
+        node.quats[rows],
+        node.log_scales[rows].exp(),
+        node.logits[rows].sigmoid(),
+        perceptron(node.colour, node.codes[rows], directions, latent).sigmoid(),
+    )
+
+
+def numbers(splats):
+    return splats.means, splats.quats, splats.scales, splats.opacities, splats.colours
+
+
+def same_with_gradients(found, expected, node, exact):
+    """Hold values and the gradients of one weighted sum against those of the node in float64."""
+    generator = torch.Generator().manual_seed(5)
+    weights = [torch.randn(one.shape, generator=generator) for one in found]
+    for one, other in zip(found, expected, strict=True):
+        torch.testing.assert_close(one.double(), other, rtol=1e-5, atol=2e-5)
+    sum((weight * one).sum() for weight, one in zip(weights, found)).backward()
+    sum((weight.double() * one).sum() for weight, one in zip(weights, expected)).backward()
+    for (name, one), (_, other) in zip(node.named_parameters(), exact.named_parameters(), strict=True):
+        if other.grad is None:
+            assert not one.requires_grad, name
+            continue
+        scale = float(other.grad.abs().max())
+        torch.testing.assert_close(one.grad.double(), other.grad, rtol=0.0, atol=1e-5 * scale + 1e-6, msg=name)
+
+
+def bent(seed: int, k: int, hidden: int):
+    """A street all of whose parameters say something."""
+    one = street(seed=seed, k=k, hidden=hidden)
+    for network in (one.background.geometry, one.background.colour):
+        torch.nn.init.normal_(network.own[:, -3:])
+    for network in (one.background.colour, one.ground.colour, one.sky.colour):
+        torch.nn.init.normal_(network.bend)
+    return one
+
+
+@pytest.mark.parametrize(("hidden", "k"), [(64, 10), (12, 10), (20, 3), (16, 1)])
+@pytest.mark.parametrize("place", PLACES)
+def test_decoding_is_that_of_plain_torch(hidden, k, place):
+    torch.manual_seed(hidden)
+    one, exact = bent(hidden, k, hidden), bent(hidden, k, hidden)
+    exact.load_state_dict(one.state_dict())
+    exact.double()
+    viewpoint = viewpoint_of(place, np.zeros(3))
+    eye = viewpoint.centre.double()
+    latent, content = (one.appearance(source).detach() for source in SOURCES)
+    latent, content = latent + 0.3, content - 0.3
+    splats = one.background.decode(viewpoint, latent, content)
+    same_with_gradients(
+        numbers(splats),
+        plain_anchors(exact.background, splats.seen, eye, latent.double(), content.double()),
+        one.background,
+        exact.background,
+    )
+    for name in ("ground", "sky"):
+        node, other = getattr(one, name), getattr(exact, name)
+        splats = node.decode(viewpoint, latent)
+        same_with_gradients(numbers(splats), plain_gaussians(other, splats.rows, eye, latent.double()), node, other)
+
+
+def test_an_appearance_learns():
+    one, exact = bent(1, 4, 16), bent(1, 4, 16)
+    exact.load_state_dict(one.state_dict())
+    exact.double()
+    viewpoint = viewpoint_of(view(-25.0), np.zeros(3))
+    splats = one.ground.decode(viewpoint, one.appearance(SOURCES[0]))
+    splats.colours.sum().backward()
+    plain_gaussians(exact.ground, splats.rows, viewpoint.centre.double(), exact.appearance(SOURCES[0]))[
+        4
+    ].sum().backward()
+    torch.testing.assert_close(one.appearance.drives.grad.double(), exact.appearance.drives.grad, rtol=1e-4, atol=1e-4)
+
+
+def test_an_empty_street_is_an_empty_picture():
+    one = street(anchors=0)
+    for node in (one.ground, one.sky):
+        for name, table in list(node.named_parameters(recurse=False)):
+            setattr(node, name, torch.nn.Parameter(table.detach()[:0]))
+    drawn = one(viewpoint_of(view(), np.zeros(3)), one.appearance(SOURCES[0]))
+    assert not drawn.alpha.any() and not drawn.rgb.any()
+
+
+def test_numbers_that_are_not_finite_are_left_out():
+    one = street()
+    one.background.codes.data[3] = torch.nan
+    one.ground.means.data[5] = torch.inf
+    drawn = one(viewpoint_of(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]))
+    assert torch.isfinite(drawn.rgb).all()
+
+
+def test_a_camera_at_a_point_is_told_of_no_direction():
+    codes, means = torch.ones(2, 5, requires_grad=True), torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    found = told(codes, torch.tensor([0, 1]), means, means[0], 2.0)
+    assert found.shape == (2, 12)
+    assert found[0].tolist() == [1.0] * 5 + [0.0, 0.0, 0.0] + [0.5, 1.0, 1.5] + [1.0]
+    found.sum().backward()
+    assert codes.grad.tolist() == [[1.0] * 5] * 2
+
+
+@pytest.mark.parametrize(("count", "seen"), [(7, [0, 3, 6]), (7, []), (0, []), (3, [0, 1, 2])])
+def test_what_is_not_seen_has_no_gradient(count, seen):
+    tables = [torch.randn(count, *shape, requires_grad=True) for shape in ((3,), (4,), (3,), ())]
+    rows = torch.tensor(seen, dtype=torch.int64)
+    sum(one.sum() for one in shown(rows, *tables)).backward()
+    for table in tables:
+        moved = table.grad.abs().reshape(count, math.prod(table.shape[1:])).sum(1)
+        assert moved.nonzero().squeeze(1).tolist() == seen
+
+
+def test_the_same_at_any_number_of_threads():
+    one, threads = bent(0, 10, 64), torch.get_num_threads()
+    rows = torch.arange(0, 400, 3)
+    found = []
+    try:
+        for count in (1, 2):
+            torch.set_num_threads(count)
+            facts = told(one.ground.codes, rows, one.ground.means, torch.zeros(3))
+            found.append(
+                (
+                    facts,
+                    *shown(rows, *(one.ground.get_parameter(n) for n in ("means", "quats", "log_scales", "logits"))),
+                )
+            )
+    finally:
+        torch.set_num_threads(threads)
+    assert all(torch.equal(a, b) for a, b in zip(*found))
+
+
+def test_the_rows_that_are_seen_are_those_whose_sphere_meets_the_pyramid():
+    generator = torch.Generator().manual_seed(0)
+    means = 100.0 * (torch.rand(5000, 3, generator=generator) - 0.5)
+    reach = torch.rand(5000, generator=generator)
+    for place in (view(), view(-60.0, fx_px=400.0), view(3.0, 3.0, 30.0, fx_px=10.0)):
+        viewpoint = viewpoint_of(place, np.zeros(3))
+        x, y, z = (means.double() @ viewpoint.viewmat[:3, :3].double().T + viewpoint.viewmat[:3, 3].double()).unbind(1)
+        seen = z + reach > 0.05
+        for along, axis, size in ((x, 0, viewpoint.width_px), (y, 1, viewpoint.height_px)):
+            focal, middle = viewpoint.K[axis, axis].item(), viewpoint.K[axis, 2].item()
+            for slope, side in ((middle / focal, along), ((size - middle) / focal, -along)):
+                # The signed distance to the side's plane, whose normal points inwards.
+                seen &= (side + slope * z) / (1.0 + slope * slope) ** 0.5 > -reach
+        ours = visible(viewpoint, means, reach)
+        assert 0 < len(ours) < 5000 and ours.diff().gt(0).all()
+        assert len(np.setxor1d(ours.numpy(), seen.nonzero().squeeze(1).numpy())) <= 1

@@ -56,14 +56,18 @@ def test_whole_lines_are_compared_not_the_nearest_picture() -> None:
     assert Looks(SEEN, "nearest").of(asked[0]).content.traversal_id == "s.day.0"
 
 
-def test_words_mean_light_weather_or_a_traversal_and_move_nothing() -> None:
+def test_words_mean_light_weather_or_a_traversal() -> None:
     asked = line("s.new.0", 0.5)
     for word, expected in (("night", "s.night.0"), ("rain", "s.day.1"), ("clear", "s.day.0"), ("s.day.1", "s.day.1")):
         found = look(word, asked)
         assert found.colours == ((Source(expected, "front_wide"), 1.0),)
-        assert found.content == Source("s.day.0", "front_wide")
-    edited = look("night", TRAINED, everywhere=True)
-    assert edited.colours[0][0].traversal_id == "s.night.0" and edited.content.traversal_id == "s.day.0"
+        assert found.content == Source(expected, "front_wide")
+
+
+def test_a_light_that_is_edited_moves_nothing() -> None:
+    for asked in (TRAINED, line("s.new.0", 0.5)):
+        edited = look("night", asked, everywhere=True)
+        assert edited.colours[0][0].traversal_id == "s.night.0" and edited.content.traversal_id == "s.day.0"
 
 
 def test_mean_is_of_the_camera() -> None:

@@ -59,7 +59,8 @@ class StreetLearner:
         for group in self._adam.param_groups:
             group["lr"] = getattr(settings.rates, group["rate"]).at(progress) * group["factor"]
         latent = street.appearance(picture.viewpoint.source)
-        drawn = street(picture.viewpoint, latent)
+        growing = self._refined < settings.refinement.times
+        drawn = street(picture.viewpoint, latent, pulls=growing)
         losses = self._losses(drawn, picture)
         weights = {
             "rgb": 1.0,
@@ -71,7 +72,8 @@ class StreetLearner:
         total.backward()
         self._adam.step()
         self._steps += 1
-        self._refine(drawn, picture.viewpoint, progress)
+        if growing:
+            self._refine(drawn, picture.viewpoint, progress)
         return StepReport(
             {name: float(loss.detach()) for name, loss in losses.items()}, sum(part.held for part in drawn.parts)
         )
@@ -100,8 +102,6 @@ class StreetLearner:
     def _refine(self, drawn: Drawn, viewpoint: Viewpoint, progress: float) -> None:
         """Keep what the picture tells, and act on it when it is time."""
         refinement = self.settings.refinement
-        if self._refined >= refinement.times:
-            return
         (rows, pull), *others = pulls(drawn, viewpoint)
         self._anchors.note(drawn.parts[0], rows, pull, viewpoint)
         for refiner, part, (rows, pull) in zip((self._ground, self._sky), drawn.parts[1:], others):

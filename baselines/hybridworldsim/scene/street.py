@@ -56,20 +56,23 @@ class Street(nn.Module):
             self.sky.decode(viewpoint, latent),
         )
 
-    def forward(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor | None = None) -> Drawn:
+    def forward(
+        self, viewpoint: Viewpoint, latent: Tensor, content: Tensor | None = None, *, pulls: bool = False
+    ) -> Drawn:
         """Draw a viewpoint.
 
         Args:
             viewpoint: whence.
             latent: appearance of the colours.
             content: appearance of what is there; default: the same.
+            pulls: the backward pass is to tell how strongly the picture pulls at its Gaussians.
         """
         parts = self.decode(viewpoint, latent, latent if content is None else content)
-        return draw(viewpoint, parts)
+        return draw(viewpoint, parts, pulls=pulls)
 
 
-def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...]) -> Drawn:
-    """Rasterize what nodes show."""
+def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, pulls: bool = False) -> Drawn:
+    """Rasterize what nodes show; see `Street.forward`."""
     splats = joined(parts)
     pictures, alphas, meta = rasterization(
         splats.means,
@@ -83,7 +86,7 @@ def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...]) -> Drawn:
         viewpoint.height_px,
         near_plane=0.2,
         render_mode="RGB+ED",
-        absgrad=splats.means.requires_grad,
+        absgrad=pulls,
         nonfinite="cull",
     )
     return Drawn(pictures[0, ..., :3], alphas[0, ..., 0], pictures[0, ..., 3], parts, meta)

@@ -37,7 +37,7 @@ class Look:
 
     Attributes:
         colours: of what.
-        content: whose leaves and billboards are there; it stays where only the light is edited.
+        content: whose leaves and billboards are there; it stays where the light is edited.
     """
 
     colours: Blend
@@ -104,7 +104,8 @@ class Looks:
             return Look(tuple((source, 1.0 / len(alike)) for source in alike), content)
         ends = [self._of_camera(self._traversal(view, word), view) for word in self._words]
         if len(ends) == 1:
-            return Look(((ends[0], 1.0),), content)
+            # A held-out picture that is given a look gets all of it; a light that is edited moves nothing.
+            return Look(((ends[0], 1.0),), content if self.everywhere else ends[0])
         share = self._share(view)
         return Look(((ends[0], 1.0 - share), (ends[1], share)), content)
 

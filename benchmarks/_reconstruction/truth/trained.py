@@ -26,7 +26,9 @@ from mirror.evaluation.views import plan_views
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
 
-_NAME: Final = re.compile(r"(?P<entry>[^.]+)\.(?P<scene>[^.]+)\.(?P<minutes>.+)min\.(?P<width>\d+)px\.(?P<seed>\d+)")
+_NAME: Final = re.compile(
+    r"(?P<entry>.+)\.(?P<scene>[a-z][a-z-]*)\.(?P<minutes>[\d.]+)min\.(?P<width>\d+)px\.(?P<seed>\d+)"
+)
 
 FRAMES: Final = 4
 """Of each traversal are looked at."""

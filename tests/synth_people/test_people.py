@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mirror.synth.model import Label, Model
@@ -35,6 +35,7 @@ def test_the_same_seed_makes_the_same_person() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(_SEEDS, st.floats(0.0, 5.0), st.floats(0.0, 1.0))
+@example(83, 1.125, 1.0).via("a handbag swings furthest between the steps")
 def test_all_poses_are_within_the_box_and_on_the_ground(seed: int, phase: float, pace: float) -> None:
     body = _somebody(seed)
     low, high = body.walking(phase, pace).bounds()

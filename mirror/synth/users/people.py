@@ -31,6 +31,7 @@ _PHASES: Final = 64
 """Steps of a gait that are posed: 2 cm of way apart."""
 _PACES: Final = 8
 _POSES_KEPT: Final = 4096
+_BOX_PHASES: Final = 16
 _BOX_SPARE_M: Final = 0.004
 """Added to the box, for poses between those that were looked at."""
 
@@ -115,8 +116,8 @@ def pedestrian(
     """A person on foot; arguments as those of :func:`person`."""
     who = person(rng, child=child, umbrella=umbrella, warm=warm)
     still = _walker(who, 0.0, 0.0)
-    # Arms and legs are furthest out as the heels come down, the head is highest half-way between.
-    poses = [_walker(who, phase, 1.0) for phase in (0.0, 0.25, 0.5, 0.75)]
+    # Legs are furthest out as the heels come down, arms and what they carry a little later, the head half-way between.
+    poses = [_walker(who, phase / _BOX_PHASES, 1.0) for phase in range(_BOX_PHASES)]
     ends = np.array([np.abs(model.bounds()).max(axis=0) for model in (still, *poses)]).max(axis=0)
     length, width, height = np.array([2.0, 2.0, 1.0]) * ends + _BOX_SPARE_M
     return Pedestrian("pedestrian", (float(length), float(width), float(height)), still, who)

@@ -33,12 +33,9 @@ class _Rows(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         (ids,) = ctx.saved_tensors
         gradient, numbers = _flat(gradients[0]), ids.numpy()
-        wide = gradient.shape[1] - ctx.beside
-        out = room(ctx.shape[0] * wide).reshape(ctx.shape[0], wide)
-        edges = spans(len(numbers))
-        in_parallel(lambda part: _scatter(edges[part], edges[part + 1], gradient, numbers, out), len(edges) - 1)
+        out = scattered(gradient, numbers, ctx.shape)
         column = torch.from_numpy(gradient[:, -1].copy()) if ctx.beside and ctx.needs_input_grad[2] else None
-        return torch.from_numpy(out.reshape(ctx.shape)), None, column
+        return torch.from_numpy(out), None, column
 
 
 def rows(table: Tensor, ids: Tensor, column: Tensor | None = None) -> Tensor:
@@ -54,6 +51,20 @@ def rows(table: Tensor, ids: Tensor, column: Tensor | None = None) -> Tensor:
     """
     found: Tensor = _Rows.apply(table, ids, column)
     return found
+
+
+def scattered(part: Float32, ids: Int64, shape: torch.Size) -> Float32:
+    """A table that holds rows where they belong, and zeros elsewhere.
+
+    Args:
+        part: (M, D), of which the first columns are taken if a row of the table is less wide.
+        ids: (M,) where they belong, ascending, each once.
+        shape: of the table, (N, ...).
+    """
+    out: Float32 = room(shape.numel()).reshape(shape)
+    flat, edges = out.reshape(shape[0], shape[1:].numel()), spans(len(ids))
+    in_parallel(lambda one: _scatter(edges[one], edges[one + 1], part, ids, flat), len(edges) - 1)
+    return out
 
 
 def sum_of(table: Tensor) -> float:

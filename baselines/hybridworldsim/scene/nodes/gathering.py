@@ -13,7 +13,8 @@ from torch.autograd.function import once_differentiable
 
 from hybridworldsim.rasterizer.cpu.machine.memory import room
 from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel, spans
-from mirror.arrays import AnyArray, Int64
+from hybridworldsim.rasterizer.cpu.tables import scattered
+from mirror.arrays import AnyArray
 
 _MULTIPLE: Final = 4
 
@@ -71,7 +72,7 @@ class _Told(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        return torch.from_numpy(_scattered(_array(gradients[0]), ctx.rows, ctx.shape)), None, None, None, None
+        return torch.from_numpy(scattered(_array(gradients[0]), ctx.rows, ctx.shape)), None, None, None, None
 
 
 class _Shown(torch.autograd.Function):
@@ -96,16 +97,8 @@ class _Shown(torch.autograd.Function):
         to_means, to_quats, to_scales, to_opacities = gradients
         opacities = ctx.opacities
         own = to_means, to_quats, to_scales * ctx.scales, to_opacities * opacities * (1.0 - opacities)
-        tables = (_scattered(_array(one), ctx.ids, shape) for one, shape in zip(own, ctx.shapes))
+        tables = (scattered(_flat(_array(one)), ctx.ids, shape) for one, shape in zip(own, ctx.shapes))
         return None, *map(torch.from_numpy, tables)
-
-
-def _scattered(part: AnyArray, rows: Int64, shape: torch.Size) -> AnyArray:
-    """A table of a shape, with the first columns of the rows of a part where they belong, and zeros elsewhere."""
-    out, source = room(shape.numel()).reshape(shape), _flat(part)
-    flat, edges = _flat(out), spans(len(rows))
-    in_parallel(lambda one: scatter(edges[one], edges[one + 1], source, rows, flat), len(edges) - 1)
-    return out
 
 
 def _flat(table: AnyArray) -> AnyArray:
@@ -146,23 +139,6 @@ def gather(
         for part in range(4):
             to_quats[to, part] = quats[row, part]
         to_logits[to, 0] = logits[row, 0]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def scatter(begin: Any, end: Any, part: Any, rows: Any, out: Any) -> None:
-    """Put rows in a range where they belong, and zeros into the gap in front of each; the last ends with zeros."""
-    width = out.shape[1]
-    for place in range(begin, end):
-        row = rows[place]
-        for gap in range(rows[place - 1] + 1 if place > 0 else 0, row):
-            for number in range(width):
-                out[np.uint64(gap), np.uint64(number)] = np.float32(0.0)
-        for number in range(width):
-            out[np.uint64(row), np.uint64(number)] = part[np.uint64(place), np.uint64(number)]
-    if end == len(rows):
-        for gap in range(rows[end - 1] + 1 if end > 0 else 0, len(out)):
-            for number in range(width):
-                out[np.uint64(gap), np.uint64(number)] = np.float32(0.0)
 
 
 def _array(tensor: Tensor) -> AnyArray:

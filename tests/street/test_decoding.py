@@ -7,54 +7,14 @@ import math
 import numpy as np
 import pytest
 import torch
-from torch.nn import functional
 
-from hybridworldsim.scene.nodes.anchors import Anchors
-from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians
+from benchmarks._plain_street import plain_anchors, plain_gaussians
 from hybridworldsim.scene.nodes.gathering import shown, told
 from hybridworldsim.scene.visible import visible
 from hybridworldsim.training.viewpoint import viewpoint_of
 from tests.street.streets import SOURCES, street, view
 
 PLACES = (view(-25.0), view(3.0, 5.0), view(200.0))
-
-
-def perceptron(network, codes, beside, latent):
-    matrix = network.own
-    if network.bend is not None:
-        bend = (network.bend @ latent).view(-1, network.code)
-        matrix = torch.cat((matrix[:, : network.code] + bend, matrix[:, network.code :]), dim=1)
-    hidden = torch.cat((codes, beside), dim=1) @ matrix.T + network.bias + network.shared @ latent
-    return hidden.relu() @ network.out.weight.T + network.out.bias
-
-
-def plain_anchors(node: Anchors, rows, eye, latent, content):
-    means, sizes = node.means[rows], node.log_scales[rows].exp()
-    beside = torch.cat((functional.normalize(means - eye, dim=1), means / node.radius_m), dim=1)
-    numbers = perceptron(node.geometry, node.codes[rows], beside, content).view(-1, 8)
-    tints = perceptron(node.colour, node.codes[rows], beside, latent).view(-1, 3)
-    drawn = (numbers[:, 0] > 0.0).nonzero().squeeze(1)
-    own, parents = numbers[drawn], drawn // node.k
-    offsets = node.offsets[rows].view(-1, 3)[drawn]
-    return (
-        means[parents] + offsets * sizes[parents, :3],
-        own[:, 4:],
-        sizes[parents, 3:] * own[:, 1:4].sigmoid(),
-        own[:, 0].tanh(),
-        tints[drawn].sigmoid(),
-    )
-
-
-def plain_gaussians(node: CodeGaussians, rows, eye, latent):
-    means = node.means[rows]
-    directions = functional.normalize(means.detach() - eye, dim=1)
-    return (
-        means,
-        node.quats[rows],
-        node.log_scales[rows].exp(),
-        node.logits[rows].sigmoid(),
-        perceptron(node.colour, node.codes[rows], directions, latent).sigmoid(),
-    )
 
 
 def numbers(splats):

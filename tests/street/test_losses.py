@@ -92,3 +92,13 @@ def test_equal_depths_have_no_normal_loss_and_a_step_has():
     assert normal_loss(flat, flat, known, K.float()) < 1e-9
     assert normal_loss(step, flat, known, K.float()) > 1e-3
     assert math.isfinite(float(normal_loss(torch.zeros(20, 20), flat, known, K.float())))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 2), (9, 1), (3, 3)])
+def test_pictures_too_small_for_a_curvature_have_no_loss_or_a_finite_one(shape: tuple[int, int]) -> None:
+    depth = torch.full(shape, 5.0, requires_grad=True)
+    K = torch.tensor([[40.0, 0.0, 2.0], [0.0, 40.0, 2.0], [0.0, 0.0, 1.0]])
+    loss = normal_loss(depth, torch.full(shape, 6.0), torch.ones(shape, dtype=torch.bool), K)
+    loss.backward()
+    assert torch.isfinite(loss) and torch.isfinite(depth.grad).all()
+    assert min(shape) > 2 or loss == 0.0

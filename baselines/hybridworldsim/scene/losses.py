@@ -82,5 +82,5 @@ def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) 
 
 def _neighbours(known: Tensor) -> Tensor:
     """(H - 4, W) where a mask (H, W) is set in all five rows around."""
-    rows = len(known) - 4
+    rows = max(len(known) - 4, 0)
     return known[:rows] & known[1 : rows + 1] & known[2 : rows + 2] & known[3 : rows + 3] & known[4:]

@@ -68,7 +68,7 @@ def scattered(part: Float32, ids: Int64, shape: torch.Size) -> Float32:
 
 
 def sum_of(table: Tensor) -> float:
-    """The sum of a float32 table's numbers, in float64."""
+    """The sum of a float32 table's numbers, in float64; its last digits depend on the number of threads."""
     numbers = table.detach().contiguous().numpy().reshape(-1)
     edges = spans(len(numbers))
     sums = np.zeros(len(edges) - 1)

@@ -1,0 +1,91 @@
+"""What the nodes of a street decode to, in plain torch: slow, differentiable, in whatever precision the street has."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from hybridworldsim.scene.decoders import Conditioned
+from hybridworldsim.scene.nodes.anchors import Anchors
+from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians
+from hybridworldsim.scene.splats import Splats
+from hybridworldsim.scene.street import Drawn, Street, draw
+from hybridworldsim.training.viewpoint import Viewpoint
+
+
+def perceptron(network: Conditioned, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:
+    """(N, outputs) of codes (N, code) with what stands beside them, and an appearance."""
+    matrix: Tensor = network.own
+    if network.bend is not None:
+        bend = (network.bend @ latent).view(-1, network.code)
+        matrix = torch.cat((matrix[:, : network.code] + bend, matrix[:, network.code :]), dim=1)
+    hidden = torch.cat((codes, beside), dim=1) @ matrix.T + network.bias + network.shared @ latent
+    found: Tensor = hidden.relu() @ network.out.weight.T + network.out.bias
+    return found
+
+
+def plain_anchors(node: Anchors, rows: Tensor, eye: Tensor, latent: Tensor, content: Tensor) -> tuple[Tensor, ...]:
+    """Means, quats, scales, opacities and colours of the Gaussians of anchors (M,)."""
+    means, sizes = node.means[rows], node.log_scales[rows].exp()
+    beside = torch.cat((functional.normalize(means - eye, dim=1), means / node.radius_m), dim=1)
+    numbers = perceptron(node.geometry, node.codes[rows], beside, content).view(-1, 8)
+    tints = perceptron(node.colour, node.codes[rows], beside, latent).view(-1, 3)
+    drawn = (numbers[:, 0] > 0.0).nonzero().squeeze(1)
+    own, parents = numbers[drawn], drawn // node.k
+    offsets = node.offsets[rows].view(-1, 3)[drawn]
+    return (
+        means[parents] + offsets * sizes[parents, :3],
+        own[:, 4:],
+        sizes[parents, 3:] * own[:, 1:4].sigmoid(),
+        own[:, 0].tanh(),
+        tints[drawn].sigmoid(),
+    )
+
+
+def plain_gaussians(node: CodeGaussians, rows: Tensor, eye: Tensor, latent: Tensor) -> tuple[Tensor, ...]:
+    """Means, quats, scales, opacities and colours of Code-Gaussians (M,)."""
+    means = node.means[rows]
+    directions = functional.normalize(means.detach() - eye, dim=1)
+    return (
+        means,
+        node.quats[rows],
+        node.log_scales[rows].exp(),
+        node.logits[rows].sigmoid(),
+        perceptron(node.colour, node.codes[rows], directions, latent).sigmoid(),
+    )
+
+
+@torch.inference_mode()
+def exact(street: Street) -> Street:
+    """The street in float64."""
+    return copy.deepcopy(street).double()
+
+
+@torch.inference_mode()
+def plain_picture(street: Street, drawn: Drawn, view: Viewpoint, latent: Tensor) -> Tensor:
+    """(H, W, 3) of a street in float64, decoded here and rasterized as ever.
+
+    Args:
+        street: of `exact`.
+        drawn: the same view of the street as it is: which rows are seen.
+        view: whence.
+        latent: appearance.
+    """
+    eye, latent = view.centre.double(), latent.double()
+    background, ground, sky = drawn.parts
+    seen = background.rows[:0] if background.seen is None else background.seen
+    tables = [
+        plain_anchors(street.background, seen, eye, latent, latent),
+        plain_gaussians(street.ground, ground.rows, eye, latent),
+        plain_gaussians(street.sky, sky.rows, eye, latent),
+    ]
+    return draw(view, tuple(map(_splats, tables))).rgb
+
+
+def _splats(tables: tuple[Tensor, ...]) -> Splats:
+    means, quats, scales, opacities, colours = (table.float() for table in tables)
+    count = len(means)
+    return Splats(means, quats, scales, opacities, colours, torch.arange(count), count, count)

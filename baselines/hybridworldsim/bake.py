@@ -182,7 +182,7 @@ def _background(
     for start in range(0, len(node), _CHUNK):
         span = slice(start, start + _CHUNK)
         means, sizes = node.means[span], node.log_scales[span].exp()
-        rows = torch.arange(start, start + len(means))
+        rows = node.rows(torch.arange(start, start + len(means)))
         raw, colours = [], []
         for eye in eyes:
             geometry, tints = node.read(rows, eye, latent, content)
@@ -217,7 +217,7 @@ def _coded(
     for start in range(0, len(node), _CHUNK * 8):
         span = slice(start, start + _CHUNK * 8)
         means = node.means[span]
-        rows = torch.arange(start, start + len(means))
+        rows = node.rows(torch.arange(start, start + len(means)))
         colours = [node.colours(rows, eye, latent) for eye in eyes]
         opacity = 1.0 - (1.0 - node.logits[span].sigmoid().clamp_max(_MOST)) ** weights[span]
         scales = node.log_scales[span].exp()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hybridworldsim.scene.losses import colour_loss, depth_loss, normal_loss
+from hybridworldsim.scene.curvature import normal_loss
+from hybridworldsim.scene.losses import colour_loss, depth_loss
 from hybridworldsim.training.picture import TrainingPicture
 from splatting.look import Finished
 from splatting.settings import Weights

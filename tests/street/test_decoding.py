@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import torch
 
 from benchmarks._plain_street import plain_anchors, plain_gaussians
-from hybridworldsim.scene.nodes.gathering import shown, told
+from hybridworldsim.scene.nodes.gathering import told
 from hybridworldsim.scene.visible import visible
 from hybridworldsim.training.viewpoint import viewpoint_of
 from tests.street.streets import SOURCES, street, view
@@ -103,40 +101,36 @@ def test_numbers_that_are_not_finite_are_left_out():
 
 def test_a_camera_at_a_point_is_told_of_no_direction():
     codes, means = torch.ones(2, 5, requires_grad=True), torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    found = told(codes, torch.tensor([0, 1]), means, means[0], 2.0)
+    found = told(codes, means, means[0], 2.0)
     assert found.shape == (2, 12)
     assert found[0].tolist() == [1.0] * 5 + [0.0, 0.0, 0.0] + [0.5, 1.0, 1.5] + [1.0]
     found.sum().backward()
     assert codes.grad.tolist() == [[1.0] * 5] * 2
 
 
-@pytest.mark.parametrize(("count", "seen"), [(7, [0, 3, 6]), (7, []), (0, []), (3, [0, 1, 2])])
-def test_what_is_not_seen_has_no_gradient(count, seen):
-    tables = [torch.randn(count, *shape, requires_grad=True) for shape in ((3,), (4,), (3,), ())]
-    rows = torch.tensor(seen, dtype=torch.int64)
-    sum(one.sum() for one in shown(rows, *tables)).backward()
-    for table in tables:
-        moved = table.grad.abs().reshape(count, math.prod(table.shape[1:])).sum(1)
-        assert moved.nonzero().squeeze(1).tolist() == seen
+def test_rows_at_hand_are_taken_as_they_are():
+    one = bent(2, 4, 16)
+    viewpoint, latent = viewpoint_of(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]).detach()
+    ids = one.ground.seen(viewpoint)
+    leaf = one.ground.codes.detach()[ids].requires_grad_()
+    given = one.ground.decode(viewpoint, latent, one.ground.rows(ids, {"codes": leaf}))
+    looked_up = one.ground.decode(viewpoint, latent)
+    assert all(torch.equal(a, b) for a, b in zip(numbers(given), numbers(looked_up)))
+    given.colours.sum().backward()
+    looked_up.colours.sum().backward()
+    torch.testing.assert_close(leaf.grad, one.ground.codes.grad[ids])
 
 
 def test_the_same_at_any_number_of_threads():
     one, threads = bent(0, 10, 64), torch.get_num_threads()
-    rows = torch.arange(0, 400, 3)
     found = []
     try:
         for count in (1, 2):
             torch.set_num_threads(count)
-            facts = told(one.ground.codes, rows, one.ground.means, torch.zeros(3))
-            found.append(
-                (
-                    facts,
-                    *shown(rows, *(one.ground.get_parameter(n) for n in ("means", "quats", "log_scales", "logits"))),
-                )
-            )
+            found.append(told(one.ground.codes, one.ground.means, torch.zeros(3)))
     finally:
         torch.set_num_threads(threads)
-    assert all(torch.equal(a, b) for a, b in zip(*found))
+    assert torch.equal(*found)
 
 
 def test_the_rows_that_are_seen_are_those_whose_sphere_meets_the_pyramid():

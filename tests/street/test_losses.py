@@ -4,7 +4,10 @@ import pytest
 import torch
 from torch.nn import functional
 
-from hybridworldsim.scene.losses import colour_loss, curvature, depth_loss, normal_loss, normals_of
+from hybridworldsim.scene.curvature import normal_loss
+from hybridworldsim.scene.losses import colour_loss, depth_loss
+from tests.street.plain_curvature import curvature, normals_of
+from tests.street.plain_curvature import normal_loss as plain_normal_loss
 
 K = torch.tensor([[60.0, 0.0, 32.0], [0.0, 55.0, 24.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
 
@@ -102,3 +105,34 @@ def test_pictures_too_small_for_a_curvature_have_no_loss_or_a_finite_one(shape: 
     loss.backward()
     assert torch.isfinite(loss) and torch.isfinite(depth.grad).all()
     assert min(shape) > 2 or loss == 0.0
+
+
+@pytest.mark.parametrize("shape", [(9, 11), (5, 5), (24, 3), (40, 60)])
+@pytest.mark.parametrize("share", [1.0, 0.98, 0.7])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_loss_of_normals_is_that_of_plain_torch(shape, share, dtype):
+    generator = torch.Generator().manual_seed(shape[0])
+    depth = 5.0 + torch.rand(shape, generator=generator, dtype=torch.float64)
+    depth[0, 0] = 0.0
+    stereo = depth + 0.1 * torch.rand(shape, generator=generator, dtype=torch.float64)
+    stereo[1, 1] = 0.0
+    known = torch.rand(shape, generator=generator) < share
+    known[1, 1] = False
+    exact = depth.clone().requires_grad_()
+    expected = plain_normal_loss(exact, stereo, known, K)
+    (3.0 * expected).backward()
+    given = depth.to(dtype).requires_grad_()
+    found = normal_loss(given, stereo.to(dtype), known, K.to(dtype))
+    (3.0 * found).backward()
+    assert found.dtype == given.grad.dtype == dtype
+    rough = 1e-4 if dtype == torch.float32 else 1e-9
+    torch.testing.assert_close(found.double(), expected, rtol=rough, atol=rough)
+    scale = float(exact.grad.abs().max())
+    torch.testing.assert_close(given.grad.double(), exact.grad, rtol=0.0, atol=rough * scale + 1e-12)
+
+
+def test_depths_at_the_edge_pull_too():
+    generator = torch.Generator().manual_seed(1)
+    depth = (5.0 + torch.rand(6, 7, generator=generator)).requires_grad_()
+    normal_loss(depth, torch.full((6, 7), 5.0), torch.ones(6, 7, dtype=torch.bool), K.float()).backward()
+    assert depth.grad[0].any() and depth.grad[:, -1].any()

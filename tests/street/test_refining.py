@@ -2,11 +2,9 @@ import numpy as np
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import nn
 
 from hybridworldsim.scene.refining.cells import best_of_each, cells, grown
 from hybridworldsim.scene.refining.pace import due, wanted
-from hybridworldsim.scene.refining.rows import replace_rows
 from hybridworldsim.scene.settings import Refinement
 
 
@@ -51,25 +49,6 @@ def test_the_first_of_equal_scores_is_the_best():
     keys, scores = torch.tensor([7, 3, 7, 3, 9]), torch.tensor([1.0, 5.0, 1.0, 5.0, 0.0])
     assert best_of_each(keys, scores).tolist() == [1, 0, 4]
     assert best_of_each(keys[:0], scores[:0]).tolist() == []
-
-
-def test_rows_take_their_moments_with_them():
-    module = nn.Module()
-    module.table, module.fixed = nn.Parameter(torch.arange(8.0).view(4, 2)), nn.Parameter(torch.ones(4), False)
-    adam = torch.optim.Adam([module.table], lr=0.1)
-    (module.table.sum() + (module.table**2).sum()).backward()
-    adam.step()
-    before = adam.state[module.table]["exp_avg"].clone()
-    value = module.table.detach().clone()
-    added = {"table": torch.full((1, 2), 9.0), "fixed": torch.zeros(1)}
-    replace_rows(module, ["table", "fixed"], adam, torch.tensor([3, 1]), added)
-    assert torch.equal(module.table.detach(), torch.cat([value[[3, 1]], added["table"]]))
-    assert torch.equal(adam.state[module.table]["exp_avg"], torch.cat([before[[3, 1]], torch.zeros(1, 2)]))
-    assert module.fixed.tolist() == [1.0, 1.0, 0.0]
-    assert not module.fixed.requires_grad
-    module.table.sum().backward()
-    adam.step()
-    assert len(adam.state) == 1
 
 
 def test_refinements_are_due_evenly_and_never_too_many():

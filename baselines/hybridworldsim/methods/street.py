@@ -61,6 +61,7 @@ class StreetMethod(StaticMethod):
         """See `StaticMethod.write`."""
         if not isinstance(learner, StreetLearner):
             raise UsageError(f"a {type(learner).__name__}", expected="a learner of a street")
+        learner.settle()
         return save_block(path, block, learner.street, half=half, about={"settings_hash": run.settings_hash})
 
 

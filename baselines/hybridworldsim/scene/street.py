@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from torch import Tensor, nn
 
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.scene.appearance import Appearance
-from hybridworldsim.scene.nodes.anchors import Anchors
-from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians
+from hybridworldsim.scene.nodes.anchors import AnchorRows, Anchors
+from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians, CodeRows
 from hybridworldsim.scene.splats import Splats, joined
 from hybridworldsim.training.viewpoint import Viewpoint
+
+
+class Rows(NamedTuple):
+    """Some of what each node has."""
+
+    background: AnchorRows
+    ground: CodeRows
+    sky: CodeRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +56,30 @@ class Street(nn.Module):
         super().__init__()
         self.background, self.ground, self.sky, self.appearance = background, ground, sky, appearance
 
-    def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Splats, ...]:
-        """What each node shows a viewpoint: background, ground, sky."""
+    @property
+    def nodes(self) -> tuple[Anchors, CodeGaussians, CodeGaussians]:
+        """Background, ground, sky: the order of all that is told of nodes."""
+        return self.background, self.ground, self.sky
+
+    def decode(
+        self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: Rows | None = None
+    ) -> tuple[Splats, ...]:
+        """What each node shows a viewpoint; of `rows`, or of all that the viewpoint may see."""
+        anchors, ground, sky = rows or (None, None, None)
         return (
-            self.background.decode(viewpoint, latent, content),
-            self.ground.decode(viewpoint, latent),
-            self.sky.decode(viewpoint, latent),
+            self.background.decode(viewpoint, latent, content, anchors),
+            self.ground.decode(viewpoint, latent, ground),
+            self.sky.decode(viewpoint, latent, sky),
         )
 
     def forward(
-        self, viewpoint: Viewpoint, latent: Tensor, content: Tensor | None = None, *, pulls: bool = False
+        self,
+        viewpoint: Viewpoint,
+        latent: Tensor,
+        content: Tensor | None = None,
+        *,
+        rows: Rows | None = None,
+        pulls: bool = False,
     ) -> Drawn:
         """Draw a viewpoint.
 
@@ -65,9 +87,10 @@ class Street(nn.Module):
             viewpoint: whence.
             latent: appearance of the colours.
             content: appearance of what is there; default: the same.
+            rows: of what; default: of all that the viewpoint may see.
             pulls: the backward pass is to tell how strongly the picture pulls at its Gaussians.
         """
-        parts = self.decode(viewpoint, latent, latent if content is None else content)
+        parts = self.decode(viewpoint, latent, latent if content is None else content, rows)
         return draw(viewpoint, parts, pulls=pulls)
 
 

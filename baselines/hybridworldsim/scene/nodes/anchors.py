@@ -2,18 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 
 from hybridworldsim.scene.decoders import Conditioned, decoded
 from hybridworldsim.scene.nodes.assembly import GEOMETRY, assembled
-from hybridworldsim.scene.nodes.gathering import told
+from hybridworldsim.scene.nodes.gathering import rows_of, told
 from hybridworldsim.scene.splats import Splats
 from hybridworldsim.scene.visible import visible
 from hybridworldsim.training.viewpoint import Viewpoint
 
 _OPACITY = 0.3
 _SPREAD = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorRows:
+    """Some anchors.
+
+    Attributes:
+        ids: (M,) int64 which, ascending.
+        means: (M, 3).
+        offsets: (M, k, 3).
+        codes: (M, F).
+        log_scales: (M, 6).
+    """
+
+    ids: Tensor
+    means: Tensor
+    offsets: Tensor
+    codes: Tensor
+    log_scales: Tensor
 
 
 class Anchors(nn.Module):
@@ -32,6 +55,8 @@ class Anchors(nn.Module):
         latent: size of the appearance's.
         hidden: width of the networks.
     """
+
+    TABLES: ClassVar = ("means", "offsets", "codes", "log_scales")
 
     def __init__(
         self, means: Tensor, spacing_m: Tensor, radius_m: float, *, offsets: int, code: int, latent: int, hidden: int
@@ -54,21 +79,29 @@ class Anchors(nn.Module):
     def __len__(self) -> int:
         return len(self.means)
 
-    def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> Splats:
-        """Gaussians of the anchors that a viewpoint may see.
+    def seen(self, viewpoint: Viewpoint) -> Tensor:
+        """(M,) int64 anchors that a viewpoint may see."""
+        with torch.no_grad():
+            return visible(viewpoint, self.means, 3.0 * self.log_scales.amax(1).exp())
+
+    def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> AnchorRows:
+        """Anchors (M,); rows of tables that are at hand already are not looked up."""
+        return AnchorRows(ids, **rows_of(self, self.TABLES, ids, learnt or {}))
+
+    def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: AnchorRows | None = None) -> Splats:
+        """Gaussians of anchors.
 
         Args:
             viewpoint: whence.
             latent: appearance, of the colours.
             content: appearance, of what is there at all (leaves, billboards). It is the same vector but for edits of
                 the light, which must not move anything.
+            rows: of which anchors; None: of all that the viewpoint may see.
         """
-        with torch.no_grad():
-            reach = 3.0 * self.log_scales.amax(1).exp()
-        seen = visible(viewpoint, self.means, reach)
-        geometry, colours = self.read(seen, viewpoint, latent, content)
-        centres, quats, scales, opacities, tints, rows = assembled(
-            geometry, colours, seen, self.means, self.offsets, self.log_scales
+        rows = rows or self.rows(self.seen(viewpoint))
+        geometry, colours = self.read(rows, viewpoint, latent, content)
+        centres, quats, scales, opacities, tints, slots = assembled(
+            geometry, colours, rows.means, rows.offsets, rows.log_scales
         )
         return Splats(
             centres,
@@ -76,14 +109,14 @@ class Anchors(nn.Module):
             scales,
             opacities,
             tints,
-            rows=rows,
+            rows=rows.ids[slots // self.k] * self.k + slots % self.k,
             held=len(self) * self.k,
-            decoded=len(seen) * self.k,
-            seen=seen,
+            decoded=len(rows.ids) * self.k,
+            seen=rows.ids,
         )
 
-    def read(self, rows: Tensor, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
-        """What the networks say of anchors (M,), (M, k * 8) and (M, k * 3); see `assembled`."""
-        facts = told(self.codes, rows, self.means, viewpoint.centre, self.radius_m)
+    def read(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
+        """What the networks say of anchors: (M, k * 8) and (M, k * 3); see `assembled`."""
+        facts = told(rows.codes, rows.means, viewpoint.centre, self.radius_m)
         geometry, colours = decoded(facts, (self.geometry, content), (self.colour, latent))
         return geometry, colours

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from hybridworldsim.scene.decoders import Conditioned, decoded
-from hybridworldsim.scene.nodes.gathering import shown, told
+from hybridworldsim.scene.nodes.gathering import rows_of, told
 from hybridworldsim.scene.splats import Splats
 from hybridworldsim.scene.visible import visible
 from hybridworldsim.training.viewpoint import Viewpoint
@@ -33,6 +35,27 @@ class Seeds:
     opacity: float
 
 
+@dataclass(frozen=True, eq=False)
+class CodeRows:
+    """Some Code-Gaussians.
+
+    Attributes:
+        ids: (M,) int64 which, ascending.
+        means: (M, 3).
+        quats: (M, 4).
+        log_scales: (M, 3).
+        logits: (M,) of opacities.
+        codes: (M, F).
+    """
+
+    ids: Tensor
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    logits: Tensor
+    codes: Tensor
+
+
 class CodeGaussians(nn.Module):
     """A node of Code-Gaussians.
 
@@ -42,6 +65,8 @@ class CodeGaussians(nn.Module):
         latent: size of the appearance's.
         hidden: width of the network.
     """
+
+    TABLES: ClassVar = ("means", "quats", "log_scales", "logits", "codes")
 
     def __init__(self, seeds: Seeds, code: int, latent: int, hidden: int) -> None:
         super().__init__()
@@ -56,21 +81,36 @@ class CodeGaussians(nn.Module):
     def __len__(self) -> int:
         return len(self.means)
 
-    def decode(self, viewpoint: Viewpoint, latent: Tensor) -> Splats:
-        """Those that a viewpoint may see.
+    def seen(self, viewpoint: Viewpoint) -> Tensor:
+        """(M,) int64 Gaussians that a viewpoint may see."""
+        with torch.no_grad():
+            return visible(viewpoint, self.means, _SIGMAS * self.log_scales.amax(1).exp())
+
+    def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> CodeRows:
+        """Gaussians (M,); rows of tables that are at hand already are not looked up."""
+        return CodeRows(ids, **rows_of(self, self.TABLES, ids, learnt or {}))
+
+    def decode(self, viewpoint: Viewpoint, latent: Tensor, rows: CodeRows | None = None) -> Splats:
+        """Gaussians with their colours.
 
         Args:
             viewpoint: whence.
             latent: appearance.
+            rows: which; None: all that the viewpoint may see.
         """
-        with torch.no_grad():
-            reach = _SIGMAS * self.log_scales.amax(1).exp()
-        rows = visible(viewpoint, self.means, reach)
-        means, quats, scales, opacities = shown(rows, self.means, self.quats, self.log_scales, self.logits)
-        colours = self.colours(rows, viewpoint, latent)
-        return Splats(means, quats, scales, opacities, colours, rows=rows, held=len(self), decoded=len(rows))
+        rows = rows or self.rows(self.seen(viewpoint))
+        return Splats(
+            rows.means,
+            rows.quats,
+            rows.log_scales.exp(),
+            rows.logits.sigmoid(),
+            self.colours(rows, viewpoint, latent),
+            rows=rows.ids,
+            held=len(self),
+            decoded=len(rows.ids),
+        )
 
-    def colours(self, rows: Tensor, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
-        """(M, 3) of Gaussians (M,), as a viewpoint sees them."""
-        (tints,) = decoded(told(self.codes, rows, self.means, viewpoint.centre), (self.colour, latent))
+    def colours(self, rows: CodeRows, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
+        """(M, 3) of Gaussians, as a viewpoint sees them."""
+        (tints,) = decoded(told(rows.codes, rows.means, viewpoint.centre), (self.colour, latent))
         return tints.sigmoid()

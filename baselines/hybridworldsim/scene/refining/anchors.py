@@ -6,17 +6,15 @@ from collections.abc import Mapping
 
 import torch
 from torch import Tensor
-from torch.optim import Optimizer
 
+from hybridworldsim.scene.lazy_adam import LazyAdam
 from hybridworldsim.scene.nodes.anchors import Anchors
 from hybridworldsim.scene.refining.cells import grown
 from hybridworldsim.scene.refining.pace import wanted
-from hybridworldsim.scene.refining.rows import replace_rows
 from hybridworldsim.scene.settings import Refinement
 from hybridworldsim.scene.splats import Splats
 from hybridworldsim.training.viewpoint import Viewpoint
 
-_TABLES = ("means", "offsets", "codes", "log_scales")
 _SEEN = 10
 _DRAWN = 2.0
 _SPREAD = 0.5
@@ -27,11 +25,12 @@ class AnchorRefiner:
 
     Args:
         node: the anchors, whose tables are replaced.
+        tables: those, as they are learnt.
         refinement: how many there may be, and where.
     """
 
-    def __init__(self, node: Anchors, refinement: Refinement) -> None:
-        self._node, self._refinement, self._first = node, refinement, len(node)
+    def __init__(self, node: Anchors, tables: LazyAdam, refinement: Refinement) -> None:
+        self._node, self._tables, self._refinement, self._first = node, tables, refinement, len(node)
         self._nearest = torch.full((len(node),), torch.inf)
         self._clear()
 
@@ -54,21 +53,20 @@ class AnchorRefiner:
             self._nearest[part.seen] = torch.minimum(self._nearest[part.seen], distance)
 
     @torch.no_grad()
-    def refine(self, done: int, optimizer: Optimizer, generator: torch.Generator) -> None:
+    def refine(self, done: int, generator: torch.Generator) -> None:
         """Prune and grow.
 
         Args:
             done: which refinement this is.
-            optimizer: that learns the node's tables.
             generator: for the offsets of new anchors.
         """
-        refinement, node = self._refinement, self._node
+        refinement = self._refinement
         gone = (self._seen >= _SEEN) & (self._opacity < refinement.least_opacity * self._seen)
         keep = (~gone).nonzero().squeeze(1)
         room = max(wanted(refinement, done, self._first, refinement.most) - len(keep), 0)
         added, nearest = self._added(room, generator)
         if gone.any() or len(nearest):
-            replace_rows(node, _TABLES, optimizer, keep, added)
+            self._tables.replace(keep, added)
             self._nearest = torch.cat([self._nearest[keep], nearest])
         self._clear()
 

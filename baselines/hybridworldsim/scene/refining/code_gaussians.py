@@ -7,15 +7,13 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 from torch.nn import functional
-from torch.optim import Optimizer
 
+from hybridworldsim.scene.lazy_adam import LazyAdam
 from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.scene.refining.pace import wanted
-from hybridworldsim.scene.refining.rows import replace_rows
 from hybridworldsim.scene.settings import Refinement
 from hybridworldsim.scene.splats import Splats
 
-_TABLES = ("means", "quats", "log_scales", "logits", "codes")
 _DRAWN = 2.0
 _APART = 0.6
 _SMALLER = 1.6
@@ -27,12 +25,14 @@ class CodeRefiner:
 
     Args:
         node: whose tables are replaced.
+        tables: those, as they are learnt.
         refinement: when.
         most: Gaussians, at most.
     """
 
-    def __init__(self, node: CodeGaussians, refinement: Refinement, most: int) -> None:
-        self._node, self._refinement, self._first, self._most = node, refinement, len(node), most
+    def __init__(self, node: CodeGaussians, tables: LazyAdam, refinement: Refinement, most: int) -> None:
+        self._node, self._tables, self._refinement = node, tables, refinement
+        self._first, self._most = len(node), most
         self._clear()
 
     def note(self, part: Splats, rows: Tensor, pull: Tensor) -> None:
@@ -42,12 +42,11 @@ class CodeRefiner:
         self._drawn.index_add_(0, own, torch.ones_like(pull))
 
     @torch.no_grad()
-    def refine(self, done: int, optimizer: Optimizer) -> None:
+    def refine(self, done: int) -> None:
         """Prune, and split those that are pulled at most in two along their longest axis.
 
         Args:
             done: which refinement this is.
-            optimizer: that learns the node's tables.
         """
         node = self._node
         gone = node.logits.sigmoid() < _TRANSPARENT
@@ -57,7 +56,7 @@ class CodeRefiner:
         split = best[score[best] > 0.0]
         gone[split] = True
         if gone.any():
-            replace_rows(node, _TABLES, optimizer, (~gone).nonzero().squeeze(1), self._halves(split))
+            self._tables.replace((~gone).nonzero().squeeze(1), self._halves(split))
         self._clear()
 
     def _halves(self, rows: Tensor) -> dict[str, Tensor]:

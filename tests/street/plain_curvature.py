@@ -1,0 +1,59 @@
+"""The loss of normals in plain torch, on whole pictures."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+def normals_of(depth_m: Tensor, K: Tensor) -> Tensor:
+    """(H, W, 3) unit normals of a depth map, in the camera's frame, towards the camera.
+
+    Args:
+        depth_m: (H, W) camera z, more than nothing.
+        K: (3, 3).
+    """
+    height, width = depth_m.shape
+    x = (torch.arange(width, dtype=depth_m.dtype) + 0.5 - K[0, 2]) / K[0, 0]
+    y = (torch.arange(height, dtype=depth_m.dtype) + 0.5 - K[1, 2]) / K[1, 1]
+    points = torch.stack((x * depth_m, y[:, None] * depth_m, depth_m))
+    padded = functional.pad(points, (1, 1, 1, 1), mode="replicate")
+    right = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
+    down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+    across = torch.linalg.cross(down, right, dim=0)
+    # Torch's norms along an axis of three are many times slower.
+    return (across * across.square().sum(0).clamp_min(1e-24).rsqrt()).permute(1, 2, 0)
+
+
+def curvature(normals: Tensor) -> Tensor:
+    """(H - 2, W - 2) curvature of normals (H, W, 3): squared Sobel gradients, summed over channels and directions."""
+    # Sobel's kernels are a smoothing one way and a difference the other; sums of slices are far faster than torch's
+    # convolutions of three channels, backwards above all.
+    down = normals[:-2] + 2.0 * normals[1:-1] + normals[2:]
+    across = normals[:, :-2] + 2.0 * normals[:, 1:-1] + normals[:, 2:]
+    return (down[:, 2:] - down[:, :-2]).square().sum(2) + (across[2:] - across[:-2]).square().sum(2)
+
+
+def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) -> Tensor:
+    """Mean absolute difference of curvatures, where all nine pixels have a depth and the curvature is a surface's.
+
+    Args:
+        rendered_m: (H, W) expected depth.
+        stereo_m: (H, W) depth of multi-view stereo; the normals come from the same depth.
+        known: (H, W) bool.
+        K: (3, 3).
+    """
+    filled = torch.where(known, stereo_m, 1.0)
+    # A normal is made of four neighbours and a gradient of eight normals.
+    whole = _neighbours(_neighbours(functional.pad(known, (1, 1, 1, 1), value=True)).T).T
+    with torch.no_grad():
+        target = curvature(normals_of(filled, K))
+    found = curvature(normals_of(rendered_m.clamp_min(1e-3), K))
+    return torch.where(whole, (found - target).abs(), 0.0).sum() / whole.sum().clamp_min(1)
+
+
+def _neighbours(known: Tensor) -> Tensor:
+    """(H - 4, W) where a mask (H, W) is set in all five rows around."""
+    rows = max(len(known) - 4, 0)
+    return known[:rows] & known[1 : rows + 1] & known[2 : rows + 2] & known[3 : rows + 3] & known[4:]

@@ -89,9 +89,10 @@ def _tuned(package: Any) -> Splatting:
     return settings
 
 
-def _as_many_bytes(refinement: Refinement) -> Refinement:
-    """Code-Gaussians in place of anchors: 108 bytes each, against 284."""
-    return replace(refinement, most_ground=refinement.most_ground + refinement.most * 284 // 108)
+def _as_many_bytes(settings: Settings) -> Refinement:
+    """Code-Gaussians in place of anchors: 27 numbers each, against 50."""
+    grown, anchor, plain = settings.refinement, 9 + 3 * settings.offsets + settings.code, 11 + settings.plain_code
+    return replace(grown, most_ground=grown.most_ground + grown.most * anchor // plain)
 
 
 def _same(settings: Settings) -> Settings:
@@ -100,7 +101,7 @@ def _same(settings: Settings) -> Settings:
 
 _ABLATIONS: Final[dict[str, Callable[[Settings], Settings]]] = {
     "no-appearance": lambda settings: replace(settings, latent=0),
-    "no-anchors": lambda settings: replace(settings, hybrid=False, refinement=_as_many_bytes(settings.refinement)),
+    "no-anchors": lambda settings: replace(settings, hybrid=False, refinement=_as_many_bytes(settings)),
     "no-depth": lambda settings: replace(settings, depth_weight=0.0, normal_weight=0.0),
     "no-normals": lambda settings: replace(settings, normal_weight=0.0),
 }

@@ -61,7 +61,7 @@ class Refinement:
     end: float = 0.6
     times: int = 40
     least_steps: int = 20
-    most: int = 15_000
+    most: int = 36_000
     most_ground: int = 20_000
     most_sky: int = 5_000
     cells_m: tuple[float, ...] = (1.6, 0.4, 0.1)
@@ -100,11 +100,11 @@ class Settings:
     latent: int = 32
     hybrid: bool = True
     code: int = 32
-    offsets: int = 10
+    offsets: int = 3
     hidden: int = 64
     plain_code: int = 16
-    first_anchors: int = 6_000
-    first_spacing_m: float = 0.55
+    first_anchors: int = 28_000
+    first_spacing_m: float = 0.2
     first_share: float = 0.02
     ground_spacing_m: float = 0.5
     ground_reach_m: float = 15.0

@@ -29,9 +29,9 @@ _TABLES: Final = ("offsets", "codes", "log_scales", "quats", "logits")
 def save_block(
     path: Path, block: Block, street: Street, *, half: bool = False, about: Mapping[str, Any] | None = None
 ) -> int:
-    """Write a block: of an anchor 71 numbers (place, k = 10 offsets, code of 32, 6 sizes), 284 bytes.
+    """Write a block: of an anchor 50 numbers (place, k = 3 offsets, code of 32, 6 sizes), 200 bytes.
 
-    In half precision positions stay float32, as do networks and latents, and an anchor takes 148 bytes.
+    In half precision positions stay float32, as do networks and latents, and an anchor takes 106 bytes.
 
     Args:
         path: of the file; written whole or not at all.

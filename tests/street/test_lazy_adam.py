@@ -38,6 +38,15 @@ def stepped(adam, rows, rng):
     return told
 
 
+def both_stepped(adam, rows, rng, reference, exact):
+    """The same step of both; the reference is told of zeros for the other rows."""
+    for name, gradient in stepped(adam, rows, rng).items():
+        whole = torch.zeros_like(exact.get_parameter(name))
+        whole[torch.from_numpy(rows)] = gradient.double()
+        exact.get_parameter(name).grad = whole
+    reference.step()
+
+
 def some(rng, count, share):
     return np.flatnonzero(rng.random(count) < share).astype(np.int64)
 
@@ -50,13 +59,7 @@ def test_rows_end_where_adam_takes_them_that_is_told_of_zeros(seed, steps, share
     exact.load_state_dict(one.state_dict())
     adam, reference = lazy(one), plain(exact)
     for _ in range(steps):
-        rows = some(rng, 30, share)
-        told = stepped(adam, rows, rng)
-        for name, gradient in told.items():
-            whole = torch.zeros_like(exact.get_parameter(name))
-            whole[torch.from_numpy(rows)] = gradient.double()
-            exact.get_parameter(name).grad = whole
-        reference.step()
+        both_stepped(adam, some(rng, 30, share), rng, reference, exact)
     adam.settle(RATES)
     for name in ("table", "numbers", "fixed"):
         torch.testing.assert_close(
@@ -68,13 +71,7 @@ def test_a_row_that_is_seen_once_in_a_thousand_steps_goes_as_far():
     one, exact = node_of(2), node_of(2, torch.float64)
     adam, reference, rng = lazy(one), plain(exact), np.random.default_rng(0)
     for step in range(2001):
-        rows = np.array([0, 1] if step % 1000 == 0 else [0])
-        told = stepped(adam, rows, rng)
-        for name, gradient in told.items():
-            whole = torch.zeros_like(exact.get_parameter(name))
-            whole[torch.from_numpy(rows)] = gradient.double()
-            exact.get_parameter(name).grad = whole
-        reference.step()
+        both_stepped(adam, np.array([0, 1] if step % 1000 == 0 else [0]), rng, reference, exact)
     adam.settle(RATES)
     assert one.table[1].detach().sub(exact.table[1].detach()).abs().max() < 1e-5
     assert one.table[0].detach().sub(exact.table[0].detach()).abs().max() < 1e-3

@@ -34,7 +34,7 @@ def stepped(adam, rows, rng):
     told = {name: torch.from_numpy(rng.normal(size=leaf.shape)).float() for name, leaf in leaves.items()}
     for name, leaf in leaves.items():
         leaf.grad = told[name]
-    adam.learn(RATES)
+    adam.learn()
     return told
 
 
@@ -77,6 +77,29 @@ def test_a_row_that_is_seen_once_in_a_thousand_steps_goes_as_far():
     assert one.table[0].detach().sub(exact.table[0].detach()).abs().max() < 1e-3
 
 
+def test_moments_fade_while_the_rate_is_zero():
+    one, exact = node_of(2), node_of(2, torch.float64)
+    adam, reference, rng = lazy(one), plain(exact), np.random.default_rng(0)
+    both_stepped(adam, np.array([0, 1]), rng, reference, exact)
+    adam.settle(dict.fromkeys(RATES, 0.0))
+    for _ in range(20):
+        adam.take(torch.tensor([0]), dict.fromkeys(RATES, 0.0))
+        adam.learn()
+    adam.settle(dict.fromkeys(RATES, 0.0))
+    for group in reference.param_groups:
+        group["lr"] = 0.0
+    exact.zero_grad(set_to_none=False)
+    for _ in range(20):
+        reference.step()
+    for group, rate in zip(reference.param_groups, RATES.values()):
+        group["lr"] = rate
+    both_stepped(adam, np.array([0, 1]), rng, reference, exact)
+    for name in RATES:
+        torch.testing.assert_close(
+            one.get_parameter(name).detach().double(), exact.get_parameter(name).detach(), rtol=1e-4, atol=1e-4
+        )
+
+
 def test_rows_that_were_never_seen_stay_where_they_are():
     node = node_of(3)
     before, adam, rng = node.table.detach().clone(), lazy(node), np.random.default_rng(0)
@@ -95,7 +118,7 @@ def test_what_is_taken_is_up_to_date_and_what_nothing_is_drawn_of_goes_on():
     for name, leaf in leaves.items():
         assert torch.equal(leaf.detach(), node.get_parameter(name).detach()[[0, 2, 3]])
     before = node.table.detach().clone()
-    adam.learn(RATES)
+    adam.learn()
     assert (node.table.detach() != before).flatten(1).any(1).tolist() == [True, False, True, False]
 
 
@@ -146,7 +169,7 @@ def test_no_rows_and_an_empty_node_are_fine(rows):
     adam = lazy(node)
     leaves = adam.take(torch.tensor(rows, dtype=torch.int64), RATES)
     assert leaves["table"].shape == (len(rows), 2, 3)
-    adam.learn(RATES)
+    adam.learn()
     adam.settle(RATES)
 
 

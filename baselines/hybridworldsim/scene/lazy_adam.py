@@ -50,7 +50,7 @@ class LazyAdam:
         self._last = torch.zeros(count, dtype=torch.int64)
         self.numbers = torch.arange(count)
         self._given, self.steps = count, 0
-        self._taken: tuple[Tensor, dict[str, Tensor]] | None = None
+        self._taken: tuple[Tensor, dict[str, Tensor], Mapping[str, float]] | None = None
 
     def take(self, rows: Tensor, rates: Mapping[str, float]) -> dict[str, Tensor]:
         """Begin a step.
@@ -64,15 +64,15 @@ class LazyAdam:
             next step uses again.
         """
         self.steps += 1
-        leaves = self._caught_up(rows, rates)
-        self._taken = rows, leaves
+        leaves = self._caught_up(rows, rates, self.steps)
+        self._taken = rows, leaves, rates
         return leaves
 
-    def learn(self, rates: Mapping[str, float]) -> None:
+    def learn(self) -> None:
         """End a step: move the rows that were taken by their gradients."""
         if self._taken is None:
             return
-        rows, leaves = self._taken
+        rows, leaves, rates = self._taken
         self._taken = None
         ids, edges, share = rows.numpy(), spans(len(rows)), float(_CORRECTIONS[min(self.steps, _SETTLED)])
         for name, leaf in leaves.items():
@@ -83,9 +83,7 @@ class LazyAdam:
 
     def settle(self, rates: Mapping[str, float]) -> None:
         """Bring all rows up to date, between steps."""
-        self.steps += 1
-        self._caught_up(torch.arange(len(self._last)), rates)
-        self.steps -= 1
+        self._caught_up(torch.arange(len(self._last)), rates, self.steps + 1)
         self._last.fill_(self.steps)
 
     @torch.no_grad()
@@ -125,11 +123,11 @@ class LazyAdam:
         self._last, self.numbers = state["last"].clone(), state["numbers"].clone()
         self.steps, self._given = state["counters"].tolist()
 
-    def _caught_up(self, rows: Tensor, rates: Mapping[str, float]) -> dict[str, Tensor]:
-        """Rows of the tables, after the steps before this one that did not see them."""
+    def _caught_up(self, rows: Tensor, rates: Mapping[str, float], step: int) -> dict[str, Tensor]:
+        """Rows of the tables as a step finds them, after those before it that did not see them."""
         ids, edges = rows.numpy(), spans(len(rows))
         past = np.empty((len(ids), 3), np.float32)
-        asked = ids, self.steps, self._last.numpy(), _CORRECTIONS, past
+        asked = ids, step, self._last.numpy(), _CORRECTIONS, past
         in_parallel(lambda part: _await(edges[part], edges[part + 1], *asked), len(edges) - 1)
         leaves = {}
         for name in self.names:
@@ -170,9 +168,8 @@ def _take(
     """Rows of a table, brought up to date in it."""
     for place in range(begin, end):
         row = np.uint64(rows[place])
-        far = rate * past[place, 0]
-        if far > 0.0:
-            one, two = past[place, 1], past[place, 2]
+        if past[place, 0] > 0.0:
+            far, one, two = rate * past[place, 0], past[place, 1], past[place, 2]
             for column in range(table.shape[1]):
                 mean, square = first[row, column], second[row, column]
                 table[row, column] -= far * mean / (math.sqrt(square) + np.float32(EPS))

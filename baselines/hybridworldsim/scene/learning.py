@@ -75,8 +75,8 @@ class StreetLearner:
         total.backward()
         self._note(drawn, viewpoint)
         self._adam.step()
-        for tables, rates in zip(self._tables, self._rates()):
-            tables.learn(rates)
+        for tables in self._tables:
+            tables.learn()
         self._steps += 1
         if growing:
             self._refine(drawn, viewpoint, progress)

@@ -1,6 +1,7 @@
 """Turn street photos and their COLMAP model into a recording: ``python examples/lund_recording.py FOLDER RECORDING``.
 
-FOLDER has ``images/`` with places in their EXIF data and a model in ``colmap/``, as in docs/rasterizer_training.md.
+FOLDER has ``images/`` with longitude, latitude and height in their EXIF data and a model in ``colmap/``, of one
+SIMPLE_RADIAL camera, as in docs/rasterizer_training.md. It takes pycolmap (extra ``calibration``) and pillow.
 COLMAP knows neither up, nor north, nor metres: up is what photos have in common, the rest tells their EXIF data.
 """
 
@@ -58,6 +59,8 @@ def main(folder: Path, out: Path) -> None:
     model = pycolmap.Reconstruction(str(folder / "colmap"))
     images = sorted(model.images.values(), key=lambda image: image.name)
     lens = model.cameras[images[0].camera_id]
+    if lens.model.name != "SIMPLE_RADIAL":
+        sys.exit(f"{folder / 'colmap'}: camera {lens.camera_id} is {lens.model.name}, expected SIMPLE_RADIAL")
     focal, cx, cy, radial = lens.params
 
     gps = places([folder / "images" / image.name for image in images])

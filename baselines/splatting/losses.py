@@ -6,11 +6,10 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.scene.curvature import normal_loss
-from hybridworldsim.scene.losses import colour_loss, depth_loss
+from hybridworldsim.scene.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.training.picture import TrainingPicture
 from splatting.look import Finished
 from splatting.settings import Weights
-from splatting.similarity import similarity
 
 Weighted = dict[str, tuple[float, Tensor]]
 _SEEN = 0.5
@@ -32,9 +31,7 @@ def picture_losses(finished: Finished, picture: TrainingPicture, weights: Weight
         losses["rgb"] = (0.0, losses["rgb"][1].detach())
         losses["l1"] = (share, _mean((finished.rgb - taken).abs().mean(2), scored))
     if weights.structure:
-        # What is not scored is as it should be, in the windows of what is.
-        filled = torch.where(scored[..., None], finished.plain, taken)
-        losses["ssim"] = (weights.structure, 1.0 - _mean(similarity(filled, taken), scored))
+        losses["ssim"] = (weights.structure, structure_loss(finished.plain, taken, scored))
     return losses
 
 

@@ -15,12 +15,15 @@ from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.scaled import scaled_explicit, scaled_street
 from benchmarks._reconstruction.small import as_small
 from hybridworldsim.methods.static import StaticMethod
-from hybridworldsim.methods.street import StreetMethod
+from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
 from hybridworldsim.methods.street import make as make_street
 from hybridworldsim.scene.settings import Refinement, Settings
 from splatting.settings import Splatting
 
 OURS: Final = "ours"
+STRUCTURE: Final = "ours-structure"
+"""With a loss of structure, which the paper does not have."""
+
 RIVALS: Final = (vanilla_3dgs, mtgs_style, omnire_style)
 _CHOSEN: Final = {"vanilla_3dgs": (1.0, 2.0), "mtgs_style": (1.0, 2.0), "omnire_style": (2.0, 2.0)}
 """The cells of the grid, rates and sizes, that were best: ``python -m benchmarks reconstruction tune``.
@@ -53,6 +56,7 @@ def entries() -> dict[str, Entry]:
     """All rows, by name."""
     rows = [
         Entry(OURS, _street(_same)),
+        Entry(STRUCTURE, _street(_with_structure)),
         *(
             Entry(f"{package.__name__}-{label}", _explicit(package, settings))
             for package in RIVALS
@@ -93,6 +97,10 @@ def _as_many_bytes(settings: Settings) -> Refinement:
     """Code-Gaussians in place of anchors: 27 numbers each, against 50."""
     grown, anchor, plain = settings.refinement, 9 + 3 * settings.offsets + settings.code, 11 + settings.plain_code
     return replace(grown, most_ground=grown.most_ground + grown.most * anchor // plain)
+
+
+def _with_structure(settings: Settings) -> Settings:
+    return replace(settings, structure_weight=STRUCTURE_WEIGHT)
 
 
 def _same(settings: Settings) -> Settings:

@@ -86,13 +86,13 @@ def table(found: Sequence[Outcome], entries: Iterable[str]) -> str:
     return "\n".join(lines)
 
 
-def differences(found: Sequence[Outcome], entries: Iterable[str], names: Sequence[str]) -> str:
-    """Markdown: ours minus each other, paired by scene and seed, with 95 % intervals of Student's t."""
-    lines = [f"| ours minus | {' | '.join(names)} | pairs |", "|---" * (len(names) + 2) + "|"]
-    ours = {(one.scene, one.seed): one for one in found if one.entry == OURS}
+def differences(found: Sequence[Outcome], ours: str, entries: Iterable[str], names: Sequence[str]) -> str:
+    """Markdown: one entry minus each other, paired by scene and seed, with 95 % intervals of Student's t."""
+    lines = [f"| {ours} minus | {' | '.join(names)} | pairs |", "|---" * (len(names) + 2) + "|"]
+    own = {(one.scene, one.seed): one for one in found if one.entry == ours}
     for entry in entries:
-        pairs = [(ours[key], one) for one in found if one.entry == entry and (key := (one.scene, one.seed)) in ours]
-        if entry == OURS or not pairs:
+        pairs = [(own[key], one) for one in found if one.entry == entry and (key := (one.scene, one.seed)) in own]
+        if entry == ours or not pairs:
             continue
         cells = []
         for name in names:

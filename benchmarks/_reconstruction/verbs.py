@@ -10,7 +10,7 @@ from benchmarks._reconstruction.arguments import Arguments
 from benchmarks._reconstruction.data import prepare
 from benchmarks._reconstruction.declared import Declared
 from benchmarks._reconstruction.job import Job
-from benchmarks._reconstruction.methods import OURS, entries
+from benchmarks._reconstruction.methods import OURS, STRUCTURE, entries
 from benchmarks._reconstruction.queue import run_all
 from benchmarks._reconstruction.tables import differences, outcomes, table, tuned
 from mirror.cli.watch import watching
@@ -63,7 +63,7 @@ def _run(arguments: Arguments, declaration: Declared) -> int:
 
 def _show(arguments: Arguments, declaration: Declared) -> int:
     found = outcomes(arguments.data)
-    rows = list(dict.fromkeys([OURS, *_rows(arguments)]))
+    rows = list(dict.fromkeys([OURS, STRUCTURE, *_rows(arguments)]))
     width = arguments.width or declaration.width_px
     print(f"declaration {declaration.hash[:16]}")
     for minutes in arguments.minutes or (declaration.core_minutes,):
@@ -74,7 +74,8 @@ def _show(arguments: Arguments, declaration: Declared) -> int:
             and one.seed in (arguments.seeds or declaration.seeds)
         ]  # fmt: skip
         print(f"\n{minutes:g} core-minutes, {width} px\n\n{table(own, rows)}")
-        print(f"\n{differences(own, rows, _COMPARED)}")
+        for ours in (OURS, STRUCTURE):
+            print(f"\n{differences(own, ours, rows, _COMPARED)}")
     return ExitCode.DONE
 
 

@@ -51,7 +51,10 @@ class Arguments:
     """Of all that is left to chance."""
     initialise: Literal["plane-sweep", "sparse", "mvsnet", "patchmatchnet", "dataset"] | None = None
     """What makes the layers of depth and points, if they are absent; dataset: the layers that it has.
-    Default: dataset where it has points, else plane-sweep."""
+    Default: dataset where it has points and nothing is held out, else plane-sweep."""
+    blocks: str | None = None
+    """Names of blocks, separated by commas, to train these alone: others may be trained by other machines at the same
+    time. Once all are, the same command without it finishes the model. Default: all."""
     threads: int | None = None
     """Default: as many as there are processors."""
     half: bool = False
@@ -71,6 +74,8 @@ def main(argv: Sequence[str]) -> int:
     ):
         if number is not None and not number > least:
             raise UsageError(f"{number:g}", place=name, expected=f"more than {least:g}")
+    if arguments.seed < 0:
+        raise UsageError(f"{arguments.seed}", place="--seed", expected="0 or more")
     if arguments.minutes is not None and arguments.steps is not None:
         raise UsageError("both --minutes and --steps", expected="one of them")
 
@@ -97,7 +102,8 @@ def main(argv: Sequence[str]) -> int:
         steps=arguments.steps,
         core_minutes=minutes,
         seed=arguments.seed,
-        initialise=arguments.initialise or _brought(dataset, arguments.split, scene),
+        initialise=arguments.initialise or _initialise(dataset, arguments, scene),
+        blocks=frozenset(filter(None, (arguments.blocks or "").split(","))),
         threads=arguments.threads,
         half=arguments.half,
         withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
@@ -127,9 +133,10 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) or "a scene with training traversals"
 
 
-def _brought(dataset: Dataset, split: str, scene: str) -> str:
-    own = dataset.where(split=split, role="train", scene=scene)
-    return "dataset" if own.count("points") else "plane-sweep"
+def _initialise(dataset: Dataset, arguments: Arguments, scene: str) -> str:
+    """Layers that are there may know the pictures that are held out: with --hold-out they are to be asked for."""
+    own = dataset.where(split=arguments.split, role="train", scene=scene)
+    return "dataset" if own.count("points") and not arguments.hold_out else "plane-sweep"
 
 
 def _print(done: Reconstructed, scene: str) -> None:
@@ -142,4 +149,7 @@ def _print(done: Reconstructed, scene: str) -> None:
         f"{done.gaussians} Gaussians, {done.model_bytes / 1e6:.2f} MB, {done.driven_m:.0f} m of road"
     )
     print(f"model: {done.folder}; of each block model.safetensors, curves.csv, curves.svg, pictures/, checkpoint")
+    if done.undone:
+        print(f"still to be trained: {', '.join(done.undone)}; then the same command without --blocks")
+        return
     print(f"next: mirror render {done.folder} --dataset ... --split ... --out SUBMISSION")

@@ -45,8 +45,8 @@ class Arguments:
     protocol: str = "static-reconstruction"
     """Name of the protocol, or the path of its .toml."""
     trajectory: str | None = None
-    """A traversal, lane-shift:METRES to its left, forward:METRES ahead of it, or a CSV of poses (qw qx qy qz tx_m ty_m
-    tz_m, in the world of the scene)."""
+    """A traversal, lane-shift:METRES to its left, forward:METRES ahead of it, or a CSV or Parquet of poses (qw qx qy
+    qz tx_m ty_m tz_m, in the world of the scene; timestamp_ns, else --hz says how fast they follow)."""
     traversal: str | None = None
     """Whose rig, line and look a trajectory has. Default: the first that was trained on."""
     cameras: str | None = None
@@ -155,15 +155,15 @@ def _costs(models: Iterable[Path]) -> Runtime:
 
 def appearance_of(looking: Looking) -> Appearance:
     """What a manifest says of the looks of pictures that were not trained on."""
-    from mirror.evaluation.submission.manifest import Appearance, Rectangle
+    from mirror.evaluation.methods import FITTED_PART
+    from mirror.evaluation.submission.manifest import Appearance
 
     if looking.policy == "nearest":
         return Appearance(policy="nearest-traversal", description="by the symmetric chamfer distance of driven lines")
     if looking.policy == "mean":
         return Appearance(policy="mean", description="of the latents of the camera")
     if looking.policy == "fit":
-        left = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
-        return Appearance(policy="fitted", description="the latent alone", held_out_pixels=(left,))
+        return Appearance(policy="fitted", description="the latent alone", held_out_pixels=(FITTED_PART,))
     return Appearance(policy="other", description=f"given: {looking.policy}")
 
 
@@ -183,7 +183,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     own = dataset.where(scene=scene)
     base = arguments.traversal or _base(own, str(arguments.trajectory), read_reconstruction(model).split)
     cameras = None if arguments.cameras is None else arguments.cameras.split(",")
-    trajectory = named(own, str(arguments.trajectory), base).at_rate(arguments.hz)
+    trajectory = named(own, str(arguments.trajectory), base, arguments.hz).at_rate(arguments.hz)
     views = views_along(own, base, trajectory, pixels, cameras)
     asked = sorted({view.camera for view in views})
     if arguments.out.suffix in _VIDEOS and len(asked) > 1 and len({(v.width_px, v.height_px) for v in views}) > 1:

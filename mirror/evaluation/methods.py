@@ -17,6 +17,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation import protocol as protocols
 from mirror.evaluation.progress import Watch
+from mirror.evaluation.submission.manifest import Rectangle
 from mirror.evaluation.training import Picture
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
@@ -25,6 +26,9 @@ from mirror.schema.files import read_json
 
 GROUP: Final = "mirror.methods"
 DOCUMENT: Final = "reconstruction.json"
+FITTED_PART: Final = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
+"""Of a held-out picture: what looks may be fitted to. It is not scored then."""
+
 _WARM_UP: Final = 3
 _LEAST_S: Final = 5.0
 _MOST_VIEWS: Final = 500
@@ -84,6 +88,7 @@ class Task:
         half: write the model in half precision.
         withheld: pictures of training traversals that are not looked at, such as
             `mirror.evaluation.training.asked_of_training` names.
+        blocks: names of those that are trained now, for any executor to share out; none: all.
     """
 
     scene: str
@@ -96,6 +101,7 @@ class Task:
     threads: int | None = None
     half: bool = False
     withheld: frozenset[Picture] = field(default=frozenset())
+    blocks: frozenset[str] = field(default=frozenset())
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,7 @@ class Reconstructed:
 
     Attributes:
         folder: of the model.
-        blocks: folders in it, in order.
+        blocks: folders in it that are trained, in order.
         psnr_db: of the pictures that were trained on last, mean of the blocks.
         steps: pictures that were learnt from, of all blocks.
         core_s: processor time of training.
@@ -113,6 +119,7 @@ class Reconstructed:
         model_bytes: of all that rendering needs.
         pictures: that were trained on.
         driven_m: length of the road that the model covers.
+        undone: blocks that are still to be trained, see `Task.blocks`; the figures are of the others.
     """
 
     folder: Path
@@ -125,6 +132,7 @@ class Reconstructed:
     model_bytes: int
     pictures: int
     driven_m: float
+    undone: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

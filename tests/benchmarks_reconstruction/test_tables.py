@@ -43,7 +43,7 @@ def test_differences_are_paired_by_scene_and_seed() -> None:
         outcome("other", "b", 0, 28.0), outcome("other", "a", 0, 26.0), outcome("other", "d", 0, 0.0),
     ]  # fmt: skip
     known = ttest_rel([27.0, 30.0], [26.0, 28.0]).confidence_interval(0.95)
-    line = differences(found, ["ours", "other"], ["train PSNR"]).splitlines()[-1]
+    line = differences(found, "ours", ["ours", "other"], ["train PSNR"]).splitlines()[-1]
     assert line == f"| other | +1.500 [{known.low:+.3f}, {known.high:+.3f}] | 2 |"
 
 

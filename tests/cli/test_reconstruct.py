@@ -20,7 +20,7 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.dataset.pictures.depth import encode_depth
-from mirror.errors import ExitCode
+from mirror.errors import ExitCode, UsageError
 from mirror.evaluation.methods import Task, installed_method, read_reconstruction
 from mirror.evaluation.progress import Silent
 from mirror.evaluation.protocol import load_protocol
@@ -172,10 +172,24 @@ def test_rivals_go_through_the_same_verbs(
     words = ("render", model, "--dataset", dataset.root, "--trajectory", "forward:1", "--cameras", "front_wide")
     told = said(capsys, *words, "--width", 48, "--hz", 2, "--out", tmp_path / "pictures")
     assert told["method"] == method and told["pictures"] == len(list((tmp_path / "pictures").rglob("*.png"))) > 1
-    mixed = said(
-        capsys, *words, "--appearance", "mean", "--out", tmp_path / "mean", code=ExitCode.COULD_NOT_RUN
-    )  # fmt: skip
-    assert f"{method} cannot mix looks" in mixed["problem"]
+    for mixed in ("mean", "sweep:day:night"):
+        words_of = (*words, "--appearance", mixed, "--out", tmp_path / "mixed")
+        assert f"{method} has no latents" in said(capsys, *words_of, code=ExitCode.COULD_NOT_RUN)["problem"]
+        assert not (tmp_path / "mixed").exists()
+
+
+@pytest.mark.parametrize(("method", "more"), [("hybridworldsim", False), ("hybridworldsim_structure", True)])
+def test_the_papers_method_has_the_papers_losses_and_the_other_one_more(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str, more: bool
+) -> None:
+    model = tmp_path / "model"
+    (block,) = said(capsys, *reconstruct(dataset, model, "--method", method, "--steps", 6))["blocks"]
+    columns = (model / block / "curves.csv").read_text().splitlines()[0].split(",")
+    assert "rgb" in columns and ("structure" in columns) == more
+    weight = json.loads((model / block / "run.json").read_text())["settings"]["structure_weight"]
+    assert (weight > 0.0) == more
+    words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))
+    assert said(capsys, *words, "--out", tmp_path / "submission")["method"] == method
 
 
 def test_where_no_bar_moves_each_report_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -204,6 +218,43 @@ def test_a_long_street_is_several_blocks(
     assert "1 blocks are not trained to the end" in undone["problem"]
 
 
+def test_blocks_are_shared_out(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hybridworldsim.methods.static.divide", lambda driven, size_m: divide(driven, 16.0))
+    at_once, shared = tmp_path / "at-once", tmp_path / "shared"
+    whole = said(capsys, *reconstruct(dataset, at_once, "--steps", 3))
+    first, *others = whole["blocks"]
+    begun = said(capsys, *reconstruct(dataset, shared, "--steps", 3, "--blocks", first))
+    assert (begun["blocks"], begun["undone"], begun["steps"]) == ([first], others, 3)
+    words = ("render", shared, "--dataset", dataset.root, "--split", "novel", "--out", tmp_path / "submission")
+    assert "not trained to the end" in said(capsys, *words, code=ExitCode.COULD_NOT_RUN)["problem"]
+    said(capsys, *reconstruct(dataset, shared, "--steps", 3, "--blocks", ",".join(others)))
+    done = said(capsys, *reconstruct(dataset, shared, "--steps", 3))
+    assert (done["blocks"], done["undone"]) == (whole["blocks"], [])
+    for name in whole["blocks"]:
+        model = f"{name}/model.safetensors"
+        assert (shared / model).read_bytes() == (at_once / model).read_bytes()
+    problem = said(capsys, *reconstruct(dataset, shared, "--blocks", "block_9"), code=ExitCode.COULD_NOT_RUN)
+    assert "no block block_9" in problem["problem"] and first in problem["expected"]
+
+
+def test_layers_that_may_know_the_held_out_pictures_are_not_taken_unasked(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def noted(dataset: Dataset, task: Task, progress: object) -> None:
+        asked.append(task.initialise)
+        raise UsageError("enough")
+
+    monkeypatch.setattr("hybridworldsim.methods.static.layers_for", noted)
+    for more in ((), ("--hold-out",), ("--hold-out", "--initialise", "dataset")):
+        protocol = ("--protocol", narrow(tmp_path)) if more else ()
+        said(capsys, *reconstruct(dataset, tmp_path / "model", *protocol, *more), code=ExitCode.COULD_NOT_RUN)
+    assert asked == ["dataset", "plane-sweep", "dataset"]
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
@@ -229,6 +280,7 @@ def test_a_run_of_other_settings_is_refused(
         (("--method", "magic"), "no method 'magic' is installed"),
         (("--minutes", 1), "both --minutes and --steps"),
         (("--threads", 0), "0"),
+        (("--seed", -1), "-1"),
         (("--split", "none"), "no such split"),
     ],
 )

@@ -1,14 +1,11 @@
 from __future__ import annotations
 
-import os
-from functools import partial
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybridworldsim.scene.blocks import Block, divide, each, views_of
+from hybridworldsim.scene.blocks import Block, divide, views_of
 from mirror.errors import UsageError
 from tests.street.streets import view
 
@@ -76,13 +73,3 @@ def test_views_are_those_in_the_block_and_those_that_look_into_it_from_near() ->
 def test_places_that_are_none_are_refused(driven: np.ndarray) -> None:
     with pytest.raises(UsageError, match="driven places"):
         divide(driven)
-
-
-def _process(block: Block, own: int) -> bool:
-    return os.getpid() == own
-
-
-def test_any_executor_gives_the_same_in_the_blocks_order() -> None:
-    blocks = divide(line(250.0)).blocks
-    assert [block.name for block in each(blocks, lambda block: block)] == [block.name for block in blocks]
-    assert list(each(blocks, partial(_process, own=os.getpid()), workers=2)) == [False] * 3

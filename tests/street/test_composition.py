@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from hybridworldsim.rendering.composition import Composition
 from hybridworldsim.rendering.partition import partition
+from hybridworldsim.rendering.parts import parts_of
 from hybridworldsim.scene.appearance import Appearance
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.street import Street
@@ -93,6 +94,27 @@ def test_far_structures_do_not_stand_before_a_neighbours_geometry() -> None:
     a_without.sky.means.data[:20] = torch.tensor((35.0, 0.0, 2.0))
     assert np.array_equal(picture([(A, a), (B, b)], 0.0), picture([(A, a_without), (B, b)], 0.0))
     assert not np.array_equal(wall, picture([(A, a_without)], 0.0))
+
+
+def test_a_long_streets_blocks_leave_each_others_domes_whole() -> None:
+    row = [Block((place, 0), (75.0 * place, 0.0, 0.0)) for place in range(5)]
+    streets = [street(seed=place) for place in range(5)]
+    beyond = streets[0].sky.means.data
+    beyond[:7] = torch.tensor((230.0, 3.0, 2.0))  # a far structure, within the fourth block
+    dome = torch.nn.functional.normalize(beyond[7:], dim=1)
+    # Low over the road ahead the dome comes to 300 m, where the fifth block has geometry.
+    beyond[7:40] = 300.0 * torch.nn.functional.normalize(
+        dome[:33] * torch.tensor((0.0, 0.1, 0.1)) + torch.eye(3)[0], dim=1
+    )
+    parts = parts_of(list(zip(row, streets))).parts
+    assert len(parts[0].street.sky) == len(beyond) - 7
+    assert len(parts_of([(row[0], streets[0])]).parts[0].street.sky) == len(beyond)
+
+
+def test_a_view_out_of_the_street_is_black() -> None:
+    drawn, counts = Composition([(A, street())]).draw(view(5000.0), looks)
+    assert drawn.rgb.shape == (54, 96, 3) and drawn.alpha.shape == drawn.depth_m.shape == (54, 96)
+    assert not drawn.rgb.any() and not drawn.alpha.any() and counts["nodes_drawn"] == counts["drawn"] == 0
 
 
 def test_blocks_that_the_view_does_not_see_are_not_decoded() -> None:

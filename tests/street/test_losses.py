@@ -2,10 +2,11 @@ import math
 
 import pytest
 import torch
+from skimage.metrics import structural_similarity
 from torch.nn import functional
 
 from hybridworldsim.scene.curvature import normal_loss
-from hybridworldsim.scene.losses import colour_loss, depth_loss
+from hybridworldsim.scene.losses import colour_loss, depth_loss, structure_loss
 from tests.street.plain_curvature import curvature, normals_of
 from tests.street.plain_curvature import normal_loss as plain_normal_loss
 
@@ -33,6 +34,28 @@ def test_pixels_that_are_not_scored_pull_at_nothing():
     colour_loss(rendered, torch.zeros(4, 4, 3), scored).backward()
     assert not rendered.grad[~scored].any()
     assert rendered.grad[scored].all()
+
+
+def test_structure_is_compared_with_what_is_not_scored_as_it_should_be():
+    torch.manual_seed(0)
+    taken = torch.rand(30, 40, 3)
+    scored = torch.zeros(30, 40, dtype=torch.bool)
+    scored[8:22, 5:30] = True
+    rendered = (taken + 0.2 * torch.randn(30, 40, 3)).requires_grad_()
+    loss = structure_loss(rendered, taken, scored)
+    elsewhere = torch.where(scored[..., None], rendered.detach(), torch.rand(30, 40, 3))
+    torch.testing.assert_close(structure_loss(elsewhere, taken, scored), loss.detach())
+    filled = torch.where(scored[..., None], rendered.detach(), taken).numpy()
+    _, map_ = structural_similarity(
+        filled, taken.numpy(), channel_axis=2, data_range=1.0, gaussian_weights=True, sigma=1.5,
+        use_sample_covariance=False, full=True,
+    )  # fmt: skip
+    # Within the border, where windows need nothing from beyond it.
+    torch.testing.assert_close(loss.item(), 1.0 - float(map_.mean(2)[scored.numpy()].mean()), rtol=1e-3, atol=1e-4)
+    loss.backward()
+    assert not rendered.grad[~scored].any() and rendered.grad[scored].any()
+    assert structure_loss(taken, taken, scored).abs() < 1e-5
+    assert structure_loss(taken, taken, torch.zeros_like(scored)) == 1.0
 
 
 def test_depth_errors_count_as_shares_and_no_more_than_whole():

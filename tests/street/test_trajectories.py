@@ -57,6 +57,9 @@ def test_poses_of_a_file_are_those_that_were_written(tmp_path: Path, suffix: str
     np.testing.assert_allclose(back.world_SE3_ego.translation, line.world_SE3_ego.translation, atol=1e-9)
     table.drop(columns="timestamp_ns").to_csv(tmp_path / "even.csv", index=False)
     assert np.diff(given(tmp_path / "even.csv", hz=4.0).timestamps_ns).tolist() == [SECOND // 4]
+    assert len(given(tmp_path / "even.csv", hz=30.0).at_rate(30.0)) == len(table)
+    with pytest.raises(UsageError, match="0 pictures a second"):
+        given(tmp_path / "even.csv", hz=0.0)
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,22 @@ def test_a_light_that_is_edited_moves_nothing() -> None:
         assert edited.colours[0][0].traversal_id == "s.night.0" and edited.content.traversal_id == "s.day.0"
 
 
+def test_blocks_agree_on_a_look_and_take_the_nearest_where_they_have_not_seen_it() -> None:
+    asked = line("s.new.0", 5.0)
+    parts = [seen_of([one for one in TRAINED if one.traversal_id != absent]) for absent in ("s.night.0", "s.day.0")]
+
+    def chosen(policy: str) -> list[str]:
+        return [Looks(own, policy, asked, street=SEEN).of(asked[0]).content.traversal_id for own in parts]
+
+    assert chosen("nearest") == ["s.day.1", "s.night.0"]
+    assert chosen("day") == ["s.day.1", "s.day.1"]
+    assert chosen("s.day.0") == ["s.day.0", "s.night.0"]
+    with pytest.raises(UsageError, match="'night'"):
+        Looks(parts[0], "night", asked)
+    # Nobody else has seen it: what is said of a street does not change what a block has seen itself.
+    assert Looks(SEEN, "nearest", asked, street=SEEN).of(asked[0]) == Looks(SEEN, "nearest", asked).of(asked[0])
+
+
 def test_mean_is_of_the_camera() -> None:
     found = look("mean", line("s.new.0", 0.0), which=1)
     assert {source.camera for source, _ in found.colours} == {"rear"} and len(found.colours) == 3

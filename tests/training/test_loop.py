@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file
+from torch import nn
 
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.learning import StreetLearner
@@ -23,10 +24,11 @@ from hybridworldsim.training.learner import StepReport
 from hybridworldsim.training.loop import REPORTS, Options, train
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.run.curves import read_curves
-from hybridworldsim.training.run.folder import Outcome, Run, RunFolder
+from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters, write_parameters
 from hybridworldsim.training.run.specimens import Specimen
 from mirror.errors import DatasetError, UsageError
+from mirror.schema.files import TEMPORARY
 from tests.conftest import ROOT
 from tests.training.street import SETTINGS, Painted, initial, learner, view, views
 
@@ -112,17 +114,63 @@ def replace_points():
     return replace(initial(), points_m=initial().points_m[:7])
 
 
-def test_half_precision_takes_half_the_bytes_and_hardly_shows(tmp_path: Path) -> None:
+def test_half_precision_takes_half_the_bytes_of_tables_and_hardly_shows(tmp_path: Path) -> None:
     trained = learner()
     whole = run(tmp_path / "whole", learner=trained)
     half = run(tmp_path / "half", half=True)
-    assert 0.5 < half.model_bytes / whole.model_bytes < 0.62
+    tables = ("offsets", "codes", "log_scales", "quats", "logits")
+    numbers = sum(table.numel() for name, table in trained.street.named_parameters() if name.endswith(tables))
+    # But for how long the header writes where each begins.
+    assert whole.model_bytes - half.model_bytes == pytest.approx(2 * numbers, abs=100)
     fresh = street_of(initial(), SETTINGS)
     set_parameters(fresh, read_parameters(tmp_path / "half" / "model.safetensors"))
     viewpoint = Painted()(view("s.day.0", 3)).viewpoint
     with torch.no_grad():
         drawn = fresh(viewpoint, fresh.appearance(viewpoint.source))
     assert (drawn.rgb - trained.render(viewpoint).rgb).abs().max() < 0.02
+
+
+def test_what_pictures_and_networks_have_stays_whole_in_half_precision(tmp_path: Path) -> None:
+    model = nn.Module()
+    model.means, model.codes = nn.Parameter(torch.randn(7, 3)), nn.Parameter(torch.randn(7, 4))
+    model.keys, model.out = nn.Parameter(torch.randn(5, 17)), nn.Linear(4, 6)
+    write_parameters(tmp_path / "half", model, half=True)
+    back = read_parameters(tmp_path / "half")
+    assert [name for name, table in back.items() if table.dtype == torch.float16] == ["codes"]
+    assert torch.equal(back["keys"], model.keys) and torch.equal(back["means"], model.means)
+    torch.testing.assert_close(back["codes"].float(), model.codes.detach(), rtol=1e-3, atol=1e-4)
+
+
+def test_a_killed_process_leaves_nothing_in_the_way(tmp_path: Path) -> None:
+    left = tmp_path / f".run.json.7{TEMPORARY}"
+    left.touch()
+    assert not is_taken(tmp_path) and not is_taken(tmp_path / "new") and is_taken(left)
+    folder = RunFolder(tmp_path)
+    assert folder.begin(RUN) is None and left.exists() and is_taken(tmp_path)
+    with folder.alone():
+        assert not left.exists() and (tmp_path / "run.json").exists()
+
+
+def test_who_asks_does_not_touch_what_another_process_is_writing(tmp_path: Path) -> None:
+    run(tmp_path, steps=2)
+    folder, writing = RunFolder(tmp_path), tmp_path / f".checkpoint.safetensors.7{TEMPORARY}"
+    with folder.alone():
+        writing.touch()
+        with pytest.raises(DatasetError, match="another process is training"), RunFolder(tmp_path).alone():
+            pass
+        assert writing.exists()
+
+
+def test_a_checkpoint_without_all_that_is_kept_is_refused(tmp_path: Path) -> None:
+    trained = learner()
+    run(tmp_path, steps=2, learner=trained)
+
+    class Older(type(trained)):
+        def restore(self, state):
+            super().restore({name: table for name, table in state.items() if name != "progress"})
+
+    with pytest.raises(DatasetError, match="without 'progress'"):
+        RunFolder(tmp_path).resume(Older(trained.street, SETTINGS))
 
 
 def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:

@@ -12,30 +12,26 @@ from hybridworldsim.scene.losses import colour_loss
 from hybridworldsim.scene.street import Street
 from hybridworldsim.training.appearance import Looks
 from hybridworldsim.training.feed import Pictures
-from hybridworldsim.training.run.folder import Seen
+from hybridworldsim.training.run.folder import Run, Seen
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
-from mirror.evaluation.methods import Looking
-from mirror.evaluation.submission.manifest import Rectangle
+from mirror.evaluation.methods import FITTED_PART, Looking
 from mirror.evaluation.views.view import View
-
-PART: Final = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
-"""Of each held-out picture: what is looked at."""
 
 _STEPS: Final = 60
 _RATE: Final = 0.05
 _MOST_PICTURES: Final = 8
 
 
-def fit_looks(street: Street, block: Block, seen: tuple[Seen, ...], looking: Looking) -> tuple[Seen, ...]:
-    """Add a latent to a street for each traversal and camera that it was not trained on.
+def fit_looks(street: Street, block: Block, run: Run, looking: Looking) -> tuple[Seen, ...]:
+    """Add a latent to a street for each traversal and camera of its scene that sees it and that it was not trained on.
 
     Each begins with the nearest trained one; nothing but the latent is learnt.
 
     Args:
         street: gets the latents.
         block: where it is.
-        seen: what it was trained on.
+        run: what it was trained on.
         looking: with the truth that may be looked at.
 
     Returns:
@@ -49,17 +45,17 @@ def fit_looks(street: Street, block: Block, seen: tuple[Seen, ...], looking: Loo
             "there are no held-out pictures to fit to", place="--appearance fit", expected="--split and --protocol"
         )
     dataset, plan = looking.truth
+    seen = run.sources
     pictures = Pictures(dataset, plan, np.array(block.origin_m), depth=False)
     known = {Source(one.traversal_id, one.camera) for one in seen}
     looks = Looks(seen, "nearest", looking.views)
     by_source: dict[Source, list[View]] = {}
-    for view in plan.views:
+    for view in views_of(block, [view for view in plan.views if view.scene_id == run.scene]):
         source = Source(view.traversal_id, view.camera)
         if source not in known:
             by_source.setdefault(source, []).append(view)
     fitted = []
-    for source, views in by_source.items():
-        own = views_of(block, views) or tuple(views)
+    for source, own in by_source.items():
         chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), _MOST_PICTURES)).round().astype(int))
         near = looks.of(own[0]).content
         latent = _fitted(street, near, pictures, [own[place] for place in chosen])
@@ -75,7 +71,7 @@ def _fitted(street: Street, near: Source, pictures: Pictures, views: list[View])
     for step in range(_STEPS):
         picture = pictures(views[step % len(views)])
         part = torch.zeros_like(picture.scored)
-        part[:, : int(PART.right * part.shape[1])] = True
+        part[:, : int(FITTED_PART.right * part.shape[1])] = True
         part &= picture.scored
         if not part.any():
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mirror
 from hybridworldsim.mvs.run import initialise
@@ -58,7 +58,7 @@ def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
         withheld=task.withheld,
         progress=progress,
     )
-    made = mirror.open(dataset.root)
+    made = replace(mirror.open(dataset.root), layers=dataset.layers)
     depth, points = (done.layer if done.layer in _there(made, task, kind) else None for kind in ("depth", "points"))
     return Layers(made.with_layers(depth=depth, points=points), depth, points)
 

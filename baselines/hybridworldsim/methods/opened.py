@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from hybridworldsim.scene.seeding import Initial
-from hybridworldsim.training.appearance import FITTED, Looks
+from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, Looks
 from hybridworldsim.training.learner import Learner, Rendering
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters
@@ -73,12 +73,16 @@ class Opened:
     """
 
     def __init__(self, blocks: Sequence[OpenBlock], looking: Looking) -> None:
-        if looking.policy == FITTED:
+        if looking.policy in (FITTED, MEAN) or looking.policy.startswith(SWEEP):
             raise UsageError(
-                f"{blocks[0].run.method} has no latents to fit", place="--appearance", expected="nearest, or given"
-            )
+                f"{looking.policy!r}, but {blocks[0].run.method} has no latents to fit or to mix",
+                place="--appearance", expected="nearest, or one that is given",
+            )  # fmt: skip
         self._blocks = list(blocks)
-        self._looks = [Looks(one.run.sources, looking.policy, looking.views, looking.everywhere) for one in blocks]
+        street = tuple(source for one in blocks for source in one.run.sources)
+        self._looks = [
+            Looks(one.run.sources, looking.policy, looking.views, looking.everywhere, street) for one in blocks
+        ]
         self._centres = np.array([one.run.origin_m[:2] for one in blocks])
 
     def __call__(self, view: View) -> UInt8:
@@ -86,21 +90,13 @@ class Opened:
         return pixels(self.drawn(view).rgb)
 
     def drawn(self, view: View) -> Rendering:
-        """A view with its depth.
-
-        Raises:
-            UsageError: its look is a mixture.
-        """
+        """A view with its depth."""
         here = view.pose.translation[0, :2]
         place = int(np.abs(self._centres - here).max(axis=1).argmin())
         block = self._blocks[place]
         look = self._looks[place].of(view)
-        sources = [source for source, weight in look.colours if weight > 0.0]
-        if len(sources) != 1:
-            raise UsageError(
-                f"{block.run.method} cannot mix looks", place="--appearance", expected="nearest, or one that is given"
-            )
-        viewpoint = viewpoint_of(view, np.array(block.run.origin_m)).seen_by(sources[0])
+        ((source, _),) = look.colours
+        viewpoint = viewpoint_of(view, np.array(block.run.origin_m)).seen_by(source)
         return block.learner.render(viewpoint)
 
 

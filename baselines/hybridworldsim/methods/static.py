@@ -16,14 +16,14 @@ from scipy.spatial import cKDTree
 from hybridworldsim.methods.layers import Layers, layers_for
 from hybridworldsim.methods.opened import Opened, Renderer, open_block
 from hybridworldsim.scene.blocks import SIZE_M, Block, divide, views_of
-from hybridworldsim.scene.initial import driven_m, initial_of
+from hybridworldsim.scene.initial import driven_m, initial_of, surroundings_of
 from hybridworldsim.scene.seeding import Initial
 from hybridworldsim.training.appearance import Looks, seen_of
 from hybridworldsim.training.budget import Budget
 from hybridworldsim.training.feed import Pictures
 from hybridworldsim.training.learner import Learner
 from hybridworldsim.training.loop import Options, train
-from hybridworldsim.training.run.folder import Outcome, Run, RunFolder
+from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken
 from hybridworldsim.training.run.parameters import write_parameters
 from hybridworldsim.training.run.specimens import Specimen
 from hybridworldsim.training.viewpoint import Source
@@ -79,20 +79,31 @@ class StaticMethod:
         layers = layers_for(dataset, task, watch)
         training = training_views(layers.dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
         own = layers.dataset.where(split=task.split, role="train", scene=task.scene)
-        there = divide(_pictured_m(driven_m(own), training.views), self.block_m).blocks
         # Before anything is written: a scene that cannot begin leaves nothing behind.
+        known = surroundings_of(own)
+        there = divide(_pictured_m(known.driven_m, training.views), self.block_m).blocks
         blocks = [(block, views) for block in there if (views := views_of(block, training.views))]
-        initials = [initial_of(own, block, _sources(views)) for block, views in blocks]
+        chosen = _chosen([block.name for block, _ in blocks], task.blocks)
+        if training.standing:
+            watch.say(f"{training.standing} pictures of a standing vehicle are left out")
         _begin(out, Reconstruction(method=self.name, scene=task.scene, split=task.split, withheld=len(task.withheld)))
         held_out = _held_out(layers.dataset, task)
-        outcomes = []
-        for place, ((block, views), initial) in enumerate(zip(blocks, initials)):
-            watch.say(f"block {place + 1} of {len(blocks)}: {len(views)} pictures, {len(initial.points_m)} points")
+        found = {}
+        for place, (block, views) in enumerate(blocks):
+            folder = RunFolder(out / block.name)
+            if block.name not in chosen:
+                found[block.name] = folder.outcome
+                continue
+            initial = initial_of(known, block, _sources(views))
+            points = len(initial.points_m)
+            watch.say(f"{block.name}, {place + 1} of {len(blocks)}: {len(views)} pictures, {points} points")
             one = _Block(block, views, initial, layers, training, held_out)
-            outcomes.append(self._train(one, task, RunFolder(out / block.name), watch))
+            found[block.name] = self._train(one, task, folder, watch)
+        outcomes = [outcome for outcome in found.values() if outcome is not None]
         done = Reconstructed(
             folder=out,
-            blocks=tuple(block.name for block, _ in blocks),
+            blocks=tuple(name for name, outcome in found.items() if outcome is not None),
+            undone=tuple(name for name, outcome in found.items() if outcome is None),
             psnr_db=float(np.mean([one.psnr_db for one in outcomes])),
             steps=sum(one.steps for one in outcomes),
             core_s=sum(one.core_s for one in outcomes),
@@ -102,7 +113,8 @@ class StaticMethod:
             pictures=len(training.views),
             driven_m=_length(own),
         )
-        _finish(out, done)
+        if not done.undone:
+            _finish(out, done)
         return done
 
     def open(self, model: Path, looking: Looking = Looking()) -> Renderer:  # noqa: B008 - immutable
@@ -200,12 +212,12 @@ def block_folders(model: Path) -> list[Path]:
     Raises:
         DatasetError: a block is not done, or there is none.
     """
-    read_reconstruction(model)
+    done = read_reconstruction(model).done
     folders = sorted(path.parent for path in model.glob("*/run.json"))
     undone = [path for path in folders if RunFolder(path).outcome is None]
-    if undone or not folders:
+    if undone or done is None:
         raise DatasetError(
-            f"{len(undone)} blocks are not trained to the end" if folders else "no block", file=model,
+            f"{len(undone) or 'some'} blocks are not trained to the end", file=model,
             expected="a model", remedy="run the same `mirror reconstruct` again: it goes on where it stopped",
         )  # fmt: skip
     return folders
@@ -222,10 +234,20 @@ def _sources(views: Sequence[View]) -> list[Source]:
     return sorted({Source(view.traversal_id, view.camera) for view in views})
 
 
+def _chosen(names: Sequence[str], asked: frozenset[str]) -> frozenset[str]:
+    if asked - set(names):
+        raise UsageError(
+            f"no block {', '.join(sorted(asked - set(names)))}",
+            place="--blocks",
+            expected=f"some of {', '.join(names)}",
+        )
+    return asked or frozenset(names)
+
+
 def _begin(out: Path, document: Reconstruction) -> None:
     """Say what the folder is, or see that it is that."""
     if not (out / DOCUMENT).exists():
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if is_taken(out):
             raise UsageError("not an empty folder, and no model", file=out, remedy="name a new one with --out")
         write_json(out / DOCUMENT, document)
         return

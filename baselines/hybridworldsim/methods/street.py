@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,6 +32,7 @@ from mirror.evaluation.methods import Looking
 from mirror.evaluation.views.view import View
 
 NAME: Final = "hybridworldsim"
+STRUCTURE_WEIGHT: Final = 0.1
 
 
 class StreetMethod(StaticMethod):
@@ -83,13 +84,15 @@ class OpenStreet:
     """
 
     def __init__(self, blocks: Sequence[OpenBlock], looking: Looking) -> None:
-        self._looks: dict[int, Looks] = {}
-        for one in blocks:
-            seen = one.run.sources
-            if looking.policy == FITTED:
-                seen = fit_looks(one.street, one.block, seen, looking)
-            # Whatever is drawn of a block shares its latents.
-            self._looks[id(one.street.appearance)] = Looks(seen, looking.policy, looking.views, looking.everywhere)
+        seen = [one.run.sources for one in blocks]
+        if looking.policy == FITTED:
+            seen = [fit_looks(one.street, one.block, one.run, looking) for one in blocks]
+        street = tuple(source for own in seen for source in own)
+        # Whatever is drawn of a block shares its latents.
+        self._looks = {
+            id(one.street.appearance): Looks(own, looking.policy, looking.views, looking.everywhere, street)
+            for one, own in zip(blocks, seen)
+        }
         self.blocks = [(one.block, one.street) for one in blocks]
         self._composition = Composition(self.blocks)
 
@@ -127,4 +130,10 @@ def _open(folder: Path) -> OpenBlock:
     return OpenBlock(read_run(folder), block, street)
 
 
-METHOD: Final = StreetMethod(NAME, make, lambda seed: replace(Settings(), seed=seed))
+METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed))
+"""With the losses of the paper, and no others."""
+
+STRUCTURE: Final = StreetMethod(
+    f"{NAME}_structure", make, lambda seed: Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed)
+)
+"""With a loss of structure beside them."""

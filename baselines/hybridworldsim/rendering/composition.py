@@ -59,7 +59,7 @@ class Composition:
             shift = np.array(ready.part.block.origin_m) - np.array(home.origin_m)
             viewpoint = viewpoint_of(view, np.array(ready.part.block.origin_m))
             shown += [_moved(splats, shift) for splats in ready.decoded(viewpoint, sky, looks)]
-        drawn = draw(viewpoint_of(view, np.array(home.origin_m)), tuple(shown))
+        drawn = draw(viewpoint_of(view, np.array(home.origin_m)), tuple(shown)) if shown else _nothing(view)
         counts = {
             "blocks": len(self._ready),
             "nodes": 3 * len(self._ready),
@@ -103,6 +103,12 @@ class _Ready:
             splats = street.sky.decode(viewpoint, latent)
             shown.append(splats if sky == 1.0 else faded(splats, splats.opacities.new_full((len(splats),), sky)))
         return shown
+
+
+def _nothing(view: View) -> Drawn:
+    """What a view sees that looks out of the street."""
+    rows, columns = view.height_px, view.width_px
+    return Drawn(torch.zeros(rows, columns, 3), torch.zeros(rows, columns), torch.zeros(rows, columns), (), {})
 
 
 def _sphere(means: Tensor, log_scales: Tensor) -> Tensor:

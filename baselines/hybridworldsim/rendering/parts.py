@@ -23,6 +23,8 @@ LEAST: Final = 1.0 / 255.0
 """Weights and opacities below are nothing."""
 
 _TALLEST: Final = 2.0
+_INSIDE: Final = 0.8
+_STEEP: Final = 0.7
 
 Looks: TypeAlias = Callable[[Appearance], tuple[Tensor, Tensor]]
 """Of a block's latents, the appearance of its colours and of what is there."""
@@ -75,7 +77,7 @@ def parts_of(blocks: Sequence[tuple[Block, Street]]) -> Parts:
     """Divide the street among its blocks.
 
     Anchors and the ground's Gaussians are weighted by `partition`, those without weight left out; so are far structures
-    in a block's sky that stand where another block has geometry of its own.
+    in a block's sky that stand where another block has geometry of its own. The dome behind them stays whole.
 
     Args:
         blocks: with the street of each, in its frame.
@@ -94,10 +96,11 @@ def parts_of(blocks: Sequence[tuple[Block, Street]]) -> Parts:
         own = [partition(table[:, :2].double() + centres[place], centres, ramp_m)[:, place].float() for table in tables]
         rows = [(weight > LEAST).nonzero().squeeze(1) for weight in own]
         sky = street.sky.means.detach()
-        kept = torch.ones(len(sky), dtype=torch.bool)
+        elsewhere = torch.zeros(len(sky), dtype=torch.bool)
         for other, _ in blocks:
             if other is not block:
-                kept &= ~_within(other, block, sky)
+                elsewhere |= _within(other, block, sky)
+        kept = ~(elsewhere & (sky.norm(dim=1) < _INSIDE * _dome_m(sky)))
         smaller = Street(
             subset(street.background, rows[0]),
             subset(street.ground, rows[1]),
@@ -122,6 +125,13 @@ def subset(node: _Node, rows: Tensor) -> _Node:
 def faded(splats: Splats, weights: Tensor) -> Splats:
     """Gaussians whose optical depth is multiplied by weights (N,)."""
     return replace(splats, opacities=1.0 - (1.0 - splats.opacities).clamp_min(1e-6) ** weights)
+
+
+def _dome_m(sky: Tensor) -> float:
+    """Radius of a block's dome: how far away is what stands steeply above, where no far structure reaches."""
+    away = sky.norm(dim=1)
+    above = away[sky[:, 2] > _STEEP * away]
+    return float(above.median()) if len(above) else float("inf")
 
 
 def _within(other: Block, block: Block, means: Tensor) -> Tensor:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -19,8 +17,6 @@ if TYPE_CHECKING:
 SIZE_M: Final = 100.0
 OVERLAP: Final = 0.25
 REACH_M: Final = 25.0
-
-_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -144,22 +140,3 @@ def _sector(view: View, reach_m: float) -> Any:
     centre = view.pose.translation[0, :2]
     rim = centre + reach_m * plan / np.maximum(np.linalg.norm(plan, axis=1, keepdims=True), 1e-9)
     return shapely.Polygon([centre, *rim])
-
-
-def each(blocks: Sequence[Block], work: Callable[[Block], _Result], workers: int = 1) -> Iterator[_Result]:
-    """What a function makes of each block, in the blocks' order.
-
-    Blocks share nothing, so that any executor will do: this one takes processes of this machine, and on a cluster
-    ``ray.get([ray.remote(work).remote(block) for block in blocks])`` is the same.
-
-    Args:
-        blocks: which.
-        work: trains one. With several workers it must be importable by name, as must all that it holds.
-        workers: processes; 1: this one.
-    """
-    if workers <= 1:
-        yield from map(work, blocks)
-        return
-    # Spawned: a forked process does not get through compiled kernels that its parent has entered.
-    with ProcessPoolExecutor(min(workers, len(blocks)), multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(work, blocks)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from hybridworldsim.mvs.ground import fit_ground, wheel_places
+from hybridworldsim.mvs.ground import Ground, fit_ground, wheel_places
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.seeding import Initial
 from hybridworldsim.training.viewpoint import Source
-from mirror.arrays import Float64
+from mirror.arrays import Float64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.geometry.poses import Poses
@@ -29,13 +30,28 @@ def _poses(dataset: Dataset) -> Poses:
     return Poses(numbers[:, :4], numbers[:, 4:])
 
 
-def initial_of(dataset: Dataset, block: Block, sources: Sequence[Source]) -> Initial:
-    """What is known of a block before it is trained.
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What is known of a scene before any of its blocks is trained, in the world.
+
+    Attributes:
+        points_m: (P, 3) that do not lie on the ground.
+        points_rgb: (P, 3) their colours.
+        driven_m: (N, 3) where vehicles drove.
+        ground: through them and the points that lie on it.
+    """
+
+    points_m: Float64
+    points_rgb: UInt8
+    driven_m: Float64
+    ground: Ground
+
+
+def surroundings_of(dataset: Dataset) -> Surroundings:
+    """What is known of a scene.
 
     Args:
         dataset: a view of the training traversals of one scene, and nothing else: no held-out one leaks in.
-        block: of the scene.
-        sources: whose pictures it is trained on.
 
     Raises:
         DatasetError: the traversals have no points.
@@ -50,26 +66,34 @@ def initial_of(dataset: Dataset, block: Block, sources: Sequence[Source]) -> Ini
             remedy=f"{made} found nothing to match: look at pictures, masks and poses, or try another --initialise"
             if made else "make one of the pictures: --initialise plane-sweep",
         )  # fmt: skip
-    driven = driven_m(dataset)
-    kind = np.array(points.kind)
-    on_ground = kind == "ground"
+    on_ground = np.array(points.kind) == "ground"
     ground = fit_ground(wheel_places(_poses(dataset)), points.position_m[on_ground])
+    return Surroundings(points.position_m[~on_ground], points.rgb[~on_ground], driven_m(dataset), ground)
+
+
+def initial_of(known: Surroundings, block: Block, sources: Sequence[Source]) -> Initial:
+    """What is known of a block before it is trained.
+
+    Args:
+        known: of the scene.
+        block: of it.
+        sources: whose pictures the block is trained on.
+    """
     origin = np.array(block.origin_m)
 
     def surface(places_m: Float64) -> tuple[Float64, Float64]:
         world = places_m + origin[:2]
-        return ground.height(world) - origin[2], ground.normal(world)
+        return known.ground.height(world) - origin[2], known.ground.normal(world)
 
-    far = block.far(points.position_m) & ~on_ground
-    near = ~far & ~on_ground
+    far = block.far(known.points_m)
     return Initial(
-        block.local(points.position_m[near]),
-        block.local(points.position_m[far]),
-        _within(block, block.local(driven)),
+        block.local(known.points_m[~far]),
+        block.local(known.points_m[far]),
+        _within(block, block.local(known.driven_m)),
         surface,
         block.near_m,
         sources,
-        points.rgb[near],
+        known.points_rgb[~far],
     )
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from hybridworldsim.scene.curvature import normal_loss
 from hybridworldsim.scene.lazy_adam import BETA1, BETA2, EPS, LazyAdam
-from hybridworldsim.scene.losses import colour_loss, depth_loss
+from hybridworldsim.scene.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.scene.refining.anchors import AnchorRefiner
 from hybridworldsim.scene.refining.code_gaussians import CodeRefiner
 from hybridworldsim.scene.refining.pace import due
@@ -65,6 +65,7 @@ class StreetLearner:
         losses = self._losses(drawn, picture)
         weights = {
             "rgb": 1.0,
+            "structure": settings.structure_weight,
             "depth": settings.depth_weight,
             "normal": settings.normal_weight * settings.normal_every,
         }
@@ -136,6 +137,8 @@ class StreetLearner:
     def _losses(self, drawn: Drawn, picture: TrainingPicture) -> dict[str, Tensor]:
         settings = self.settings
         losses = {"rgb": colour_loss(drawn.rgb, picture.rgb, picture.scored)}
+        if settings.structure_weight:
+            losses["structure"] = structure_loss(drawn.rgb, picture.rgb, picture.scored)
         if picture.depth_m is not None and settings.depth_weight:
             known = (picture.depth_m > 0.0) & picture.scored & (drawn.alpha.detach() > 0.5)
             losses["depth"] = depth_loss(drawn.depth_m, picture.depth_m, known)

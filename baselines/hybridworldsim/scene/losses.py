@@ -1,9 +1,11 @@
-"""The losses of the supplement ("Loss Function") but for that of normals: colour and depth."""
+"""Losses of colour and depth, as the supplement has them ("Loss Function"), and of structure, which it has not."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
+
+from hybridworldsim.scene.similarity import similarity
 
 
 def colour_loss(rendered: Tensor, taken: Tensor, scored: Tensor) -> Tensor:
@@ -16,6 +18,21 @@ def colour_loss(rendered: Tensor, taken: Tensor, scored: Tensor) -> Tensor:
     """
     squares = (rendered - taken).square().sum(2)
     return torch.where(scored, squares, 0.0).sum() / (3 * scored.sum())
+
+
+def structure_loss(rendered: Tensor, taken: Tensor, scored: Tensor) -> Tensor:
+    """Mean of 1 - SSIM of the pixels that are scored, in whose windows all others are as they should be.
+
+    3DGS and Scaffold-GS have it, the supplement of HybridWorldSim does not: `Settings.structure_weight` is 0 for the
+    paper's method.
+
+    Args:
+        rendered: (H, W, 3).
+        taken: (H, W, 3).
+        scored: (H, W) bool.
+    """
+    filled = torch.where(scored[..., None], rendered, taken)
+    return 1.0 - torch.where(scored, similarity(filled, taken), 0.0).sum() / scored.sum().clamp_min(1)
 
 
 def depth_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor) -> Tensor:

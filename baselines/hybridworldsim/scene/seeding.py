@@ -70,6 +70,8 @@ def street_of(initial: Initial, settings: Settings) -> Street:
 
 def thinned(points: Float64, size_m: float, most: int) -> Float64:
     """Points (N, 3), at most one in a cell of a size, and no more than so many: larger cells where it takes them."""
+    if most < 1:
+        return points[:0]
     while len(points):
         keys = cells(torch.from_numpy(points), size_m)
         kept = points[np.sort(best_of_each(keys, torch.zeros(len(points))).numpy())]

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
-
-Part = Literal["means", "quats", "log_scales", "logits", "codes", "offsets", "networks", "latents"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class Refinement:
         end: progress.
         times: how often in between.
         least_steps: but not before so many pictures told something since the last time.
-        most: anchors in a block, at most.
+        most: anchors in a block, to which they grow; those that it begins with stay, see `Settings.first_anchors`.
         most_ground: Code-Gaussians on the ground, at most.
         most_sky: and in the sky.
         cells_m: sizes of cells in which new anchors stand, coarse to fine.
@@ -89,6 +86,7 @@ class Settings:
         sky_count: Gaussians on the hemisphere.
         sky_radius: of the hemisphere, in block radii.
         far_count: of the points beyond the block, which the sky takes in, so many at most.
+        structure_weight: of the loss of structure, which the paper does not have.
         depth_weight: of the depth loss.
         normal_weight: of the normal loss.
         normal_every: it is computed at each so many-th step, with so many times the weight.
@@ -111,6 +109,7 @@ class Settings:
     sky_count: int = 1_500
     sky_radius: float = 4.0
     far_count: int = 2_000
+    structure_weight: float = 0.0
     depth_weight: float = 0.04
     normal_weight: float = 1e-5
     normal_every: int = 4

@@ -26,6 +26,7 @@ Blend: TypeAlias = tuple[tuple[Source, float], ...]
 """Looks that were trained on, with weights that sum to one."""
 
 FITTED: Final = "fit"
+MEAN: Final = "mean"
 SWEEP: Final = "sweep:"
 _STEP_M: Final = 0.5
 _MOST_PLACES: Final = 48
@@ -76,12 +77,15 @@ class Looks:
         views: all that will be rendered: what they tell of a traversal's line decides which is nearest to it. A
             traversal that is not among them is judged by the one picture that is asked for.
         everywhere: the policy holds for traversals that were trained on too: to edit the light of one.
+        street: what all blocks of a street were trained on, so that they agree on a look; none: `seen` is all there is.
+            A block that has not seen what is chosen takes the nearest that it has.
     """
 
     seen: tuple[Seen, ...]
     policy: str = "nearest"
     views: Sequence[View] = ()
     everywhere: bool = False
+    street: tuple[Seen, ...] = ()
     _nearest: dict[tuple[str, str | None], str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -99,7 +103,7 @@ class Looks:
         content = own if trained else self._of_camera(self._traversal(view, None), view)
         if (trained and not self.everywhere) or self.policy in ("nearest", FITTED):
             return Look(((content, 1.0),), content)
-        if self.policy == "mean":
+        if self.policy == MEAN:
             alike = [source for source in self._by_source if source.camera == content.camera]
             return Look(tuple((source, 1.0 / len(alike)) for source in alike), content)
         ends = [self._of_camera(self._traversal(view, word), view) for word in self._words]
@@ -111,7 +115,7 @@ class Looks:
 
     @property
     def _words(self) -> list[str]:
-        if self.policy in ("nearest", "mean", FITTED):
+        if self.policy in ("nearest", MEAN, FITTED):
             return []
         if not self.policy.startswith(SWEEP):
             return [self.policy]
@@ -124,10 +128,18 @@ class Looks:
     def _by_source(self) -> dict[Source, Seen]:
         return {Source(one.traversal_id, one.camera): one for one in self.seen}
 
+    @property
+    def _known(self) -> tuple[Seen, ...]:
+        return self.street or self.seen
+
+    @cached_property
+    def _own(self) -> frozenset[str]:
+        return frozenset(one.traversal_id for one in self.seen)
+
     @cached_property
     def _lines(self) -> dict[str, Float64]:
         lines: dict[str, list[Float64]] = {}
-        for one in self.seen:
+        for one in self._known:
             lines.setdefault(one.traversal_id, []).append(_dense(np.array(one.centre_m)))
         return {name: np.concatenate(own) for name, own in lines.items()}
 
@@ -153,10 +165,10 @@ class Looks:
 
     def _matching(self, word: str) -> list[str]:
         """Traversals that a word means."""
-        found = sorted({one.traversal_id for one in self.seen if word in (one.traversal_id, one.light, one.weather)})
+        found = sorted({one.traversal_id for one in self._known if word in (one.traversal_id, one.light, one.weather)})
         if not found:
-            lights = sorted({word for one in self.seen for word in (one.light, one.weather)})
-            traversals = sorted({one.traversal_id for one in self.seen})
+            lights = sorted({word for one in self._known for word in (one.light, one.weather)})
+            traversals = sorted({one.traversal_id for one in self._known})
             raise UsageError(
                 f"nothing that was trained on is {word!r}", place="--appearance",
                 expected=f"nearest, mean, fit, sweep:A:B, {', '.join(lights)}, or one of {', '.join(traversals)}",
@@ -171,7 +183,13 @@ class Looks:
             return self._nearest[key]
         names = sorted(self._lines) if word is None else self._matching(word)
         line = self._asked[view.traversal_id] if known else view.pose.translation
-        chosen = min(names, key=lambda name: chamfer_m(line, self._lines[name]))
+
+        def nearest(of: Sequence[str]) -> str:
+            return min(of, key=lambda name: chamfer_m(line, self._lines[name]))
+
+        chosen = nearest(names)
+        if chosen not in self._own:
+            chosen = nearest([name for name in names if name in self._own] or sorted(self._own))
         if known:
             self._nearest[key] = chosen
         return chosen

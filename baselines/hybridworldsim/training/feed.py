@@ -12,13 +12,15 @@ import torch
 
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.viewpoint import viewpoint_of
-from mirror.arrays import Float64
+from mirror.arrays import Float32, Float64
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.frames import DepthImage, Image, Mask
 from mirror.errors import DatasetError
 from mirror.evaluation.truth.raster import raster_of
 from mirror.evaluation.truth.source import TruthSource
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
+from mirror.geometry.cameras import Camera
 
 CACHE_BYTES: Final = 512 << 20
 _AHEAD: Final = 3
@@ -57,7 +59,7 @@ class Pictures:
         """The picture of a view.
 
         Raises:
-            DatasetError: a file is missing or broken, or nothing of it may be learnt from and that is all there is.
+            DatasetError: a file is missing or broken, or it has several masks of the sky.
         """
         if view.path in self._held:
             self._held.move_to_end(view.path)
@@ -74,20 +76,12 @@ class Pictures:
     def _open(self, view: View) -> TrainingPicture:
         rgb = self._source.picture(view)
         _, image = self._source.recorded(view)
-        raster = raster_of(image.camera_model, self._plan.protocol.pixels)
-        sky = None
-        for mask in image.masks() if self._sky else ():
-            if mask.kind == "sky":
-                sky = torch.from_numpy(~raster.excluded(mask.decode() == 0))
         depth = image.depth() if self._depth else None
-        depth_m = None
-        if depth is not None:
-            metres = np.nan_to_num(depth.decode(), nan=0.0)
-            if metres.shape != rgb.shape[:2]:
-                rows = ((np.arange(rgb.shape[0]) + 0.5) * metres.shape[0] / rgb.shape[0]).astype(np.int64)
-                columns = ((np.arange(rgb.shape[1]) + 0.5) * metres.shape[1] / rgb.shape[1]).astype(np.int64)
-                metres = metres[rows[:, None], columns]
-            depth_m = torch.from_numpy(np.ascontiguousarray(metres, np.float32))
+        mask, sky = _sky(image, depth) if self._sky else None, None
+        if mask is not None:
+            raster = raster_of(image.camera_model, self._plan.protocol.pixels)
+            sky = torch.from_numpy(~raster.excluded(mask.decode() == 0))
+        depth_m = None if depth is None else torch.from_numpy(seen_by(view, depth.lens, depth.decode()))
         return TrainingPicture(
             viewpoint_of(view, self._origin),
             torch.from_numpy(rgb).to(torch.float32).div_(255.0),
@@ -96,6 +90,41 @@ class Pictures:
             depth_m,
             view.path,
         )
+
+
+def seen_by(view: View, lens: Camera, depth_m: Float32) -> Float32:
+    """A depth map as a view's lens has it.
+
+    Args:
+        view: of the same pose; a pinhole.
+        lens: the map's pinhole.
+        depth_m: (H, W) the camera's z, NaN where unknown.
+
+    Returns:
+        (height, width) of the view, of the nearest pixel of the map; 0 where that is not known.
+    """
+    across = lens.fx_px * (np.arange(view.width_px) + 0.5 - view.cx_px) / view.fx_px + lens.cx_px
+    down = lens.fy_px * (np.arange(view.height_px) + 0.5 - view.cy_px) / view.fy_px + lens.cy_px
+    # Centres that fall on an edge between two pixels belong to the second, whatever rounding says.
+    columns, rows = (np.floor(places + 1e-6).astype(np.int64) for places in (across, down))
+    columns_in, rows_in = (columns >= 0) & (columns < lens.width_px), (rows >= 0) & (rows < lens.height_px)
+    found = np.zeros((view.height_px, view.width_px), np.float32)
+    found[np.ix_(rows_in, columns_in)] = np.nan_to_num(depth_m[np.ix_(rows[rows_in], columns[columns_in])], nan=0.0)
+    return found
+
+
+def _sky(image: Image, depth: DepthImage | None) -> Mask | None:
+    """The picture's mask of the sky; of several that which was made with the depth map."""
+    masks = [mask for mask in image.masks() if mask.kind == "sky"]
+    if len(masks) > 1 and depth is not None:
+        made = depth.source, depth.source_version
+        masks = [mask for mask in masks if (mask.source, mask.source_version) == made] or masks
+    if len(masks) > 1:
+        raise DatasetError(
+            f"{len(masks)} masks of the sky: {', '.join(f'{one.source}@{one.source_version}' for one in masks)}",
+            place=f"camera {image.camera}, timestamp_ns {image.timestamp_ns}", expected="one of the depth map's layer",
+        )  # fmt: skip
+    return masks[0] if masks else None
 
 
 def order(seed: int, count: int, first: int) -> Iterator[int]:

@@ -41,7 +41,7 @@ _DIVERGED: Final = (
 
 @dataclass(frozen=True)
 class Options:
-    """How a run is looked after; nothing of this changes what comes of it.
+    """How a run is looked after. But for the specimens, before which a street catches up, nothing of it shows after.
 
     Attributes:
         checkpoint_s: a checkpoint is written at the first step after so many seconds.

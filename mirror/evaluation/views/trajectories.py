@@ -50,11 +50,11 @@ class Trajectory:
         Raises:
             UsageError: no such rate.
         """
-        if not hz > 0.0:
-            raise UsageError(f"{hz:g} pictures a second", expected="more than none")
+        apart = _apart_ns(hz)
         first, last = int(self.timestamps_ns[0]), int(self.timestamps_ns[-1])
-        count = int((last - first) * hz // _SECOND_NS) + 1
-        stamps = first + np.round(np.arange(count) * (_SECOND_NS / hz)).astype(np.int64)
+        # Half a nanosecond more: times of 30 Hz are rounded.
+        count = int((last - first + 0.5) // apart) + 1
+        stamps = first + np.round(np.arange(count) * apart).astype(np.int64)
         stamps = stamps[stamps <= last]
         return Trajectory(stamps, interpolate(self.timestamps_ns, self.world_SE3_ego, stamps))
 
@@ -87,6 +87,7 @@ def given(path: Path, hz: float = 10.0) -> Trajectory:
     """
     import pandas as pd
 
+    apart = _apart_ns(hz)
     try:
         table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, skipinitialspace=True)
     except (OSError, ValueError) as error:
@@ -102,7 +103,7 @@ def given(path: Path, hz: float = 10.0) -> Trajectory:
         stamps = (
             table[_STAMP].to_numpy(np.int64)
             if _STAMP in table
-            else np.round(np.arange(len(table)) * (_SECOND_NS / hz)).astype(np.int64)
+            else np.round(np.arange(len(table)) * apart).astype(np.int64)
         )
     except (UsageError, ValueError) as error:
         raise UsageError(f"{error}", file=path, expected="finite numbers") from error
@@ -112,7 +113,13 @@ def given(path: Path, hz: float = 10.0) -> Trajectory:
     return Trajectory(stamps, poses)
 
 
-def named(dataset: Dataset, text: str, traversal_id: str) -> Trajectory:
+def _apart_ns(hz: float) -> float:
+    if not hz > 0.0:
+        raise UsageError(f"{hz:g} pictures a second", expected="more than none")
+    return _SECOND_NS / hz
+
+
+def named(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> Trajectory:
     """The trajectory that a command line names.
 
     Args:
@@ -120,6 +127,7 @@ def named(dataset: Dataset, text: str, traversal_id: str) -> Trajectory:
         text: ``lane-shift:METRES`` to the left of a traversal, ``forward:METRES`` ahead of it, the id of another
             traversal, or a file of poses.
         traversal_id: the one beside or ahead of which.
+        hz: how fast the poses of a file follow each other that says no times.
 
     Raises:
         UsageError: it is none of these.
@@ -137,7 +145,7 @@ def named(dataset: Dataset, text: str, traversal_id: str) -> Trajectory:
     if text in dataset.traversals():
         return recorded(dataset, text)
     if Path(text).is_file():
-        return given(Path(text))
+        return given(Path(text), hz)
     raise UsageError(
         f"no trajectory {text!r}", expected="lane-shift:METRES, forward:METRES, a traversal of the dataset, or a file"
     )

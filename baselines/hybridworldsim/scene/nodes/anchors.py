@@ -80,7 +80,7 @@ class Anchors(nn.Module):
         return len(self.means)
 
     def seen(self, viewpoint: Viewpoint) -> Tensor:
-        """(M,) int64 anchors that a viewpoint may see."""
+        """(M,) int64 anchors that a viewpoint may see, whose offsets reach three of their own sizes."""
         with torch.no_grad():
             return visible(viewpoint, self.means, 3.0 * self.log_scales.amax(1).exp())
 

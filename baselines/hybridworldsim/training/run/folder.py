@@ -139,7 +139,7 @@ class RunFolder:
             DatasetError: it is not writable.
         """
         if not (self.path / RUN).exists():
-            if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+            if is_taken(self.path):
                 raise UsageError("not empty, and no run began here", file=self.path, remedy="name a new folder")
             write_json(self.path / RUN, run)
             return None
@@ -150,8 +150,6 @@ class RunFolder:
                 f"a run of other settings began here: {'; '.join(differing[:4])}", file=self.path,
                 expected="the same dataset, method and settings", remedy="name another folder with --out",
             )  # fmt: skip
-        for left in self.path.glob(f".*{TEMPORARY}"):
-            left.unlink(missing_ok=True)
         return self.outcome
 
     @property
@@ -174,6 +172,9 @@ class RunFolder:
                 raise DatasetError(
                     "another process is training here", file=self.path, remedy="let it finish, or name another folder"
                 ) from error
+            # Left by a process that was killed; another one's are not touched.
+            for left in self.path.glob(f".*{TEMPORARY}"):
+                left.unlink(missing_ok=True)
             yield
 
     def resume(self, learner: Learner) -> Position:
@@ -185,7 +186,13 @@ class RunFolder:
         position = Position()
         if self._checkpoint.exists():
             state, position = read_checkpoint(self._checkpoint)
-            learner.restore(state)
+            try:
+                learner.restore(state)
+            except KeyError as error:
+                raise DatasetError(
+                    f"without {error}", file=self._checkpoint, expected="a checkpoint of this version of the method",
+                    remedy="remove the run folder and train anew",
+                ) from error  # fmt: skip
         self._rows = read_curves(self._curves, position.rows)
         return position
 
@@ -222,6 +229,13 @@ class RunFolder:
         done = Outcome(**outcome, model_bytes=size)
         write_json(self.path / OUTCOME, done)
         return done
+
+
+def is_taken(path: Path) -> bool:
+    """Whether a path is a file, or a folder with more in it than what a killed process left behind."""
+    if not path.is_dir():
+        return path.exists()
+    return any(not (one.name.startswith(".") and one.name.endswith(TEMPORARY)) for one in path.iterdir())
 
 
 def read_run(path: Path) -> Run:

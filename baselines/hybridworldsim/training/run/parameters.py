@@ -22,7 +22,7 @@ def write_parameters(path: Path, model: nn.Module, *, half: bool) -> int:
     Args:
         path: the file.
         model: what was trained.
-        half: in 16 bits; places stay in 32, since metres of a block do not fit.
+        half: what has a row for each Gaussian in 16 bits, but for its places, since metres of a block do not fit.
 
     Returns:
         Bytes of the file.
@@ -33,9 +33,10 @@ def write_parameters(path: Path, model: nn.Module, *, half: bool) -> int:
     from safetensors.torch import save
 
     tensors: dict[str, Tensor] = {}
+    counts = {len(table) for name, table in model.named_parameters() if _is_places(name)} if half else set()
     for name, parameter in model.named_parameters():
         tensor = parameter.detach().contiguous().clone()
-        if half and tensor.dtype == torch.float32 and name.rpartition(".")[2] != _PLACES:
+        if tensor.dtype == torch.float32 and tensor.dim() and len(tensor) in counts and not _is_places(name):
             tensor = tensor.to(torch.float16)
             if not bool(tensor.isfinite().all()):
                 raise DatasetError(
@@ -46,6 +47,10 @@ def write_parameters(path: Path, model: nn.Module, *, half: bool) -> int:
     data = save(tensors, {"format": FORMAT})
     write_bytes(path, data)
     return len(data)
+
+
+def _is_places(name: str) -> bool:
+    return name.rpartition(".")[2] == _PLACES
 
 
 def read_parameters(path: Path) -> dict[str, Tensor]:

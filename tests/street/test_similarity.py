@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from splatting.similarity import similarity
+from hybridworldsim.scene.similarity import similarity
 
 
 def _reference(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:

@@ -1,0 +1,48 @@
+"""What training is fed with: depth maps of whatever lens, one mask of the sky."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hybridworldsim.training.feed import seen_by
+from mirror.geometry.cameras import Camera
+from tests.training.street import view
+
+
+def lens(width: int, height: int, focal: float, cx: float | None = None) -> Camera:
+    return Camera("pinhole", width, height, focal, focal, width / 2 if cx is None else cx, height / 2)
+
+
+def columns_of(one: Camera) -> np.ndarray:
+    """A map in which each pixel says how far to the right its ray goes, a metre ahead."""
+    across = (np.arange(one.width_px) + 0.5 - one.cx_px) / one.fx_px
+    return np.tile(across + 10.0, (one.height_px, 1)).astype(np.float32)
+
+
+@given(st.integers(8, 200), st.integers(8, 120), st.floats(8.0, 80.0), st.floats(-20.0, 20.0))
+def test_rays_are_those_of_the_view_whatever_the_maps_lens(width: int, height: int, focal: float, off: float) -> None:
+    asked, map_lens = view("s.day.0", 0), lens(width, height, focal, width / 2 + off)
+    found = seen_by(asked, map_lens, columns_of(map_lens))
+    truth = columns_of(lens(asked.width_px, asked.height_px, asked.fx_px))
+    known = found > 0.0
+    assert np.abs(found - truth)[known].max(initial=0.0) <= 0.5 / focal + 1e-3
+    # Unknown is what the map's lens does not see, and that alone.
+    across, down = truth[0] - 10.0, (np.arange(asked.height_px) + 0.5 - asked.cy_px) / asked.fy_px
+    inside_x = np.abs(across * focal + off) <= width / 2 - 1e-3
+    inside_y = np.abs(down * focal) <= height / 2 - 1e-3
+    assert known[np.ix_(inside_y, inside_x)].all()
+    outside = np.abs(across * focal + off) > width / 2 + 1e-3
+    assert not known[:, outside].any()
+
+
+@pytest.mark.parametrize("times", [1, 2, 3])
+def test_a_finer_map_of_the_same_field_is_read_at_the_pixels_centres(times: int) -> None:
+    asked = view("s.day.0", 0)
+    fine = lens(asked.width_px * times, asked.height_px * times, asked.fx_px * times)
+    depth = np.arange(fine.width_px * fine.height_px, dtype=np.float32).reshape(fine.height_px, fine.width_px) + 1.0
+    depth[0, 0] = np.nan
+    expected = np.nan_to_num(depth[times // 2 :: times, times // 2 :: times])
+    np.testing.assert_array_equal(seen_by(asked, fine, depth), expected)

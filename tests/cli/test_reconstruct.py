@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -12,6 +14,7 @@ import pytest
 import torch
 
 import mirror
+from hybridworldsim.methods.layers import layers_for
 from hybridworldsim.scene.blocks import divide
 from mirror.cli.main import main
 from mirror.cli.watch import watching
@@ -253,6 +256,17 @@ def test_layers_that_may_know_the_held_out_pictures_are_not_taken_unasked(
         protocol = ("--protocol", narrow(tmp_path)) if more else ()
         said(capsys, *reconstruct(dataset, tmp_path / "model", *protocol, *more), code=ExitCode.COULD_NOT_RUN)
     assert asked == ["dataset", "plane-sweep", "dataset"]
+
+
+def test_layers_that_were_chosen_stay_chosen_when_others_are_made(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hybridworldsim.methods.layers.initialise", lambda *_, **__: SimpleNamespace(layer="made@1"))
+    (scene,) = dataset.where(split="novel", role="train").scenes()
+    task = Task(scene=scene, split="novel", protocol=load_protocol(str(narrow(tmp_path))), initialise="plane-sweep")
+    layers = layers_for(dataset.with_layers(stage="online"), task, Silent())
+    assert (layers.depth, layers.points) == ("made@1", "made@1")
+    assert layers.dataset.layers == replace(dataset.layers, stage="online", depth="made@1", points="made@1")
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
         withheld=task.withheld,
         progress=progress,
     )
-    made = replace(mirror.open(dataset.root), layers=dataset.layers)
+    made = replace(mirror.open(dataset.root), layers=replace(dataset.layers, depth=None, points=None))
     depth, points = (done.layer if done.layer in _there(made, task, kind) else None for kind in ("depth", "points"))
     return Layers(made.with_layers(depth=depth, points=points), depth, points)
 

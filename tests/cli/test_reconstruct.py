@@ -232,6 +232,8 @@ def test_blocks_are_shared_out(
     assert (begun["blocks"], begun["undone"], begun["steps"]) == ([first], others, 3)
     words = ("render", shared, "--dataset", dataset.root, "--split", "novel", "--out", tmp_path / "submission")
     assert "not trained to the end" in said(capsys, *words, code=ExitCode.COULD_NOT_RUN)["problem"]
+    mixed = (*reconstruct(dataset, shared, "--steps", 3, "--blocks", ",".join(others)), "--seed", 7)
+    assert "seed 0, now 7" in said(capsys, *mixed, code=ExitCode.COULD_NOT_RUN)["problem"]
     said(capsys, *reconstruct(dataset, shared, "--steps", 3, "--blocks", ",".join(others)))
     done = said(capsys, *reconstruct(dataset, shared, "--steps", 3))
     assert (done["blocks"], done["undone"]) == (whole["blocks"], [])

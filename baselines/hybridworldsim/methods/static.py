@@ -88,11 +88,12 @@ class StaticMethod:
             watch.say(f"{training.standing} pictures of a standing vehicle are left out")
         _begin(out, Reconstruction(method=self.name, scene=task.scene, split=task.split, withheld=len(task.withheld)))
         held_out = _held_out(layers.dataset, task)
-        found = {}
+        found: dict[str, Outcome | None] = {}
         for place, (block, views) in enumerate(blocks):
             folder = RunFolder(out / block.name)
-            if block.name not in chosen:
-                found[block.name] = folder.outcome
+            # What others have done is held against this task; what they are still doing is left to them.
+            if block.name not in chosen and folder.outcome is None:
+                found[block.name] = None
                 continue
             initial = initial_of(known, block, _sources(views))
             points = len(initial.points_m)

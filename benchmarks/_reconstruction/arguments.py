@@ -18,16 +18,17 @@ class Arguments:
     The whole comparison takes hours: ten minutes a job, two jobs side by side on two cores.
     """
 
-    what: tyro.conf.Positional[Literal["tune", "prepare", "run", "show", "truth", "figures"]] = "show"
+    what: tyro.conf.Positional[Literal["tune", "prepare", "run", "show", "publish", "truth", "figures"]] = "show"
     """tune: the same grid of settings for all methods, on a street of its own; prepare: recordings, dataset, layers;
-    run: train and score; show: tables of what is done; truth: hold trained models against exact truth;
-    figures: sheets of renders and curves of budgets."""
+    run: train and score; show: tables of what is done; publish: what they are made of, without the scores of each
+    picture; truth: hold trained models against exact truth; figures: sheets of renders and curves of budgets."""
     data: Path = OUT / "reconstruction"
     """Folder of the scenes and of all that is made of them."""
     entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Rows, such as ours or mtgs_style-tuned; may be repeated. Default: all of the group."""
-    group: Literal["comparison", "bytes", "ablation", "seam"] = "comparison"
-    """Methods against each other, rivals with as many bytes as ours, ours with parts switched off, or in two blocks."""
+    group: Literal["comparison", "bytes", "ablation", "seam", "tuning"] = "comparison"
+    """Methods against each other, rivals with as many bytes as ours, ours with parts switched off, or in two blocks;
+    trials of the grid."""
     minutes: Annotated[tuple[float, ...], tyro.conf.UseAppendAction] = ()
     """Core-minutes of training. Default: as declared."""
     scenes: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -38,5 +39,5 @@ class Arguments:
     """Of the pictures. Default: as declared."""
     jobs: int = 2
     """Side by side, each on one core."""
-    out: Path = Path("docs/images/reconstruction")
-    """Folder of the figures."""
+    out: Path = Path("docs/results")
+    """Folder of what is published: outcomes and figures."""

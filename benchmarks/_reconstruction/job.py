@@ -50,6 +50,17 @@ class Job:
         return f"{self.entry}.{self.scene}.{self.core_minutes:g}min.{self.width_px}px.{self.seed}"
 
 
+def read_outcome(path: Path) -> dict[str, Any] | None:
+    """An outcome that is there, of the declaration and of the settings of its row as they are now."""
+    if not path.is_file():
+        return None
+    document: dict[str, Any] = json.loads(path.read_text())
+    job = Job(**document["job"])
+    entry = entries().get(job.entry)
+    now = entry is not None and document.get("settings") == entry.settings(job.seed)
+    return document if now and document["declaration"] == declared().hash else None
+
+
 def run(job: Job, folder: Path) -> Path:
     """Do a job, or go on where it was stopped; its outcome is written last."""
     declaration = declared()
@@ -67,6 +78,7 @@ def run(job: Job, folder: Path) -> Path:
     document = {
         "job": asdict(job),
         "declaration": declaration.hash,
+        "settings": entry.settings(job.seed),
         "dataset_hash": plan.dataset_hash,
         **_costs(done),
         **scores,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from typing import Any, Final
@@ -50,6 +51,12 @@ class Entry:
     method: StaticMethod
     group: str = "comparison"
     split: str | None = None
+
+    def settings(self, seed: int) -> dict[str, Any]:
+        """Every number of the method, as JSON has it."""
+        whole = {"method": self.method.name, "block_m": self.method.block_m, **asdict(self.method.settings(seed))}
+        known: dict[str, Any] = json.loads(json.dumps(whole))
+        return known
 
 
 def entries() -> dict[str, Entry]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -12,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t
 
-from benchmarks._reconstruction.declared import Tuning, declared
-from benchmarks._reconstruction.job import OUTCOMES
+from benchmarks._reconstruction.declared import Tuning
+from benchmarks._reconstruction.job import OUTCOMES, read_outcome
 from benchmarks._reconstruction.methods import OURS, RIVALS, trial
 
 
@@ -45,10 +44,9 @@ FIGURES = {
 
 
 def outcomes(folder: Path) -> list[Outcome]:
-    """All that are of the declaration as it is now."""
-    wanted = declared().hash
-    read = (json.loads(path.read_text()) for path in sorted((folder / OUTCOMES).glob("*.json")))
-    return [_outcome(document) for document in read if document["declaration"] == wanted]
+    """All that are of the declaration and of the settings as they are now."""
+    read = map(read_outcome, sorted((folder / OUTCOMES).glob("*.json")))
+    return [_outcome(document) for document in read if document is not None]
 
 
 def _outcome(document: dict[str, Any]) -> Outcome:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 from benchmarks._reconstruction.arguments import Arguments
 from benchmarks._reconstruction.data import prepare
 from benchmarks._reconstruction.declared import Declared
-from benchmarks._reconstruction.job import Job
+from benchmarks._reconstruction.job import OUTCOMES, Job, read_outcome
 from benchmarks._reconstruction.methods import OURS, STRUCTURE, entries
 from benchmarks._reconstruction.queue import run_all
 from benchmarks._reconstruction.tables import differences, outcomes, table, tuned
 from mirror.cli.watch import watching
 from mirror.errors import ExitCode
+from mirror.schema.files import write_bytes
+
+TUNING: Final = "tuning"
+"""Group of the trials, and folder of theirs."""
 
 _COMPARED: Final = ("train PSNR", "train SSIM", "train ST-LPIPS", "novel PSNR*", "novel SSIM", "novel ST-LPIPS")
 
@@ -30,12 +36,12 @@ def _rows(arguments: Arguments) -> list[str]:
 
 def _tune(arguments: Arguments, declaration: Declared) -> int:
     """Make the street of the trials, run those that are not done, and show all."""
-    grid, folder = declaration.tuning, arguments.data / "tuning"
+    grid, folder = declaration.tuning, arguments.data / TUNING
     width = arguments.width or declaration.width_px
     with watching(quiet=False) as watch:
         street = replace(declaration, preset=grid.preset, scenes_seed=grid.seed)
         prepare(folder, street, [grid.scene], [declaration.split], width, watch)
-    trials = [name for name, entry in entries().items() if entry.group == "tuning"]
+    trials = _rows(replace(arguments, group="tuning"))
     jobs = [Job(name, grid.scene, declaration.seeds[0], grid.core_minutes, width) for name in trials]
     failed = run_all(jobs, folder, arguments.jobs)
     print(tuned(outcomes(folder), grid))
@@ -61,7 +67,23 @@ def _run(arguments: Arguments, declaration: Declared) -> int:
     return ExitCode.PARTLY_DONE if run_all(jobs, arguments.data, arguments.jobs) else ExitCode.DONE
 
 
+def _publish(arguments: Arguments, declaration: Declared) -> int:
+    for folder in (Path(), Path(TUNING)):
+        for path in sorted((arguments.data / folder / OUTCOMES).glob("*.json")):
+            document = read_outcome(path)
+            if document is None:
+                continue
+            # A thousand pictures each: what all are told by is their means.
+            document.pop("scores", None)
+            write_bytes(arguments.out / folder / OUTCOMES / path.name, (json.dumps(document) + "\n").encode())
+    print(arguments.out)
+    return ExitCode.DONE
+
+
 def _show(arguments: Arguments, declaration: Declared) -> int:
+    if arguments.group == TUNING:
+        print(tuned(outcomes(arguments.data / TUNING), declaration.tuning))
+        return ExitCode.DONE
     found = outcomes(arguments.data)
     rows = list(dict.fromkeys([OURS, STRUCTURE, *_rows(arguments)]))
     width = arguments.width or declaration.width_px
@@ -125,6 +147,7 @@ VERBS: Final[Mapping[str, Callable[[Arguments, Declared], int]]] = {
     "prepare": _prepare,
     "run": _run,
     "show": _show,
+    "publish": _publish,
     "truth": _truth,
     "figures": _figures,
 }

@@ -1,0 +1,74 @@
+"""Which outcomes count: those of the declaration and of the settings that are committed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks._reconstruction.arguments import Arguments
+from benchmarks._reconstruction.declared import declared
+from benchmarks._reconstruction.job import OUTCOMES, Job, read_outcome
+from benchmarks._reconstruction.methods import OURS, entries
+from benchmarks._reconstruction.queue import is_done
+from benchmarks._reconstruction.tables import outcomes
+from benchmarks._reconstruction.verbs import VERBS
+from mirror.errors import ExitCode
+
+JOB = Job(OURS, "guangzhou-urban", 1, 10.0, 240)
+MEANS = {"psnr": 30.0, "psnr_cc": 20.0, "ssim": 0.8, "st_lpips": 0.1}
+
+
+def written(folder: Path, of: Job = JOB, **changes: Any) -> Path:
+    document = {
+        "job": asdict(of), "declaration": declared().hash, "settings": entries()[of.entry].settings(of.seed),
+        "model_bytes": 5_000_000, "gaussians": 7, "steps": 3, "means": {"training": MEANS, "novel": MEANS},
+        "oracle": MEANS, "scores": [{"path": "a", "psnr": 30.0}],
+    }  # fmt: skip
+    path = folder / OUTCOMES / f"{of.name}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({**document, **changes}))
+    return path
+
+
+def test_an_outcome_of_the_present_counts(tmp_path: Path) -> None:
+    assert read_outcome(written(tmp_path)) is not None
+    assert is_done(JOB, tmp_path) and [one.entry for one in outcomes(tmp_path)] == [OURS]
+    assert not is_done(replace(JOB, seed=2), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"declaration": "another"},
+        {"settings": {**entries()[OURS].settings(1), "structure_weight": 0.5}},
+        {"settings": entries()[OURS].settings(0)},
+        {"settings": None},
+        {"job": {**asdict(JOB), "entry": "a row that is gone"}},
+    ],
+)
+def test_an_outcome_of_something_else_does_not(changes: dict[str, Any], tmp_path: Path) -> None:
+    written(tmp_path, **changes)
+    assert not is_done(JOB, tmp_path) and outcomes(tmp_path) == []
+
+
+def test_what_is_published_is_shown_as_what_was_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, out = tmp_path / "data", tmp_path / "out"
+    written(data)
+    trial = Job("ours+rates1+sizes1", declared().tuning.scene, 0, declared().tuning.core_minutes, 240)
+    written(data / "tuning", trial)
+    written(data, replace(JOB, seed=2), declaration="another")
+    assert VERBS["publish"](Arguments(data=data, out=out), declared()) == ExitCode.DONE
+    assert sorted(path.name for path in out.rglob("*.json")) == sorted([f"{JOB.name}.json", f"{trial.name}.json"])
+    assert "scores" not in json.loads((out / OUTCOMES / f"{JOB.name}.json").read_text())
+    shown = []
+    for folder in (data, out):
+        for group in ("comparison", "tuning"):
+            capsys.readouterr()
+            VERBS["show"](Arguments("show", folder, group=group), declared())  # type: ignore[arg-type]
+            shown.append(capsys.readouterr().out)
+    assert shown[:2] == shown[2:]
+    assert "| ours | 30.00 |" in shown[0] and "30.00 / 20.00" in shown[1]

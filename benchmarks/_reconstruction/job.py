@@ -23,6 +23,9 @@ from mirror.schema.files import write_bytes
 
 RUNS: Final = "runs"
 OUTCOMES: Final = "outcomes"
+TRUTH: Final = "truth"
+"""Of what is measured against exact truth."""
+
 NOVEL: Final = "novel"
 
 

@@ -11,7 +11,7 @@ from typing import Final
 from benchmarks._reconstruction.arguments import Arguments
 from benchmarks._reconstruction.data import prepare
 from benchmarks._reconstruction.declared import Declared
-from benchmarks._reconstruction.job import OUTCOMES, Job, read_outcome
+from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_outcome
 from benchmarks._reconstruction.methods import OURS, STRUCTURE, entries
 from benchmarks._reconstruction.queue import run_all
 from benchmarks._reconstruction.tables import differences, outcomes, table, tuned
@@ -76,6 +76,9 @@ def _publish(arguments: Arguments, declaration: Declared) -> int:
             # A thousand pictures each: what all are told by is their means.
             document.pop("scores", None)
             write_bytes(arguments.out / folder / OUTCOMES / path.name, (json.dumps(document) + "\n").encode())
+            truth = arguments.data / folder / TRUTH / path.name
+            if truth.is_file():
+                write_bytes(arguments.out / folder / TRUTH / path.name, truth.read_bytes())
     print(arguments.out)
     return ExitCode.DONE
 
@@ -103,13 +106,20 @@ def _show(arguments: Arguments, declaration: Declared) -> int:
 
 def _truth(arguments: Arguments, declaration: Declared) -> int:
     # It takes what no table of outcomes needs: the street is built again.
-    from benchmarks._reconstruction.truth.run import measure_all
+    from benchmarks._reconstruction.truth.run import measure, measured
     from benchmarks._reconstruction.truth.tables import tables
     from benchmarks._reconstruction.truth.trained import done_jobs
 
     rows = _rows(arguments)
-    trained = [job for job in done_jobs(arguments.data) if job.entry in rows and _is_meant(job, arguments)]
-    print(tables(measure_all(trained, arguments.data)) or "no model is trained to the end")
+    for job in done_jobs(arguments.data):
+        if job.entry in rows and _is_meant(job, arguments):
+            measure(job, arguments.data)
+    found = [
+        one for one in measured(arguments.data)
+        if one["job"]["entry"] in rows and _is_meant(Job(**one["job"]), arguments)
+    ]  # fmt: skip
+    found.sort(key=lambda one: rows.index(one["job"]["entry"]))
+    print(tables(found) or "no model is trained to the end")
     return ExitCode.DONE
 
 

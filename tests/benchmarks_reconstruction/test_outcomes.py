@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks._reconstruction.arguments import Arguments
 from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.job import OUTCOMES, Job, read_outcome
+from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_outcome
 from benchmarks._reconstruction.methods import OURS, entries
 from benchmarks._reconstruction.queue import is_done
 from benchmarks._reconstruction.tables import outcomes
@@ -72,3 +72,24 @@ def test_what_is_published_is_shown_as_what_was_run(tmp_path: Path, capsys: pyte
             shown.append(capsys.readouterr().out)
     assert shown[:2] == shown[2:]
     assert "| ours | 30.00 |" in shown[0] and "30.00 / 20.00" in shown[1]
+
+
+def test_truth_is_told_of_models_that_are_gone_while_their_outcomes_count(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out, stale = tmp_path / "data", tmp_path / "out", replace(JOB, seed=2)
+    ground = {"surface": "as drawn", "bias_m": -0.01, "median_m": 0.02, "p90_m": 0.03}
+    costs = {"fps": 11.0, "wall_ms": 90.0, "core_ms": 10.0, "mb_per_100_m": 12.0, "threads": 1, "size_px": [480, 270]}
+    for job, median_m, changes in ((JOB, 0.02, {}), (stale, 0.5, {"declaration": "another"})):
+        written(data, job, **changes)
+        nothing: dict[str, Any] = {"depth": [], "ceiling": [], "lighting": [], "seam": []}
+        document = {"job": asdict(job), "ground": [{**ground, "median_m": median_m}], "costs": costs, **nothing}
+        (data / TRUTH).mkdir(exist_ok=True)
+        (data / TRUTH / f"{job.name}.json").write_text(json.dumps(document))
+    VERBS["publish"](Arguments(data=data, out=out), declared())
+    assert [path.name for path in (out / TRUTH).iterdir()] == [f"{JOB.name}.json"]
+    for folder in (data, out):
+        capsys.readouterr()
+        VERBS["truth"](Arguments("truth", folder), declared())
+        text = capsys.readouterr().out
+        assert "| ours | as drawn | -0.010 | 0.020 | 0.030 |" in text and "| ours | 11 |" in text

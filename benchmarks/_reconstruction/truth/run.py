@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.job import Job
+from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_outcome
 from benchmarks._reconstruction.truth.ceiling import ceiling_of
 from benchmarks._reconstruction.truth.costs import costs_of
 from benchmarks._reconstruction.truth.geometry import geometry_of
@@ -22,21 +21,21 @@ from benchmarks._reconstruction.truth.trained import Trained
 from hybridworldsim.methods.street import OpenStreet
 from mirror.schema.files import write_bytes
 
-TRUTH: Final = "truth"
+
+def measured(folder: Path) -> list[Measured]:
+    """What is written down of models whose outcomes count, see `read_outcome`; the models may be gone."""
+    there = sorted((folder / TRUTH).glob("*.json"))
+    return [json.loads(path.read_text()) for path in there if read_outcome(folder / OUTCOMES / path.name) is not None]
 
 
-def measure_all(jobs: Sequence[Job], folder: Path) -> list[Measured]:
-    """What comes of each job's model; what is written down of the same model is read."""
-    return [_measured(job, folder) for job in jobs]
-
-
-def _measured(job: Job, folder: Path) -> Measured:
+def measure(job: Job, folder: Path) -> None:
+    """Measure a job's model and write it down, unless that is done of this very model."""
     trained, path = Trained(job, folder, declared()), folder / TRUTH / f"{job.name}.json"
     identity = {"declaration": trained.declaration.hash, "model": trained.hash}
     if path.is_file():
         before: Measured = json.loads(path.read_text())
         if {key: before[key] for key in identity} == identity:
-            return before
+            return
     print(f"measuring {job.name}", flush=True)
     lighting = lighting_of(trained)
     document = {
@@ -52,7 +51,6 @@ def _measured(job: Job, folder: Path) -> Measured:
         write_sweep(trained, path.with_suffix(".sweep.png"))
     document = _known(document)
     write_bytes(path, (json.dumps(document, indent=1) + "\n").encode())
-    return document
 
 
 def _known(value: Any) -> Any:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import cv2
 import numpy as np
 
 from benchmarks._reconstruction.declared import declared
@@ -16,7 +17,6 @@ from benchmarks._reconstruction.tiles import sheet
 from benchmarks._reconstruction.truth.lighting import TRAINING
 from benchmarks._reconstruction.truth.trained import Trained
 from mirror.arrays import UInt8
-from mirror.evaluation.submission.png import encode_png
 from mirror.schema.files import write_bytes
 
 _SHOWN: Final = ((NOVEL, "front_wide"), (NOVEL, "front_right"), (TRAINING, "front_wide"), (TRAINING, "rear_left"))
@@ -24,7 +24,7 @@ _CURVES: Final = (("train PSNR", "training pictures, PSNR, dB"), ("novel PSNR*",
 
 
 def write_sheet(jobs: Sequence[Job], folder: Path, path: Path) -> None:
-    """Write what was recorded of a few views of a scene, and what the models of jobs draw of them, as PNG.
+    """Write what was recorded of a few views of a scene, and what the models of jobs draw of them, as JPEG.
 
     Args:
         jobs: of one scene, each trained to the end.
@@ -46,7 +46,8 @@ def write_sheet(jobs: Sequence[Job], folder: Path, path: Path) -> None:
             found = scored(view, drawn, true, mask)
             row.append((f"{job.entry} {found.psnr:.1f}, * {found.psnr_cc:.1f} dB", drawn))
         rows.append(row)
-    write_bytes(path, encode_png(sheet(rows)))
+    sheet_bgr = np.ascontiguousarray(sheet(rows)[..., ::-1])
+    write_bytes(path, bytes(cv2.imencode(".jpg", sheet_bgr, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]))
 
 
 def _dimmed(picture: UInt8, mask: np.ndarray) -> UInt8:
@@ -56,7 +57,13 @@ def _dimmed(picture: UInt8, mask: np.ndarray) -> UInt8:
 
 
 def write_budgets(found: Sequence[Outcome], entries: Sequence[str], path: Path) -> None:
-    """Draw quality over core-minutes, a line an entry, means over scenes that have all its budgets, as PNG."""
+    """Draw quality over core-minutes, a line an entry of several, as PNG; means over scenes that have all its budgets.
+
+    Nothing is written where no entry has several.
+    """
+    entries = [entry for entry in entries if len({one.core_minutes for one in found if one.entry == entry}) > 1]
+    if not entries:
+        return
     import matplotlib
 
     matplotlib.use("Agg")

@@ -133,7 +133,7 @@ def _figures(arguments: Arguments, declaration: Declared) -> int:
     for scene in declaration.scenes:
         own = sorted((job for job in trained if job.scene == scene), key=lambda job: rows.index(job.entry))
         if own:
-            write_sheet(own, arguments.data, arguments.out / f"{scene}.png")
+            write_sheet(own, arguments.data, arguments.out / f"{scene}.jpg")
     width = arguments.width or declaration.width_px
     found = [one for one in outcomes(arguments.data) if (one.seed, one.width_px) == (seed, width)]
     write_budgets(found, rows, arguments.out / "budgets.png")

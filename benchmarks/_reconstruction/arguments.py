@@ -26,9 +26,8 @@ class Arguments:
     """Folder of the scenes and of all that is made of them."""
     entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Rows, such as ours or mtgs_style-tuned; may be repeated. Default: all of the group."""
-    group: Literal["comparison", "bytes", "ablation", "seam", "tuning"] = "comparison"
-    """Methods against each other, rivals with as many bytes as ours, ours with parts switched off, or in two blocks;
-    trials of the grid."""
+    group: Literal["comparison", "bytes", "ablation", "seam"] = "comparison"
+    """Methods against each other, rivals with as many bytes as ours, ours with parts switched off, or in two blocks."""
     minutes: Annotated[tuple[float, ...], tyro.conf.UseAppendAction] = ()
     """Core-minutes of training. Default: as declared."""
     scenes: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()

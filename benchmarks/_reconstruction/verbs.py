@@ -41,7 +41,10 @@ def _tune(arguments: Arguments, declaration: Declared) -> int:
     with watching(quiet=False) as watch:
         street = replace(declaration, preset=grid.preset, scenes_seed=grid.seed)
         prepare(folder, street, [grid.scene], [declaration.split], width, watch)
-    trials = _rows(replace(arguments, group="tuning"))
+    trials = [
+        name for name, entry in entries().items()
+        if entry.group == TUNING and (not arguments.entries or name in arguments.entries)
+    ]  # fmt: skip
     jobs = [Job(name, grid.scene, declaration.seeds[0], grid.core_minutes, width) for name in trials]
     failed = run_all(jobs, folder, arguments.jobs)
     print(tuned(outcomes(folder), grid))
@@ -84,9 +87,6 @@ def _publish(arguments: Arguments, declaration: Declared) -> int:
 
 
 def _show(arguments: Arguments, declaration: Declared) -> int:
-    if arguments.group == TUNING:
-        print(tuned(outcomes(arguments.data / TUNING), declaration.tuning))
-        return ExitCode.DONE
     found = outcomes(arguments.data)
     rows = list(dict.fromkeys([OURS, STRUCTURE, *_rows(arguments)]))
     width = arguments.width or declaration.width_px
@@ -101,6 +101,8 @@ def _show(arguments: Arguments, declaration: Declared) -> int:
         print(f"\n{minutes:g} core-minutes, {width} px\n\n{table(own, rows)}")
         for ours in (OURS, STRUCTURE):
             print(f"\n{differences(own, ours, rows, _COMPARED)}")
+    if trials := outcomes(arguments.data / TUNING):
+        print(f"\ntuning\n\n{tuned(trials, declaration.tuning)}")
     return ExitCode.DONE
 
 

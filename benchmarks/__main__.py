@@ -6,7 +6,7 @@ import importlib
 import sys
 from pathlib import Path
 
-from mirror.errors import ExitCode
+from mirror.errors import ExitCode, MirrorError
 
 _MACHINERY = ("__init__", "__main__", "report")
 
@@ -20,7 +20,11 @@ def names() -> list[str]:
 def main(argv: list[str]) -> int:
     """Run the benchmark that is named."""
     if argv and argv[0] in names():
-        code: int = importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:])
+        try:
+            code: int = importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:])
+        except MirrorError as error:
+            print(f"benchmarks {argv[0]}: {error}", file=sys.stderr)
+            return ExitCode.COULD_NOT_RUN
         return code
     print("usage: python -m benchmarks NAME [OPTIONS]; `--help` after a name explains it\n")
     for name in names():

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import tyro
 
 from benchmarks.report import OUT
+
+GroupName: TypeAlias = Literal["comparison", "bytes", "released", "ablation", "seam", "budgets", "long"]
 
 
 @dataclass(frozen=True)
@@ -26,16 +28,18 @@ class Arguments:
     """Folder of the scenes and of all that is made of them."""
     entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Rows, such as ours or mtgs_style-tuned; may be repeated. Default: all of the group."""
-    group: Literal["comparison", "bytes", "ablation", "seam"] = "comparison"
-    """Methods against each other, rivals with as many bytes as ours, ours with parts switched off, or in two blocks."""
+    group: GroupName = "comparison"
+    """comparison: methods against each other; bytes: rivals with as many bytes as ours; released: rivals as published;
+    ablation: ours with parts switched off or fewer traversals, and OmniRe-style on one; seam: ours in two blocks;
+    budgets: 2, 10 and 30 core-minutes; long: 30 core-minutes of pictures twice as wide."""
     minutes: Annotated[tuple[float, ...], tyro.conf.UseAppendAction] = ()
-    """Core-minutes of training. Default: as declared."""
+    """Core-minutes of training, in place of the group's."""
     scenes: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Default: all that are declared."""
+    """In place of the group's."""
     seeds: Annotated[tuple[int, ...], tyro.conf.UseAppendAction] = ()
-    """Default: all that are declared."""
+    """In place of the group's."""
     width: int | None = None
-    """Of the pictures. Default: as declared."""
+    """Of the pictures, in place of the group's."""
     jobs: int = 2
     """Side by side, each on one core."""
     out: Path = Path("docs/results")

@@ -7,13 +7,16 @@ from pathlib import Path
 from typing import Final
 
 import mirror
-from benchmarks._reconstruction.declared import Declared
-from hybridworldsim.methods.layers import layers_for
+from benchmarks._reconstruction.declared import NOVEL, TRAINING, Declared
+from benchmarks._reconstruction.methods import FEWER, fewer
+from hybridworldsim.methods.layers import are_made, layers_for
+from hybridworldsim.training.appearance import Looks, seen_of
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.evaluation.methods import Task
 from mirror.evaluation.progress import Watch
 from mirror.evaluation.protocol import Protocol, load_protocol
+from mirror.evaluation.views import plan_views
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import read_json, write_json
 
@@ -66,11 +69,29 @@ def prepare(
     split = dataset / "splits" / f"{declaration.split}.json"
     if not split.is_file():
         _run(main, ["split", str(dataset), declaration.split, "--seed", str(declaration.split_seed)])
-    for count in (1, 2):
-        _fewer(split, count)
+    for count in FEWER:
+        _fewer(mirror.open(dataset), declaration, count)
     for scene in scenes:
         for one in splits:
             layers_for(mirror.open(dataset), task_of(declaration, scene, one, width_px, 1.0, 0), watch)
+
+
+def require_prepared(
+    folder: Path, declaration: Declared, scenes: Sequence[str], splits: Sequence[str], width_px: int
+) -> None:
+    """Refuse to run jobs whose layers are not there: side by side they would make them at the same time.
+
+    Raises:
+        DatasetError: some are not.
+    """
+    dataset = opened(folder)
+    for scene in scenes:
+        for split in splits:
+            if not are_made(dataset, task_of(declaration, scene, split, width_px, 1.0, 0)):
+                raise DatasetError(
+                    f"{scene} has no layers of split {split}, {width_px} px", file=folder,
+                    remedy="`prepare` with the same --group, --width and --entries",
+                )  # fmt: skip
 
 
 def _run(main: object, words: list[str]) -> None:
@@ -80,18 +101,29 @@ def _run(main: object, words: list[str]) -> None:
         raise DatasetError(f"`mirror {words[0]}` ended with {code}", expected="0")
 
 
-def _fewer(split: Path, count: int) -> None:
-    """A split with the first so many training traversals of each scene, and the same held-out ones."""
-    document = read_json(split, SplitDocument)
-    kept: dict[str, int] = {}
+def _fewer(dataset: Dataset, declaration: Declared, count: int) -> None:
+    """A split with so many training traversals of each scene, nearest first, and the same held-out ones."""
+    name = fewer(declaration.split, count)
+    path = dataset.layout.root / "splits" / f"{name}.json"
+    if path.is_file():
+        return
+    document = read_json(path.with_name(f"{declaration.split}.json"), SplitDocument)
     roles = dict(document.assignments)
-    for traversal, role in sorted(document.assignments.items()):
-        scene = traversal.partition(".")[0]
-        if role == "train":
-            kept[scene] = kept.get(scene, 0) + 1
-            roles[traversal] = "train" if kept[scene] <= count else "unused"
-    name = f"{document.name}-{count}"
-    write_json(split.with_name(f"{name}.json"), document.model_copy(update={"name": name, "assignments": roles}))
+    for scene in dataset.scenes():
+        for traversal in _nearest_first(dataset, declaration, scene)[count:]:
+            roles[traversal] = "unused"
+    write_json(path, document.model_copy(update={"name": name, "assignments": roles}))
+
+
+def _nearest_first(dataset: Dataset, declaration: Declared, scene: str) -> list[str]:
+    """Training traversals, those first whose looks held-out pictures get by the declared policy."""
+    plan = plan_views(dataset.where(scene=scene), load_protocol(declaration.protocol), declaration.split)
+    held_out = [view for view in plan.views if view.group == NOVEL]
+    seen, order = seen_of([view for view in plan.views if view.group == TRAINING]), []
+    while seen:
+        order.append(Looks(seen, declaration.policy, held_out).of(held_out[0]).content.traversal_id)
+        seen = tuple(one for one in seen if one.traversal_id != order[-1])
+    return order
 
 
 def task_of(declaration: Declared, scene: str, split: str, width_px: int, core_minutes: float, seed: int) -> Task:

@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import Final
 
 FILE: Final = Path(__file__).with_name("comparison.toml")
+TRAINING: Final = "training"
+NOVEL: Final = "novel"
+"""Groups of views of the declared protocol."""
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,11 @@ from typing import Final
 import cv2
 import numpy as np
 
-from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.job import NOVEL, Job
+from benchmarks._reconstruction.declared import NOVEL, TRAINING, declared
+from benchmarks._reconstruction.job import Job
 from benchmarks._reconstruction.scoring import scored
 from benchmarks._reconstruction.tables import Outcome
 from benchmarks._reconstruction.tiles import sheet
-from benchmarks._reconstruction.truth.lighting import TRAINING
 from benchmarks._reconstruction.truth.trained import Trained
 from mirror.arrays import UInt8
 from mirror.schema.files import write_bytes
@@ -57,13 +56,15 @@ def _dimmed(picture: UInt8, mask: np.ndarray) -> UInt8:
 
 
 def write_budgets(found: Sequence[Outcome], entries: Sequence[str], path: Path) -> None:
-    """Draw quality over core-minutes, a line an entry of several, as PNG; means over scenes that have all its budgets.
+    """Draw quality over core-minutes, a line an entry, as PNG; means of what all entries that are drawn have whole.
 
-    Nothing is written where no entry has several.
+    Nothing is written where no entry has several budgets.
     """
-    entries = [entry for entry in entries if len({one.core_minutes for one in found if one.entry == entry}) > 1]
-    if not entries:
+    budgets = {entry: {one.job.core_minutes for one in found if one.job.entry == entry} for entry in entries}
+    drawn = [entry for entry in entries if len(budgets[entry]) > 1]
+    if not drawn:
         return
+    common = set.intersection(*(_whole(found, entry, budgets[entry]) for entry in drawn))
     import matplotlib
 
     matplotlib.use("Agg")
@@ -71,22 +72,24 @@ def write_budgets(found: Sequence[Outcome], entries: Sequence[str], path: Path) 
 
     figure, panels = pyplot.subplots(1, len(_CURVES), figsize=(10.0, 4.0), layout="constrained")
     for panel, (name, label) in zip(panels, _CURVES):
-        for entry in entries:
-            own = [one for one in found if one.entry == entry]
-            budgets = sorted({one.core_minutes for one in own})
-            scenes = [
-                scene for scene in sorted({one.scene for one in own})
-                if {one.core_minutes for one in own if one.scene == scene} == set(budgets)
-            ]  # fmt: skip
-            means = [
-                np.mean([one.figures[name] for one in own if one.core_minutes == minutes and one.scene in scenes])
-                for minutes in budgets
-            ]
-            if scenes:
-                panel.plot(budgets, means, marker="o", label=entry)
+        for entry in drawn:
+            own = [one for one in found if one.job.entry == entry and (one.job.scene, one.job.seed) in common]
+            if own:
+                along = sorted(budgets[entry])
+                means = [np.mean([one.figures[name] for one in own if one.job.core_minutes == at]) for at in along]
+                panel.plot(along, means, marker="o", label=entry)
         panel.set(xscale="log", xlabel="core-minutes of training", ylabel=label)
         panel.grid(alpha=0.3)
     panels[0].legend(fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
+
+
+def _whole(found: Sequence[Outcome], entry: str, budgets: set[float]) -> set[tuple[str, int]]:
+    """Scenes and seeds of which an entry has all its budgets."""
+    there: dict[tuple[str, int], set[float]] = {}
+    for one in found:
+        if one.job.entry == entry:
+            there.setdefault((one.job.scene, one.job.seed), set()).add(one.job.core_minutes)
+    return {key for key, own in there.items() if own == budgets}

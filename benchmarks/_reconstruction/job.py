@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks._reconstruction.data import narrowed, opened, task_of
-from benchmarks._reconstruction.declared import Declared, declared
+from benchmarks._reconstruction.declared import NOVEL, Declared, declared
 from benchmarks._reconstruction.methods import Entry, entries
 from benchmarks._reconstruction.scoring import Scores, averaged, plain, scores_of
 from mirror.dataset.dataset import Dataset
@@ -25,8 +25,6 @@ RUNS: Final = "runs"
 OUTCOMES: Final = "outcomes"
 TRUTH: Final = "truth"
 """Of what is measured against exact truth."""
-
-NOVEL: Final = "novel"
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +11,16 @@ import numpy as np
 from scipy.stats import t
 
 from benchmarks._reconstruction.declared import Tuning
-from benchmarks._reconstruction.job import OUTCOMES, read_outcome
-from benchmarks._reconstruction.methods import OURS, RIVALS, trial
+from benchmarks._reconstruction.job import OUTCOMES, Job, read_outcome
+from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, trial
+from mirror.errors import DatasetError
 
 
 @dataclass(frozen=True)
 class Outcome:
     """What came of a job; `figures` by name."""
 
-    entry: str
-    scene: str
-    seed: int
-    core_minutes: float
-    width_px: int
+    job: Job
     figures: dict[str, float]
 
 
@@ -40,23 +36,32 @@ FIGURES = {
     "MB": "",
     "Gaussians": "",
     "steps": "",
+    "core min": "",
 }
 
 
 def outcomes(folder: Path) -> list[Outcome]:
-    """All that are of the declaration and of the settings as they are now."""
-    read = map(read_outcome, sorted((folder / OUTCOMES).glob("*.json")))
-    return [_outcome(document) for document in read if document is not None]
+    """All that are of the declaration and of the settings as they are now.
+
+    Raises:
+        DatasetError: they are of several datasets.
+    """
+    there = sorted((folder / OUTCOMES).glob("*.json"))
+    found = [document for path in there if (document := read_outcome(path)) is not None]
+    # A split of fewer traversals is of the same dataset.
+    datasets = {document["dataset_hash"] for document in found}
+    if len(datasets) > 1:
+        raise DatasetError(
+            f"outcomes of {len(datasets)} datasets", file=folder / OUTCOMES, expected="those of one",
+            remedy="scenes that `prepare` made with other versions differ: run all jobs on the same ones",
+        )  # fmt: skip
+    return [_outcome(document) for document in found]
 
 
 def _outcome(document: dict[str, Any]) -> Outcome:
-    job, means = document["job"], document["means"]
+    means = document["means"]
     return Outcome(
-        job["entry"],
-        job["scene"],
-        job["seed"],
-        job["core_minutes"],
-        job["width_px"],
+        Job(**document["job"]),
         {
             "train PSNR": means["training"]["psnr"],
             "train SSIM": means["training"]["ssim"],
@@ -69,51 +74,92 @@ def _outcome(document: dict[str, Any]) -> Outcome:
             "MB": document["model_bytes"] / 1e6,
             "Gaussians": document["gaussians"],
             "steps": document["steps"],
+            "core min": document["core_s"] / 60.0,
         },
     )
 
 
-def table(found: Sequence[Outcome], entries: Iterable[str]) -> str:
-    """Markdown: a row an entry, means over its outcomes, and of how many."""
-    lines = [f"| method | {' | '.join(FIGURES)} | runs |", "|---" * (len(FIGURES) + 2) + "|"]
-    for entry in entries:
-        own = [one for one in found if one.entry == entry]
-        if own:
+def tables(found: Sequence[Outcome], entries: Sequence[str]) -> Iterator[str]:
+    """Markdown: means, a row an entry.
+
+    A mean of three scenes is no mean of one: where entries have different scenes and seeds there is a table of each
+    such set, with all entries that have it whole.
+    """
+    keys = {entry: frozenset(map(_key, _of(found, entry))) for entry in entries}
+    for common in sorted({own for own in keys.values() if own}, key=lambda one: (-len(one), sorted(one))):
+        lines = [f"| method | {' | '.join(FIGURES)} | runs |", "|---" * (len(FIGURES) + 2) + "|"]
+        for entry in (entry for entry in entries if keys[entry] >= common):
+            own = [one for one in _of(found, entry) if _key(one) in common]
             cells = [_cell(name, float(np.mean([one.figures[name] for one in own]))) for name in FIGURES]
             lines.append(f"| {entry} | {' | '.join(cells)} | {len(own)} |")
-    return "\n".join(lines)
+        yield f"{_told(common)}\n\n" + "\n".join(lines)
 
 
 def differences(found: Sequence[Outcome], ours: str, entries: Iterable[str], names: Sequence[str]) -> str:
-    """Markdown: one entry minus each other, paired by scene and seed, with 95 % intervals of Student's t."""
+    """Markdown: one entry minus each other, with 95 % intervals of Student's t.
+
+    Paired by scene and seed, which tells how sure the difference is on these scenes; and by scene, of means over seeds,
+    which tells what to expect of others.
+    """
     lines = [f"| {ours} minus | {' | '.join(names)} | pairs |", "|---" * (len(names) + 2) + "|"]
-    own = {(one.scene, one.seed): one for one in found if one.entry == ours}
+    own = {_key(one): one for one in _of(found, ours)}
     for entry in entries:
-        pairs = [(own[key], one) for one in found if one.entry == entry and (key := (one.scene, one.seed)) in own]
+        pairs = [(own[key], one) for one in _of(found, entry) if (key := _key(one)) in own]
         if entry == ours or not pairs:
             continue
-        cells = []
-        for name in names:
-            gaps = np.array([mine.figures[name] - other.figures[name] for mine, other in pairs])
-            low, high = interval(gaps)
-            cells.append(f"{gaps.mean():+.3f} [{low:+.3f}, {high:+.3f}]")
-        lines.append(f"| {entry} | {' | '.join(cells)} | {len(pairs)} |")
-    return "\n".join(lines)
+        gaps = np.array([[mine.figures[name] - other.figures[name] for name in names] for mine, other in pairs])
+        lines.append(f"| {entry} | {' | '.join(map(_gap, gaps.T))} | {len(gaps)} |")
+        scenes = np.array([one.job.scene for _, one in pairs])
+        of_scenes = np.array([gaps[scenes == scene].mean(0) for scene in np.unique(scenes)])
+        if len(of_scenes) < len(gaps):
+            lines.append(f"| {entry}, by scene | {' | '.join(map(_gap, of_scenes.T))} | {len(of_scenes)} |")
+    return "\n".join(lines) if len(lines) > 2 else ""
 
 
 def tuned(found: Sequence[Outcome], grid: Tuning) -> str:
-    """Markdown: of each method and cell of the grid training PSNR and PSNR*; the best sum of them is bold."""
-    columns = list(product(grid.rates, grid.sizes))
-    heads = [f"rates x {rates:g}, sizes x {sizes:g}" for rates, sizes in columns]
-    lines = [f"| method | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
-    known = {one.entry: (one.figures["train PSNR"], one.figures["novel PSNR*"]) for one in found}
-    for name in (OURS, *(package.__name__ for package in RIVALS)):
-        own = [known.get(trial(name, *column)) for column in columns]
-        best = max((sum(pair) for pair in own if pair), default=None)
-        cells = ["" if pair is None else f"{pair[0]:.2f} / {pair[1]:.2f}" for pair in own]
-        marked = [f"**{cell}**" if pair and sum(pair) == best else cell for cell, pair in zip(cells, own)]
-        lines.append(f"| {name} | {' | '.join(marked)} |")
+    """Markdown: of each cell of the grid and method training PSNR and PSNR*; the best sum of a method is bold."""
+    methods = [OURS, *(package.__name__ for package in RIVALS)]
+    cells = [(rates, sizes) for rates in grid.rates for sizes in grid.sizes]
+    cells += dict.fromkeys(cell for wider in WIDER.values() for cell in wider)
+    known = {one.job.entry: (one.figures["train PSNR"], one.figures["novel PSNR*"]) for one in found}
+    best = {
+        name: max((sum(pair) for cell in cells if (pair := known.get(trial(name, *cell)))), default=None)
+        for name in methods
+    }  # fmt: skip
+    lines = [f"| rates x, sizes x | {' | '.join(methods)} |", "|---" * (len(methods) + 1) + "|"]
+    for cell in cells:
+        pairs = [(name, known.get(trial(name, *cell))) for name in methods]
+        texts = ["" if pair is None else f"{pair[0]:.2f} / {pair[1]:.2f}" for _, pair in pairs]
+        marked = [
+            f"**{text}**" if pair and sum(pair) == best[name] else text for text, (name, pair) in zip(texts, pairs)
+        ]
+        if any(texts):
+            lines.append(f"| {cell[0]:g}, {cell[1]:g} | {' | '.join(marked)} |")
     return "\n".join(lines)
+
+
+def _of(found: Sequence[Outcome], entry: str) -> list[Outcome]:
+    return [one for one in found if one.job.entry == entry]
+
+
+def _key(one: Outcome) -> tuple[str, int]:
+    return one.job.scene, one.job.seed
+
+
+def _told(keys: frozenset[tuple[str, int]]) -> str:
+    """Which scenes and seeds a mean is of."""
+    seeds: dict[tuple[int, ...], list[str]] = {}
+    for scene in sorted({scene for scene, _ in keys}):
+        seeds.setdefault(tuple(sorted(seed for one, seed in keys if one == scene)), []).append(scene)
+    return "; ".join(
+        f"{', '.join(scenes)}: seed{'s' if len(own) > 1 else ''} {', '.join(map(str, own))}"
+        for own, scenes in seeds.items()
+    )
+
+
+def _gap(gaps: np.ndarray) -> str:
+    low, high = interval(gaps)
+    return f"{gaps.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
 
 
 def interval(gaps: np.ndarray, level: float = 0.95) -> tuple[float, float]:

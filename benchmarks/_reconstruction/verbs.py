@@ -5,69 +5,59 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Final
 
 from benchmarks._reconstruction.arguments import Arguments
-from benchmarks._reconstruction.data import prepare
-from benchmarks._reconstruction.declared import Declared
+from benchmarks._reconstruction.data import prepare, require_prepared
+from benchmarks._reconstruction.declared import Declared, Tuning
+from benchmarks._reconstruction.groups import COMPARISON, TUNING, Group, asked, groups, split_of
 from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_outcome
-from benchmarks._reconstruction.methods import OURS, STRUCTURE, entries
+from benchmarks._reconstruction.methods import OURS, STRUCTURE
 from benchmarks._reconstruction.queue import run_all
-from benchmarks._reconstruction.tables import differences, outcomes, table, tuned
+from benchmarks._reconstruction.tables import differences, outcomes, tables, tuned
 from mirror.cli.watch import watching
 from mirror.errors import ExitCode
 from mirror.schema.files import write_bytes
 
-TUNING: Final = "tuning"
-"""Group of the trials, and folder of theirs."""
-
 _COMPARED: Final = ("train PSNR", "train SSIM", "train ST-LPIPS", "novel PSNR*", "novel SSIM", "novel ST-LPIPS")
-
-
-def _rows(arguments: Arguments) -> list[str]:
-    """The rows that are asked for."""
-    return [
-        name
-        for name, entry in entries().items()
-        if name in arguments.entries or (not arguments.entries and entry.group == arguments.group)
-    ]
 
 
 def _tune(arguments: Arguments, declaration: Declared) -> int:
     """Make the street of the trials, run those that are not done, and show all."""
     grid, folder = declaration.tuning, arguments.data / TUNING
-    width = arguments.width or declaration.width_px
+    group = asked(arguments, declaration, TUNING)
     with watching(quiet=False) as watch:
         street = replace(declaration, preset=grid.preset, scenes_seed=grid.seed)
-        prepare(folder, street, [grid.scene], [declaration.split], width, watch)
-    trials = [
-        name for name, entry in entries().items()
-        if entry.group == TUNING and (not arguments.entries or name in arguments.entries)
-    ]  # fmt: skip
-    jobs = [Job(name, grid.scene, declaration.seeds[0], grid.core_minutes, width) for name in trials]
-    failed = run_all(jobs, folder, arguments.jobs)
-    print(tuned(outcomes(folder), grid))
+        prepare(folder, street, group.scenes, [declaration.split], group.width_px, watch)
+    failed = run_all(group.jobs, folder, arguments.jobs)
+    print(_trials(folder, group, grid))
     return ExitCode.PARTLY_DONE if failed else ExitCode.DONE
 
 
+def _trials(folder: Path, group: Group, grid: Tuning) -> str:
+    parts = []
+    for minutes in group.minutes:
+        own = [one for one in outcomes(folder) if replace(group, minutes=(minutes,)).has(one.job)]
+        if own:
+            parts.append(f"tuning, {minutes:g} core-minutes\n\n{tuned(own, grid)}")
+    return "\n\n".join(parts)
+
+
 def _prepare(arguments: Arguments, declaration: Declared) -> int:
-    splits = dict.fromkeys(entries()[row].split or declaration.split for row in _rows(arguments))
-    scenes, width = arguments.scenes or declaration.scenes, arguments.width or declaration.width_px
+    group = asked(arguments, declaration)
+    splits = dict.fromkeys(split_of(row, declaration) for row in group.rows)
     with watching(quiet=False) as watch:
-        prepare(arguments.data, declaration, scenes, list(splits), width, watch)
+        prepare(arguments.data, declaration, group.scenes, list(splits), group.width_px, watch)
     return ExitCode.DONE
 
 
 def _run(arguments: Arguments, declaration: Declared) -> int:
-    jobs = [
-        Job(entry, scene, seed, minutes, arguments.width or declaration.width_px)
-        for seed in arguments.seeds or declaration.seeds
-        for minutes in arguments.minutes or (declaration.core_minutes,)
-        for scene in arguments.scenes or declaration.scenes
-        for entry in _rows(arguments)
-    ]
-    return ExitCode.PARTLY_DONE if run_all(jobs, arguments.data, arguments.jobs) else ExitCode.DONE
+    group = asked(arguments, declaration)
+    splits = list(dict.fromkeys(split_of(row, declaration) for row in group.rows))
+    require_prepared(arguments.data, declaration, group.scenes, splits, group.width_px)
+    return ExitCode.PARTLY_DONE if run_all(group.jobs, arguments.data, arguments.jobs) else ExitCode.DONE
 
 
 def _publish(arguments: Arguments, declaration: Declared) -> int:
@@ -87,41 +77,38 @@ def _publish(arguments: Arguments, declaration: Declared) -> int:
 
 
 def _show(arguments: Arguments, declaration: Declared) -> int:
-    found = outcomes(arguments.data)
-    rows = list(dict.fromkeys([OURS, STRUCTURE, *_rows(arguments)]))
-    width = arguments.width or declaration.width_px
+    group = asked(arguments, declaration)
+    found = [one for one in outcomes(arguments.data) if group.has(one.job)]
     print(f"declaration {declaration.hash[:16]}")
-    for minutes in arguments.minutes or (declaration.core_minutes,):
-        own = [
-            one for one in found
-            if (one.core_minutes, one.width_px) == (minutes, width)
-            and one.scene in (arguments.scenes or declaration.scenes)
-            and one.seed in (arguments.seeds or declaration.seeds)
-        ]  # fmt: skip
-        print(f"\n{minutes:g} core-minutes, {width} px\n\n{table(own, rows)}")
+    for minutes in group.minutes:
+        own = [one for one in found if one.job.core_minutes == minutes]
+        print(f"\n{minutes:g} core-minutes a block, {group.width_px} px")
+        for text in tables(own, group.shown):
+            print(f"\n{text}")
         for ours in (OURS, STRUCTURE):
-            print(f"\n{differences(own, ours, rows, _COMPARED)}")
-    if trials := outcomes(arguments.data / TUNING):
-        print(f"\ntuning\n\n{tuned(trials, declaration.tuning)}")
+            if text := differences(own, ours, group.shown, _COMPARED):
+                print(f"\n{text}")
+    if trials := _trials(arguments.data / TUNING, groups(declaration)[TUNING], declaration.tuning):
+        print(f"\n{trials}")
     return ExitCode.DONE
 
 
 def _truth(arguments: Arguments, declaration: Declared) -> int:
     # It takes what no table of outcomes needs: the street is built again.
     from benchmarks._reconstruction.truth.run import measure, measured
-    from benchmarks._reconstruction.truth.tables import tables
+    from benchmarks._reconstruction.truth.tables import tables as truth_tables
     from benchmarks._reconstruction.truth.trained import done_jobs
 
-    rows = _rows(arguments)
+    group = asked(arguments, declaration)
     for job in done_jobs(arguments.data):
-        if job.entry in rows and _is_meant(job, arguments):
+        if group.has(job):
             measure(job, arguments.data)
-    found = [
-        one for one in measured(arguments.data)
-        if one["job"]["entry"] in rows and _is_meant(Job(**one["job"]), arguments)
-    ]  # fmt: skip
-    found.sort(key=lambda one: rows.index(one["job"]["entry"]))
-    print(tables(found) or "no model is trained to the end")
+    found = [one for one in measured(arguments.data) if group.has(Job(**one["job"]))]
+    found.sort(key=lambda one: group.shown.index(one["job"]["entry"]))
+    for minutes in group.minutes:
+        own = [one for one in found if one["job"]["core_minutes"] == minutes]
+        print(f"{minutes:g} core-minutes a block, {group.width_px} px\n")
+        print(truth_tables(own) or "no model is trained to the end")
     return ExitCode.DONE
 
 
@@ -129,29 +116,21 @@ def _figures(arguments: Arguments, declaration: Declared) -> int:
     from benchmarks._reconstruction.figures import write_budgets, write_sheet
     from benchmarks._reconstruction.truth.trained import done_jobs
 
-    rows, seed = _rows(arguments), declaration.seeds[0]
-    chosen = replace(arguments, minutes=arguments.minutes or (declaration.core_minutes,), seeds=(seed,))
-    trained = [job for job in done_jobs(arguments.data) if job.entry in rows and _is_meant(job, chosen)]
-    for scene in declaration.scenes:
-        own = sorted((job for job in trained if job.scene == scene), key=lambda job: rows.index(job.entry))
+    group = asked(arguments, declaration)
+    group = replace(group, seeds=group.seeds[:1])
+    trained = [job for job in done_jobs(arguments.data) if group.has(job)]
+    prefix = "" if arguments.group == COMPARISON else f"{arguments.group}-"
+    for scene, minutes in product(group.scenes, group.minutes):
+        own = [job for job in trained if (job.scene, job.core_minutes) == (scene, minutes)]
+        own.sort(key=lambda job: group.shown.index(job.entry))
         if own:
-            write_sheet(own, arguments.data, arguments.out / f"{scene}.jpg")
-    width = arguments.width or declaration.width_px
-    found = [one for one in outcomes(arguments.data) if (one.seed, one.width_px) == (seed, width)]
-    write_budgets(found, rows, arguments.out / "budgets.png")
+            suffix = "" if len(group.minutes) == 1 else f"-{minutes:g}min"
+            write_sheet(own, arguments.data, arguments.out / f"{prefix}{scene}{suffix}.jpg")
+    if len(group.minutes) > 1:
+        found = [one for one in outcomes(arguments.data) if group.has(one.job)]
+        write_budgets(found, group.shown, arguments.out / f"{arguments.group}.png")
     print(arguments.out)
     return ExitCode.DONE
-
-
-def _is_meant(job: Job, arguments: Arguments) -> bool:
-    """Whether a trained model is one that the arguments name; those that are not given are for any."""
-    asked = (
-        (job.core_minutes, arguments.minutes),
-        (job.scene, arguments.scenes),
-        (job.seed, arguments.seeds),
-        (job.width_px, (arguments.width,) if arguments.width else ()),
-    )
-    return all(not wanted or value in wanted for value, wanted in asked)
 
 
 VERBS: Final[Mapping[str, Callable[[Arguments, Declared], int]]] = {

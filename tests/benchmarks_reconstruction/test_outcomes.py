@@ -16,7 +16,7 @@ from benchmarks._reconstruction.methods import OURS, entries
 from benchmarks._reconstruction.queue import is_done
 from benchmarks._reconstruction.tables import outcomes
 from benchmarks._reconstruction.verbs import VERBS
-from mirror.errors import ExitCode
+from mirror.errors import DatasetError, ExitCode
 
 JOB = Job(OURS, "guangzhou-urban", 1, 10.0, 240)
 MEANS = {"psnr": 30.0, "psnr_cc": 20.0, "ssim": 0.8, "st_lpips": 0.1}
@@ -24,7 +24,8 @@ MEANS = {"psnr": 30.0, "psnr_cc": 20.0, "ssim": 0.8, "st_lpips": 0.1}
 
 def written(folder: Path, of: Job = JOB, **changes: Any) -> Path:
     document = {
-        "job": asdict(of), "declaration": declared().hash, "settings": entries()[of.entry].settings(of.seed),
+        "job": asdict(of), "declaration": declared().hash, "dataset_hash": "d", "core_s": 600.0,
+        "settings": entries()[of.entry].settings(of.seed),
         "model_bytes": 5_000_000, "gaussians": 7, "steps": 3, "means": {"training": MEANS, "novel": MEANS},
         "oracle": MEANS, "scores": [{"path": "a", "psnr": 30.0}],
     }  # fmt: skip
@@ -36,7 +37,7 @@ def written(folder: Path, of: Job = JOB, **changes: Any) -> Path:
 
 def test_an_outcome_of_the_present_counts(tmp_path: Path) -> None:
     assert read_outcome(written(tmp_path)) is not None
-    assert is_done(JOB, tmp_path) and [one.entry for one in outcomes(tmp_path)] == [OURS]
+    assert is_done(JOB, tmp_path) and [one.job.entry for one in outcomes(tmp_path)] == [OURS]
     assert not is_done(replace(JOB, seed=2), tmp_path)
 
 
@@ -53,6 +54,13 @@ def test_an_outcome_of_the_present_counts(tmp_path: Path) -> None:
 def test_an_outcome_of_something_else_does_not(changes: dict[str, Any], tmp_path: Path) -> None:
     written(tmp_path, **changes)
     assert not is_done(JOB, tmp_path) and outcomes(tmp_path) == []
+
+
+def test_outcomes_of_two_datasets_are_not_put_together(tmp_path: Path) -> None:
+    written(tmp_path)
+    written(tmp_path, replace(JOB, seed=2), dataset_hash="another")
+    with pytest.raises(DatasetError, match="outcomes of 2 datasets"):
+        outcomes(tmp_path)
 
 
 def test_what_is_published_is_shown_as_what_was_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,8 +10,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import ttest_rel
 
+from benchmarks._reconstruction.job import Job
 from benchmarks._reconstruction.scoring import Scores, averaged
-from benchmarks._reconstruction.tables import Outcome, differences, interval
+from benchmarks._reconstruction.tables import FIGURES, Outcome, differences, interval
+from benchmarks._reconstruction.tables import tables as tables_of_outcomes
 from benchmarks._reconstruction.truth.tables import tables
 
 figures = st.floats(-60.0, 60.0)
@@ -36,7 +38,7 @@ def test_one_pair_bounds_nothing() -> None:
 
 def test_differences_are_paired_by_scene_and_seed() -> None:
     def outcome(entry: str, scene: str, seed: int, value: float) -> Outcome:
-        return Outcome(entry, scene, seed, 2.0, 240, {"train PSNR": value})
+        return Outcome(Job(entry, scene, seed, 2.0, 240), {"train PSNR": value})
 
     found = [
         outcome("ours", "a", 0, 27.0), outcome("ours", "b", 0, 30.0), outcome("ours", "c", 0, 99.0),
@@ -45,6 +47,21 @@ def test_differences_are_paired_by_scene_and_seed() -> None:
     known = ttest_rel([27.0, 30.0], [26.0, 28.0]).confidence_interval(0.95)
     line = differences(found, "ours", ["ours", "other"], ["train PSNR"]).splitlines()[-1]
     assert line == f"| other | +1.500 [{known.low:+.3f}, {known.high:+.3f}] | 2 |"
+    # Two seeds of one scene tell no more of other scenes than one does.
+    found += [outcome("ours", "a", 1, 28.0), outcome("other", "a", 1, 26.0)]
+    by_scene = ttest_rel([27.5, 30.0], [26.0, 28.0]).confidence_interval(0.95)
+    line = differences(found, "ours", ["ours", "other"], ["train PSNR"]).splitlines()[-1]
+    assert line == f"| other, by scene | +1.750 [{by_scene.low:+.3f}, {by_scene.high:+.3f}] | 2 |"
+
+
+def test_means_are_of_the_same_scenes_and_seeds() -> None:
+    def outcome(entry: str, scene: str, seed: int, value: float) -> Outcome:
+        return Outcome(Job(entry, scene, seed, 2.0, 240), dict.fromkeys(FIGURES, value))
+
+    found = [outcome("ours", "a", 0, 10.0), outcome("ours", "a", 1, 30.0), outcome("other", "a", 0, 11.0)]
+    whole, common = tables_of_outcomes(found, ["ours", "other"])
+    assert whole.startswith("a: seeds 0, 1\n") and "| ours | 20.00 |" in whole and "other" not in whole
+    assert common.startswith("a: seed 0\n") and "| ours | 10.00 |" in common and "| other | 11.00 |" in common
 
 
 def test_pictures_are_averaged_in_traversals_first() -> None:

@@ -47,20 +47,30 @@ def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
     """
     if task.initialise == BROUGHT:
         return Layers(dataset, *(_only(dataset, task, kind) for kind in ("depth", "points")))
-    width = task.protocol.pixels.max_width_px
     done = initialise(
         dataset.where(scene=task.scene),
         task.split,
         method=task.initialise,
-        width_px=width,
-        # Of other training pictures or another width they are other layers.
-        version=f"{task.split}-{width}{_without(task.withheld)}",
+        width_px=task.protocol.pixels.max_width_px,
+        version=_version(task),
         withheld=task.withheld,
         progress=progress,
     )
     made = replace(mirror.open(dataset.root), layers=replace(dataset.layers, depth=None, points=None))
     depth, points = (done.layer if done.layer in _there(made, task, kind) else None for kind in ("depth", "points"))
     return Layers(made.with_layers(depth=depth, points=points), depth, points)
+
+
+def are_made(dataset: Dataset, task: Task) -> bool:
+    """Whether all training traversals of a task's scene have the points that `layers_for` would make."""
+    own = dataset.where(scene=task.scene, split=task.split, role="train")
+    wanted = f"points/{task.initialise}@{_version(task)}"
+    return all(wanted in row for row in own.table("traversals", ["layers"]).column(0).to_pylist())
+
+
+def _version(task: Task) -> str:
+    """Of other training pictures or another width they are other layers."""
+    return f"{task.split}-{task.protocol.pixels.max_width_px}{_without(task.withheld)}"
 
 
 def _without(withheld: Set[Picture]) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
-from benchmarks._reconstruction.job import NOVEL
+from benchmarks._reconstruction.declared import NOVEL, TRAINING
 from benchmarks._reconstruction.scoring import averaged, scored
-from benchmarks._reconstruction.truth.lighting import TRAINING, target_of
+from benchmarks._reconstruction.truth.lighting import target_of
 from benchmarks._reconstruction.truth.trained import Trained
 from mirror.evaluation.views.view import View
 

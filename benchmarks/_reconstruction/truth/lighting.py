@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+from benchmarks._reconstruction.declared import TRAINING
 from benchmarks._reconstruction.scoring import averaged, scored
 from benchmarks._reconstruction.truth.trained import Trained
 from hybridworldsim.training.appearance import Looks
@@ -11,7 +12,6 @@ from hybridworldsim.training.run.specimens import pixels
 from mirror.evaluation.views.view import View
 
 EDITS: Final = (("day", "night"), ("night", "day"))
-TRAINING: Final = "training"
 
 
 def lighting_of(trained: Trained) -> list[dict[str, Any]]:

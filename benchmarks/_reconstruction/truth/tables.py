@@ -82,11 +82,12 @@ def light_table(found: Sequence[Measured]) -> str:
 def seam_table(found: Sequence[Measured]) -> str:
     """A row a figure of each model."""
     rows = [
-        [one["job"]["entry"], one["job"]["scene"], row["name"], row["size"], f"{row['ms']:.2f}",
+        [one["job"]["entry"], one["job"]["scene"], str(one["job"]["seed"]), row["name"], row["size"],
+         f"{row['ms']:.2f}",
          "; ".join(f"{peer['name']} {peer['ms']:.2f}" for peer in row["peers"]) or "-"]
         for one in found for row in one["seam"]
     ]  # fmt: skip
-    return _markdown(["method", "scene", "figure", "of", "value", "other"], rows)
+    return _markdown(["method", "scene", "seed", "figure", "of", "value", "other"], rows)
 
 
 def cost_table(found: Sequence[Measured]) -> str:

@@ -1,0 +1,54 @@
+"""What each group runs, and over what."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks._reconstruction.arguments import Arguments
+from benchmarks._reconstruction.declared import declared
+from benchmarks._reconstruction.groups import asked, groups
+from benchmarks._reconstruction.job import Job
+from benchmarks._reconstruction.methods import entries
+from mirror.errors import ExitCode, UsageError
+
+DECLARED = declared()
+
+
+def test_rows_of_groups_are_known_and_none_is_left_out() -> None:
+    every = {row for group in groups(DECLARED).values() for row in group.shown}
+    assert every == set(entries())
+
+
+def test_groups_run_what_is_declared() -> None:
+    known = groups(DECLARED)
+    assert len(known["comparison"].jobs) == 5 * len(DECLARED.scenes) * len(DECLARED.seeds)
+    assert {job.core_minutes for job in known["budgets"].jobs} == {2.0, 10.0, 30.0}
+    assert {(job.core_minutes, job.width_px) for job in known["long"].jobs} == {(30.0, 480)}
+    assert known["ablation"].has(Job("ours", DECLARED.scenes[0], 0, 10.0, 240))
+    assert not known["comparison"].has(Job("ours", DECLARED.scenes[0], 0, 30.0, 240))
+
+
+def test_arguments_take_the_place_of_what_a_group_has() -> None:
+    found = asked(Arguments(entries=("ours",), scenes=DECLARED.scenes[:1], seeds=(2,), minutes=(1.0,)), DECLARED)
+    assert found.jobs == [Job("ours", DECLARED.scenes[0], 2, 1.0, DECLARED.width_px)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        (Arguments(entries=("our",)), "no 'our'; expected ours"),
+        (Arguments(scenes=("karlsruhe",)), "no 'karlsruhe'; expected karlsruhe-"),
+    ],
+)
+def test_what_there_is_not_is_refused(arguments: Arguments, remedy: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(remedy)):
+        asked(arguments, DECLARED)
+
+
+def test_jobs_without_scenes_are_refused_before_they_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reconstruction", "run", "--data", str(tmp_path)]) == ExitCode.COULD_NOT_RUN
+    assert "reconstruction prepare" in capsys.readouterr().err

@@ -86,14 +86,15 @@ def bake(
         degree: of the harmonics, 0 to 3.
         sky: what lies beyond a reach is pulled in to it, left out, or kept. Viewers sort by a depth of few bits, spread
             over all that there is: what is very far costs order near by.
-        reach_m: how far from the middle of the blocks.
+        reach_m: how far from the middle of the blocks; farther where a block's own geometry is, which it must not hide.
 
     Raises:
-        UsageError: there is no view, or no such degree.
+        UsageError: there is no view, no such degree, or a view is not of a pinhole camera.
     """
     if not views or not 0 <= degree <= 3:
         raise UsageError(f"{len(views)} views, degree {degree}", expected="at least one view, degree 0 to 3")
     every = parts_of(blocks)
+    reach_m = max(reach_m, *(_end_m(block, every.origin_m) for block, _ in blocks))
     chosen = [views[int(place)] for place in np.unique(np.linspace(0, len(views) - 1, _MOST_EYES).astype(int))]
     skies = torch.stack([every.skies(view.pose.translation[0]) for view in chosen]).mean(0).tolist()
     pieces: list[tuple[Tensor, ...]] = []
@@ -274,6 +275,12 @@ def _fitted(
         opacity.logit(),
         fitted.float(),
     )
+
+
+def _end_m(block: Block, origin_m: Float64) -> float:
+    """How far from a place of the world a block's geometry goes."""
+    aside = np.abs(np.array(block.origin_m[:2]) - origin_m[:2]) + block.near_m
+    return float(np.hypot(*aside))
 
 
 def _brought(means: Tensor, rest: Sequence[Tensor], sky: Sky, reach_m: float) -> tuple[Tensor, ...]:

@@ -6,6 +6,6 @@ A traversal that was not trained on is shown as the source that its viewpoint na
 from __future__ import annotations
 
 from mtgs_style.learner import make
-from mtgs_style.settings import RELEASED, TUNED, MtgsStyle
+from mtgs_style.settings import BY_HAND, RELEASED, TUNED, MtgsStyle
 
-__all__ = ["RELEASED", "TUNED", "MtgsStyle", "make"]
+__all__ = ["BY_HAND", "RELEASED", "TUNED", "MtgsStyle", "make"]

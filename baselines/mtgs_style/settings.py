@@ -7,6 +7,7 @@ from typing import Final
 
 from hybridworldsim.scene.settings import Rate
 from splatting import tuned
+from splatting.scaled import scaled
 from splatting.settings import Densification, Rates, Seeding, Splatting, Weights
 
 
@@ -36,7 +37,7 @@ RELEASED: Final = MtgsStyle(
 traversal are the higher bands alone there: its `features_adapters` have the learning rate 0, and are left out. Large
 Gaussians stay, as its sky does; its normals are of LiDAR, here the street's loss with the street's weight."""
 
-TUNED: Final = MtgsStyle(
+BY_HAND: Final = MtgsStyle(
     seeding=tuned.SEEDING,
     rates=replace(tuned.RATES, adapter=Rate(2e-2, 2e-3)),
     densification=tuned.DENSIFICATION,
@@ -44,4 +45,7 @@ TUNED: Final = MtgsStyle(
     sh_degree=1,
     antialiased=True,
 )
-"""Traversals differ in the constant band, and no band is higher than the first."""
+"""The middle of the tuning's grid. Traversals differ in the constant band, and no band is higher than the first."""
+
+TUNED: Final = scaled(BY_HAND, rates=1.0, sizes=2.0)
+"""The best cell at these rates: twice those end higher after two core-minutes, lower after ten (docs/results.md)."""

@@ -7,6 +7,6 @@ one traversal, the nearest to the one that is to be rendered; who trains it choo
 from __future__ import annotations
 
 from omnire_style.learner import make
-from omnire_style.settings import RELEASED, TUNED, OmnireStyle
+from omnire_style.settings import BY_HAND, RELEASED, TUNED, OmnireStyle
 
-__all__ = ["RELEASED", "TUNED", "OmnireStyle", "make"]
+__all__ = ["BY_HAND", "RELEASED", "TUNED", "OmnireStyle", "make"]

@@ -7,6 +7,7 @@ from typing import Final
 
 from hybridworldsim.scene.settings import Rate
 from splatting import tuned
+from splatting.scaled import scaled
 from splatting.settings import Densification, Rates, Seeding, Splatting, Weights
 
 
@@ -41,7 +42,7 @@ RELEASED: Final = OmnireStyle(
 """Of drivestudio's configs/omnire.yaml (commit e59bda4f); counts and schedules as shares of 30,000 steps. Its faces of
 sky are 1024 pixels wide for pictures of 1600; these are for 240."""
 
-TUNED: Final = OmnireStyle(
+BY_HAND: Final = OmnireStyle(
     seeding=replace(tuned.SEEDING, sky_count=0),
     rates=tuned.RATES,
     densification=tuned.DENSIFICATION,
@@ -49,3 +50,7 @@ TUNED: Final = OmnireStyle(
     sh_degree=1,
     affine=Rate(1e-3, 1e-4),
 )
+"""The middle of the tuning's grid."""
+
+TUNED: Final = scaled(BY_HAND, rates=2.0, sizes=2.0)
+"""The best cell of the grid (docs/results.md)."""

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from vanilla_3dgs.learner import make
-from vanilla_3dgs.settings import RELEASED, TUNED
+from vanilla_3dgs.settings import BY_HAND, RELEASED, TUNED
 
-__all__ = ["RELEASED", "TUNED", "make"]
+__all__ = ["BY_HAND", "RELEASED", "TUNED", "make"]

@@ -7,12 +7,17 @@ from typing import Final
 
 from hybridworldsim.scene.settings import Rate
 from splatting import tuned
+from splatting.scaled import scaled
 from splatting.settings import Splatting
 
 RELEASED: Final = Splatting()
-TUNED: Final = Splatting(
+BY_HAND: Final = Splatting(
     seeding=tuned.SEEDING,
     rates=replace(tuned.RATES, shN=Rate(4e-3, 4e-4)),
     densification=tuned.DENSIFICATION,
     weights=tuned.WEIGHTS,
 )
+"""The middle of the tuning's grid."""
+
+TUNED: Final = scaled(BY_HAND, rates=1.0, sizes=2.0)
+"""The best cell of the grid (docs/results.md)."""

@@ -13,13 +13,13 @@ import mtgs_style
 import omnire_style
 import vanilla_3dgs
 from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.scaled import scaled_explicit, scaled_street
+from benchmarks._reconstruction.scaled import scaled_street
 from benchmarks._reconstruction.small import as_small
 from hybridworldsim.methods.static import StaticMethod
 from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
 from hybridworldsim.methods.street import make as make_street
 from hybridworldsim.scene.settings import Refinement, Settings
-from splatting.settings import Splatting
+from splatting.scaled import scaled
 
 OURS: Final = "ours"
 STRUCTURE: Final = "ours-structure"
@@ -29,12 +29,6 @@ SINGLE: Final = "omnire_style-single"
 """Of the traversal that is nearest to the held-out one, as OmniRe is meant."""
 
 RIVALS: Final = (vanilla_3dgs, mtgs_style, omnire_style)
-_CHOSEN: Final = {"vanilla_3dgs": (1.0, 2.0), "mtgs_style": (1.0, 2.0), "omnire_style": (2.0, 2.0)}
-"""The cells of the grid, rates and sizes, that were best: ``python -m benchmarks reconstruction tune``.
-
-Of mtgs_style the best at its own rates: at twice those it ended lower after ten minutes on the urban scene of the
-comparison.
-"""
 WIDER: Final[Mapping[str, tuple[tuple[float, float], ...]]] = {
     "vanilla_3dgs": ((1.0, 4.0),),
     "mtgs_style": ((1.0, 4.0), (2.0, 4.0), (4.0, 2.0)),
@@ -79,13 +73,13 @@ def entries() -> Mapping[str, Entry]:
         *(
             Entry(f"{package.__name__}-{label}", _explicit(package, settings))
             for package in RIVALS
-            for label, settings in (("released", package.RELEASED), ("tuned", _tuned(package)))
+            for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
         ),
-        *(Entry(f"{package.__name__}-bytes", _explicit(package, as_small(_tuned(package)))) for package in RIVALS),
+        *(Entry(f"{package.__name__}-bytes", _explicit(package, as_small(package.TUNED))) for package in RIVALS),
         *(Entry(name, _street(change)) for name, change in _ABLATIONS.items()),
         Entry("two-blocks", replace(_street(_same), block_m=_TWO_BLOCKS_M)),
         *(Entry(f"{count}-traversals", _street(_same), fewer(declared().split, count)) for count in FEWER),
-        Entry(SINGLE, _explicit(omnire_style, _tuned(omnire_style)), fewer(declared().split, 1)),
+        Entry(SINGLE, _explicit(omnire_style, omnire_style.TUNED), fewer(declared().split, 1)),
         *trials().values(),
     ]
     return {row.name: row for row in rows}
@@ -113,13 +107,8 @@ def _trials() -> Iterator[Entry]:
         yield Entry(trial(OURS, rates, sizes), _street(partial(scaled_street, rates=rates, sizes=sizes)))
     for package in RIVALS:
         for rates, sizes in (*cells, *WIDER[package.__name__]):
-            settings = scaled_explicit(package.TUNED, rates, sizes)
+            settings = scaled(package.BY_HAND, rates, sizes)
             yield Entry(trial(package.__name__, rates, sizes), _explicit(package, settings))
-
-
-def _tuned(package: Any) -> Splatting:
-    settings: Splatting = scaled_explicit(package.TUNED, *_CHOSEN[package.__name__])
-    return settings
 
 
 def _as_many_bytes(settings: Settings) -> Refinement:

@@ -38,7 +38,7 @@ class Arguments:
     """What lies beyond --reach is pulled in to it, left out, or kept; viewers sort what is near less well where
     something is very far."""
     reach: float = 150.0
-    """Metres from the middle of the street."""
+    """Metres from the middle of the street, or more: as far as its blocks go."""
     json: bool = False
     """Print what was written as JSON."""
 
@@ -50,15 +50,19 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError(f"{arguments.out}", place="--out", expected="a name that ends in .ply")
     if not arguments.reach > 0.0:
         raise UsageError(f"{arguments.reach:g} m", place="--reach", expected="more than nothing")
+    if (arguments.appearance or "").startswith("sweep:"):
+        raise UsageError("a sweep is for trajectories", place="--appearance", expected="one look")
 
     import mirror
     from mirror.evaluation.baking import BakeOptions, baking_method
-    from mirror.evaluation.methods import Looking, read_reconstruction
+    from mirror.evaluation.methods import Looking, read_reconstruction, require_same_street
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.views.trajectories import recorded, views_along
 
     document = read_reconstruction(arguments.model)
-    dataset = mirror.open(arguments.dataset).where(scene=document.scene)
+    whole = mirror.open(arguments.dataset)
+    require_same_street(whole, document.split, document)
+    dataset = whole.where(scene=document.scene)
     traversal = arguments.traversal or dataset.traversals()[0]
     cameras = None if arguments.camera is None else [arguments.camera]
     pixels = load_protocol("static-reconstruction").pixels

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import tyro
 
@@ -49,9 +49,10 @@ class Arguments:
     test, where there is no other traversal."""
     seed: int = 0
     """Of all that is left to chance."""
-    initialise: Literal["plane-sweep", "sparse", "mvsnet", "patchmatchnet", "dataset"] | None = None
-    """What makes the layers of depth and points, if they are absent; dataset: the layers that it has.
-    Default: dataset where it has points and nothing is held out, else plane-sweep."""
+    initialise: str | None = None
+    """plane-sweep, mvsnet, patchmatchnet, sparse: makes layers of depth and points, if they are absent; dataset: the
+    layers that were brought, or SOURCE@VERSION, one of them. Default: those that were brought where there are points
+    and nothing is held out, else plane-sweep."""
     blocks: str | None = None
     """Names of blocks, separated by commas, to train these alone: others may be trained by other machines at the same
     time. Once all are, the same command without it finishes the model. Default: all."""
@@ -102,7 +103,7 @@ def main(argv: Sequence[str]) -> int:
         steps=arguments.steps,
         core_minutes=minutes,
         seed=arguments.seed,
-        initialise=arguments.initialise or _initialise(dataset, arguments, scene),
+        initialise=arguments.initialise,
         blocks=frozenset(filter(None, (arguments.blocks or "").split(","))),
         threads=arguments.threads,
         half=arguments.half,
@@ -111,7 +112,7 @@ def main(argv: Sequence[str]) -> int:
     with watching(quiet=arguments.json) as watch:
         done = method.reconstruct(dataset, task, arguments.out, watch)
     if arguments.json:
-        said = {"folder": str(done.folder), "scene": scene, "initialise": task.initialise}
+        said = {"folder": str(done.folder), "scene": scene}
         print(json.dumps({**asdict(done), **said, "withheld": len(task.withheld)}))
     else:
         _print(done, scene)
@@ -133,12 +134,6 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) or "a scene with training traversals"
 
 
-def _initialise(dataset: Dataset, arguments: Arguments, scene: str) -> str:
-    """Layers that are there may know the pictures that are held out: with --hold-out they are to be asked for."""
-    own = dataset.where(split=arguments.split, role="train", scene=scene)
-    return "dataset" if own.count("points") and not arguments.hold_out else "plane-sweep"
-
-
 def _print(done: Reconstructed, scene: str) -> None:
     print(
         f"{scene}: {done.psnr_db:.2f} dB on training pictures after {done.steps} steps, "
@@ -148,6 +143,7 @@ def _print(done: Reconstructed, scene: str) -> None:
         f"{len(done.blocks)} block{'s' * (len(done.blocks) != 1)}, {done.pictures} pictures, "
         f"{done.gaussians} Gaussians, {done.model_bytes / 1e6:.2f} MB, {done.driven_m:.0f} m of road"
     )
+    print(f"it began with {f'points {done.points}' if done.points else 'no layer of points'}")
     print(f"model: {done.folder}; of each block model.safetensors, curves.csv, curves.svg, pictures/, checkpoint")
     if done.undone:
         print(f"still to be trained: {', '.join(done.undone)}; then the same command without --blocks")

@@ -67,6 +67,8 @@ def main(argv: Sequence[str]) -> int:
     arguments = tyro.cli(Arguments, args=list(argv), prog="mirror render")
     if (arguments.split is None) == (arguments.trajectory is None):
         raise UsageError("what shall be rendered?", expected="--split for a submission, or --trajectory, one of them")
+    if arguments.width is not None and arguments.width < 1:
+        raise UsageError(f"{arguments.width}", place="--width", expected="1 or more")
 
     import mirror
 
@@ -76,7 +78,13 @@ def main(argv: Sequence[str]) -> int:
 
 def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.cli.progress import progress_bar
-    from mirror.evaluation.methods import Looking, installed_method
+    from mirror.evaluation.methods import (
+        Looking,
+        installed_method,
+        licence_of,
+        read_reconstruction,
+        require_same_street,
+    )
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
@@ -85,11 +93,14 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     if arguments.appearance.startswith("sweep:"):
         raise UsageError("a sweep is for trajectories", place="--appearance", expected="one look for all views")
     name, models = _models(arguments.models)
-    plan = plan_views(dataset, load_protocol(arguments.protocol), str(arguments.split))
+    split = str(arguments.split)
+    for model in models.values():
+        require_same_street(dataset, split, read_reconstruction(model))
+    plan = plan_views(dataset, load_protocol(arguments.protocol), split)
     bare = sorted({view.scene_id for view in plan.views} - set(models))
     if bare:
         raise UsageError(
-            f"split {arguments.split} has views of {', '.join(bare)} too", expected="a model of each of its scenes",
+            f"split {split} has views of {', '.join(bare)} too", expected="a model of each of its scenes",
             remedy="reconstruct them, and name all models; or make a split of fewer scenes",
         )  # fmt: skip
     looking = Looking(arguments.appearance, plan.views, truth=(dataset, plan))
@@ -101,7 +112,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 if view.scene_id == scene:
                     yield [view], render(view)
 
-    about = Method(name=name, licence="Apache-2.0", trained_on=_trained_on(models.values()))
+    about = Method(name=name, licence=licence_of(name), trained_on=_trained_on(models.values()))
     with progress_bar(quiet=arguments.json) as bar:
         count = write_submission(
             dataset, plan, renderer, about, appearance_of(looking), arguments.out, bar, _costs(models.values())
@@ -131,8 +142,9 @@ def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
 def _trained_on(models: Iterable[Path]) -> str:
     from mirror.evaluation.methods import read_reconstruction
 
-    withheld = sum(read_reconstruction(model).withheld for model in models)
-    alone = "the split's training traversals of the scene alone"
+    documents = [read_reconstruction(model) for model in models]
+    withheld = sum(one.withheld for one in documents)
+    alone = f"training traversals of split {', '.join(sorted({one.split for one in documents}))}, of the scene alone"
     return f"{alone}, without {withheld} of their pictures" if withheld else alone
 
 
@@ -169,7 +181,7 @@ def appearance_of(looking: Looking) -> Appearance:
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.cli.progress import progress_bar
-    from mirror.evaluation.methods import Looking, installed_method, read_reconstruction
+    from mirror.evaluation.methods import Looking, installed_method, read_reconstruction, require_same_street
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.views.trajectories import named, views_along
 
@@ -180,8 +192,10 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     if len(models) != 1:
         raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
     ((scene, model),) = models.items()
+    document = read_reconstruction(model)
+    require_same_street(dataset, document.split, document)
     own = dataset.where(scene=scene)
-    base = arguments.traversal or _base(own, str(arguments.trajectory), read_reconstruction(model).split)
+    base = arguments.traversal or _base(own, str(arguments.trajectory), document.split)
     cameras = None if arguments.cameras is None else arguments.cameras.split(",")
     trajectory = named(own, str(arguments.trajectory), base, arguments.hz).at_rate(arguments.hz)
     views = views_along(own, base, trajectory, pixels, cameras)

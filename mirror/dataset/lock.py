@@ -34,6 +34,6 @@ def writer_lock(layout: Layout, *, wait: bool) -> Iterator[None]:
             raise DatasetError(
                 "another run is writing this dataset",
                 file=layout.root,
-                remedy="let it finish, or add --wait to start when it has",
+                remedy="let it finish; verbs that have --wait can wait for it",
             ) from error
         yield

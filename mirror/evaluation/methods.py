@@ -21,7 +21,7 @@ from mirror.evaluation.submission.manifest import Rectangle
 from mirror.evaluation.training import Picture
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
-from mirror.schema.documents import Document
+from mirror.schema.documents import Document, SplitDocument
 from mirror.schema.files import read_json
 
 GROUP: Final = "mirror.methods"
@@ -59,6 +59,7 @@ class Reconstruction(Document):
         method: name of its entry point.
         scene: that was reconstructed.
         split: whose training traversals were looked at.
+        trained: these traversals, each with the hash of what was recorded of it.
         withheld: pictures of training traversals that were not learnt from.
         done: what it took, once it is done.
     """
@@ -68,6 +69,7 @@ class Reconstruction(Document):
     method: str
     scene: str
     split: str
+    trained: dict[str, str]
     withheld: int = 0
     done: Costs | None = None
 
@@ -83,7 +85,9 @@ class Task:
         steps: pictures to train on; or None.
         core_minutes: processor time to train for, in each block; or None.
         seed: of all that is left to chance.
-        initialise: where depth and points come from: ``dataset`` for the layers that it has, or an estimator's name.
+        initialise: where depth and points come from: an estimator's name, ``dataset`` for layers that were brought, or
+            one of them, ``source@version``. None: those that were brought, if there are and nothing is withheld;
+            else the method's own estimator.
         threads: None: as many as the method takes by itself.
         half: write the model in half precision.
         withheld: pictures of training traversals that are not looked at, such as
@@ -97,7 +101,7 @@ class Task:
     steps: int | None = None
     core_minutes: float | None = None
     seed: int = 0
-    initialise: str = "dataset"
+    initialise: str | None = None
     threads: int | None = None
     half: bool = False
     withheld: frozenset[Picture] = field(default=frozenset())
@@ -120,6 +124,7 @@ class Reconstructed:
         pictures: that were trained on.
         driven_m: length of the road that the model covers.
         undone: blocks that are still to be trained, see `Task.blocks`; the figures are of the others.
+        points: layer of points that it began with, ``source@version``; None: it began without.
     """
 
     folder: Path
@@ -133,6 +138,7 @@ class Reconstructed:
     pictures: int
     driven_m: float
     undone: tuple[str, ...] = ()
+    points: str | None = None
 
 
 @dataclass(frozen=True)
@@ -183,6 +189,15 @@ def installed_method(name: str) -> InstalledMethod:
     return method
 
 
+def licence_of(name: str) -> str:
+    """Of the package that an installed method is in, as it says; empty if it does not."""
+    for entry in entry_points(group=GROUP):
+        if entry.name == name and entry.dist is not None:
+            about = entry.dist.metadata
+            return str(about["License-Expression"] or about["License"] or "")
+    return ""
+
+
 def read_reconstruction(model: Path) -> Reconstruction:
     """What the model of a folder is.
 
@@ -191,6 +206,48 @@ def read_reconstruction(model: Path) -> Reconstruction:
         SchemaError: its document is broken.
     """
     return read_json(model / DOCUMENT, Reconstruction)
+
+
+def trained_on(dataset: Dataset, split: str, scene: str) -> dict[str, str]:
+    """The training traversals of a scene, each with the hash of what was recorded of it."""
+    own = dataset.where(split=split, role="train", scene=scene).traversals()
+    manifests = _split(dataset, split).manifests
+    return {traversal: manifests[traversal] for traversal in own}
+
+
+def require_same_street(dataset: Dataset, split: str, model: Reconstruction) -> None:
+    """See that a model was trained on traversals that a dataset's split has, and on none that it holds out.
+
+    Raises:
+        UsageError: it was not: poses may be of another world, or pictures are no test.
+        DatasetError: there is no such split.
+    """
+    document = _split(dataset, split)
+    known = {traversal: role for traversal, role in document.assignments.items() if traversal in model.trained}
+    place = f"model of {model.scene}, split {model.split}"
+    if not known:
+        raise UsageError(
+            f"none of the {len(model.trained)} traversals that it was trained on is in split {split}", place=place,
+            file=dataset.root, expected="the dataset that it was trained on", remedy="name that, or train anew",
+        )  # fmt: skip
+    changed = sorted(one for one in known if document.manifests[one] != model.trained[one])
+    if changed:
+        raise UsageError(
+            f"{', '.join(changed)} was recorded anew since", place=place, file=dataset.root,
+            expected="traversals as they were when it was trained", remedy="train anew",
+        )  # fmt: skip
+    leaked = sorted(one for one, role in known.items() if role not in ("train", "unused"))
+    if leaked:
+        raise UsageError(
+            f"it was trained on {', '.join(leaked)}, which split {split} holds out", place=place, file=dataset.root,
+            expected="a model that has not seen the test", remedy=f"train one: mirror reconstruct ... --split {split}",
+        )  # fmt: skip
+
+
+def _split(dataset: Dataset, name: str) -> SplitDocument:
+    # Says what is wrong with a name that there is not.
+    dataset.where(split=name)
+    return dataset.store.json(f"splits/{name}.json", SplitDocument)
 
 
 def frames_per_second(render: Callable[[View], UInt8], views: Sequence[View]) -> tuple[float, int]:

@@ -11,9 +11,10 @@ import omnire_style
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.job import Job
 from benchmarks._reconstruction.methods import RIVALS, WIDER, trial, trials
-from benchmarks._reconstruction.scaled import scaled_explicit, scaled_street
+from benchmarks._reconstruction.scaled import scaled_street
 from benchmarks._reconstruction.tables import Outcome, tuned
 from hybridworldsim.scene.settings import Rate, Settings
+from splatting.scaled import scaled
 
 GRID = declared().tuning
 METHODS = ("ours", *(package.__name__ for package in RIVALS))
@@ -29,18 +30,18 @@ def test_every_method_tries_every_cell() -> None:
 def test_the_middle_of_the_grid_is_what_a_method_has() -> None:
     assert scaled_street(Settings(), 1.0, 1.0) == Settings()
     for package in RIVALS:
-        assert scaled_explicit(package.TUNED, 1.0, 1.0) == package.TUNED
+        assert scaled(package.BY_HAND, 1.0, 1.0) == package.BY_HAND
 
 
 def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
-    settings, changed = omnire_style.TUNED, scaled_explicit(omnire_style.TUNED, 2.0, 0.5)
+    settings, changed = omnire_style.BY_HAND, scaled(omnire_style.BY_HAND, 2.0, 0.5)
     assert changed.rates.means == Rate(2.0 * settings.rates.means.first, 2.0 * settings.rates.means.last)
     assert changed.affine.first == pytest.approx(2.0 * settings.affine.first)
     assert changed.densification.most == settings.densification.most // 2
-    back = scaled_explicit(changed, 0.5, 2.0)
+    back = scaled(changed, 0.5, 2.0)
     assert back == settings
     # None stays none: no rate appears that a method does not have.
-    assert scaled_explicit(mtgs_style.TUNED, 2.0, 1.0).exposure is None
+    assert scaled(mtgs_style.BY_HAND, 2.0, 1.0).exposure is None
     ours = scaled_street(Settings(), 0.5, 2.0)
     assert ours.refinement.most == 2 * Settings().refinement.most
     assert (

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import mirror
-from hybridworldsim.methods.layers import layers_for
+from hybridworldsim.methods.layers import layers_for, method_of
 from hybridworldsim.scene.blocks import divide
 from mirror.cli.main import main
 from mirror.cli.watch import watching
@@ -70,6 +70,13 @@ def dataset(street: Dataset) -> Dataset:  # noqa: F811
     return mirror.open(street.root)
 
 
+def point(number: int) -> dict[str, Any]:
+    return {
+        "point": number, "x_m": float(number % 7), "y_m": 12.0, "z_m": float(number // 7), "r": 9, "g": 9, "b": 9,
+        "kind": "background", "views": 2, "sigma_m": None,
+    }  # fmt: skip
+
+
 def said(capsys: pytest.CaptureFixture[str], *words: object, code: int = ExitCode.DONE) -> dict[str, Any]:
     assert main([str(word) for word in (*words, "--json")]) == code
     return json.loads(capsys.readouterr().out)
@@ -86,7 +93,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     model = tmp_path / "model"
     done = said(capsys, *reconstruct(dataset, model))
     assert done["steps"] == STEPS * len(done["blocks"]) and done["psnr_db"] > 9.0
-    assert done["initialise"] == "dataset" and done["pictures"] > 0 and done["driven_m"] > 10.0
+    assert done["points"] == "made@1" and done["pictures"] > 0 and done["driven_m"] > 10.0
     document = read_reconstruction(model)
     assert document.method == "hybridworldsim" and document.done is not None
     assert document.done.model_bytes == done["model_bytes"]
@@ -250,7 +257,7 @@ def test_layers_that_may_know_the_held_out_pictures_are_not_taken_unasked(
     asked = []
 
     def noted(dataset: Dataset, task: Task, progress: object) -> None:
-        asked.append(task.initialise)
+        asked.append(method_of(dataset, task))
         raise UsageError("enough")
 
     monkeypatch.setattr("hybridworldsim.methods.static.layers_for", noted)
@@ -258,6 +265,80 @@ def test_layers_that_may_know_the_held_out_pictures_are_not_taken_unasked(
         protocol = ("--protocol", narrow(tmp_path)) if more else ()
         said(capsys, *reconstruct(dataset, tmp_path / "model", *protocol, *more), code=ExitCode.COULD_NOT_RUN)
     assert asked == ["dataset", "plane-sweep", "dataset"]
+
+
+def test_layers_that_were_made_for_a_split_are_not_taken_for_another_unasked(street: Dataset) -> None:  # noqa: F811
+    """They are of its training traversals, one of which another split may hold out."""
+    traversal = street.where(split="novel", role="train").traversals()[0]
+    layout = Layout(Path(street.root))
+    task = Task("street", "novel", load_protocol("static-reconstruction"))
+    for source, expected in (("plane-sweep", "plane-sweep"), ("lidar", "dataset")):
+        LayerWriter(layout, traversal, "points", source, "other-240").finish(POINTS, [point(0)], {})
+        build_index(layout.root)
+        assert method_of(mirror.open(street.root), task) == expected
+    # What was brought is chosen among the two.
+    assert layers_for(mirror.open(street.root), task, Silent()).points == "lidar@other-240"
+
+
+def test_a_layer_is_named_and_depth_of_another_is_not_read(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    layout = Layout(Path(dataset.root))
+    for traversal in dataset.where(split="novel", role="train").traversals():
+        LayerWriter(layout, traversal, "points", "lidar", "2").finish(POINTS, [point(n) for n in range(50)], {})
+    build_index(layout.root)
+    words = reconstruct(mirror.open(dataset.root), tmp_path / "model", "--steps", 6)
+    several = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
+    assert "2 layers of points: lidar@2, made@1" in several["problem"] and "SOURCE@VERSION" in several["remedy"]
+    wrong = said(capsys, *words, "--initialise", "lidar@3", code=ExitCode.COULD_NOT_RUN)
+    assert "lidar@3" in wrong["problem"] and "plane-sweep" in wrong["expected"] and "lidar@2" in wrong["expected"]
+    done = said(capsys, *words, "--initialise", "lidar@2")
+    assert done["points"] == "lidar@2"
+    block = tmp_path / "model" / done["blocks"][0]
+    run = json.loads((block / "run.json").read_text())
+    assert (run["points"], run["depth"]) == ("lidar@2", None)
+    assert "depth" not in (block / "curves.csv").read_text().splitlines()[0].split(",")
+
+
+def test_a_model_is_not_tested_by_what_it_was_trained_on(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, splits = tmp_path / "model", Path(dataset.root) / "splits"
+    said(capsys, *reconstruct(dataset, model, "--steps", 3))
+    document = json.loads((splits / "novel.json").read_text())
+    trained = read_reconstruction(model).trained
+    assert trained == {key: "34" * 32 for key, role in document["assignments"].items() if role == "train"}
+    first = min(trained)
+    swapped = {**document, "name": "swapped", "assignments": {**document["assignments"], first: "held_out"}}
+    anew = {**document, "name": "anew", "manifests": {**document["manifests"], first: "56" * 32}}
+    none = {**document, "name": "none", "assignments": {}, "manifests": {}}
+    words = ("render", model, "--dataset", dataset.root, "--protocol", narrow(tmp_path), "--out", tmp_path / "out")
+    for split, message in (
+        (swapped, f"it was trained on {first}, which split swapped holds out"),
+        (anew, f"{first} was recorded anew since"),
+        (none, "none of the 3 traversals that it was trained on is in split none"),
+    ):
+        (splits / f"{split['name']}.json").write_text(json.dumps(split))
+        assert message in said(capsys, *words, "--split", split["name"], code=ExitCode.COULD_NOT_RUN)["problem"]
+    (splits / "novel.json").write_text(json.dumps({**anew, "name": "novel"}))
+    ply = ("bake", model, "--dataset", dataset.root, "--out", tmp_path / "street.ply")
+    shifted = ("render", model, "--dataset", dataset.root, "--trajectory", "forward:1", "--out", tmp_path / "out")
+    for verb in (ply, shifted):
+        assert "recorded anew" in said(capsys, *verb, code=ExitCode.COULD_NOT_RUN)["problem"]
+    assert not (tmp_path / "out").exists() and not (tmp_path / "street.ply").exists()
+
+
+def test_a_held_out_picture_that_is_gone_is_not_needed_to_train(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    held_out = dataset.where(split="novel", role="held_out")
+    for name in held_out.table("images", ["uri"]).column(0).to_pylist():
+        (Path(dataset.root) / name).unlink()
+    words = reconstruct(dataset, tmp_path / "model", "--steps", 3)
+    assert main([str(word) for word in words]) == ExitCode.DONE
+    assert "not shown beside the others" in capsys.readouterr().err
+    names = {path.name.rpartition("-")[0] for path in (tmp_path / "model").glob("*/pictures/*.jpg")}
+    assert names == {"training-0", "training-1"}
 
 
 def test_layers_that_were_chosen_stay_chosen_when_others_are_made(

@@ -12,15 +12,18 @@ import mirror
 from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
 from hybridworldsim.mvs.options import Options
 from hybridworldsim.mvs.run import initialise
+from hybridworldsim.mvs.writing.scene import Scene
 from mirror.dataset.check.run import check
 from mirror.dataset.index import build_index
-from mirror.dataset.layout import manifest_sha256
+from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layout import Layout, manifest_sha256
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.splits import make_split
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.protocol import load_protocol
 from mirror.evaluation.views import plan_views
 from mirror.schema.documents import NovelTraversal
+from mirror.schema.tables import MASKS
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
 
 CAMERAS = ("front_wide", "front_left")
@@ -136,6 +139,38 @@ def test_layers_made_of_something_else_are_refused(dataset: Path) -> None:
     make_split(dataset, "other", NovelTraversal(train=1))
     with pytest.raises(DatasetError, match="differs"):
         initialise(mirror.open(dataset), "other", method="road", estimator=LevelRoad(), width_px=48, version="s")
+
+
+def test_layers_that_were_matched_with_other_masks_are_refused(dataset: Path) -> None:
+    initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+    opened = mirror.open(dataset)
+    image = opened.where(split="s", role="train").frames()[0].images["front_wide"]
+    traversal = opened.where(split="s", role="train").traversals()[0]
+    writer = LayerWriter(Layout(dataset), traversal, "masks", "people", "1")
+    png = bytes(cv2.imencode(".png", np.zeros((64, 96), np.uint8))[1])
+    row = {"camera": "front_wide", "timestamp_ns": image.timestamp_ns, "kind": "dynamic", "source": "people",
+           "source_version": "1", **writer.file("a.png", png)}  # fmt: skip
+    writer.finish(MASKS, [row], {})
+    build_index(dataset)
+    with pytest.raises(DatasetError, match=r"masks/people@1:.* differs"):
+        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+
+
+def test_what_was_interrupted_while_layers_are_written_can_be_opened(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(scene: Scene, clouds: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Scene, "write_points", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+    monkeypatch.undo()
+    begun = files(dataset)
+    assert begun and not any("points" in name for name in begun)
+    estimator = LevelRoad()
+    report = initialise(mirror.open(dataset), "s", method="road", estimator=estimator, width_px=48)
+    assert len(report.written) == 2 and estimator.calls == 0 and files(dataset).items() > begun.items()
 
 
 def test_the_plane_sweep_runs_on_noise_and_without_masks_of_the_sky(dataset: Path) -> None:

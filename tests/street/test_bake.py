@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,18 @@ def test_the_file_is_what_viewers_expect(tmp_path: Path) -> None:
     np.testing.assert_array_equal(columns["f_rest_0"], baked.harmonics[:, 1, 0].numpy())
     np.testing.assert_array_equal(columns["f_rest_15"], baked.harmonics[:, 1, 1].numpy())
     np.testing.assert_array_equal(columns["f_dc_2"], baked.harmonics[:, 0, 2].numpy())
+
+
+def test_a_sky_that_is_pulled_in_stands_behind_the_whole_street() -> None:
+    blocks = [(replace(A, origin_m=(100.0 * number, 0.0, 0.0), index=(number, 0)), street()) for number in range(5)]
+    views = [view(100.0 * number, 0.5) for number in range(5)]
+    near = bake(blocks, views, looks, degree=0, sky="clip", reach_m=150.0)
+    whole = bake(blocks, views, looks, degree=0, sky="pull", reach_m=150.0)
+    street_ends, sky = (torch.linalg.norm(one.means[:, :2], dim=1).max() for one in (near, whole))
+    assert street_ends > 200.0 and sky >= street_ends
+    outer = torch.linalg.norm(whole.means, dim=1)
+    # Nothing of the sky stands within the street: what is nearer than its end is the street's.
+    assert (outer < float(street_ends) - 1.0).sum() <= len(near)
 
 
 def test_what_does_not_depend_on_the_view_is_baked_exactly() -> None:

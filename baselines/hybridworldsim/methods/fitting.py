@@ -45,12 +45,16 @@ def fit_looks(street: Street, block: Block, run: Run, looking: Looking) -> tuple
             "there are no held-out pictures to fit to", place="--appearance fit", expected="--split and --protocol"
         )
     dataset, plan = looking.truth
+    # What was recorded is not what a camera sees that was moved.
+    moved = {group.name for group in plan.protocol.groups if group.ego_shift_m}
     seen = run.sources
     pictures = Pictures(dataset, plan, np.array(block.origin_m), depth=False)
     known = {Source(one.traversal_id, one.camera) for one in seen}
     looks = Looks(seen, "nearest", looking.views)
     by_source: dict[Source, list[View]] = {}
-    for view in views_of(block, [view for view in plan.views if view.scene_id == run.scene]):
+    for view in views_of(
+        block, [view for view in plan.views if view.scene_id == run.scene and view.group not in moved]
+    ):
         source = Source(view.traversal_id, view.camera)
         if source not in known:
             by_source.setdefault(source, []).append(view)

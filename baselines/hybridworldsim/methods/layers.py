@@ -6,8 +6,10 @@ import hashlib
 import json
 from collections.abc import Set
 from dataclasses import dataclass, replace
+from typing import Final, get_args
 
 import mirror
+from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.run import initialise
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
@@ -15,7 +17,8 @@ from mirror.evaluation.methods import Task
 from mirror.evaluation.progress import Progress
 from mirror.evaluation.training import Picture
 
-BROUGHT = "dataset"
+BROUGHT: Final = "dataset"
+PLANE_SWEEP: Final = "plane-sweep"
 
 
 @dataclass(frozen=True)
@@ -42,15 +45,16 @@ def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
         progress: told of the making.
 
     Raises:
-        UsageError: there are several and none is named, or the estimator is not known.
+        UsageError: there are several and none is named, or there is neither an estimator nor a layer of that name.
         DatasetError: they cannot be made.
     """
-    if task.initialise == BROUGHT:
-        return Layers(dataset, *(_only(dataset, task, kind) for kind in ("depth", "points")))
+    method = method_of(dataset, task)
+    if method not in get_args(Method):
+        return _brought_layers(dataset, task) if method == BROUGHT else _named(dataset, task, method)
     done = initialise(
         dataset.where(scene=task.scene),
         task.split,
-        method=task.initialise,
+        method=method,
         width_px=task.protocol.pixels.max_width_px,
         version=_version(task),
         withheld=task.withheld,
@@ -61,11 +65,29 @@ def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
     return Layers(made.with_layers(depth=depth, points=points), depth, points)
 
 
+def method_of(dataset: Dataset, task: Task) -> str:
+    """Where layers come from, if a task does not say: ``dataset`` or an estimator."""
+    brings = _brought(dataset, task, "points") and not task.withheld
+    return task.initialise or (BROUGHT if brings else PLANE_SWEEP)
+
+
 def are_made(dataset: Dataset, task: Task) -> bool:
     """Whether all training traversals of a task's scene have the points that `layers_for` would make."""
-    own = dataset.where(scene=task.scene, split=task.split, role="train")
-    wanted = f"points/{task.initialise}@{_version(task)}"
-    return all(wanted in row for row in own.table("traversals", ["layers"]).column(0).to_pylist())
+    return not _without_points(dataset, task, f"{task.initialise or PLANE_SWEEP}@{_version(task)}")
+
+
+def without_points(layers: Layers, task: Task) -> list[str]:
+    """Training traversals of a task's scene that the chosen points are not of."""
+    return [] if layers.points is None else _without_points(layers.dataset, task, layers.points)
+
+
+def _without_points(dataset: Dataset, task: Task, name: str) -> list[str]:
+    rows = _training(dataset, task).table("traversals", ["traversal_id", "layers"]).to_pylist()
+    return [row["traversal_id"] for row in rows if f"points/{name}" not in row["layers"]]
+
+
+def _training(dataset: Dataset, task: Task) -> Dataset:
+    return dataset.where(scene=task.scene, split=task.split, role="train")
 
 
 def _version(task: Task) -> str:
@@ -79,18 +101,43 @@ def _without(withheld: Set[Picture]) -> str:
 
 
 def _there(dataset: Dataset, task: Task, kind: str) -> set[str]:
-    own = dataset.where(scene=task.scene, split=task.split, role="train")
-    names = {name for row in own.table("traversals", ["layers"]).column(0).to_pylist() for name in row}
+    names = {
+        name for row in _training(dataset, task).table("traversals", ["layers"]).column(0).to_pylist() for name in row
+    }
     return {name.partition("/")[2] for name in names if name.startswith(f"{kind}/")}
 
 
-def _only(dataset: Dataset, task: Task, kind: str) -> str | None:
-    """The chosen layer of a kind, or the only one."""
+def _brought(dataset: Dataset, task: Task, kind: str) -> set[str]:
+    """Layers that no estimator of ours made: those may know the pictures that another split holds out."""
+    return {name for name in _there(dataset, task, kind) if name.partition("@")[0] not in get_args(Method)}
+
+
+def _brought_layers(dataset: Dataset, task: Task) -> Layers:
+    """The layers that are chosen, or the only ones: of what was brought, if there are points of that."""
+    there = _brought if _brought(dataset, task, "points") else _there
+    depth, points = (_only(dataset, kind, there(dataset, task, kind)) for kind in ("depth", "points"))
+    return Layers(dataset.with_layers(depth=depth, points=points), depth, points)
+
+
+def _only(dataset: Dataset, kind: str, there: Set[str]) -> str | None:
     chosen: str | None = getattr(dataset.layers, kind)
-    there = sorted(_there(dataset, task, kind))
+    if chosen in there:
+        return chosen
     if chosen is None and len(there) > 1:
         raise UsageError(
-            f"{len(there)} layers of {kind}: {', '.join(there)}", file=dataset.root,
-            expected="one that is chosen", remedy="name what made them: --initialise NAME",
+            f"{len(there)} layers of {kind}: {', '.join(sorted(there))}", file=dataset.root,
+            expected="one that is chosen", remedy="name it: --initialise SOURCE@VERSION",
         )  # fmt: skip
-    return chosen if chosen in there else (there[0] if there else None)
+    return min(there, default=None)
+
+
+def _named(dataset: Dataset, task: Task, name: str) -> Layers:
+    """Depth and points of one name."""
+    depth, points = (name if name in _there(dataset, task, kind) else None for kind in ("depth", "points"))
+    if points is None:
+        there = sorted(_there(dataset, task, "points"))
+        raise UsageError(
+            f"no layer of points is called {name!r}", place="--initialise", file=dataset.root,
+            expected=f"one of {', '.join((*get_args(Method), BROUGHT, *there))}",
+        )  # fmt: skip
+    return Layers(dataset.with_layers(depth=depth, points=points), depth, points)

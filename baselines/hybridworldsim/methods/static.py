@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from hybridworldsim.methods.layers import Layers, layers_for
+from hybridworldsim.methods.layers import Layers, layers_for, without_points
 from hybridworldsim.methods.opened import Opened, Renderer, open_block
 from hybridworldsim.scene.blocks import SIZE_M, Block, divide, views_of
 from hybridworldsim.scene.initial import driven_m, initial_of, surroundings_of
@@ -39,6 +39,7 @@ from mirror.evaluation.methods import (
     Reconstruction,
     Task,
     read_reconstruction,
+    trained_on,
 )
 from mirror.evaluation.progress import Watch
 from mirror.evaluation.protocol import Group
@@ -76,6 +77,8 @@ class StaticMethod:
         """
         if task.threads is not None:
             torch.set_num_threads(task.threads)
+        # Before layers are made: what has nothing to mask road users by is not matched either.
+        training_views(dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
         layers = layers_for(dataset, task, watch)
         training = training_views(layers.dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
         own = layers.dataset.where(split=task.split, role="train", scene=task.scene)
@@ -84,10 +87,16 @@ class StaticMethod:
         there = divide(_pictured_m(known.driven_m, training.views), self.block_m).blocks
         blocks = [(block, views) for block in there if (views := views_of(block, training.views))]
         chosen = _chosen([block.name for block, _ in blocks], task.blocks)
+        if bare := without_points(layers, task):
+            watch.say(f"points {layers.points} are not of {', '.join(bare)}")
         if training.standing:
             watch.say(f"{training.standing} pictures of a standing vehicle are left out")
-        _begin(out, Reconstruction(method=self.name, scene=task.scene, split=task.split, withheld=len(task.withheld)))
-        held_out = _held_out(layers.dataset, task)
+        trained = trained_on(dataset, task.split, task.scene)
+        about = Reconstruction(
+            method=self.name, scene=task.scene, split=task.split, trained=trained, withheld=len(task.withheld)
+        )
+        _begin(out, about)
+        held_out = _held_out(layers.dataset, task, watch)
         found: dict[str, Outcome | None] = {}
         for place, (block, views) in enumerate(blocks):
             folder = RunFolder(out / block.name)
@@ -113,6 +122,7 @@ class StaticMethod:
             model_bytes=sum(one.model_bytes for one in outcomes),
             pictures=len(training.views),
             driven_m=_length(own),
+            points=layers.points,
         )
         if not done.undone:
             _finish(out, done)
@@ -143,13 +153,18 @@ class StaticMethod:
         with folder.alone():
             return train(
                 learner,
-                Pictures(one.layers.dataset, one.training.plan, origin, sky=self.sky),
+                # Where it reads no depth, maps that others have made are not read either.
+                Pictures(
+                    one.layers.dataset, one.training.plan, origin, depth=one.layers.depth is not None, sky=self.sky
+                ),
                 one.views,
                 Budget(task.steps, task.core_minutes),
                 folder,
                 lambda path: self.write(path, one.block, learner, run, half=task.half),
                 seed=task.seed,
-                options=Options(specimens=one.specimens(run), title=f"{self.name}, {task.scene}, {one.block.name}"),
+                options=Options(
+                    specimens=one.specimens(run, watch), title=f"{self.name}, {task.scene}, {one.block.name}"
+                ),
                 watch=watch,
             )
 
@@ -191,8 +206,8 @@ class _Block:
     training: TrainingViews
     held_out: Plan | None
 
-    def specimens(self, run: Run) -> list[Specimen]:
-        """A few training and held-out pictures of the block."""
+    def specimens(self, run: Run, watch: Watch) -> list[Specimen]:
+        """A few training and held-out pictures of the block; of what is held out, those that can be had."""
         shown = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
             shown.append(("held-out", self.held_out, views_of(self.block, self.held_out.views)))
@@ -203,7 +218,14 @@ class _Block:
             middles = (np.arange(_SPECIMENS) + 0.5) / _SPECIMENS * len(views)
             for number, place in enumerate(sorted(set(middles.astype(int).tolist())) if views else []):
                 view = views[place]
-                found.append(Specimen(f"{name}-{number}", pictures(view), looks.of(view).colours[0][0]))
+                try:
+                    picture = pictures(view)
+                except DatasetError as error:
+                    if plan is not self.held_out:
+                        raise
+                    watch.say(f"not shown beside the others: {error}")
+                    continue
+                found.append(Specimen(f"{name}-{number}", picture, looks.of(view).colours[0][0]))
         return found
 
 
@@ -265,7 +287,7 @@ def _finish(out: Path, done: Reconstructed) -> None:
     write_json(out / DOCUMENT, read_reconstruction(out).model_copy(update={"done": costs}))
 
 
-def _held_out(dataset: Dataset, task: Task) -> Plan | None:
+def _held_out(dataset: Dataset, task: Task, watch: Watch) -> Plan | None:
     """Views of what is held out of the scene, to look at: nothing is learnt from them. None: there are none."""
     roles = ("held_out", "test")
     own = dataset.where(scene=task.scene)
@@ -274,7 +296,12 @@ def _held_out(dataset: Dataset, task: Task) -> Plan | None:
         groups = ()
     if task.withheld:
         groups = (*groups, Group(name="withheld", roles=("train",)))
-    return plan_views(own, task.protocol.model_copy(update={"groups": groups}), task.split) if groups else None
+    try:
+        return plan_views(own, task.protocol.model_copy(update={"groups": groups}), task.split) if groups else None
+    except DatasetError as error:
+        # Training can do without.
+        watch.say(f"held-out pictures are not shown: {error}")
+        return None
 
 
 def _length(dataset: Dataset) -> float:

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Bool, Float64, Int64
+from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 
@@ -67,6 +68,15 @@ class Ground:
         return np.asarray(values)
 
 
+def driven(dataset: Dataset) -> Poses:
+    """``world_SE3_ego`` of the traversals of a view, one after the other, of its pose layer."""
+    frames = [dataset.where(traversal=name).frames() for name in dataset.traversals()]
+    tracks = [Poses.identity(0), *(own[0].track[1] for own in frames if len(own))]
+    return Poses.unchecked(
+        *(np.concatenate([getattr(one, part) for one in tracks]) for part in ("rotation", "translation"))
+    )
+
+
 def wheel_places(world_SE3_ego: Poses) -> Float64:
     """Where vehicles touch the ground: (3 N, 3) the middle and the ends of the rear axle, projected onto it.
 
@@ -97,7 +107,7 @@ def fit_ground(driven_m: Float64, points_m: Float64 | None = None) -> Ground:
         raise UsageError(
             f"the drives span {' x '.join(f'{side:.0f} m' for side in high - low)}",
             expected=f"at most {_MOST_KNOTS} knots {_SPACING_M:g} m apart",
-            remedy="fit one block at a time",
+            remedy="reconstruct a smaller region: ingest it with a smaller radius_m",
         )
     driven = _thinned(driven)
     # Far from all that is known the plane through the driven lines goes on.

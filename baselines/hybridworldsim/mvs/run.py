@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Mapping, Set
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 from hybridworldsim.mvs.estimator import DepthEstimator
 from hybridworldsim.mvs.methods import SPARSE, estimator_of
@@ -21,6 +22,9 @@ from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError
 from mirror.evaluation.progress import Progress, Silent
 from mirror.evaluation.training import Picture
+
+_LOOKED_AT: Final = ("poses", "calibrations", "boxes")
+"""Kinds of layers that say what is matched, and from where; masks do so too."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +103,13 @@ def initialise(
         # Nothing is written, so that runs side by side may share what is there.
         return _all_scenes(view, layers, chosen, estimator, withheld, told)
     with writer_lock(view.layout, wait=False):
-        report = _all_scenes(view, layers, chosen, estimator, withheld, told)
-        told.start("index", 1)
-        build_index(view.layout.root)
-        told.advance(1)
+        try:
+            report = _all_scenes(view, layers, chosen, estimator, withheld, told)
+        finally:
+            # Of what is whole already, too, where it is interrupted: the dataset opens, and the next run goes on.
+            told.start("index", 1)
+            build_index(view.layout.root)
+            told.advance(1)
     return report
 
 
@@ -113,12 +120,33 @@ def _made_of(
     hashes = {"options": _digest(json.dumps(asdict(options), sort_keys=True)), "estimator": _digest(repr(estimator))}
     if withheld:
         hashes["withheld"] = _digest(json.dumps(sorted(withheld)))
+    choice = {key: value for key, value in asdict(view.layers).items() if key not in ("depth", "points")}
+    hashes["layers"] = _digest(json.dumps(choice, sort_keys=True))
+    table = view.table("traversals", ["traversal_id", "layers"])
+    names = {(key, name) for key, own in zip(*(one.to_pylist() for one in table.columns)) for name in own}
+    masking = {f"masks/{name}" for name in _masking(view)}
     for traversal_id in view.traversals():
-        manifest = read_manifest(view.layout.recorded(traversal_id))
-        if manifest is None:
-            raise DatasetError("the traversal is not complete", file=view.layout.recorded(traversal_id))
-        hashes[f"traversal:{traversal_id}"] = manifest.content
+        hashes[f"traversal:{traversal_id}"] = _content(view.layout.recorded(traversal_id))
+    for traversal_id, name in sorted(names):
+        kind, _, made = name.partition("/")
+        if kind in _LOOKED_AT or name in masking:
+            source, _, version = made.partition("@")
+            hashes[f"{name}:{traversal_id}"] = _content(view.layout.layer(traversal_id, kind, source, version))
     return hashes
+
+
+def _masking(view: Dataset) -> set[str]:
+    """Layers of masks of road users or vehicles; those of the sky are made here."""
+    columns = view.table("masks", ["kind", "source", "source_version"]).columns
+    rows = set(zip(*(column.to_pylist() for column in columns)))
+    return {f"{source}@{version}" for kind, source, version in rows if kind in ("ego", "dynamic")}
+
+
+def _content(folder: Path) -> str:
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise DatasetError("not complete", file=folder, remedy="mirror check names what is missing")
+    return manifest.content
 
 
 def _digest(text: str) -> str:

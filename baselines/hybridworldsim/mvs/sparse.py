@@ -12,7 +12,7 @@ import numpy as np
 
 from hybridworldsim.mvs.estimator import PosedPicture
 from hybridworldsim.mvs.fusion import Cloud
-from mirror.arrays import Float32, Float64, Int64
+from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.errors import UsageError
 
 _MOST_FEATURES: Final = 2000
@@ -27,11 +27,11 @@ class Features:
 
     Attributes:
         uv_px: (N, 2).
-        descriptors: (N, 128) of unit length.
+        descriptors: (N, 128), of any length: bytes, so that those of thousands of pictures are held.
     """
 
     uv_px: Float64
-    descriptors: Float32
+    descriptors: UInt8
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,20 +90,20 @@ def features_of(picture: PosedPicture) -> Features:
     options.sift.max_num_features = _MOST_FEATURES
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
     keypoints, descriptors = extractor.extract_from_uint8_array(np.round(picture.rgb @ _LUMA).astype(np.uint8))
+    if not len(keypoints):
+        return Features(np.empty((0, 2)), np.empty((0, 128), np.uint8))
     table = np.asarray(pycolmap.keypoints_to_matrix(keypoints), np.float64).reshape(len(keypoints), -1)
     uv = table[:, :2].reshape(-1, 2)
     place = np.clip(uv.astype(np.int64), 0, np.array(picture.valid.shape[::-1]) - 1)
     still = picture.valid[place[:, 1], place[:, 0]]
-    data = descriptors.data[still].astype(np.float32).reshape(-1, 128)
-    length = np.maximum(np.linalg.norm(data, axis=1, keepdims=True), 1e-12)
-    return Features(uv[still], data / length)
+    return Features(uv[still], np.asarray(descriptors.data, np.uint8)[still].reshape(-1, 128))
 
 
 def _matched(one: Features, other: Features, fundamental: Float64) -> Int64:
     """Pairs (M, 2) of features that are each other's nearest, by far, on each other's epipolar lines."""
     if min(len(one.uv_px), len(other.uv_px)) < 2:
         return np.empty((0, 2), np.int64)
-    alike = one.descriptors @ other.descriptors.T
+    alike = _unit(one.descriptors) @ _unit(other.descriptors).T
     forth, back = _clear_nearest(alike), alike.argmax(axis=0)
     first = np.flatnonzero(forth >= 0)
     pairs = np.stack([first, forth[first]], axis=1)[back[forth[first]] == first]
@@ -114,6 +114,11 @@ def _matched(one: Features, other: Features, fundamental: Float64) -> Int64:
     # Sampson's distance (Hartley and Zisserman, Multiple View Geometry, section 11.4.3).
     gradient = (line_b[:, :2] ** 2).sum(axis=1) + (line_a[:, :2] ** 2).sum(axis=1)
     return np.asarray(pairs[product < _EPIPOLAR_PX**2 * np.maximum(gradient, 1e-30)])
+
+
+def _unit(descriptors: UInt8) -> Float32:
+    data = descriptors.astype(np.float32)
+    return data / np.maximum(np.linalg.norm(data, axis=1, keepdims=True), np.float32(1e-12))
 
 
 def _clear_nearest(alike: Float32) -> Int64:

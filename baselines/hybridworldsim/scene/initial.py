@@ -7,27 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybridworldsim.mvs.ground import Ground, fit_ground, wheel_places
+from hybridworldsim.mvs.ground import Ground, driven, fit_ground, wheel_places
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.seeding import Initial
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
-from mirror.geometry.poses import Poses
-
-_COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 
 
 def driven_m(dataset: Dataset) -> Float64:
     """(N, 3) where vehicles drove in the traversals of a view, on the ground, in the world."""
-    return _poses(dataset).translation
-
-
-def _poses(dataset: Dataset) -> Poses:
-    table = dataset.table("ego_poses", _COLUMNS)
-    numbers = np.stack([column.to_numpy() for column in table.columns], axis=1).astype(np.float64)
-    return Poses(numbers[:, :4], numbers[:, 4:])
+    return driven(dataset).translation
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +58,7 @@ def surroundings_of(dataset: Dataset) -> Surroundings:
             if made else "make one of the pictures: --initialise plane-sweep",
         )  # fmt: skip
     on_ground = np.array(points.kind) == "ground"
-    ground = fit_ground(wheel_places(_poses(dataset)), points.position_m[on_ground])
+    ground = fit_ground(wheel_places(driven(dataset)), points.position_m[on_ground])
     return Surroundings(points.position_m[~on_ground], points.rgb[~on_ground], driven_m(dataset), ground)
 
 

@@ -59,7 +59,8 @@ def street_of(initial: Initial, settings: Settings) -> Street:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         background = _background(initial, settings)
-        on_ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m)
+        most = settings.refinement.most_ground
+        on_ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m, most)
         if not settings.hybrid:
             on_ground = both(on_ground, _round(_first_points(initial, settings), settings.first_spacing_m))
         in_sky = sky_seeds(initial, settings.sky_count, settings.sky_radius, settings.far_count)
@@ -124,15 +125,27 @@ def spacing(points: Float64, least_m: float) -> Float64:
     return np.clip(np.sqrt((distances[:, 1:] ** 2).mean(axis=1)), 0.5 * least_m, 5.0 * least_m)
 
 
-def ground_seeds(initial: Initial, step: float, reach: float) -> Seeds:
-    """Flat Gaussians on the ground.
+def ground_seeds(initial: Initial, step: float, reach: float, most: int | None = None) -> Seeds:
+    """Flat Gaussians on the ground; on a wider grid where many streets meet.
 
     Args:
         initial: what is known.
         step: of their grid where vehicles drive, metres; twice as much at the edge.
         reach: how far from a driven line, metres.
+        most: so many at most, 1 or more; None: as many as it takes.
     """
     driven = initial.driven_m[:, :2]
+    places, width = _rings(driven, step, reach)
+    while most is not None and len(places) > most:
+        step *= 1.02 * np.sqrt(len(places) / most)
+        places, width = _rings(driven, step, reach)
+    heights, normals = initial.ground(places)
+    scales = width[:, None] * np.array([0.6, 0.6, 0.1])
+    return _seeds(np.column_stack((places, heights)), _from_z(normals), scales, 0.9)
+
+
+def _rings(driven: Float64, step: float, reach: float) -> tuple[Float64, Float64]:
+    """Places (N, 2) of grids round driven ones (M, 2), and (N,) the step of the grid that each is of."""
     tree = cKDTree(driven)
     low, high = driven.min(axis=0) - reach, driven.max(axis=0) + reach
     rings, widths = [], []
@@ -143,10 +156,7 @@ def ground_seeds(initial: Initial, step: float, reach: float) -> Seeds:
         distance, _ = tree.query(places, distance_upper_bound=reach)
         rings.append(places[(distance >= nearest * reach) & (distance < farthest * reach)])
         widths.append(np.full(len(rings[-1]), factor * step))
-    places, width = np.concatenate(rings), np.concatenate(widths)
-    heights, normals = initial.ground(places)
-    scales = width[:, None] * np.array([0.6, 0.6, 0.1])
-    return _seeds(np.column_stack((places, heights)), _from_z(normals), scales, 0.9)
+    return np.concatenate(rings), np.concatenate(widths)
 
 
 def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> Seeds:

@@ -21,6 +21,7 @@ from mirror.geometry.poses import COLUMNS, Poses
 
 GROUP: Final = "trajectory"
 _SECOND_NS: Final = 1_000_000_000
+_MOST_HZ: Final = 1000.0
 _STAMP: Final = "timestamp_ns"
 
 
@@ -114,8 +115,8 @@ def given(path: Path, hz: float = 10.0) -> Trajectory:
 
 
 def _apart_ns(hz: float) -> float:
-    if not hz > 0.0:
-        raise UsageError(f"{hz:g} pictures a second", expected="more than none")
+    if not 0.0 < hz <= _MOST_HZ:
+        raise UsageError(f"{hz:g} pictures a second", place="--hz", expected=f"more than none, at most {_MOST_HZ:g}")
     return _SECOND_NS / hz
 
 

@@ -147,7 +147,8 @@ def _columns(plane: AnyArray, first: int, rows: int, width: int, low: float, hig
             end = min(end, limit / slope)
         elif limit > 0.0:
             return 0, 0
-    return int(np.floor(start)), int(np.ceil(end))
+    # As integers they may be too large: planes that hardly slope.
+    return int(np.floor(min(start, float(width)))), int(np.ceil(max(end, 0.0)))
 
 
 @numba.njit(cache=True, nogil=True)

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from hybridworldsim.mvs.estimator import DepthEstimator
 from hybridworldsim.mvs.fusion import Cloud, Confirmed, PosedDepth, Voxels, cloud_of, confirm
-from hybridworldsim.mvs.ground import Ground, fit_ground, wheel_places
+from hybridworldsim.mvs.ground import Ground, driven, fit_ground, wheel_places
 from hybridworldsim.mvs.methods import LEAST_CONFIDENCE
 from hybridworldsim.mvs.options import Options
 from hybridworldsim.mvs.pictures.pairs import choose_sources
@@ -27,7 +27,6 @@ from mirror.dataset.pictures.depth import decode_depth, encode_depth
 from mirror.errors import DatasetError
 from mirror.evaluation.progress import Progress
 from mirror.evaluation.training import Picture
-from mirror.geometry.poses import COLUMNS, Poses
 from mirror.schema.files import read_table, write_bytes
 from mirror.schema.tables import DEPTH, MASKS, POINTS
 
@@ -58,7 +57,7 @@ class Scene:
         self._pictures = Pictures(self._shots, options.pixels)
         self._sources = choose_sources(self._shots, max(options.sources, options.held_against))
         self._held: OrderedDict[int, Float32] = OrderedDict()
-        self._driven = wheel_places(Poses.from_columns(view.table("ego_poses", COLUMNS)))
+        self._driven = wheel_places(driven(view))
         self._level = fit_ground(self._driven)
         self.counts: dict[str, int] = {}
 

@@ -1,0 +1,42 @@
+"""What a street begins with: how many Gaussians, and where."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hybridworldsim.scene.seeding import Initial, ground_seeds
+from mirror.arrays import Float64
+
+
+def level(places: Float64) -> tuple[Float64, Float64]:
+    return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
+
+
+def crossing(lanes: int) -> Initial:
+    """Two streets of so many lanes, 3.5 m apart, that cross."""
+    along = np.arange(-60.0, 60.0, 0.5)
+    streets = [np.stack([along, np.full_like(along, 3.5 * lane)], axis=1) for lane in range(lanes)]
+    driven = np.concatenate([*streets, *(street[:, ::-1] for street in streets)])
+    none = np.empty((0, 3))
+    return Initial(none, none, np.column_stack([driven, np.zeros(len(driven))]), level, 75.0, [])
+
+
+@pytest.mark.parametrize("lanes", [2, 4])
+def test_the_ground_has_no_more_than_it_may_and_covers_the_street_evenly(lanes: int) -> None:
+    free = ground_seeds(crossing(lanes), 0.5, 15.0)
+    assert len(free.means) > 12_000
+    capped = ground_seeds(crossing(lanes), 0.5, 15.0, 12_000)
+    assert 10_000 < len(capped.means) <= 12_000
+    # Wider apart and larger by the same.
+    grown = capped.scales[:, 0].min() / free.scales[:, 0].min()
+    assert grown == pytest.approx(np.sqrt(len(free.means) / len(capped.means)), rel=0.05)
+    for low in (-60.0, -30.0, 0.0, 30.0):
+        inside = (capped.means[:, 0] >= low) & (capped.means[:, 0] < low + 30.0)
+        before = (free.means[:, 0] >= low) & (free.means[:, 0] < low + 30.0)
+        assert float(inside.sum() / before.sum()) == pytest.approx(len(capped.means) / len(free.means), rel=0.1)
+
+
+def test_what_fits_is_as_it_was() -> None:
+    free, capped = (ground_seeds(crossing(1), 1.0, 15.0, most) for most in (None, 20_000))
+    assert len(free.means) == len(capped.means) < 20_000

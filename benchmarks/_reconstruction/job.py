@@ -25,6 +25,8 @@ RUNS: Final = "runs"
 OUTCOMES: Final = "outcomes"
 TRUTH: Final = "truth"
 """Of what is measured against exact truth."""
+CEILING: Final = "ceiling"
+"""Before the first dot of the names of such files that are of no model, but of the exact street itself."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,12 @@ def read_outcome(path: Path) -> dict[str, Any] | None:
     entry = entries().get(job.entry)
     now = entry is not None and document.get("settings") == entry.settings(job.seed)
     return document if now and document["declaration"] == declared().hash else None
+
+
+def read_ceilings(folder: Path) -> dict[Path, dict[str, Any]]:
+    """What is written down of the exact street under the declaration as it is now."""
+    there = {path: json.loads(path.read_text()) for path in sorted((folder / TRUTH).glob(f"{CEILING}.*.json"))}
+    return {path: document for path, document in there.items() if document["declaration"] == declared().hash}
 
 
 def run(job: Job, folder: Path) -> Path:

@@ -13,7 +13,7 @@ from benchmarks._reconstruction.arguments import Arguments
 from benchmarks._reconstruction.data import prepare, require_prepared
 from benchmarks._reconstruction.declared import Declared, Tuning
 from benchmarks._reconstruction.groups import COMPARISON, TUNING, Group, asked, groups, split_of
-from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_outcome
+from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_ceilings, read_outcome
 from benchmarks._reconstruction.methods import OURS, STRUCTURE
 from benchmarks._reconstruction.queue import run_all
 from benchmarks._reconstruction.tables import differences, outcomes, tables, tuned
@@ -72,6 +72,8 @@ def _publish(arguments: Arguments, declaration: Declared) -> int:
             truth = arguments.data / folder / TRUTH / path.name
             if truth.is_file():
                 write_bytes(arguments.out / folder / TRUTH / path.name, truth.read_bytes())
+    for path in read_ceilings(arguments.data):
+        write_bytes(arguments.out / TRUTH / path.name, path.read_bytes())
     print(arguments.out)
     return ExitCode.DONE
 
@@ -95,20 +97,26 @@ def _show(arguments: Arguments, declaration: Declared) -> int:
 
 def _truth(arguments: Arguments, declaration: Declared) -> int:
     # It takes what no table of outcomes needs: the street is built again.
-    from benchmarks._reconstruction.truth.run import measure, measured
+    from benchmarks._reconstruction.truth.run import measure, measure_ceiling, measured
+    from benchmarks._reconstruction.truth.tables import ceiling_table
     from benchmarks._reconstruction.truth.tables import tables as truth_tables
     from benchmarks._reconstruction.truth.trained import done_jobs
 
     group = asked(arguments, declaration)
-    for job in done_jobs(arguments.data):
-        if group.has(job):
-            measure(job, arguments.data)
+    trained = [job for job in done_jobs(arguments.data) if group.has(job)]
+    for scene in dict.fromkeys(job.scene for job in trained):
+        measure_ceiling(scene, group.width_px, arguments.data)
+    for job in trained:
+        measure(job, arguments.data)
     found = [one for one in measured(arguments.data) if group.has(Job(**one["job"]))]
     found.sort(key=lambda one: group.shown.index(one["job"]["entry"]))
     for minutes in group.minutes:
         own = [one for one in found if one["job"]["core_minutes"] == minutes]
         print(f"{minutes:g} core-minutes a block, {group.width_px} px\n")
         print(truth_tables(own) or "no model is trained to the end")
+    exact = [one for one in read_ceilings(arguments.data).values() if one["width_px"] == group.width_px]
+    if text := ceiling_table([one for one in exact if one["scene"] in group.scenes]):
+        print(f"\n### What a perfect street would score\n\n{text}")
     return ExitCode.DONE
 
 

@@ -89,14 +89,19 @@ def test_truth_is_told_of_models_that_are_gone_while_their_outcomes_count(
     costs = {"fps": 11.0, "wall_ms": 90.0, "core_ms": 10.0, "mb_per_100_m": 12.0, "threads": 1, "size_px": [480, 270]}
     for job, median_m, changes in ((JOB, 0.02, {}), (stale, 0.5, {"declaration": "another"})):
         written(data, job, **changes)
-        nothing: dict[str, Any] = {"depth": [], "ceiling": [], "lighting": [], "seam": []}
+        nothing: dict[str, Any] = {"depth": [], "lighting": [], "seam": []}
         document = {"job": asdict(job), "ground": [{**ground, "median_m": median_m}], "costs": costs, **nothing}
         (data / TRUTH).mkdir(exist_ok=True)
         (data / TRUTH / f"{job.name}.json").write_text(json.dumps(document))
+    row = {"group": "novel", "light": "own", "poses": "true", "pictures": 3, "psnr": 40.0, "psnr_cc": 41.0, "ssim": 0.9}
+    exact = {"declaration": declared().hash, "scene": JOB.scene, "width_px": 240, "ceiling": [row]}
+    for name, changes in ((f"{JOB.scene}.240px", {}), ("old.240px", {"declaration": "another"})):
+        (data / TRUTH / f"ceiling.{name}.json").write_text(json.dumps({**exact, **changes}))
     VERBS["publish"](Arguments(data=data, out=out), declared())
-    assert [path.name for path in (out / TRUTH).iterdir()] == [f"{JOB.name}.json"]
+    assert {path.name for path in (out / TRUTH).iterdir()} == {f"{JOB.name}.json", f"ceiling.{JOB.scene}.240px.json"}
     for folder in (data, out):
         capsys.readouterr()
         VERBS["truth"](Arguments("truth", folder), declared())
         text = capsys.readouterr().out
         assert "| ours | as drawn | -0.010 | 0.020 | 0.030 |" in text and "| ours | 11 |" in text
+        assert "| novel | own | true | mean | 40.00 | 41.00 | 0.900 | 3 |" in text

@@ -14,7 +14,7 @@ from benchmarks._reconstruction.job import Job
 from benchmarks._reconstruction.scoring import Scores, averaged
 from benchmarks._reconstruction.tables import FIGURES, Outcome, differences, interval
 from benchmarks._reconstruction.tables import tables as tables_of_outcomes
-from benchmarks._reconstruction.truth.tables import tables
+from benchmarks._reconstruction.truth.tables import ceiling_table, tables
 
 figures = st.floats(-60.0, 60.0)
 
@@ -80,7 +80,6 @@ def measured(scene: str, median: float | None, moved_m: float, fps: float) -> di
         "job": {"entry": "ours", "scene": scene},
         "depth": [{"group": "novel", "from_m": 2.0, "to_m": 5.0, "median": median, "p90": median}],
         "ground": [{"surface": "as drawn", "bias_m": -0.01, "median_m": 0.02, "p90_m": 0.03}],
-        "ceiling": [{"group": "novel", "light": "nearest", "poses": "true", **scores}],
         "lighting": [{"edit": "day to night", "moved_m": moved_m, "edited": scores, "unedited": scores,
                       "recorded": scores}],
         "seam": [],
@@ -95,8 +94,20 @@ def test_tables_are_means_and_say_the_most_that_moves() -> None:
     assert "| ours | as drawn | -0.010 | 0.020 | 0.030 |" in text
     assert "| ours | day to night | 0.5 | 20.00 | 20.00 | 20.00 | 21.00" in text
     assert "| ours | 20 |" in text and "| paper, quoted | 21 | - | - | 400 |" in text
-    assert "| b | novel | nearest | true | 20.00 | 21.00 | 0.500 |" in text
     assert "Seams" not in text
+
+
+def test_the_exact_street_is_told_by_scene_and_on_average() -> None:
+    def measured(scene: str, psnr: float) -> dict[str, Any]:
+        row = {"group": "novel", "light": "nearest", "poses": "true", "pictures": 5}
+        return {"scene": scene, "ceiling": [{**row, "psnr": psnr, "psnr_cc": psnr + 1.0, "ssim": 0.5}]}
+
+    lines = ceiling_table([measured("a", 20.0), measured("b", 23.0)]).splitlines()[2:]
+    assert lines == [
+        "| novel | nearest | true | a | 20.00 | 21.00 | 0.500 | 5 |",
+        "| novel | nearest | true | b | 23.00 | 24.00 | 0.500 | 5 |",
+        "| novel | nearest | true | mean | 21.50 | 22.50 | 0.500 | 10 |",
+    ]
 
 
 def test_nothing_measured_makes_no_table() -> None:

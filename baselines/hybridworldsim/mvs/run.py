@@ -67,7 +67,7 @@ def initialise(
 
     Held-out traversals are not read: neither their pictures nor their poses. A run that was interrupted goes on where
     it stopped, and the outcome is the same. Memory: at most 512 depth maps and 256 pictures, and the points of one
-    scene.
+    scene; ``sparse`` holds the descriptors of all its pictures.
 
     Args:
         dataset: a local dataset, or a part of it.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_outcome
+from benchmarks._reconstruction.job import CEILING, OUTCOMES, TRUTH, Job, read_ceilings, read_outcome
 from benchmarks._reconstruction.truth.ceiling import ceiling_of
 from benchmarks._reconstruction.truth.costs import costs_of
 from benchmarks._reconstruction.truth.geometry import geometry_of
@@ -28,6 +28,17 @@ def measured(folder: Path) -> list[Measured]:
     return [json.loads(path.read_text()) for path in there if read_outcome(folder / OUTCOMES / path.name) is not None]
 
 
+def measure_ceiling(scene: str, width_px: int, folder: Path) -> None:
+    """Score the exact street of a scene and write it down, unless that is done."""
+    if any((one["scene"], one["width_px"]) == (scene, width_px) for one in read_ceilings(folder).values()):
+        return
+    print(f"measuring the exact street of {scene}", flush=True)
+    rows = ceiling_of(folder, declared(), scene, width_px)
+    document = _known({"declaration": declared().hash, "scene": scene, "width_px": width_px, CEILING: rows})
+    path = folder / TRUTH / f"{CEILING}.{scene}.{width_px}px.json"
+    write_bytes(path, (json.dumps(document, indent=1) + "\n").encode())
+
+
 def measure(job: Job, folder: Path) -> None:
     """Measure a job's model and write it down, unless that is done of this very model."""
     trained, path = Trained(job, folder, declared()), folder / TRUTH / f"{job.name}.json"
@@ -42,7 +53,6 @@ def measure(job: Job, folder: Path) -> None:
         "job": asdict(job),
         **identity,
         **geometry_of(trained),
-        "ceiling": ceiling_of(trained),
         "lighting": lighting,
         "seam": seam_of(trained),
         "costs": costs_of(trained),

@@ -20,7 +20,6 @@ def tables(found: Sequence[Measured]) -> str:
     parts = (
         ("Relative error of depth, median / 90 %", depth_table),
         ("Height of the ground, metres", ground_table),
-        ("What a perfect street would score", ceiling_table),
         ("Edits of the light", light_table),
         ("Seams between blocks", seam_table),
         ("Costs", cost_table),
@@ -53,13 +52,19 @@ def ground_table(found: Sequence[Measured]) -> str:
 
 
 def ceiling_table(found: Sequence[Measured]) -> str:
-    """A row a scene, group, light and kind of poses; it is the same whichever method was trained."""
-    rows = {}
+    """A row a scene, group, light and kind of poses, and their means over scenes."""
+    by_kind: dict[tuple[str, str, str], list[tuple[str, Measured]]] = {}
     for one in found:
         for row in one["ceiling"]:
-            key = (one["job"]["scene"], row["group"], row["light"], row["poses"])
-            rows[key] = [*key, f"{row['psnr']:.2f}", f"{row['psnr_cc']:.2f}", f"{row['ssim']:.3f}"]
-    return _markdown(["scene", "views", "light", "poses", "PSNR", "PSNR*", "SSIM"], [rows[key] for key in sorted(rows)])
+            by_kind.setdefault((row["group"], row["light"], row["poses"]), []).append((one["scene"], row))
+    rows = []
+    for kind, own in sorted(by_kind.items()):
+        mean = {name: _mean(row[name] for _, row in own) for name in ("psnr", "psnr_cc", "ssim")}
+        pictures = sum(row["pictures"] for _, row in own)
+        for scene, row in (*own, ("mean", {**mean, "pictures": pictures})):
+            numbers = (f"{row['psnr']:.2f}", f"{row['psnr_cc']:.2f}", f"{row['ssim']:.3f}", str(row["pictures"]))
+            rows.append([*kind, scene, *numbers])
+    return _markdown(["views", "light", "poses", "scene", "PSNR", "PSNR*", "SSIM", "pictures"], rows)
 
 
 def light_table(found: Sequence[Measured]) -> str:

@@ -6,23 +6,22 @@ import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Final, TypeVar
 
 import numpy as np
 
-from benchmarks._reconstruction.data import narrowed, opened
 from benchmarks._reconstruction.declared import Declared
 from benchmarks._reconstruction.job import RUNS, Job
 from benchmarks._reconstruction.methods import Entry, entries
+from benchmarks._reconstruction.truth.asked import Asked, asked
 from benchmarks._reconstruction.truth.street import StreetTruth
 from hybridworldsim.methods.opened import Renderer
 from hybridworldsim.methods.static import block_folders
 from hybridworldsim.training.run.folder import MODEL, Seen, read_run
 from mirror.errors import UsageError
 from mirror.evaluation.methods import Costs, Looking, read_reconstruction
-from mirror.evaluation.views import plan_views
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
 
@@ -87,17 +86,17 @@ class Trained:
     @property
     def plan(self) -> Plan:
         """Views of training and of held-out traversals."""
-        return self._asked[0]
+        return self._asked.plan
 
     @property
     def street(self) -> StreetTruth:
         """What is exactly known."""
-        return self._asked[1]
+        return self._asked.street
 
     @cached_property
-    def _asked(self) -> tuple[Plan, StreetTruth]:
+    def _asked(self) -> Asked:
         split = self.entry.split or self.declaration.split
-        return _asked(self.folder, self.declaration, self.job.scene, split, self.job.width_px)
+        return asked(self.folder, self.declaration, self.job.scene, split, self.job.width_px)
 
     @cached_property
     def seen(self) -> tuple[Seen, ...]:
@@ -128,7 +127,7 @@ class Trained:
 
     def views(self, group: str) -> list[View]:
         """Of the plan, those of a group: of each traversal a few frames, evenly chosen, with all their cameras."""
-        own = [view for view in self.plan.views if view.group == group]
+        own = self._asked.views(group)
         frames: dict[str, list[int]] = {}
         for view in own:
             frames.setdefault(view.traversal_id, []).append(view.frame_index)
@@ -139,11 +138,3 @@ class Trained:
         """Its renderer; pictures look as declared, or as a policy says."""
         looking = Looking(policy or self.declaration.policy, self.plan.views, everywhere)
         return self.entry.method.open(self.model, looking)
-
-
-@lru_cache(4)
-def _asked(folder: Path, declaration: Declared, scene: str, split: str, width_px: int) -> tuple[Plan, StreetTruth]:
-    """The same for all models of a scene, split and width."""
-    dataset = opened(folder)
-    plan = plan_views(dataset.where(scene=scene), narrowed(declaration, width_px), split)
-    return plan, StreetTruth(dataset, plan, declaration.preset, declaration.scenes_seed)

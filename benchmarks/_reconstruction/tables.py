@@ -12,7 +12,7 @@ from scipy.stats import t
 
 from benchmarks._reconstruction.declared import Tuning
 from benchmarks._reconstruction.job import OUTCOMES, Job, read_outcome
-from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, trial
+from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, entries, trial
 from mirror.errors import DatasetError
 
 
@@ -59,13 +59,15 @@ def outcomes(folder: Path) -> list[Outcome]:
 
 
 def _outcome(document: dict[str, Any]) -> Outcome:
-    means = document["means"]
+    job, means = Job(**document["job"]), document["means"]
+    # Training pictures of fewer traversals are others: nothing to compare.
+    training = dict.fromkeys(means["training"], np.nan) if entries()[job.entry].split else means["training"]
     return Outcome(
-        Job(**document["job"]),
+        job,
         {
-            "train PSNR": means["training"]["psnr"],
-            "train SSIM": means["training"]["ssim"],
-            "train ST-LPIPS": means["training"]["st_lpips"],
+            "train PSNR": training["psnr"],
+            "train SSIM": training["ssim"],
+            "train ST-LPIPS": training["st_lpips"],
             "novel PSNR": means["novel"]["psnr"],
             "novel PSNR*": means["novel"]["psnr_cc"],
             "novel SSIM": means["novel"]["ssim"],
@@ -79,23 +81,23 @@ def _outcome(document: dict[str, Any]) -> Outcome:
     )
 
 
-def tables(found: Sequence[Outcome], entries: Sequence[str]) -> Iterator[str]:
+def tables(found: Sequence[Outcome], rows: Sequence[str]) -> Iterator[str]:
     """Markdown: means, a row an entry.
 
-    A mean of three scenes is no mean of one: where entries have different scenes and seeds there is a table of each
-    such set, with all entries that have it whole.
+    A mean of three scenes is no mean of one: where rows have different scenes and seeds there is a table of each
+    such set, with all rows that have it whole.
     """
-    keys = {entry: frozenset(map(_key, _of(found, entry))) for entry in entries}
+    keys = {entry: frozenset(map(_key, _of(found, entry))) for entry in rows}
     for common in sorted({own for own in keys.values() if own}, key=lambda one: (-len(one), sorted(one))):
         lines = [f"| method | {' | '.join(FIGURES)} | runs |", "|---" * (len(FIGURES) + 2) + "|"]
-        for entry in (entry for entry in entries if keys[entry] >= common):
+        for entry in (entry for entry in rows if keys[entry] >= common):
             own = [one for one in _of(found, entry) if _key(one) in common]
             cells = [_cell(name, float(np.mean([one.figures[name] for one in own]))) for name in FIGURES]
             lines.append(f"| {entry} | {' | '.join(cells)} | {len(own)} |")
         yield f"{_told(common)}\n\n" + "\n".join(lines)
 
 
-def differences(found: Sequence[Outcome], ours: str, entries: Iterable[str], names: Sequence[str]) -> str:
+def differences(found: Sequence[Outcome], ours: str, rows: Iterable[str], names: Sequence[str]) -> str:
     """Markdown: one entry minus each other, with 95 % intervals of Student's t.
 
     Paired by scene and seed, which tells how sure the difference is on these scenes; and by scene, of means over seeds,
@@ -103,7 +105,7 @@ def differences(found: Sequence[Outcome], ours: str, entries: Iterable[str], nam
     """
     lines = [f"| {ours} minus | {' | '.join(names)} | pairs |", "|---" * (len(names) + 2) + "|"]
     own = {_key(one): one for one in _of(found, ours)}
-    for entry in entries:
+    for entry in rows:
         pairs = [(own[key], one) for one in _of(found, entry) if (key := _key(one)) in own]
         if entry == ours or not pairs:
             continue
@@ -158,6 +160,8 @@ def _told(keys: frozenset[tuple[str, int]]) -> str:
 
 
 def _gap(gaps: np.ndarray) -> str:
+    if np.isnan(gaps).any():
+        return "-"
     low, high = interval(gaps)
     return f"{gaps.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
 
@@ -171,6 +175,8 @@ def interval(gaps: np.ndarray, level: float = 0.95) -> tuple[float, float]:
 
 
 def _cell(name: str, value: float) -> str:
+    if np.isnan(value):
+        return "-"
     if name in ("Gaussians", "steps"):
         return f"{value:,.0f}"
     return f"{value:.3f}" if name.endswith(("SSIM", "LPIPS")) else f"{value:.2f}"

@@ -55,8 +55,9 @@ def main(argv: Sequence[str]) -> int:
 
     import mirror
     from mirror.evaluation.baking import BakeOptions, baking_method
-    from mirror.evaluation.methods import Looking, read_reconstruction, require_same_street
+    from mirror.evaluation.methods import Looking
     from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.reconstruction import read_reconstruction, require_same_street
     from mirror.evaluation.views.trajectories import recorded, views_along
 
     document = read_reconstruction(arguments.model)

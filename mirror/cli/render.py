@@ -78,14 +78,9 @@ def main(argv: Sequence[str]) -> int:
 
 def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.cli.progress import progress_bar
-    from mirror.evaluation.methods import (
-        Looking,
-        installed_method,
-        licence_of,
-        read_reconstruction,
-        require_same_street,
-    )
+    from mirror.evaluation.methods import Looking, installed_method, licence_of
     from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.reconstruction import read_reconstruction, require_same_street
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
     from mirror.evaluation.views import plan_views
@@ -126,7 +121,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
 
 def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
     """The method of models, and each by its scene."""
-    from mirror.evaluation.methods import read_reconstruction
+    from mirror.evaluation.reconstruction import read_reconstruction
 
     documents = [(folder, read_reconstruction(folder)) for folder in folders]
     methods = sorted({document.method for _, document in documents})
@@ -140,7 +135,7 @@ def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
 
 
 def _trained_on(models: Iterable[Path]) -> str:
-    from mirror.evaluation.methods import read_reconstruction
+    from mirror.evaluation.reconstruction import read_reconstruction
 
     documents = [read_reconstruction(model) for model in models]
     withheld = sum(one.withheld for one in documents)
@@ -149,7 +144,7 @@ def _trained_on(models: Iterable[Path]) -> str:
 
 
 def _costs(models: Iterable[Path]) -> Runtime:
-    from mirror.evaluation.methods import read_reconstruction
+    from mirror.evaluation.reconstruction import read_reconstruction
     from mirror.evaluation.submission.manifest import Runtime
 
     device = f"{platform.machine()} CPU"
@@ -181,8 +176,9 @@ def appearance_of(looking: Looking) -> Appearance:
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.cli.progress import progress_bar
-    from mirror.evaluation.methods import Looking, installed_method, read_reconstruction, require_same_street
+    from mirror.evaluation.methods import Looking, installed_method
     from mirror.evaluation.protocol import load_protocol
+    from mirror.evaluation.reconstruction import read_reconstruction, require_same_street
     from mirror.evaluation.views.trajectories import named, views_along
 
     pixels = load_protocol(arguments.protocol).pixels

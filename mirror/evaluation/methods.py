@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Final, Protocol
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
@@ -21,57 +21,14 @@ from mirror.evaluation.submission.manifest import Rectangle
 from mirror.evaluation.training import Picture
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
-from mirror.schema.documents import Document, SplitDocument
-from mirror.schema.files import read_json
 
 GROUP: Final = "mirror.methods"
-DOCUMENT: Final = "reconstruction.json"
 FITTED_PART: Final = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
 """Of a held-out picture: what looks may be fitted to. It is not scored then."""
 
 _WARM_UP: Final = 3
 _LEAST_S: Final = 5.0
 _MOST_VIEWS: Final = 500
-
-
-class Costs(Document):
-    """What a model costs.
-
-    Attributes:
-        model_bytes: of all that rendering needs.
-        driven_m: length of the road that it covers.
-        core_s: processor time of training.
-        wall_s: time on the wall, of training.
-    """
-
-    model_bytes: int
-    driven_m: float
-    core_s: float
-    wall_s: float
-
-
-class Reconstruction(Document):
-    """``reconstruction.json`` in the folder of a trained model: which method renders it.
-
-    Attributes:
-        format: always ``mirror-reconstruction``.
-        version: of this document.
-        method: name of its entry point.
-        scene: that was reconstructed.
-        split: whose training traversals were looked at.
-        trained: these traversals, each with the hash of what was recorded of it.
-        withheld: pictures of training traversals that were not learnt from.
-        done: what it took, once it is done.
-    """
-
-    format: Literal["mirror-reconstruction"] = "mirror-reconstruction"
-    version: Literal["1"] = "1"
-    method: str
-    scene: str
-    split: str
-    trained: dict[str, str]
-    withheld: int = 0
-    done: Costs | None = None
 
 
 @dataclass(frozen=True)
@@ -196,58 +153,6 @@ def licence_of(name: str) -> str:
             about = entry.dist.metadata
             return str(about["License-Expression"] or about["License"] or "")
     return ""
-
-
-def read_reconstruction(model: Path) -> Reconstruction:
-    """What the model of a folder is.
-
-    Raises:
-        DatasetError: the folder holds no model.
-        SchemaError: its document is broken.
-    """
-    return read_json(model / DOCUMENT, Reconstruction)
-
-
-def trained_on(dataset: Dataset, split: str, scene: str) -> dict[str, str]:
-    """The training traversals of a scene, each with the hash of what was recorded of it."""
-    own = dataset.where(split=split, role="train", scene=scene).traversals()
-    manifests = _split(dataset, split).manifests
-    return {traversal: manifests[traversal] for traversal in own}
-
-
-def require_same_street(dataset: Dataset, split: str, model: Reconstruction) -> None:
-    """See that a model was trained on traversals that a dataset's split has, and on none that it holds out.
-
-    Raises:
-        UsageError: it was not: poses may be of another world, or pictures are no test.
-        DatasetError: there is no such split.
-    """
-    document = _split(dataset, split)
-    known = {traversal: role for traversal, role in document.assignments.items() if traversal in model.trained}
-    place = f"model of {model.scene}, split {model.split}"
-    if not known:
-        raise UsageError(
-            f"none of the {len(model.trained)} traversals that it was trained on is in split {split}", place=place,
-            file=dataset.root, expected="the dataset that it was trained on", remedy="name that, or train anew",
-        )  # fmt: skip
-    changed = sorted(one for one in known if document.manifests[one] != model.trained[one])
-    if changed:
-        raise UsageError(
-            f"{', '.join(changed)} was recorded anew since", place=place, file=dataset.root,
-            expected="traversals as they were when it was trained", remedy="train anew",
-        )  # fmt: skip
-    leaked = sorted(one for one, role in known.items() if role not in ("train", "unused"))
-    if leaked:
-        raise UsageError(
-            f"it was trained on {', '.join(leaked)}, which split {split} holds out", place=place, file=dataset.root,
-            expected="a model that has not seen the test", remedy=f"train one: mirror reconstruct ... --split {split}",
-        )  # fmt: skip
-
-
-def _split(dataset: Dataset, name: str) -> SplitDocument:
-    # Says what is wrong with a name that there is not.
-    dataset.where(split=name)
-    return dataset.store.json(f"splits/{name}.json", SplitDocument)
 
 
 def frames_per_second(render: Callable[[View], UInt8], views: Sequence[View]) -> tuple[float, int]:

@@ -63,6 +63,17 @@ def test_outcomes_of_two_datasets_are_not_put_together(tmp_path: Path) -> None:
         outcomes(tmp_path)
 
 
+def test_training_pictures_of_fewer_traversals_are_not_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for entry in (OURS, "1-traversals"):
+        written(tmp_path, replace(JOB, entry=entry, seed=0))
+    VERBS["show"](Arguments("show", tmp_path, group="ablation"), declared())
+    text = capsys.readouterr().out
+    assert "| 1-traversals | - | - | - | 30.00 | 20.00 |" in text and "| ours | 30.00 | 0.800 | 0.100 | 30.00 |" in text
+    assert "| 1-traversals | - | - | - | +0.000 [-inf, +inf] |" in text
+
+
 def test_what_is_published_is_shown_as_what_was_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, out = tmp_path / "data", tmp_path / "out"
     written(data)

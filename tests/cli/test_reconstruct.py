@@ -24,9 +24,10 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.dataset.pictures.depth import encode_depth
 from mirror.errors import ExitCode, UsageError
-from mirror.evaluation.methods import Task, installed_method, read_reconstruction
+from mirror.evaluation.methods import Task, installed_method
 from mirror.evaluation.progress import Silent
 from mirror.evaluation.protocol import load_protocol
+from mirror.evaluation.reconstruction import read_reconstruction
 from mirror.schema.tables import DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 

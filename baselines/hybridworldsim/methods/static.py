@@ -31,18 +31,10 @@ from hybridworldsim.training.views import TrainingViews, training_views
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.methods import (
-    DOCUMENT,
-    Costs,
-    Looking,
-    Reconstructed,
-    Reconstruction,
-    Task,
-    read_reconstruction,
-    trained_on,
-)
+from mirror.evaluation.methods import Looking, Reconstructed, Task
 from mirror.evaluation.progress import Watch
 from mirror.evaluation.protocol import Group
+from mirror.evaluation.reconstruction import DOCUMENT, Costs, Reconstruction, read_reconstruction, trained_on
 from mirror.evaluation.views import Plan, plan_views
 from mirror.evaluation.views.view import View
 from mirror.schema.files import write_json

@@ -39,7 +39,8 @@ def geometry_of(trained: Trained) -> dict[str, Any]:
         rows = by_distance(np.concatenate(relative), np.concatenate(true))
         depth += [{"group": group, **row} for row in rows]
         ground.append({"surface": f"as drawn, {group}", **height_row(np.concatenate(heights))})
-    if isinstance(renderer, OpenStreet):
+    # Where there are no anchors, the background is of the ground's kind.
+    if isinstance(renderer, OpenStreet) and trained.entry.settings(trained.job.seed)["hybrid"]:
         ground.append({"surface": "Gaussians of the ground", **height_row(_node_heights(trained, renderer))})
     return {"depth": depth, "ground": ground}
 

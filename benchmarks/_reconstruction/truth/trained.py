@@ -21,7 +21,8 @@ from hybridworldsim.methods.opened import Renderer
 from hybridworldsim.methods.static import block_folders
 from hybridworldsim.training.run.folder import MODEL, Seen, read_run
 from mirror.errors import UsageError
-from mirror.evaluation.methods import Costs, Looking, read_reconstruction
+from mirror.evaluation.methods import Looking
+from mirror.evaluation.reconstruction import Costs, read_reconstruction
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
 

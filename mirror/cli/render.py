@@ -52,8 +52,9 @@ class Arguments:
     cameras: str | None = None
     """Of the rig, separated by commas. Default: all."""
     appearance: str = "nearest"
-    """nearest, mean, fit, a traversal, a word of light or weather such as night, or sweep:A:B. In a submission what was
-    trained on keeps its own look; along a trajectory only the light changes, nothing moves."""
+    """nearest, mean, fit, a traversal, a word of light or weather such as night, or sweep:A:B; along a trajectory also
+    of cameras, such as rear=night,front_wide=sweep:day:night. In a submission what was trained on keeps its own look;
+    along a trajectory only the light changes, nothing moves."""
     width: int | None = None
     """Pictures along a trajectory are no wider. Default: what the protocol says."""
     hz: float = 10.0
@@ -85,8 +86,9 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.writing import write_submission
     from mirror.evaluation.views import plan_views
 
-    if arguments.appearance.startswith("sweep:"):
-        raise UsageError("a sweep is for trajectories", place="--appearance", expected="one look for all views")
+    for sign, what in (("sweep:", "a sweep is"), ("=", "looks by camera are")):
+        if sign in arguments.appearance:
+            raise UsageError(f"{what} for trajectories", place="--appearance", expected="one look for all views")
     name, models = _models(arguments.models)
     split = str(arguments.split)
     for model in models.values():
@@ -176,7 +178,7 @@ def appearance_of(looking: Looking) -> Appearance:
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.cli.progress import progress_bar
-    from mirror.evaluation.methods import Looking, installed_method
+    from mirror.evaluation.methods import Looking, by_camera, installed_method, opened_by_camera
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.reconstruction import read_reconstruction, require_same_street
     from mirror.evaluation.views.trajectories import named, views_along
@@ -200,7 +202,8 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
         raise UsageError(
             f"cameras {', '.join(asked)} have pictures of different sizes", place="--cameras", expected="one of them"
         )
-    render = installed_method(name).open(model, Looking(arguments.appearance, views, everywhere=True))
+    looks = by_camera(arguments.appearance, asked)
+    render = opened_by_camera(installed_method(name), model, Looking(views=views, everywhere=True), looks)
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("rendering", len(views))

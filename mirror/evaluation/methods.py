@@ -6,8 +6,8 @@ Nothing of a submission is run: who evaluates names the method, and has installe
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final, Protocol
@@ -153,6 +153,35 @@ def licence_of(name: str) -> str:
             about = entry.dist.metadata
             return str(about["License-Expression"] or about["License"] or "")
     return ""
+
+
+def by_camera(policies: str, cameras: Sequence[str]) -> dict[str, str]:
+    """The policy of looks of each camera.
+
+    Args:
+        policies: one for all, or ``CAMERA=POLICY`` for some of them, separated by commas; the others keep their look.
+        cameras: that there are.
+
+    Raises:
+        UsageError: a camera that there is not, or none is named.
+    """
+    if "=" not in policies:
+        return dict.fromkeys(cameras, policies)
+    named = [part.partition("=")[::2] for part in policies.split(",")]
+    unknown = [camera for camera, policy in named if camera not in cameras or not policy]
+    if unknown:
+        raise UsageError(
+            f"{policies!r}", place="--appearance", expected=f"CAMERA=LOOK,... of {', '.join(cameras)}"
+        )  # fmt: skip
+    return {**dict.fromkeys(cameras, Looking().policy), **dict(named)}
+
+
+def opened_by_camera(
+    method: InstalledMethod, model: Path, looking: Looking, policies: Mapping[str, str]
+) -> Callable[[View], UInt8]:
+    """A renderer of views whose cameras have policies of their own."""
+    renderers = {one: method.open(model, replace(looking, policy=one)) for one in dict.fromkeys(policies.values())}
+    return lambda view: renderers[policies[view.camera]](view)
 
 
 def frames_per_second(render: Callable[[View], UInt8], views: Sequence[View]) -> tuple[float, int]:

@@ -134,6 +134,22 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
         files = sorted(out.glob("front_wide/*.png"))
         assert len(files) == told["pictures"] > 4
         looks[word] = np.mean([cv2.imread(str(file))[..., ::-1].mean((0, 1)) for file in files], axis=0)
+    near = next(name for name in dataset.traversals() if ".near." in name)
+    out = tmp_path / "by-camera"
+    both = ("--traversal", new, "--appearance", f"front_wide={near}")
+    said(capsys, "render", model, *shifted, *both, "--out", out)
+    for camera, same in (("front_wide", near), ("front_left", "nearest")):
+        alone = tmp_path / camera
+        words = ("--cameras", camera, "--traversal", new, "--appearance", same, "--out", alone)
+        said(capsys, "render", model, *shifted, *words)
+        files = sorted(alone.glob("*/*.png"))
+        assert files and all((out / camera / file.name).read_bytes() == file.read_bytes() for file in files)
+    for wrong in ("rear=night", "front_wide=", "front_wide=night,mean"):
+        problem = said(capsys, "render", model, *shifted, "--appearance", wrong, "--out", tmp_path / "x", code=2)
+        assert problem["expected"] == "CAMERA=LOOK,... of front_left, front_wide"
+    of_split = ("--dataset", dataset.root, "--split", "novel", "--appearance", "front_wide=night")
+    problem = said(capsys, "render", model, *of_split, "--out", tmp_path / "x", code=2)
+    assert problem["problem"] == "looks by camera are for trajectories"
     nearest, mean, given = looks.values()
     red, _, blue = given - nearest
     assert red > 1.0 and blue < -1.0

@@ -81,6 +81,9 @@ class OpenStreet:
     Args:
         blocks: at least one.
         looking: how pictures look that were not trained on.
+
+    Raises:
+        UsageError: nothing that was trained on matches the policy of the looks, or it lacks pictures to fit to.
     """
 
     def __init__(self, blocks: Sequence[OpenBlock], looking: Looking) -> None:

@@ -51,6 +51,9 @@ class Composition:
 
         Returns:
             The picture, and counts: of blocks, nodes and Gaussians held, decoded and drawn.
+
+        Raises:
+            UsageError: the view's lens is not a pinhole.
         """
         skies = self._all.skies(view.pose.translation[0])
         home = self._ready[int(skies.argmax())].part.block

@@ -114,6 +114,9 @@ def views_of(block: Block, views: Sequence[View], reach_m: float = REACH_M) -> t
         block: which.
         views: of the scene, with pinhole lenses.
         reach_m: how near the part of the block that is seen must be to a camera outside.
+
+    Returns:
+        Those views, in their order.
     """
     if not views:
         return ()

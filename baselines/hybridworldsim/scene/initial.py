@@ -69,6 +69,9 @@ def initial_of(known: Surroundings, block: Block, sources: Sequence[Source]) -> 
         known: of the scene.
         block: of it.
         sources: whose pictures the block is trained on.
+
+    Returns:
+        All in the block's frame: points in it, points beyond it, driven places, the ground.
     """
     origin = np.array(block.origin_m)
 

@@ -60,6 +60,7 @@ class Pictures:
 
         Raises:
             DatasetError: a file is missing or broken, or it has several masks of the sky.
+            UsageError: it has several layers of depth and none was chosen.
         """
         if view.path in self._held:
             self._held.move_to_end(view.path)

@@ -70,7 +70,7 @@ def prepare(
     if not split.is_file():
         _run(main, ["split", str(dataset), declaration.split, "--seed", str(declaration.split_seed)])
     for count in FEWER:
-        _fewer(mirror.open(dataset), declaration, count)
+        write_fewer(mirror.open(dataset), declaration, count)
     for scene in scenes:
         for one in splits:
             layers_for(mirror.open(dataset), task_of(declaration, scene, one, width_px, 1.0, 0), watch)
@@ -101,8 +101,8 @@ def _run(main: object, words: list[str]) -> None:
         raise DatasetError(f"`mirror {words[0]}` ended with {code}", expected="0")
 
 
-def _fewer(dataset: Dataset, declaration: Declared, count: int) -> None:
-    """A split with so many training traversals of each scene, nearest first, and the same held-out ones."""
+def write_fewer(dataset: Dataset, declaration: Declared, count: int) -> None:
+    """Write a split with so many training traversals of each scene, the nearest, and the same held-out ones."""
     name = fewer(declaration.split, count)
     path = dataset.layout.root / "splits" / f"{name}.json"
     if path.is_file():

@@ -12,24 +12,24 @@ from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.methods import entries
 from mirror.dataset import Dataset
 from mirror.dataset.dataset import open as open_dataset
-from tests.baselines.conftest import dataset  # noqa: F401 - a fixture
+from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 
 
 @pytest.mark.parametrize(
     ("count", "kept"), [(1, {"oncoming"}), (2, {"oncoming", "near"}), (3, {"oncoming", "near", "far"})]
 )
 def test_the_nearest_traversals_are_kept_and_what_is_held_out_stays(
-    dataset: Dataset,
+    street: Dataset,  # noqa: F811
     count: int,
     kept: set[str],
 ) -> None:
-    write_fewer(dataset, declared(), count)
-    path = Path(dataset.root) / "splits" / f"novel-{count}.json"
+    write_fewer(street, declared(), count)
+    path = Path(street.root) / "splits" / f"novel-{count}.json"
     roles = json.loads(path.read_text())["assignments"]
     named = {traversal.split(".")[1]: role for traversal, role in roles.items()}
     assert {name for name, role in named.items() if role == "train"} == set(("oncoming", "near", "far")[:count])
     assert named["new"] == "held_out" and set(named.values()) <= {"train", "held_out", "unused"}
-    opened = open_dataset(dataset.root)
+    opened = open_dataset(street.root)
     assert len(opened.where(split=f"novel-{count}", role="train").traversals()) == count
     before = path.stat().st_mtime_ns
     write_fewer(opened, declared(), count)

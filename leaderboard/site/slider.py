@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Final
@@ -43,10 +44,13 @@ def picture_files(boards: Sequence[Board]) -> list[str]:
 
 
 def _pairs(board: Board) -> Iterator[tuple[str, Pair]]:
-    for entry in board.entries:
-        if isinstance(entry, Measured):
-            for pair in entry.pairs:
-                yield entry.method, pair
+    """Each pair with its method's name, and with what tells it from other entries of that."""
+    measured = [entry for entry in board.entries if isinstance(entry, Measured)]
+    methods = Counter(entry.method for entry in measured)
+    for entry in measured:
+        whole = ", ".join(filter(None, (f"{entry.method} {entry.version}", entry.setting)))
+        for pair in entry.pairs:
+            yield entry.method if methods[entry.method] == 1 else whole, pair
 
 
 def _place(file: str) -> str:

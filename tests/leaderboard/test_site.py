@@ -98,6 +98,15 @@ def test_entries_of_later_folders_stand_in(board: Path, tmp_path: Path) -> None:
     assert text.count('data-value="nearest_frame"') == 1
 
 
+def test_settings_of_one_method_are_told_apart_side_by_side(board: Path, tmp_path: Path) -> None:
+    pairs = measured("mean_color", 20.0).pairs
+    other = measured("nearest_frame", 30.0, setting="farther", result_hash="99" * 32, pairs=pairs)
+    write_json(board / "entries" / "measured-other.json", other)
+    text = build([board], tmp_path / "site").read_text()
+    for name in ("nearest_frame 1, farther", "nearest_frame 1", "mean_color"):
+        assert text.count(f"<option>{name}</option>") + text.count(f"<option selected>{name}</option>") == 2
+
+
 def test_an_older_protocol_is_said_to_be_older(tmp_path: Path) -> None:
     new, old = (
         build_site([one], [], tmp_path).read_text()

@@ -20,6 +20,8 @@ _SHAPES: Final = {"measured": "●", "reported": "◇"}
 # Of the larger letters that a phone has.
 _LABEL_PX: Final = 19
 _LABEL_WIDE: Final = 10.0
+_REACH_PX: Final = 8.0
+_ROWS: Final = 12
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,22 @@ def time_quality_plot(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(about)}">'
         f"{''.join(drawn)}{axis}</svg></figure>"
     )
+
+
+@dataclass(frozen=True)
+class _Box:
+    left: float
+    right: float
+    top: float
+    bottom: float
+
+    def meets(self, other: _Box) -> bool:
+        across = self.left < other.right and other.left < self.right
+        return across and self.top < other.bottom and other.top < self.bottom
+
+    def within(self, other: _Box) -> bool:
+        across = other.left <= self.left and self.right <= other.right
+        return across and other.top <= self.top and self.bottom <= other.bottom
 
 
 @dataclass(frozen=True)
@@ -115,9 +133,11 @@ def _grid(x: _Axis, y: _Axis) -> list[str]:
 
 def _labelled(points: Sequence[_Point], x: _Axis, y: _Axis, digits: int) -> list[str]:
     drawn: list[str] = []
-    taken: list[tuple[float, float, float]] = []
-    for point in sorted(points, key=lambda point: (-point.value, point.seconds)):
-        across, down = _across(x, point.seconds), _down(y, point.value)
+    places = [(_across(x, point.seconds), _down(y, point.value)) for point in points]
+    taken = [
+        _Box(across - _REACH_PX, across + _REACH_PX, down - _REACH_PX, down + _REACH_PX) for across, down in places
+    ]
+    for point, (across, down) in sorted(zip(points, places), key=lambda one: (-one[0].value, one[0].seconds)):
         title = f"<title>{escape(point.label)}: {point.value:.{digits}f} at {point.seconds:.3g} s a picture</title>"
         hue = f"h{point.hue % _HUES}"
         if point.kind == "measured":
@@ -125,16 +145,33 @@ def _labelled(points: Sequence[_Point], x: _Axis, y: _Axis, digits: int) -> list
         else:
             diamond = f"M{across:.1f} {down - 8:.1f}l8 8l-8 8l-8 -8z"
             shape = f'<path d="{diamond}" class="point hollow {hue}">{title}</path>'
-        wide = _LABEL_WIDE * len(point.label)
-        left = across + 12 + wide > _WIDTH - _RIGHT
-        start, end = (across - 12 - wide, across - 12) if left else (across + 12, across + 12 + wide)
-        at = down + 4
-        while any(abs(at - other) < _LABEL_PX and start < last and first < end for other, first, last in taken):
-            at += _LABEL_PX
-        taken.append((at, start, end))
-        side = f'x="{end:.1f}" class="end"' if left else f'x="{start:.1f}"'
-        drawn.append(f'{shape}<text {side} y="{at:.1f}">{escape(point.label)}</text>')
+        side, rows, box = _free(across, down, _LABEL_WIDE * len(point.label), taken)
+        taken.append(box)
+        at, near = down + 4 + rows * _LABEL_PX, box.left if side > 0 else box.right
+        lead = f'<path class="lead" d="M{across:.1f} {down:.1f}L{near:.1f} {at - 5:.1f}"/>' if rows else ""
+        anchor = "" if side > 0 else ' class="end"'
+        drawn.append(f'{lead}{shape}<text x="{near:.1f}"{anchor} y="{at:.1f}">{escape(point.label)}</text>')
     return drawn
+
+
+def _free(across: float, down: float, wide: float, taken: Sequence[_Box]) -> tuple[int, int, _Box]:
+    """Where a label fits beside a point: on its right or left, level with it or as few rows off as can be.
+
+    Returns:
+        1 or -1 for right or left, rows below, and the label's box.
+    """
+    whole = _Box(_LEFT, _WIDTH, 0.0, _HEIGHT - _BOTTOM)
+    # Where none fits: the titles of the points tell all.
+    best = (1, 0, _Box(across + 12, across + 12 + wide, down - _LABEL_PX / 2, down + _LABEL_PX / 2))
+    for off in range(_ROWS):
+        for rows in dict.fromkeys((-off, off)):
+            for side in (1, -1):
+                start = across + 12 if side > 0 else across - 12 - wide
+                middle = down + rows * _LABEL_PX
+                box = _Box(start, start + wide, middle - _LABEL_PX / 2, middle + _LABEL_PX / 2)
+                if box.within(whole) and not any(box.meets(other) for other in taken):
+                    return side, rows, box
+    return best
 
 
 def _across(x: _Axis, value: float) -> float:

@@ -10,7 +10,7 @@ from typing import Final, Literal, TypeAlias
 from benchmarks._reconstruction.arguments import Arguments, GroupName
 from benchmarks._reconstruction.declared import Declared
 from benchmarks._reconstruction.job import Job
-from benchmarks._reconstruction.methods import OURS, RIVALS, SINGLE, STRUCTURE, entries, trials
+from benchmarks._reconstruction.methods import AGAIN, OURS, RIVALS, SINGLE, STRUCTURE, entries, trials
 from mirror.errors import UsageError
 
 Name: TypeAlias = Literal[GroupName, "tuning"]
@@ -30,6 +30,7 @@ class Group:
     Attributes:
         rows: names of entries.
         beside: of the comparison, shown with them.
+        against: rows that differences to the others are told of.
         minutes: core-minutes of training of a block.
         width_px: of the pictures.
         scenes: which.
@@ -38,6 +39,7 @@ class Group:
 
     rows: tuple[str, ...]
     beside: tuple[str, ...]
+    against: tuple[str, ...]
     minutes: tuple[float, ...]
     width_px: int
     scenes: tuple[str, ...]
@@ -67,6 +69,7 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
     whole = Group(
         rows=(OURS, _MTGS, STRUCTURE, *(name for name in _TUNED if name != _MTGS)),
         beside=(OURS, STRUCTURE),
+        against=(OURS, STRUCTURE),
         minutes=(declaration.core_minutes,),
         width_px=declaration.width_px,
         scenes=declaration.scenes,
@@ -81,10 +84,20 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
         "released": replace(once, rows=tuple(f"{package.__name__}-released" for package in RIVALS)),
         "ablation": replace(
             once,
-            rows=("no-appearance", "no-anchors", "no-depth", "no-normals", "2-traversals", "1-traversals", SINGLE),
-            beside=(OURS,),
+            rows=(
+                AGAIN,
+                "no-appearance",
+                "no-anchors",
+                "no-depth",
+                "no-normals",
+                "2-traversals",
+                "1-traversals",
+                SINGLE,
+            ),
+            beside=(),
+            against=(AGAIN,),
         ),
-        "seam": replace(once, rows=("two-blocks",), beside=(OURS,)),
+        "seam": replace(once, rows=("two-blocks",), beside=(OURS,), against=(OURS,)),
         "budgets": replace(one_block, rows=whole.rows, minutes=declaration.core_minutes_curve),
         "long": replace(
             one_block,
@@ -92,7 +105,9 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
             minutes=(declaration.core_minutes_long,),
             width_px=declaration.width_long_px,
         ),
-        TUNING: replace(once, rows=tuple(trials()), beside=(), minutes=(grid.core_minutes,), scenes=(grid.scene,)),
+        TUNING: replace(
+            once, rows=tuple(trials()), beside=(), against=(), minutes=(grid.core_minutes,), scenes=(grid.scene,)
+        ),
     }
 
 

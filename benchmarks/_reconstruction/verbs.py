@@ -14,7 +14,6 @@ from benchmarks._reconstruction.data import prepare, require_prepared
 from benchmarks._reconstruction.declared import Declared, Tuning
 from benchmarks._reconstruction.groups import COMPARISON, TUNING, Group, asked, groups, split_of
 from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_ceilings, read_outcome
-from benchmarks._reconstruction.methods import OURS, STRUCTURE
 from benchmarks._reconstruction.queue import run_all
 from benchmarks._reconstruction.tables import differences, outcomes, tables, tuned
 from mirror.cli.watch import watching
@@ -87,8 +86,8 @@ def _show(arguments: Arguments, declaration: Declared) -> int:
         print(f"\n{minutes:g} core-minutes a block, {group.width_px} px")
         for text in tables(own, group.shown):
             print(f"\n{text}")
-        for ours in (OURS, STRUCTURE):
-            if text := differences(own, ours, group.shown, _COMPARED):
+        for row in group.against:
+            if text := differences(own, row, group.shown, _COMPARED):
                 print(f"\n{text}")
     if trials := _trials(arguments.data / TUNING, groups(declaration)[TUNING], declaration.tuning):
         print(f"\n{trials}")

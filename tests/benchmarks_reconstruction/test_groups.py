@@ -28,8 +28,17 @@ def test_groups_run_what_is_declared() -> None:
     assert len(known["comparison"].jobs) == 5 * len(DECLARED.scenes) * len(DECLARED.seeds)
     assert {job.core_minutes for job in known["budgets"].jobs} == {2.0, 10.0, 30.0}
     assert {(job.core_minutes, job.width_px) for job in known["long"].jobs} == {(30.0, 480)}
-    assert known["ablation"].has(Job("ours", DECLARED.scenes[0], 0, 10.0, 240))
+    assert known["seam"].has(Job("ours", DECLARED.scenes[0], 0, 10.0, 240))
     assert not known["comparison"].has(Job("ours", DECLARED.scenes[0], 0, 30.0, 240))
+
+
+def test_differences_are_told_of_rows_that_are_shown() -> None:
+    for name, group in groups(DECLARED).items():
+        assert set(group.against) <= set(group.shown), name
+
+
+def test_ablations_stand_beside_ours_as_it_is() -> None:
+    assert entries()["4-traversals"].settings(0) == entries()["ours"].settings(0)
 
 
 def test_arguments_take_the_place_of_what_a_group_has() -> None:

@@ -27,7 +27,7 @@ class Arguments:
     out: Path
     """The file, .ply."""
     traversal: str | None = None
-    """Whose look and driven line. Default: the first of the scene."""
+    """Whose look and driven line. Default: the first that was trained on."""
     camera: str | None = None
     """Whose look. Default: the first of the rig."""
     appearance: str | None = None
@@ -35,8 +35,8 @@ class Arguments:
     degree: int = 3
     """Of the spherical harmonics, 0 to 3: 0 is smallest, and looks the same from everywhere."""
     sky: Literal["pull", "clip", "keep"] = "pull"
-    """What lies beyond --reach is pulled in to it, left out, or kept; viewers sort what is near less well where
-    something is very far."""
+    """What lies beyond --reach is pulled in to it (viewers sort what is near less well where something is very far),
+    clipped, or kept."""
     reach: float = 150.0
     """Metres from the middle of the street, or more: as far as its blocks go."""
     json: bool = False
@@ -64,7 +64,7 @@ def main(argv: Sequence[str]) -> int:
     whole = mirror.open(arguments.dataset)
     require_same_street(whole, document.split, document)
     dataset = whole.where(scene=document.scene)
-    traversal = arguments.traversal or dataset.traversals()[0]
+    traversal = arguments.traversal or dataset.where(split=document.split, role="train").traversals()[0]
     cameras = None if arguments.camera is None else [arguments.camera]
     pixels = load_protocol("static-reconstruction").pixels
     views = views_along(dataset, traversal, recorded(dataset, traversal).at_rate(2.0), pixels, cameras)

@@ -136,13 +136,20 @@ def installed_method(name: str) -> InstalledMethod:
     """A method that is installed.
 
     Raises:
-        UsageError: there is none of that name.
+        UsageError: there is none of that name, or what it needs is not installed.
     """
     found = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name not in found:
         listed = ", ".join(sorted(found)) or "none is installed"
         raise UsageError(f"no method {name!r} is installed", expected=f"an entry point {GROUP}: {listed}")
-    method: InstalledMethod = found[name].load()
+    try:
+        method: InstalledMethod = found[name].load()
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"method {name!r} needs {error.name}, which is not installed",
+            place=f"entry point {found[name].value}",
+            remedy="install it: pip install 'mirror-dataset[models]', for rivals 'mirror-dataset[baselines]'",
+        ) from error
     return method
 
 

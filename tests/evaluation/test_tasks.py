@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -374,3 +376,15 @@ def test_the_speed_of_an_installed_method_is_measured_here(
 def test_methods_that_are_not_installed_are_named() -> None:
     with pytest.raises(UsageError, match="no method"):
         methods.installed_method("none such")
+
+
+def test_a_method_whose_libraries_are_absent_names_the_extra() -> None:
+    code = (
+        "import sys; sys.modules['gsplat'] = None\n"
+        "from mirror.errors import UsageError\n"
+        "from mirror.evaluation.methods import installed_method\n"
+        "try: installed_method('mtgs_style')\n"
+        "except UsageError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "needs gsplat" in done.stdout and "mirror-dataset[baselines]" in done.stdout

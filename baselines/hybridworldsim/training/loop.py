@@ -33,10 +33,7 @@ _PICTURES_EVERY: Final = 10
 _THOUSAND: Final = 1000
 _LIVE: Final = 0.02
 _LEAST_MSE: Final = 1e-10
-_DIVERGED: Final = (
-    "look at the poses, masks and depth of the pictures; with smaller learning rates a new run may pass; "
-    "the last checkpoint stays as it is"
-)
+_DIVERGED: Final = "look at the poses, masks and depth of the pictures; the last checkpoint stays as it is"
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ def ceiling_of(folder: Path, declaration: Declared, scene: str, width_px: int) -
     """A row a group, light and kind of poses: the exact street in place of a model, scored as one, in all its pictures.
 
     Held-out pictures in the light of another traversal differ from what was recorded by light, shadows and weather,
-    and from the recorded poses, which are all that a method is told, by the errors of these: no method that takes its
-    looks by the policy can be expected to score more than this.
+    and from the recorded poses, which are all that a method is told, by the errors of these. It is no bound: what
+    learns from pictures at erroneous poses may fit them better than the exact street does.
     """
     what = asked(folder, declaration, scene, declaration.split, width_px)
     looks = Looks(seen_of(what.views(TRAINING)), declaration.policy, what.plan.views)

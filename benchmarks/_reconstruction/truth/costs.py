@@ -12,8 +12,9 @@ from benchmarks._street_speed import HEIGHT, PAPER_MS, WIDTH, timed
 from mirror.evaluation.views.view import View
 
 PAPER_FPS: Final = 1000.0 / PAPER_MS
+PAPER_SIZE: Final = "960 x 540"
 PAPER_MB: Final = 400.0
-"""Of 100 m, quoted."""
+"""Of 100 m, quoted; its machine is not stated."""
 _MOST_VIEWS: Final = 12
 
 

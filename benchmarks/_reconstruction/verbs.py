@@ -115,7 +115,7 @@ def _truth(arguments: Arguments, declaration: Declared) -> int:
         print(truth_tables(own) or "no model is trained to the end")
     exact = [one for one in read_ceilings(arguments.data).values() if one["width_px"] == group.width_px]
     if text := ceiling_table([one for one in exact if one["scene"] in group.scenes]):
-        print(f"\n### What a perfect street would score\n\n{text}")
+        print(f"\n### What the exact street scores\n\n{text}")
     return ExitCode.DONE
 
 

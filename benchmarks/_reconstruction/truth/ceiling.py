@@ -1,4 +1,4 @@
-"""What a perfect street would score: the true one, rendered in the light that the declared policy gives a picture."""
+"""What the exact street scores, rendered in the light that the declared policy gives a picture."""
 
 from __future__ import annotations
 

@@ -88,6 +88,18 @@ def reconstruct(dataset: Dataset, out: Path, *more: object) -> tuple[object, ...
     return ("reconstruct", dataset.root, *words, *more)
 
 
+def driven_as_documented(dataset: Dataset, model: Path) -> dict[str, Any]:
+    """What the example of docs/reconstruction.md leaves behind."""
+    text = (Path(__file__).parents[2] / "docs" / "reconstruction.md").read_text()
+    code = text.partition("## From Python")[2].partition("```python\n")[2].partition("```")[0]
+    for word, meant in (("DATASET", dataset.root), ("MODEL", model), ("night", "day")):
+        assert code.count(f'"{word}"') == 1
+        code = code.replace(f'"{word}"', repr(str(meant)))
+    names: dict[str, Any] = {}
+    exec(code, names)
+    return names
+
+
 def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -122,6 +134,10 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     ply = tmp_path / "street.ply"
     baked = said(capsys, "bake", model, "--dataset", dataset.root, "--out", ply, "--degree", 1)
     assert baked["bytes"] == ply.stat().st_size and baked["gaussians"] > 100 and baked["psnr_db"] > 30.0
+
+    drawn = driven_as_documented(dataset, model)
+    assert drawn["picture"].dtype == np.uint8 and drawn["picture"].shape[:2] == tuple(drawn["drawn"].depth_m.shape)
+    assert drawn["view"].camera == "front_left" and drawn["step"] == len(drawn["way"]) - 1 > 4
 
     # The nearest line is the oncoming one; the given one has another colour.
     shifted = ("--dataset", dataset.root, "--trajectory", "lane-shift:-1.0", "--width", 48, "--hz", 5)

@@ -93,7 +93,7 @@ def test_tables_are_means_and_say_the_most_that_moves() -> None:
     assert "| ours | novel | 15.0% / 15.0% |" in text
     assert "| ours | as drawn | -0.010 | 0.020 | 0.030 |" in text
     assert "| ours | day to night | 0.5 | 20.00 | 20.00 | 20.00 | 21.00" in text
-    assert "| ours | 20 |" in text and "| paper, quoted | 21 | - | - | 400 |" in text
+    assert "| ours | 20 |" in text and "| paper, quoted | 21 at 960 x 540 | - | - | 400 |" in text
     assert "Seams" not in text
 
 

@@ -134,7 +134,7 @@ def _open(folder: Path) -> OpenBlock:
 
 
 METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed))
-"""With the losses of the paper, and no others."""
+"""With the paper's three losses, depth's error as a share of the depth, and no others."""
 
 STRUCTURE: Final = StreetMethod(
     f"{NAME}_structure", make, lambda seed: Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed)

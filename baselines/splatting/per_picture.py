@@ -56,6 +56,7 @@ class PerPicture(nn.Module):
             self.adam.state[longer] = moments
         self.adam.param_groups[0]["params"] = [longer]
         self.table = longer
+        self._rows[key.numpy().tobytes()] = len(self.keys)
         self.keys = nn.Parameter(torch.cat([self.keys, key[None]]), requires_grad=False)
 
     def learn(self, viewpoint: Viewpoint) -> None:

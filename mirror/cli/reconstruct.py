@@ -56,6 +56,9 @@ class Arguments:
     blocks: str | None = None
     """Names of blocks, separated by commas, to train these alone: others may be trained by other machines at the same
     time. Once all are, the same command without it finishes the model. Default: all."""
+    set: tuple[str, ...] = ()
+    """Settings of the method in place of its own, NAME=VALUE, such as depth_weight=0.1 refinement.most=9000; run.json
+    of a block lists all."""
     threads: int | None = None
     """Default: as many as there are processors."""
     half: bool = False
@@ -107,6 +110,7 @@ def main(argv: Sequence[str]) -> int:
         blocks=frozenset(filter(None, (arguments.blocks or "").split(","))),
         threads=arguments.threads,
         half=arguments.half,
+        settings=_settings(arguments.set),
         withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
     )
     with watching(quiet=arguments.json) as watch:
@@ -128,6 +132,13 @@ def _scene(dataset: Dataset, split: str, wanted: str | None) -> str:
     if wanted is not None and wanted not in scenes:
         raise UsageError(f"no training traversals in scene {wanted!r}", place="--scene", expected=_listed(scenes))
     return wanted or scenes[0]
+
+
+def _settings(words: Sequence[str]) -> dict[str, str]:
+    bare = [word for word in words if not all(word.partition("="))]
+    if bare:
+        raise UsageError(f"{bare[0]!r}", place="--set", expected="NAME=VALUE")
+    return {name: value for name, _, value in (word.partition("=") for word in words)}
 
 
 def _listed(names: Sequence[str]) -> str:

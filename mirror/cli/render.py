@@ -81,7 +81,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.cli.progress import progress_bar
     from mirror.evaluation.methods import Looking, installed_method, licence_of
     from mirror.evaluation.protocol import load_protocol
-    from mirror.evaluation.reconstruction import read_reconstruction, require_same_street
+    from mirror.evaluation.reconstruction import read_reconstruction, require_same_street, require_unseen
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
     from mirror.evaluation.views import plan_views
@@ -90,10 +90,12 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
         if sign in arguments.appearance:
             raise UsageError(f"{what} for trajectories", place="--appearance", expected="one look for all views")
     name, models = _models(arguments.models)
-    split = str(arguments.split)
+    split, protocol = str(arguments.split), load_protocol(arguments.protocol)
     for model in models.values():
-        require_same_street(dataset, split, read_reconstruction(model))
-    plan = plan_views(dataset, load_protocol(arguments.protocol), split)
+        document = read_reconstruction(model)
+        require_same_street(dataset, split, document)
+        require_unseen(protocol, document)
+    plan = plan_views(dataset, protocol, split)
     bare = sorted({view.scene_id for view in plan.views} - set(models))
     if bare:
         raise UsageError(

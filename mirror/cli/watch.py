@@ -30,8 +30,11 @@ class _Bar:
         if self._task is not None:
             self._progress.update(self._task, words=words)
 
-    def say(self, words: str) -> None:
+    def report(self, words: str) -> None:
         """The bar says it."""
+
+    def say(self, words: str) -> None:
+        self._progress.console.print(words, markup=False, highlight=False, soft_wrap=True)
 
 
 class _Lines:
@@ -43,6 +46,9 @@ class _Lines:
 
     def now(self, words: str) -> None:
         """It changes too fast to be written down."""
+
+    def report(self, words: str) -> None:
+        self.say(words)
 
     def say(self, words: str) -> None:
         print(words, file=sys.stderr, flush=True)

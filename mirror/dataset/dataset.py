@@ -237,13 +237,13 @@ class Dataset:
         return count(self._catalog, self.filters, name)
 
     def points(self) -> Points:
-        """The points of the traversals in the view, of the chosen layer.
+        """The points of the traversals in the view that have the chosen layer.
 
         A reconstruction of a scene starts from those of its training traversals.
 
         Raises:
             UsageError: a traversal has several layers of points and none was chosen.
-            DatasetError: a traversal does not have the chosen layer.
+            DatasetError: not one traversal has the chosen layer.
         """
         from mirror.dataset.points import points_of
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.dataset.query.arrow import degrees, mask, numbers
 from mirror.dataset.query.select import select
-from mirror.dataset.traversal import rows_of_layer
+from mirror.dataset.traversal import no_layer, rows_of_layer
 from mirror.schema.tables import POINTS
 
 if TYPE_CHECKING:
@@ -46,14 +46,16 @@ class Points:
 
 def points_of(dataset: Dataset) -> Points:
     """The points of a view's traversals, of the layer that it chooses; see `Dataset.points`."""
+    chosen = dataset.layers.points
+    listed = dataset.table("traversals", ["layers"]).column(0).to_pylist()
+    if chosen is not None and listed and not any(f"{POINTS.name}/{chosen}" in own for own in listed):
+        raise no_layer(POINTS.name, chosen, dataset.root)
     ids: list[str] = []
     parts: list[pa.Table] = []
     for part in select(dataset.catalog, dataset.filters, POINTS.name):
         table = pa.Table.from_arrays(dataset.catalog.columns.read(part.path, part.number, _COLUMNS), names=_COLUMNS)
         traversal_id = dataset.catalog.traversal_ids[part.traversal].as_py()
-        own = rows_of_layer(
-            POINTS.name, traversal_id, table.column("source"), table.column("source_version"), dataset.layers.points
-        )
+        own = rows_of_layer(POINTS.name, traversal_id, table.column("source"), table.column("source_version"), chosen)
         parts.append(table.filter(mask(own)).drop_columns(["source", "source_version"]))
         ids += [traversal_id] * parts[-1].num_rows
     plain = pa.schema([POINTS.schema.field(name) for name in _COLUMNS[:-2]])

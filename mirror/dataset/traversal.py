@@ -225,10 +225,9 @@ class Traversal:
     @cached_property
     def _depth(self) -> Mapping[tuple[str, int], tuple[Mapping[str, pa.Array], int]]:
         names = DEPTH.schema.names
+        self._require_listed("depth", self._layers.depth)
         group = self._group("depth")
         if group is None:
-            if self._layers.depth is not None:
-                raise self._no_layer("depth", self._layers.depth)
             return {}
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
         own = np.flatnonzero(self._of_layer("depth", arrays, self._layers.depth)).tolist()
@@ -261,10 +260,9 @@ class Traversal:
     @cached_property
     def _boxes(self) -> tuple[Int64, Mapping[str, pa.Array]]:
         names = BOXES.schema.names
+        self._require_listed("boxes", self._layers.boxes)
         group = self._group("boxes")
         if group is None:
-            if self._layers.boxes is not None:
-                raise self._no_layer("boxes", self._layers.boxes)
             return np.empty(0, np.int64), {}
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
         own = self._of_layer("boxes", arrays, self._layers.boxes)
@@ -279,14 +277,17 @@ class Traversal:
         if layer == "recorded":
             group = self._group(name)
             return self._catalog.columns.read(*group, columns) if group else [pa.nulls(0) for _ in columns]
-        own = self._catalog.read_global("traversals", ["layers"]).column(0)[self.row].as_py()
-        if f"{kind}/{layer}" not in own:
-            raise self._no_layer(kind, layer)
+        self._require_listed(kind, layer)
         path = f"traversals/{self.traversal_id}/layers/{kind}/{layer}/{name}.parquet"
         return self._catalog.columns.read(path, 0, columns)
 
-    def _no_layer(self, kind: str, layer: str) -> DatasetError:
-        return no_layer(kind, layer, self.traversal_id)
+    def _require_listed(self, kind: str, layer: str | None) -> None:
+        """See that this traversal has a layer, if one is chosen; there may be no rows of it."""
+        if layer is None:
+            return
+        own = self._catalog.read_global("traversals", ["layers"]).column(0)[self.row].as_py()
+        if f"{kind}/{layer}" not in own:
+            raise no_layer(kind, layer, f"traversals/{self.traversal_id}/layers/{kind}")
 
 
 def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Array, chosen: str | None) -> Bool:
@@ -297,11 +298,10 @@ def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Ar
         traversal_id: the traversal.
         source: (N,) who made each row; at least one.
         version: (N,) version of the source.
-        chosen: ``source@version``; None: the only one there is.
+        chosen: ``source@version``, which may have no rows; None: the only one there is.
 
     Raises:
         UsageError: there are several and none was chosen.
-        DatasetError: the chosen one is not there.
     """
     names = pc.binary_join_element_wise(source.cast(pa.string()), version.cast(pa.string()), "@")
     there = sorted(pc.unique(names).to_pylist())
@@ -312,16 +312,14 @@ def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Ar
                 remedy=f"choose: with_layers({kind}={there[-1]!r})",
             )
         chosen = there[0]
-    if chosen not in there:
-        raise no_layer(kind, chosen, traversal_id)
     return member(names, frozenset([chosen]))
 
 
-def no_layer(kind: str, layer: str, traversal_id: str) -> DatasetError:
-    """The error for a layer that a traversal does not have."""
+def no_layer(kind: str, layer: str, where: str) -> DatasetError:
+    """The error for a layer that is not there."""
     return DatasetError(
         f"there is no {kind} layer {layer}",
-        file=f"traversals/{traversal_id}/layers/{kind}",
+        file=where,
         expected="a complete layer of that name",
         remedy="choose another with with_layers(...), or leave this traversal out with where(...)",
     )

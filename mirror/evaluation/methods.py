@@ -50,6 +50,7 @@ class Task:
         withheld: pictures of training traversals that are not looked at, such as
             `mirror.evaluation.training.asked_of_training` names.
         blocks: names of those that are trained now, for any executor to share out; none: all.
+        settings: of the method, by name, in place of its own; as text.
     """
 
     scene: str
@@ -63,6 +64,7 @@ class Task:
     half: bool = False
     withheld: frozenset[Picture] = field(default=frozenset())
     blocks: frozenset[str] = field(default=frozenset())
+    settings: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

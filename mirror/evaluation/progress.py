@@ -21,8 +21,11 @@ class Watch(Progress, Protocol):
     def now(self, words: str) -> None:
         """How it stands: shown beside the bar until the next."""
 
+    def report(self, words: str) -> None:
+        """How it stood: a line where no bar moves."""
+
     def say(self, words: str) -> None:
-        """A line that is worth keeping where no bar moves."""
+        """What is worth knowing afterwards: a line, with or without a bar."""
 
 
 class Silent:
@@ -35,6 +38,9 @@ class Silent:
         """Nothing."""
 
     def now(self, words: str) -> None:
+        """Nothing."""
+
+    def report(self, words: str) -> None:
         """Nothing."""
 
     def say(self, words: str) -> None:

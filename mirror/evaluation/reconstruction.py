@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
+from mirror.evaluation.protocol import Protocol
 from mirror.schema.documents import Document, SplitDocument
 from mirror.schema.files import read_json
 
@@ -40,6 +41,7 @@ class Reconstruction(Document):
         split: whose training traversals were looked at.
         trained: these traversals, each with the hash of what was recorded of it.
         withheld: pictures of training traversals that were not learnt from.
+        poses: layer of poses that it was trained at.
         done: what it took, once it is done.
     """
 
@@ -50,6 +52,7 @@ class Reconstruction(Document):
     split: str
     trained: dict[str, str]
     withheld: int = 0
+    poses: str = "recorded"
     done: Costs | None = None
 
 
@@ -74,7 +77,7 @@ def require_same_street(dataset: Dataset, split: str, model: Reconstruction) -> 
     """See that a model was trained on traversals that a dataset's split has, and on none that it holds out.
 
     Raises:
-        UsageError: it was not: poses may be of another world, or pictures are no test.
+        UsageError: it was not, or at other poses: they may be of another world, or pictures are no test.
         DatasetError: there is no such split.
     """
     document = _split(dataset, split)
@@ -91,11 +94,30 @@ def require_same_street(dataset: Dataset, split: str, model: Reconstruction) -> 
             f"{', '.join(changed)} was recorded anew since", place=place, file=dataset.root,
             expected="traversals as they were when it was trained", remedy="train anew",
         )  # fmt: skip
+    if dataset.layers.poses != model.poses:
+        raise UsageError(
+            f"it was trained at poses {model.poses}, these are {dataset.layers.poses}", place=place, file=dataset.root,
+            expected="the same poses", remedy=f"from Python: dataset.with_layers(poses={model.poses!r})",
+        )  # fmt: skip
     leaked = sorted(one for one, role in known.items() if role not in ("train", "unused"))
     if leaked:
         raise UsageError(
             f"it was trained on {', '.join(leaked)}, which split {split} holds out", place=place, file=dataset.root,
             expected="a model that has not seen the test", remedy=f"train one: mirror reconstruct ... --split {split}",
+        )  # fmt: skip
+
+
+def require_unseen(protocol: Protocol, model: Reconstruction) -> None:
+    """See that a model has not learnt from the test, where a protocol tests by pictures of training traversals alone.
+
+    Raises:
+        UsageError: it has.
+    """
+    recorded = [group.roles for group in protocol.groups if group.ego_shift_m == 0.0]
+    if recorded and all(set(roles) == {"train"} for roles in recorded) and not model.withheld:
+        raise UsageError(
+            f"it was trained on the pictures that protocol {protocol.name} asks for", place=f"model of {model.scene}",
+            expected="a model that has not seen the test", remedy="train one: mirror reconstruct ... --hold-out",
         )  # fmt: skip
 
 

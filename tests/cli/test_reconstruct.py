@@ -23,11 +23,12 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.dataset.pictures.depth import encode_depth
-from mirror.errors import ExitCode, UsageError
+from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.evaluation.methods import Task, installed_method
 from mirror.evaluation.progress import Silent
 from mirror.evaluation.protocol import load_protocol
-from mirror.evaluation.reconstruction import read_reconstruction
+from mirror.evaluation.reconstruction import Reconstruction, read_reconstruction, require_same_street, trained_on
+from mirror.evaluation.views import Plan, plan_views
 from mirror.schema.tables import DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 
@@ -241,8 +242,20 @@ def test_where_no_bar_moves_each_report_is_a_line(capsys: pytest.CaptureFixture[
             watch.start("training", 10)
             watch.now("5 dB")
             watch.advance(5)
-            watch.say("50 %")
+            watch.report("50 %")
         assert capsys.readouterr() == ("", expected)
+
+
+def test_on_a_terminal_the_bar_reports_and_notes_stay(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with watching(quiet=False) as watch:
+        watch.start("training", 10)
+        watch.report("50 %")
+        watch.say("points [a@1] are not of b")
+    drawn = capsys.readouterr().err
+    assert "points [a@1] are not of b" in drawn and "50 %" not in drawn
 
 
 @pytest.mark.parametrize("method", ["hybridworldsim", "vanilla_3dgs"])
@@ -441,3 +454,96 @@ def test_another_folder_is_left_alone(dataset: Dataset, tmp_path: Path, capsys: 
         code=ExitCode.COULD_NOT_RUN,
     )  # fmt: skip
     assert problem["problem"] == "missing"
+
+
+def test_a_layer_that_one_traversal_lacks_is_told_of_and_an_empty_one_is_read(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    layout = Layout(Path(dataset.root))
+    first, second, third = dataset.where(split="novel", role="train").traversals()
+    LayerWriter(layout, first, "points", "lidar", "1").finish(POINTS, [point(n) for n in range(50)], {})
+    LayerWriter(layout, second, "points", "lidar", "1").finish(POINTS, [], {})
+    for traversal in (first, second):
+        LayerWriter(layout, traversal, "depth", "lidar", "1").finish(DEPTH, [], {})
+    build_index(layout.root)
+    words = reconstruct(dataset, tmp_path / "model", "--steps", 9, "--initialise", "lidar@1")
+    assert main([str(word) for word in words]) == ExitCode.DONE
+    told = capsys.readouterr().err
+    assert f"without points: {third}\n" in told and f"without depth: {third}\n" in told
+    chosen = mirror.open(dataset.root).with_layers(points="lidar@1")
+    assert len(chosen.points()) == 50
+    with pytest.raises(DatasetError, match="no points layer lidar@1"):
+        chosen.where(traversal=third).points()
+
+
+def test_settings_are_changed_by_name_and_written_down(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "model"
+    words = reconstruct(dataset, model, "--steps", 3, "--set", "depth_weight=0.5", "refinement.most=90")
+    (block,) = said(capsys, *words)["blocks"]
+    settings = json.loads((model / block / "run.json").read_text())["settings"]
+    assert settings["depth_weight"] == 0.5 and settings["refinement"]["most"] == 90
+    usual = said(capsys, *reconstruct(dataset, model, "--steps", 3), code=ExitCode.COULD_NOT_RUN)
+    assert "settings.depth_weight 0.5, now 0.04" in usual["problem"]
+    for wrong, place in (("depth_weight", "--set"), ("depth_weight=x", "--set depth_weight"), ("magic=1", "--set")):
+        words = reconstruct(dataset, tmp_path / "other", "--set", wrong)
+        assert said(capsys, *words, code=ExitCode.COULD_NOT_RUN)["place"] == place
+    assert not (tmp_path / "other").exists()
+
+
+def test_what_is_done_is_done_on_a_machine_with_other_processors(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = said(capsys, *reconstruct(dataset, tmp_path / "model", "--steps", 3))
+    assert said(capsys, *reconstruct(dataset, tmp_path / "model", "--steps", 3, "--threads", 2)) == done
+    (tmp_path / "model" / done["blocks"][0] / "outcome.json").unlink()
+    words = reconstruct(dataset, tmp_path / "model", "--steps", 3, "--threads", 2)
+    refused = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
+    assert "threads 1, now 2" in refused["problem"] and "--threads 1" in refused["remedy"]
+
+
+def test_the_test_is_not_what_was_trained_on_where_a_protocol_asks_for_training_pictures_alone(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alone = tmp_path / "alone.toml"
+    novel = '[[groups]]\nname = "novel"\nroles = ["held_out", "test"]\n'
+    alone.write_text(narrow(tmp_path).read_text().replace(novel, ""))
+    said(capsys, *reconstruct(dataset, tmp_path / "model", "--steps", 3))
+    words = ("--dataset", dataset.root, "--split", "novel", "--protocol", alone, "--out", tmp_path / "out")
+    refused = said(capsys, "render", tmp_path / "model", *words, code=ExitCode.COULD_NOT_RUN)
+    assert "trained on the pictures that protocol" in refused["problem"] and "--hold-out" in refused["remedy"]
+    more = ("--steps", 3, "--hold-out", "--protocol", alone, "--initialise", "dataset")
+    said(capsys, *reconstruct(dataset, tmp_path / "unseen", *more))
+    assert said(capsys, "render", tmp_path / "unseen", *words)["views"] > 0
+    # It has seen nothing of what is asked for, and all looks that are: there is nothing to fit.
+    fit = said(
+        capsys, "render", tmp_path / "unseen", *words[:-1], tmp_path / "fit", "--appearance", "fit",
+        code=ExitCode.COULD_NOT_RUN,
+    )  # fmt: skip
+    assert "nothing to fit" in fit["problem"]
+
+
+def test_a_protocol_of_distorted_pictures_is_refused_before_layers_are_made(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def distorted(*asked: Any) -> Plan:
+        plan = plan_views(*asked)
+        lens = {"model": "kannala_brandt", "distortion": (0.1, 0.0, 0.0, 0.0)}
+        return replace(plan, views=tuple(view.model_copy(update=lens) for view in plan.views))
+
+    monkeypatch.setattr("hybridworldsim.training.views.plan_views", distorted)
+    words = reconstruct(dataset, tmp_path / "model", "--initialise", "plane-sweep")
+    refused = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
+    assert "a lens of model kannala_brandt" in refused["problem"] and not (tmp_path / "model").exists()
+    assert not list(Path(dataset.root).glob("traversals/*/layers/*/plane-sweep@*"))
+
+
+def test_a_model_is_rendered_at_the_poses_that_it_was_trained_at(dataset: Dataset, tmp_path: Path) -> None:
+    model = Reconstruction(
+        method="hybridworldsim", scene="street", split="novel", trained=trained_on(dataset, "novel", "street"),
+        poses="refined@1",
+    )  # fmt: skip
+    with pytest.raises(UsageError, match=r"trained at poses refined@1, these are recorded.*with_layers"):
+        require_same_street(dataset, "novel", model)
+    require_same_street(dataset, "novel", model.model_copy(update={"poses": "recorded"}))

@@ -75,10 +75,14 @@ def test_a_cell_keeps_the_point_with_most_views_and_is_then_taken() -> None:
 def test_thinning_is_that_of_a_plain_reference() -> None:
     rng = np.random.default_rng(3)
     position, views = rng.normal(0.0, 3.0, (4000, 3)) + np.array([1e5, -2e5, 10.0]), rng.integers(2, 6, 4000).tolist()
-    kept = Voxels(0.5).thin(made(position, views))
+    voxels, kept = Voxels(0.5), []
+    # Cloud by cloud: a cell belongs to the first that has a point in it.
+    for start in range(0, 4000, 800):
+        own = slice(start, start + 800)
+        kept += voxels.thin(made(position[own], views[own])).position_m.tolist()
     best: dict[tuple[int, ...], int] = {}
     for row, (place, count) in enumerate(zip(position, views)):
         key = tuple(np.floor(place / 0.5).astype(int).tolist())
-        if key not in best or count > views[best[key]]:
+        if key not in best or (row // 800 == best[key] // 800 and count > views[best[key]]):
             best[key] = row
-    np.testing.assert_array_equal(kept.position_m, position[sorted(best.values())])
+    np.testing.assert_array_equal(kept, position[sorted(best.values())])

@@ -102,6 +102,15 @@ def test_layers_are_written_for_training_traversals_only(dataset: Path) -> None:
     assert not wrong
 
 
+def test_pictures_of_a_standing_vehicle_are_not_matched(dataset: Path) -> None:
+    report = initialise(
+        mirror.open(dataset), "s", method="road", estimator=LevelRoad(), options=Options(width_px=48, standing_m=1e3)
+    )
+    assert report.pictures == 2 * len(CAMERAS)
+    images = [image for frame in mirror.open(dataset).where(split="s").frames() for image in frame.images.values()]
+    assert sum(image.depth() is not None for image in images) == report.pictures < len(images)
+
+
 def test_what_is_there_is_kept_and_what_was_interrupted_goes_on(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(fails_at=8), width_px=48)

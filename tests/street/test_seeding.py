@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hybridworldsim.scene.seeding import Initial, ground_seeds
+from hybridworldsim.scene.seeding import Initial, ground_seeds, sky_seeds
 from mirror.arrays import Float64
 
 
@@ -35,6 +37,17 @@ def test_the_ground_has_no_more_than_it_may_and_covers_the_street_evenly(lanes: 
         inside = (capped.means[:, 0] >= low) & (capped.means[:, 0] < low + 30.0)
         before = (free.means[:, 0] >= low) & (free.means[:, 0] < low + 30.0)
         assert float(inside.sum() / before.sum()) == pytest.approx(len(capped.means) / len(free.means), rel=0.1)
+
+
+def test_what_is_beyond_the_dome_is_seen_before_it_in_the_same_direction() -> None:
+    far = np.array([[100.0, 0.0, 20.0], [0.0, 500.0, 0.0], [-900.0, 900.0, 90.0]])
+    street = replace(crossing(1), far_m=far)
+    seeds = sky_seeds(street, 200, 4.0, 10).means[200:].numpy().astype(np.float64)
+    seeds = seeds[np.argsort(np.linalg.norm(seeds, axis=1))]
+    np.testing.assert_allclose(seeds[0], far[0], rtol=1e-6)
+    np.testing.assert_allclose(np.sort(np.linalg.norm(seeds[1:], axis=1)), [270.0, 270.0], rtol=1e-6)
+    ways = {tuple(np.round(one / np.linalg.norm(one), 5)) for one in seeds}
+    assert ways == {tuple(np.round(one / np.linalg.norm(one), 5)) for one in far}
 
 
 def test_what_fits_is_as_it_was() -> None:

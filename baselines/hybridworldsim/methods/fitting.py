@@ -48,7 +48,7 @@ def fit_looks(street: Street, block: Block, run: Run, looking: Looking) -> tuple
     # What was recorded is not what a camera sees that was moved.
     moved = {group.name for group in plan.protocol.groups if group.ego_shift_m}
     seen = run.sources
-    pictures = Pictures(dataset, plan, np.array(block.origin_m), depth=False)
+    pictures = Pictures(dataset, plan, np.array(block.origin_m))
     known = {Source(one.traversal_id, one.camera) for one in seen}
     looks = Looks(seen, "nearest", looking.views)
     by_source: dict[Source, list[View]] = {}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Final, get_args
+from typing import Final, Literal, TypeAlias, get_args
 
 import mirror
 from hybridworldsim.mvs.methods import Method
@@ -19,6 +19,9 @@ from mirror.evaluation.training import Picture
 
 BROUGHT: Final = "dataset"
 PLANE_SWEEP: Final = "plane-sweep"
+
+Kind: TypeAlias = Literal["depth", "points"]
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,14 @@ class Layers:
     dataset: Dataset
     depth: str | None
     points: str | None
+
+    def having(self, kind: Kind) -> frozenset[str]:
+        """Traversals that have the layer of a kind."""
+        return _having(self.dataset, kind, getattr(self, kind))
+
+    def lacking(self, kind: Kind, traversals: Sequence[str]) -> list[str]:
+        """Those of some traversals that have no layer of a kind; none, if nothing of that kind is read."""
+        return [] if getattr(self, kind) is None else sorted(set(traversals) - self.having(kind))
 
 
 def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
@@ -73,17 +84,13 @@ def method_of(dataset: Dataset, task: Task) -> str:
 
 def are_made(dataset: Dataset, task: Task) -> bool:
     """Whether all training traversals of a task's scene have the points that `layers_for` would make."""
-    return not _without_points(dataset, task, f"{task.initialise or PLANE_SWEEP}@{_version(task)}")
+    own = _training(dataset, task)
+    return set(own.traversals()) <= _having(own, "points", f"{task.initialise or PLANE_SWEEP}@{_version(task)}")
 
 
-def without_points(layers: Layers, task: Task) -> list[str]:
-    """Training traversals of a task's scene that the chosen points are not of."""
-    return [] if layers.points is None else _without_points(layers.dataset, task, layers.points)
-
-
-def _without_points(dataset: Dataset, task: Task, name: str) -> list[str]:
-    rows = _training(dataset, task).table("traversals", ["traversal_id", "layers"]).to_pylist()
-    return [row["traversal_id"] for row in rows if f"points/{name}" not in row["layers"]]
+def _having(dataset: Dataset, kind: Kind, name: str | None) -> frozenset[str]:
+    rows = dataset.table("traversals", ["traversal_id", "layers"]).to_pylist()
+    return frozenset(row["traversal_id"] for row in rows if f"{kind}/{name}" in row["layers"])
 
 
 def _training(dataset: Dataset, task: Task) -> Dataset:

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from hybridworldsim.methods.layers import Layers, layers_for, without_points
+from hybridworldsim.methods.changed import changed
+from hybridworldsim.methods.layers import KINDS, Layers, layers_for
 from hybridworldsim.methods.opened import Opened, Renderer, open_block
 from hybridworldsim.scene.blocks import SIZE_M, Block, divide, views_of
 from hybridworldsim.scene.initial import driven_m, initial_of, surroundings_of
@@ -67,6 +68,17 @@ class StaticMethod:
             UsageError: another run began in the folder, or the task cannot be.
             DatasetError: there is nothing to train on or to begin with, or training failed.
         """
+        # What cannot be is refused before minutes go into layers.
+        self._settings(task)
+        about = Reconstruction(
+            method=self.name,
+            scene=task.scene,
+            split=task.split,
+            trained=trained_on(dataset, task.split, task.scene),
+            withheld=len(task.withheld),
+            poses=dataset.layers.poses,
+        )
+        _require_own(out, about)
         if task.threads is not None:
             torch.set_num_threads(task.threads)
         # Before layers are made: what has nothing to mask road users by is not matched either.
@@ -79,15 +91,13 @@ class StaticMethod:
         there = divide(_pictured_m(known.driven_m, training.views), self.block_m).blocks
         blocks = [(block, views) for block in there if (views := views_of(block, training.views))]
         chosen = _chosen([block.name for block, _ in blocks], task.blocks)
-        if bare := without_points(layers, task):
-            watch.say(f"points {layers.points} are not of {', '.join(bare)}")
+        for kind in KINDS:
+            if bare := layers.lacking(kind, own.traversals()):
+                watch.say(f"without {kind}: {', '.join(bare)}")
         if training.standing:
             watch.say(f"{training.standing} pictures of a standing vehicle are left out")
-        trained = trained_on(dataset, task.split, task.scene)
-        about = Reconstruction(
-            method=self.name, scene=task.scene, split=task.split, trained=trained, withheld=len(task.withheld)
-        )
-        _begin(out, about)
+        if not (out / DOCUMENT).exists():
+            write_json(out / DOCUMENT, about)
         held_out = _held_out(layers.dataset, task, watch)
         found: dict[str, Outcome | None] = {}
         for place, (block, views) in enumerate(blocks):
@@ -140,15 +150,13 @@ class StaticMethod:
         if done is not None:
             watch.say(f"{folder.path} is done: {done.psnr_db:.2f} dB after {done.steps} steps")
             return done
-        learner = self.make(one.initial, self.settings(task.seed))
+        learner = self.make(one.initial, self._settings(task))
         origin = np.array(one.block.origin_m)
         with folder.alone():
             return train(
                 learner,
                 # Where it reads no depth, maps that others have made are not read either.
-                Pictures(
-                    one.layers.dataset, one.training.plan, origin, depth=one.layers.depth is not None, sky=self.sky
-                ),
+                Pictures(one.layers.dataset, one.training.plan, origin, one.layers.having("depth"), sky=self.sky),
                 one.views,
                 Budget(task.steps, task.core_minutes),
                 folder,
@@ -160,8 +168,12 @@ class StaticMethod:
                 watch=watch,
             )
 
+    def _settings(self, task: Task) -> Any:
+        return changed(self.settings(task.seed), task.settings)
+
     def _run(self, one: _Block, task: Task) -> Run:
-        settings = json.loads(json.dumps(asdict(self.settings(task.seed))))
+        read = one.layers.dataset.layers
+        settings = json.loads(json.dumps(asdict(self._settings(task))))
         return Run(
             method=self.name,
             settings=settings,
@@ -181,6 +193,9 @@ class StaticMethod:
             plan_hash=one.training.plan.hash,
             depth=one.layers.depth,
             points=one.layers.points,
+            poses=read.poses,
+            calibrations=read.calibrations,
+            stage=read.stage,
             pictures=len(one.views),
             withheld=tuple("/".join(map(str, picture)) for picture in sorted(task.withheld)),
             sources=seen_of(one.views),
@@ -206,7 +221,7 @@ class _Block:
         looks = Looks(run.sources, "nearest", [view for _, plan, _ in shown for view in plan.views])
         found = []
         for name, plan, views in shown:
-            pictures = Pictures(self.layers.dataset, plan, np.array(self.block.origin_m), depth=False)
+            pictures = Pictures(self.layers.dataset, plan, np.array(self.block.origin_m))
             middles = (np.arange(_SPECIMENS) + 0.5) / _SPECIMENS * len(views)
             for number, place in enumerate(sorted(set(middles.astype(int).tolist())) if views else []):
                 view = views[place]
@@ -259,12 +274,11 @@ def _chosen(names: Sequence[str], asked: frozenset[str]) -> frozenset[str]:
     return asked or frozenset(names)
 
 
-def _begin(out: Path, document: Reconstruction) -> None:
-    """Say what the folder is, or see that it is that."""
+def _require_own(out: Path, document: Reconstruction) -> None:
+    """See that a folder is a new one, or of the same task."""
     if not (out / DOCUMENT).exists():
         if is_taken(out):
             raise UsageError("not an empty folder, and no model", file=out, remedy="name a new one with --out")
-        write_json(out / DOCUMENT, document)
         return
     before = read_reconstruction(out)
     if before.model_copy(update={"done": None}) != document:

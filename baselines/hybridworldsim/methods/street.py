@@ -83,13 +83,19 @@ class OpenStreet:
         looking: how pictures look that were not trained on.
 
     Raises:
-        UsageError: nothing that was trained on matches the policy of the looks, or it lacks pictures to fit to.
+        UsageError: nothing that was trained on matches the policy of the looks, or there is nothing to fit, or to fit
+            to.
     """
 
     def __init__(self, blocks: Sequence[OpenBlock], looking: Looking) -> None:
         seen = [one.run.sources for one in blocks]
         if looking.policy == FITTED:
             seen = [fit_looks(one.street, one.block, one.run, looking) for one in blocks]
+            if all(len(own) == len(one.run.sources) for own, one in zip(seen, blocks)):
+                raise UsageError(
+                    "all looks that are asked for were trained on: nothing to fit", place="--appearance",
+                    expected="a split or protocol with traversals that were not", remedy="--appearance nearest",
+                )  # fmt: skip
         street = tuple(source for own in seen for source in own)
         # Whatever is drawn of a block shares its latents.
         self._looks = {

@@ -199,8 +199,11 @@ class Voxels:
         first = np.ones(len(key), np.bool_)
         first[1:] = key[order][1:] != key[order][:-1]
         chosen = order[first]
-        chosen = chosen[~np.isin(key[chosen], self._taken)]
-        self._taken = np.union1d(self._taken, key[chosen])
+        # Both are sorted: to look up and to insert costs no sorting of all cells for each picture.
+        place = np.searchsorted(self._taken, key[chosen])
+        free = np.append(self._taken, -1)[place] != key[chosen]
+        chosen = chosen[free]
+        self._taken = np.insert(self._taken, place[free], key[chosen])
         return cloud.only(np.sort(chosen))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hybridworldsim.standing import STANDING_M
 from mirror.evaluation.protocol import Pixels
 
 
@@ -13,6 +14,7 @@ class Options:
 
     Attributes:
         width_px: widest raster of the pictures that are matched.
+        standing_m: a picture is not matched whose camera is nearer than this to the last of its own.
         sources: pictures that each picture is matched with.
         held_against: pictures that each depth map is held against.
         near_m: smallest depth searched.
@@ -27,6 +29,7 @@ class Options:
     """
 
     width_px: int = 240
+    standing_m: float = STANDING_M
     sources: int = 4
     held_against: int = 8
     near_m: float = 2.0

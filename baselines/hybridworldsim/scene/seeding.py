@@ -23,6 +23,7 @@ _LOWEST = -0.05
 _THIN = 0.2
 _SOLID = 0.95
 _FAR_SPACING_M = 2.0
+_BEFORE_DOME = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +163,8 @@ def _rings(driven: Float64, step: float, reach: float) -> tuple[Float64, Float64
 def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> Seeds:
     """Flat Gaussians on a hemisphere round the block, and then round ones on the points beyond the block.
 
+    Points beyond the hemisphere are drawn in before it, along the ray from the middle of the block.
+
     Args:
         initial: what is known.
         count: on the hemisphere.
@@ -177,7 +180,10 @@ def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> See
     each = radius * np.sqrt(2.0 * np.pi * (1.0 - _LOWEST) / count)
     flat = np.tile((0.7 * each, 0.7 * each, _THIN * each), (count, 1))
     dome = _seeds(radius * directions, _from_z(directions), flat, _SOLID)
-    return both(dome, _round(thinned(initial.far_m, _FAR_SPACING_M, far_count), _FAR_SPACING_M))
+    # Behind the dome nobody would see them.
+    away = np.linalg.norm(initial.far_m, axis=1, keepdims=True)
+    before = initial.far_m * np.minimum(1.0, _BEFORE_DOME * radius / np.maximum(away, 1.0))
+    return both(dome, _round(thinned(before, _FAR_SPACING_M, far_count), _FAR_SPACING_M))
 
 
 def both(one: Seeds, other: Seeds) -> Seeds:

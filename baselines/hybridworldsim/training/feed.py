@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence, Set
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Final
 
@@ -33,9 +33,9 @@ class Pictures:
         dataset: where they lie.
         plan: whose protocol says raster and masks.
         origin_m: (3,) of the block, in the world.
-        cache_bytes: held at most; memory does not grow with the number of pictures beyond it.
+        depth_of: traversals whose depth maps are read, of the chosen layer; others have none.
         sky: read masks of the sky too, for a method that learns from them.
-        depth: read depth maps too; held-out traversals have none of the layer that is chosen for training.
+        cache_bytes: held at most; memory does not grow with the number of pictures beyond it.
     """
 
     def __init__(
@@ -43,13 +43,13 @@ class Pictures:
         dataset: Dataset,
         plan: Plan,
         origin_m: Float64,
-        cache_bytes: int = CACHE_BYTES,
+        depth_of: Set[str] = frozenset(),
         *,
         sky: bool = False,
-        depth: bool = True,
+        cache_bytes: int = CACHE_BYTES,
     ) -> None:
         self._plan, self._origin, self._most = plan, origin_m, cache_bytes
-        self._sky, self._depth = sky, depth
+        self._sky, self._depth_of = sky, depth_of
         self._source = TruthSource(dataset, plan.protocol, plan.layers)
         self._held: OrderedDict[str, TrainingPicture] = OrderedDict()
         self._bytes = 0
@@ -77,7 +77,7 @@ class Pictures:
     def _open(self, view: View) -> TrainingPicture:
         rgb = self._source.picture(view)
         _, image = self._source.recorded(view)
-        depth = image.depth() if self._depth else None
+        depth = image.depth() if view.traversal_id in self._depth_of else None
         mask, sky = _sky(image, depth) if self._sky else None, None
         if mask is not None:
             raster = raster_of(image.camera_model, self._plan.protocol.pixels)

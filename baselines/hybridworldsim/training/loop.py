@@ -165,7 +165,7 @@ def _report(
         **losses,
     }
     folder.report(row)
-    watch.say(
+    watch.report(
         f"{progress:4.0%}  step {position.steps}  {position.spent_s / 60.0:.2f} core-minutes  "
         f"PSNR {row['psnr_db']:.2f} dB  loss {losses['rgb']:.5f}  {gaussians} Gaussians"
     )

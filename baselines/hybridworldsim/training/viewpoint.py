@@ -54,6 +54,19 @@ class Viewpoint:
         return replace(self, source=source)
 
 
+def require_pinhole(view: View) -> None:
+    """See that a view can be rasterized.
+
+    Raises:
+        UsageError: its lens is not a pinhole.
+    """
+    if view.model != "pinhole" or view.distortion:
+        raise UsageError(
+            f"a lens of model {view.model}", place=view.path, expected="a pinhole: pixels.space = 'undistorted'",
+            remedy="name a protocol that says so: --protocol",
+        )  # fmt: skip
+
+
 def viewpoint_of(view: View, origin_m: Float64) -> Viewpoint:
     """The viewpoint of a view of a protocol.
 
@@ -64,10 +77,7 @@ def viewpoint_of(view: View, origin_m: Float64) -> Viewpoint:
     Raises:
         UsageError: the lens is not a pinhole.
     """
-    if view.model != "pinhole" or view.distortion:
-        raise UsageError(
-            f"a lens of model {view.model}", place=view.path, expected="a pinhole: pixels.space = 'undistorted'"
-        )
+    require_pinhole(view)
     pose = view.pose
     rotation = pose.matrix()[0, :3, :3].T
     viewmat = np.eye(4)

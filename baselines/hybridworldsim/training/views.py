@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from dataclasses import dataclass
-from typing import Final
 
-import numpy as np
-
-from mirror.arrays import Float64
+from hybridworldsim.standing import STANDING_M, moving
+from hybridworldsim.training.viewpoint import require_pinhole
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.evaluation.protocol import Frames, Group, Protocol
@@ -16,8 +14,6 @@ from mirror.evaluation.training import Picture
 from mirror.evaluation.views import plan_views
 from mirror.evaluation.views.plan import Plan
 from mirror.evaluation.views.view import View
-
-STANDING_M: Final = 0.25
 
 
 @dataclass(frozen=True)
@@ -55,6 +51,7 @@ def training_views(
         standing_m: a picture is left out where its camera is nearer than this to the last one kept.
 
     Raises:
+        UsageError: a lens is not a pinhole in the protocol's raster.
         DatasetError: no such split, or no training traversal with pictures in the scene.
     """
     every = protocol.model_copy(
@@ -71,17 +68,7 @@ def training_views(
             expected=f"training traversals with pictures, besides the {len(withheld)} that are held out",
             remedy="choose another scene or split, or a protocol that asks for fewer",
         )  # fmt: skip
-    moving = _moving(own, standing_m)
-    return TrainingViews(plan, moving, len(own) - len(moving))
-
-
-def _moving(views: Sequence[View], standing_m: float) -> tuple[View, ...]:
-    last: dict[tuple[str, str], Float64] = {}
-    kept = []
-    for view in views:
-        key, here = (view.traversal_id, view.camera), view.pose.translation[0]
-        if key in last and np.linalg.norm(here - last[key]) < standing_m:
-            continue
-        last[key] = here
-        kept.append(view)
-    return tuple(kept)
+    for view in own:
+        require_pinhole(view)
+    kept = moving((((view.traversal_id, view.camera), view.pose.translation[0]) for view in own), standing_m)
+    return TrainingViews(plan, tuple(own[position] for position in kept), len(own) - len(kept))

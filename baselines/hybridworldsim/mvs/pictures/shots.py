@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from hybridworldsim.mvs.estimator import PosedPicture
+from hybridworldsim.standing import STANDING_M, moving
 from mirror.arrays import Bool
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame, Image
@@ -49,13 +50,18 @@ class Shot:
     world_SE3_camera: Poses
 
 
-def shots_of(dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset()) -> list[Shot]:
-    """The pictures of a view, in order of traversal, camera and time.
+def shots_of(
+    dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset(), standing_m: float = STANDING_M
+) -> list[Shot]:
+    """The pictures of a view, in order of traversal, camera and time, but for those of a standing vehicle.
+
+    What it sees again and again from one place would confirm its own errors.
 
     Args:
         dataset: the view.
         pixels: the raster in which they are matched.
         withheld: pictures that are left out.
+        standing_m: see `hybridworldsim.standing.moving`.
 
     Raises:
         DatasetError: the view has none, or poses or calibrations are missing.
@@ -81,7 +87,9 @@ def shots_of(dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozense
         raise DatasetError(
             "there are no pictures to match", file=dataset.root, expected="training traversals with pictures"
         )
-    return sorted(shots, key=lambda one: (one.scene_id, one.traversal_id, one.image.camera, one.image.timestamp_ns))
+    shots.sort(key=lambda one: (one.scene_id, one.traversal_id, one.image.camera, one.image.timestamp_ns))
+    taken = (((one.traversal_id, one.image.camera), one.world_SE3_camera.translation[0]) for one in shots)
+    return [shots[position] for position in moving(taken, standing_m)]
 
 
 class Pictures:

@@ -53,7 +53,7 @@ class Scene:
         self, view: Dataset, layers: Layers, options: Options, withheld: Set[Picture], progress: Progress
     ) -> None:
         self._layers, self._options, self._progress = layers, options, progress
-        self._shots = shots_of(view, options.pixels, withheld)
+        self._shots = shots_of(view, options.pixels, withheld, options.standing_m)
         self._pictures = Pictures(self._shots, options.pixels)
         self._sources = choose_sources(self._shots, max(options.sources, options.held_against))
         self._held: OrderedDict[int, Float32] = OrderedDict()

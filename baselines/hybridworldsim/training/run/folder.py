@@ -64,6 +64,9 @@ class Run(Document):
         settings_hash: of the method's settings.
         depth: ``source@version`` of the layers of depth maps that were read, or None.
         points: ``source@version`` of the layers of points that were read, or None.
+        poses: layer of poses.
+        calibrations: layer of calibrations.
+        stage: of calibration, or None for the best of each traversal.
         pictures: how many are trained on.
         withheld: ``traversal/camera/timestamp_ns`` of training traversals' pictures that are not looked at.
         sources: traversals and cameras that are trained on.
@@ -89,6 +92,9 @@ class Run(Document):
     settings_hash: str
     depth: str | None
     points: str | None
+    poses: str = "recorded"
+    calibrations: str = "recorded"
+    stage: str | None = None
     pictures: int
     withheld: tuple[str, ...] = ()
     sources: tuple[Seen, ...]
@@ -144,11 +150,15 @@ class RunFolder:
             write_json(self.path / RUN, run)
             return None
         before = read_json(self.path / RUN, Run)
-        differing = _differing(before.model_dump(mode="json"), run.model_dump(mode="json"))
+        # What is done is done, whoever did it.
+        now = run if self.outcome is None else run.model_copy(update={"threads": before.threads})
+        differing = _differing(before.model_dump(mode="json"), now.model_dump(mode="json"))
         if differing:
+            elsewhere = "name another folder with --out"
+            threads = f"--threads {before.threads}, or {elsewhere}" if before.threads != now.threads else elsewhere
             raise UsageError(
                 f"a run of other settings began here: {'; '.join(differing[:4])}", file=self.path,
-                expected="the same dataset, method and settings", remedy="name another folder with --out",
+                expected="the same dataset, method and settings", remedy=threads,
             )  # fmt: skip
         return self.outcome
 

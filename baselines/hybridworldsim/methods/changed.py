@@ -1,0 +1,69 @@
+"""Settings of a method with some of them changed by name, as a command line names them."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Final, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from mirror.errors import UsageError
+
+_Settings = TypeVar("_Settings")
+
+_SEED: Final = "seed"
+
+
+def changed(settings: _Settings, words: Mapping[str, str]) -> _Settings:
+    """Settings with others in place of some.
+
+    Args:
+        settings: a dataclass, of dataclasses.
+        words: values as text (JSON, or a bare word) by names with dots, such as ``refinement.most``.
+
+    Raises:
+        UsageError: there is no such setting, or it has no such value.
+    """
+    if not words:
+        return settings
+    whole = asdict(settings)  # type: ignore[call-overload]
+    known = dict(_leaves(whole))
+    for name, text in words.items():
+        if name not in known or name == _SEED:
+            near = difflib.get_close_matches(name, known, 3) or sorted(known)
+            raise UsageError(
+                f"no setting {name!r}" if name != _SEED else "the seed is no setting", place="--set",
+                expected=f"NAME=VALUE, such as {', '.join(near)}" if name != _SEED else "--seed",
+            )  # fmt: skip
+        *outer, last = name.split(".")
+        inner = whole
+        for key in outer:
+            inner = inner[key]
+        inner[last] = _value(name, text)
+    try:
+        return TypeAdapter(type(settings)).validate_python(whole)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UsageError(
+            f"{first['input']!r}", place=f"--set {'.'.join(map(str, first['loc']))}", expected=first["msg"]
+        ) from error
+
+
+def _leaves(whole: Mapping[str, Any], under: str = "") -> list[tuple[str, Any]]:
+    found = []
+    for key, value in whole.items():
+        found += _leaves(value, f"{under}{key}.") if isinstance(value, dict) else [(f"{under}{key}", value)]
+    return found
+
+
+def _value(name: str, text: str) -> Any:
+    def no_number(word: str) -> float:
+        raise UsageError(word, place=f"--set {name}", expected="a finite number")
+
+    try:
+        return json.loads(text, parse_constant=no_number)
+    except ValueError:
+        return text

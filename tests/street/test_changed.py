@@ -1,0 +1,41 @@
+"""Settings that are changed by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from hybridworldsim.methods.changed import changed
+from hybridworldsim.scene.settings import Settings
+from mirror.errors import UsageError
+from splatting.settings import Splatting
+
+
+def test_a_setting_of_any_depth_is_changed_and_nothing_else() -> None:
+    usual = Settings(seed=3)
+    words = {"depth_weight": "0.1", "refinement.most": "9000", "refinement.cells_m": "[2, 0.5]", "hybrid": "false"}
+    expected = replace(
+        usual, depth_weight=0.1, hybrid=False, refinement=replace(usual.refinement, most=9000, cells_m=(2.0, 0.5))
+    )
+    assert changed(usual, words) == expected and changed(usual, {}) is usual
+
+
+def test_a_bare_word_is_a_word() -> None:
+    assert changed(Splatting(), {"weights.pixelwise": "l2"}).weights.pixelwise == "l2"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("depth_wight", "0.1", "no setting 'depth_wight'.*depth_weight"),
+        ("refinement", "3", "no setting 'refinement'"),
+        ("depth_weight", "much", "--set depth_weight: 'much'.*number"),
+        ("depth_weight", "NaN", "NaN.*finite"),
+        ("first_anchors", "1.5", "--set first_anchors: 1.5.*integer"),
+        ("seed", "3", "--seed"),
+    ],
+)
+def test_what_is_no_setting_is_refused(name: str, value: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        changed(Settings(), {name: value})

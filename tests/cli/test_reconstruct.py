@@ -151,7 +151,16 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
         files = sorted(out.glob("front_wide/*.png"))
         assert len(files) == told["pictures"] > 4
         looks[word] = np.mean([cv2.imread(str(file))[..., ::-1].mean((0, 1)) for file in files], axis=0)
-    near = next(name for name in dataset.traversals() if ".near." in name)
+    near, far = (next(name for name in dataset.traversals() if f".{word}." in name) for word in ("near", "far"))
+    film = tmp_path / "street.mp4"
+    swept = ("--cameras", "front_wide", "--traversal", new, "--appearance", f"sweep:{near}:{far}", "--out", film)
+    told = said(capsys, "render", model, *shifted, *swept)
+    read = cv2.VideoCapture(str(film))
+    frames = [read.read()[1] for _ in range(told["pictures"])]
+    assert len(frames) > 4 and frames[0].shape[1] == 48 and not read.read()[0]
+    # It begins with a red look and ends with a green one.
+    (_, green, red), (_, last_green, last_red) = (frames[place].mean((0, 1)) for place in (0, -1))
+    assert last_green - last_red > green - red + 1.0
     out = tmp_path / "by-camera"
     both = ("--traversal", new, "--appearance", f"front_wide={near}")
     said(capsys, "render", model, *shifted, *both, "--out", out)

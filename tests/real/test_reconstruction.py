@@ -136,6 +136,31 @@ def test_photos_of_one_walk_are_held_out_rendered_and_scored(
     assert np.isfinite(mirror_psnr(scores)).all()
 
 
+def test_the_middle_frame_of_six_cameras_is_held_out_rendered_and_scored(
+    real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """DGP's scene: six cameras of a van at three instants, road users masked by boxes."""
+    protocol, dataset = tmp_path / "dgp.toml", tmp_path / "dgp"
+    middle = PROTOCOL.replace("frames = { first = 2, every = 4", "frames = { first = 1, every = 3")
+    protocol.write_text(middle.replace("dynamic = []", 'dynamic = ["boxes"]'))
+    recording, rois, short = real_data / "dgp_scene_02", tmp_path / "rois.geojson", ("--min-path-m", "1")
+    seen = ("--min-traversals", "1", "--min-duration-s", "0.1", *short)
+    begin = ("--split", "one", "--protocol", protocol, "--hold-out", "--width", 96, "--initialise", "plane-sweep")
+    model, submission, scores = (tmp_path / name for name in ("model", "submission", "scores"))
+    for words in (
+        ("rois", "propose", recording, "--count", "1", *seen, "--out", rois),
+        ("ingest", recording, "--rois", rois, "--min-duration-s", "0.1", *short, "--out", dataset),
+        ("split", dataset, "one", "--method", "by-scene", "--train", "1", "--val", "0", "--test", "0"),
+        ("reconstruct", dataset, *begin, "--steps", 40, "--threads", 1, "--out", model),
+        ("render", model, "--dataset", dataset, "--split", "one", "--protocol", protocol, "--out", submission),
+        ("evaluate", submission, "--truth", dataset, "--protocol", protocol, "--out", scores),
+    ):
+        assert main([str(word) for word in words]) == ExitCode.DONE
+    psnr = mirror_psnr(scores)
+    # A picture in one grey has 11 to 13 dB.
+    assert len(psnr) == 6 and np.mean(psnr) > 14.0
+
+
 def mirror_psnr(scores: Path) -> list[float]:
     import pyarrow.parquet
 

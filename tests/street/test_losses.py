@@ -5,10 +5,10 @@ import torch
 from skimage.metrics import structural_similarity
 from torch.nn import functional
 
+from benchmarks._plain_losses import curvature, normals_of
+from benchmarks._plain_losses import normal_loss as plain_normal_loss
 from hybridworldsim.scene.curvature import normal_loss
 from hybridworldsim.scene.losses import colour_loss, depth_loss, structure_loss
-from tests.street.plain_curvature import curvature, normals_of
-from tests.street.plain_curvature import normal_loss as plain_normal_loss
 
 K = torch.tensor([[60.0, 0.0, 32.0], [0.0, 55.0, 24.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
 

@@ -7,9 +7,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybridworldsim.training.feed import seen_by
+from hybridworldsim.training.feed import Pictures, seen_by
+from hybridworldsim.training.views import training_views
+from mirror.dataset import Dataset
+from mirror.evaluation.protocol import load_protocol
 from mirror.geometry.cameras import Camera
+from tests.baselines.conftest import dataset  # noqa: F401 - a fixture
 from tests.training.street import view
+
+
+def test_pictures_take_no_more_memory_than_they_may_however_many_there_are(dataset: Dataset) -> None:  # noqa: F811
+    training = training_views(dataset, load_protocol("static-reconstruction"), "novel", "street")
+    views = training.views
+    own = Pictures(dataset, training.plan, np.zeros(3))(views[0]).bytes
+    assert len(views) > 50
+    for room, opened in ((len(views), len(views)), (7, 2 * len(views)), (0, 2 * len(views))):
+        pictures = Pictures(dataset, training.plan, np.zeros(3), cache_bytes=room * own)
+        for _ in range(2):
+            for one in views:
+                shown = pictures(one)
+                assert pictures.held_bytes <= max(room, 1) * own and shown.name == one.path
+        assert pictures.opened == opened
+        # Shown last is held.
+        assert pictures(views[-1]) is shown
 
 
 def lens(width: int, height: int, focal: float, cx: float | None = None) -> Camera:

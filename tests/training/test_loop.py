@@ -182,7 +182,7 @@ def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
 
 _CHILD = """
 import sys, time, torch
-torch.set_num_threads(1)
+torch.set_num_threads(int(sys.argv[2]))
 from pathlib import Path
 from tests.training.test_loop import run
 from tests.training.street import Painted
@@ -196,9 +196,13 @@ run(Path(sys.argv[1]), 160, pictures=Stuck(), options=Options(checkpoint_s=0.1))
 """
 
 
-def test_killed_and_resumed_it_is_the_same_model(tmp_path: Path) -> None:
+@pytest.mark.parametrize("threads", [1, 2])
+def test_killed_and_resumed_it_is_the_same_model(tmp_path: Path, threads: int) -> None:
+    torch.set_num_threads(threads)
     environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "PYTHONPATH": str(ROOT)}
-    child = subprocess.Popen([sys.executable, "-c", _CHILD, str(tmp_path / "killed")], env=environment, cwd=ROOT)
+    child = subprocess.Popen(
+        [sys.executable, "-c", _CHILD, str(tmp_path / "killed"), str(threads)], env=environment, cwd=ROOT
+    )
     checkpoint = tmp_path / "killed" / "checkpoint.safetensors"
     waiting = time.monotonic()
     while not checkpoint.exists() and time.monotonic() - waiting < 300 and child.poll() is None:

@@ -36,6 +36,10 @@ class Pictures:
         depth_of: traversals whose depth maps are read, of the chosen layer; others have none.
         sky: read masks of the sky too, for a method that learns from them.
         cache_bytes: held at most; memory does not grow with the number of pictures beyond it.
+
+    Attributes:
+        held_bytes: of pictures that are held now.
+        opened: pictures that were opened so far, those that were opened again among them.
     """
 
     def __init__(
@@ -52,7 +56,7 @@ class Pictures:
         self._sky, self._depth_of = sky, depth_of
         self._source = TruthSource(dataset, plan.protocol, plan.layers)
         self._held: OrderedDict[str, TrainingPicture] = OrderedDict()
-        self._bytes = 0
+        self.held_bytes = 0
         self.opened = 0
 
     def __call__(self, view: View) -> TrainingPicture:
@@ -68,10 +72,10 @@ class Pictures:
         picture = self._open(view)
         self.opened += 1
         self._held[view.path] = picture
-        self._bytes += picture.bytes
-        while self._bytes > self._most and len(self._held) > 1:
+        self.held_bytes += picture.bytes
+        while self.held_bytes > self._most and len(self._held) > 1:
             _, old = self._held.popitem(last=False)
-            self._bytes -= old.bytes
+            self.held_bytes -= old.bytes
         return picture
 
     def _open(self, view: View) -> TrainingPicture:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import torch
 
 from benchmarks._reconstruction.truth.trained import Trained, spread
-from benchmarks._street_speed import HEIGHT, PAPER_MS, WIDTH, timed
+from benchmarks.street import HEIGHT, PAPER_MS, WIDTH, timed
 from mirror.evaluation.views.view import View
 
 PAPER_FPS: Final = 1000.0 / PAPER_MS

@@ -1,4 +1,4 @@
-"""The loss of normals in plain torch, on whole pictures."""
+"""Losses in plain torch, on whole pictures of any precision: what the fast ones are held against."""
 
 from __future__ import annotations
 
@@ -57,3 +57,22 @@ def _neighbours(known: Tensor) -> Tensor:
     """(H - 4, W) where a mask (H, W) is set in all five rows around."""
     rows = max(len(known) - 4, 0)
     return known[:rows] & known[1 : rows + 1] & known[2 : rows + 2] & known[3 : rows + 3] & known[4:]
+
+
+def similarity(x: Tensor, y: Tensor) -> Tensor:
+    """(H, W) structural similarity of pictures (H, W, 3), mean of the channels, black beyond the border.
+
+    Source: Wang et al. 2004, windows of 11 x 11, sigma 1.5.
+    """
+    steps = torch.arange(-5, 6, dtype=x.dtype)
+    window = torch.exp(-(steps**2) / (2.0 * 1.5**2))
+    window = window / window.sum()
+    kernel = (window[:, None] * window)[None, None]
+
+    def blurred(picture: Tensor) -> Tensor:
+        return functional.conv2d(picture.permute(2, 0, 1)[:, None], kernel, padding=5)[:, 0].permute(1, 2, 0)
+
+    mean_x, mean_y = blurred(x), blurred(y)
+    xx, yy, xy = blurred(x * x) - mean_x**2, blurred(y * y) - mean_y**2, blurred(x * y) - mean_x * mean_y
+    ssim = (2 * mean_x * mean_y + 1e-4) * (2 * xy + 9e-4) / ((mean_x**2 + mean_y**2 + 1e-4) * (xx + yy + 9e-4))
+    return ssim.mean(2)

@@ -1,4 +1,4 @@
-"""How fast a block of a street is drawn, decode included, and how far that is from float64."""
+"""How fast a block of a street is drawn and learnt, decode included, and how far that is from float64."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from benchmarks._plain_street import exact, plain_picture
+from benchmarks._street_learning import learning_rows
 from benchmarks.report import Peer, Row, report
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.seeding import Initial, street_of
@@ -148,17 +149,17 @@ def timed(
 
 def main(argv: Sequence[str]) -> int:
     """Measure a street of chance, and models that are named."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks._street_speed", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.street", description=__doc__)
     parser.add_argument("models", nargs="*", type=Path, help="model.safetensors of trained blocks")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args(argv)
     torch.set_num_threads(arguments.threads)
     streets = {"chance": corridor()} | {path.parent.name: load_block(path)[1] for path in arguments.models}
-    groups = {}
+    groups: dict[str, Iterable[Row]] = {"learning": learning_rows()}
     for name, street in streets.items():
         views = round_views(street)
         groups[name] = itertools.chain(rows(street, views, name), half_rows(street, views, name))
-    return report("street_speed", groups)
+    return report("street", groups)
 
 
 if __name__ == "__main__":

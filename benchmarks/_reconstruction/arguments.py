@@ -20,10 +20,13 @@ class Arguments:
     The whole comparison takes hours: ten minutes a job, two jobs side by side on two cores.
     """
 
-    what: tyro.conf.Positional[Literal["tune", "prepare", "run", "show", "publish", "truth", "figures"]] = "show"
+    what: tyro.conf.Positional[Literal["tune", "prepare", "run", "show", "settings", "publish", "truth", "figures"]] = (
+        "show"
+    )
     """tune: the same grid of settings for all methods, on a street of its own; prepare: recordings, dataset, layers;
-    run: train and score; show: tables of what is done; publish: what they are made of, without the scores of each
-    picture; truth: hold trained models against exact truth; figures: sheets of renders and curves of budgets."""
+    run: train and score; show: tables of what is done; settings: all numbers of each row; publish: what the tables are
+    made of, without the scores of each picture; truth: hold trained models against exact truth; figures: sheets of
+    renders and curves of budgets."""
     data: Path = OUT / "reconstruction"
     """Folder of the scenes and of all that is made of them."""
     entries: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()

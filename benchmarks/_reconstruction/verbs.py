@@ -15,6 +15,7 @@ from benchmarks._reconstruction.declared import Declared, Tuning
 from benchmarks._reconstruction.groups import COMPARISON, TUNING, Group, asked, groups, split_of
 from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_ceilings, read_outcome
 from benchmarks._reconstruction.queue import run_all
+from benchmarks._reconstruction.settings import settings_tables
 from benchmarks._reconstruction.tables import differences, outcomes, tables, tuned
 from mirror.cli.watch import watching
 from mirror.errors import ExitCode
@@ -94,6 +95,11 @@ def _show(arguments: Arguments, declaration: Declared) -> int:
     return ExitCode.DONE
 
 
+def _settings(arguments: Arguments, declaration: Declared) -> int:
+    print("\n\n".join(settings_tables(asked(arguments, declaration).shown)))
+    return ExitCode.DONE
+
+
 def _truth(arguments: Arguments, declaration: Declared) -> int:
     # It takes what no table of outcomes needs: the street is built again.
     from benchmarks._reconstruction.truth.run import measure, measure_ceiling, measured
@@ -145,6 +151,7 @@ VERBS: Final[Mapping[str, Callable[[Arguments, Declared], int]]] = {
     "prepare": _prepare,
     "run": _run,
     "show": _show,
+    "settings": _settings,
     "publish": _publish,
     "truth": _truth,
     "figures": _figures,

@@ -39,5 +39,13 @@ def test_tables_of_the_document_are_those_of_the_outcomes(
     assert not missing, f"docs/results.md lacks what `{verb} --group {group}` prints: {missing[0]}"
 
 
+@pytest.mark.parametrize("group", [name for name in GROUPS if name in ("comparison", "released")])
+def test_settings_in_the_document_are_those_of_the_rows(group: GroupName, capsys: pytest.CaptureFixture[str]) -> None:
+    assert VERBS["settings"](Arguments("settings", RESULTS, group=group), declared()) == 0
+    tables = capsys.readouterr().out.strip().split("\n\n")
+    assert len(tables) == 2 and "| depth_weight | 0.04 | 0.04 |" in tables[0]
+    assert all(table in RESULTS.with_suffix(".md").read_text() for table in tables)
+
+
 def test_the_declaration_that_is_named_is_the_one_that_holds() -> None:
     assert declared().hash[:16] in (ROOT / "docs" / "results.md").read_text()

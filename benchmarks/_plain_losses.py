@@ -67,10 +67,10 @@ def similarity(x: Tensor, y: Tensor) -> Tensor:
     steps = torch.arange(-5, 6, dtype=x.dtype)
     window = torch.exp(-(steps**2) / (2.0 * 1.5**2))
     window = window / window.sum()
-    kernel = (window[:, None] * window)[None, None]
 
     def blurred(picture: Tensor) -> Tensor:
-        return functional.conv2d(picture.permute(2, 0, 1)[:, None], kernel, padding=5)[:, 0].permute(1, 2, 0)
+        down = functional.conv2d(picture.permute(2, 0, 1)[:, None], window[None, None, :, None], padding=(5, 0))
+        return functional.conv2d(down, window[None, None, None], padding=(0, 5))[:, 0].permute(1, 2, 0)
 
     mean_x, mean_y = blurred(x), blurred(y)
     xx, yy, xy = blurred(x * x) - mean_x**2, blurred(y * y) - mean_y**2, blurred(x * y) - mean_x * mean_y

@@ -15,8 +15,8 @@ from hybridworldsim.scene.lazy_adam import BETA1, BETA2, LazyAdam
 from hybridworldsim.scene.similarity import similarity
 
 WIDTH, HEIGHT = 480, 270
-_KNOWN = 0.35
-"""Of a training picture's pixels stereo knows about so many, in patches."""
+_KNOWN, _PATCH = 0.06, 6
+"""Of a training picture's pixels stereo knows about so many, in patches of so many pixels a side."""
 _ROWS, _COLUMNS, _SEEN, _STEPS = 36_000, 32, 0.1, 30
 _RATE = 2e-2
 
@@ -32,8 +32,8 @@ def _curvature() -> Row:
     rng = np.random.default_rng(0)
     depth = 8.0 + 3.0 * torch.from_numpy(np.sin(np.linspace(0, 9, HEIGHT))[:, None] * np.cos(np.linspace(0, 7, WIDTH)))
     rendered = depth + torch.from_numpy(rng.normal(0.0, 0.02, depth.shape))
-    patches = torch.from_numpy(rng.random((HEIGHT // 15, WIDTH // 15)) < _KNOWN)
-    known = patches.repeat_interleave(15, 0).repeat_interleave(15, 1)
+    patches = torch.from_numpy(rng.random((HEIGHT // _PATCH, WIDTH // _PATCH)) < _KNOWN)
+    known = patches.repeat_interleave(_PATCH, 0).repeat_interleave(_PATCH, 1)
     K = torch.tensor([[0.6 * WIDTH, 0.0, WIDTH / 2], [0.0, 0.6 * WIDTH, HEIGHT / 2], [0.0, 0.0, 1.0]]).double()
     return _loss(
         "loss of normals", lambda one: normal_loss(one, depth.to(one.dtype), known, K),

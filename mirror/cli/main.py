@@ -65,8 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"mirror {verb}: {error}", file=sys.stderr)
         return ExitCode.COULD_NOT_RUN
     except KeyboardInterrupt:
-        goes_on = "begins anew, in another folder" if verb == "render" else "goes on where it stopped"
-        print(f"mirror {verb}: interrupted; the same command {goes_on}", file=sys.stderr)
+        print(f"mirror {verb}: interrupted: run the same command again, and it goes on", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # The reader of our output went away (`| head`); point stdout elsewhere so that the exit stays quiet.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import time
@@ -106,16 +107,19 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
 
     def renderer(_: Dataset, asked: Plan) -> Iterator[Render]:
         for scene, model in models.items():
-            render = installed_method(name).open(model, looking)
-            for view in asked.views:
-                if view.scene_id == scene:
-                    yield [view], render(view)
+            own = [view for view in asked.views if view.scene_id == scene]
+            # What an interrupted run has rendered is there.
+            missing = [view for view in own if not (arguments.out / view.path).is_file()]
+            if missing:
+                render = installed_method(name).open(model, looking)
+                yield from (([view], render(view)) for view in missing)
 
     about = Method(name=name, licence=licence_of(name), trained_on=_trained_on(models.values()))
     with progress_bar(quiet=arguments.json) as bar:
         count = write_submission(
-            dataset, plan, renderer, about, appearance_of(looking), arguments.out, bar, _costs(models.values())
-        )
+            dataset, plan, renderer, about, appearance_of(looking), arguments.out, bar, _costs(models.values()),
+            of=_hash(models.values()),
+        )  # fmt: skip
     said = {"out": str(arguments.out), "views": count, "method": name}
     print(json.dumps(said) if arguments.json else f"{count} renders by {name}: {arguments.out}")
     if not arguments.json:
@@ -136,6 +140,13 @@ def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
             expected="models by one method, one of each scene",
         )
     return methods[0], scenes
+
+
+def _hash(models: Iterable[Path]) -> str:
+    """Of the documents of models, which say what each took: no two trainings took the same."""
+    from mirror.evaluation.reconstruction import DOCUMENT
+
+    return hashlib.sha256(b"".join((model / DOCUMENT).read_bytes() for model in models)).hexdigest()
 
 
 def _trained_on(models: Iterable[Path]) -> str:
@@ -183,6 +194,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.methods import Looking, by_camera, installed_method, opened_by_camera
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.reconstruction import read_reconstruction, require_same_street
+    from mirror.evaluation.submission.writing import begin_rendering
     from mirror.evaluation.views.trajectories import named, views_along
 
     pixels = load_protocol(arguments.protocol).pixels
@@ -212,12 +224,15 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
         if arguments.out.suffix in _VIDEOS:
             from mirror.view.video import write_video
 
-            count = write_video(arguments.out, _side_by_side(views, render, len(asked), bar.advance), arguments.hz)
+            write_video(arguments.out, _side_by_side(views, render, len(asked), bar.advance), arguments.hz)
+            rendered = len(views)
         else:
-            count = _pictures(arguments.out, views, render, bar.advance)
-    speed = len(views) / (time.perf_counter() - begin)
-    said = {"out": str(arguments.out), "pictures": count, "method": name, "frames_per_second": speed}
-    words = f"{count} pictures by {name}, {speed:.1f} a second: {arguments.out}"
+            of = (_hash(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)
+            begin_rendering(arguments.out, of)
+            rendered = _pictures(arguments.out, views, render, bar.advance)
+    speed = rendered / (time.perf_counter() - begin)
+    said = {"out": str(arguments.out), "pictures": len(views), "method": name, "frames_per_second": speed}
+    words = f"{len(views)} pictures by {name}, {speed:.1f} a second: {arguments.out}"
     print(json.dumps(said) if arguments.json else words)
     return ExitCode.DONE
 
@@ -240,12 +255,16 @@ def _side_by_side(
 
 
 def _pictures(out: Path, views: Sequence[View], render: Callable[[View], UInt8], advance: Callable[[int], None]) -> int:
+    """Render what is not there yet; how many that was."""
     from mirror.evaluation.submission.png import encode_png
+    from mirror.evaluation.submission.writing import BEGUN
     from mirror.schema.files import write_bytes
 
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
-    for view in views:
-        write_bytes(out / view.camera / f"{view.frame_index:05d}.png", encode_png(render(view)))
+    files = [(view, out / view.camera / f"{view.frame_index:05d}.png") for view in views]
+    missing = [(view, file) for view, file in files if not file.is_file()]
+    advance(len(files) - len(missing))
+    for view, file in missing:
+        write_bytes(file, encode_png(render(view)))
         advance(1)
-    return len(views)
+    (out / BEGUN).unlink()
+    return len(missing)

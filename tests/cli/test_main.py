@@ -101,7 +101,7 @@ def test_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
 
     monkeypatch.setattr("mirror.cli.index.main", interrupted)
     assert main(["index", "x"]) == 130
-    assert "goes on where it stopped" in capsys.readouterr().err
+    assert "run the same command again" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,9 @@ import torch
 
 import mirror
 from hybridworldsim.methods.layers import layers_for, method_of
+from hybridworldsim.methods.street import OpenStreet
 from hybridworldsim.scene.blocks import divide
+from mirror.arrays import UInt8
 from mirror.cli.main import main
 from mirror.cli.watch import watching
 from mirror.dataset import Dataset
@@ -29,6 +31,7 @@ from mirror.evaluation.progress import Silent
 from mirror.evaluation.protocol import load_protocol
 from mirror.evaluation.reconstruction import Reconstruction, read_reconstruction, require_same_street, trained_on
 from mirror.evaluation.views import Plan, plan_views
+from mirror.evaluation.views.view import View
 from mirror.schema.tables import DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 
@@ -556,3 +559,36 @@ def test_a_model_is_rendered_at_the_poses_that_it_was_trained_at(dataset: Datase
     with pytest.raises(UsageError, match=r"trained at poses refined@1, these are recorded.*with_layers"):
         require_same_street(dataset, "novel", model)
     require_same_street(dataset, "novel", model.model_copy(update={"poses": "recorded"}))
+
+
+@pytest.mark.parametrize("where", ["split", "trajectory"])
+def test_an_interrupted_rendering_goes_on_and_ends_the_same(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    model, out, whole = tmp_path / "model", tmp_path / "out", tmp_path / "whole"
+    said(capsys, *reconstruct(dataset, model, "--steps", 3))
+    asked = ("--split", "novel", "--protocol", narrow(tmp_path))
+    if where == "trajectory":
+        asked = ("--trajectory", "forward:1", "--width", 48, "--hz", 5)
+    words = ("render", model, "--dataset", dataset.root, *asked)
+    said(capsys, *words, "--out", whole)
+    drawn = []
+
+    def interrupted(opened: OpenStreet, view: View) -> UInt8:
+        drawn.append(view.path)
+        if len(drawn) == 6:
+            raise KeyboardInterrupt
+        return usual(opened, view)
+
+    usual = OpenStreet.__call__
+    monkeypatch.setattr(OpenStreet, "__call__", interrupted)
+    assert main([str(word) for word in (*words, "--out", out)]) == 130
+    assert "run the same command again" in capsys.readouterr().err and not (out / "manifest.json").exists()
+    other = said(capsys, *words, "--appearance", "mean", "--out", out, code=ExitCode.COULD_NOT_RUN)
+    assert "something else began here" in other["problem"]
+    said(capsys, *words, "--out", out)
+    files = {path.relative_to(whole): path.read_bytes() for path in whole.rglob("*.png")}
+    assert {path.relative_to(out): path.read_bytes() for path in out.rglob("*.png")} == files
+    assert len(drawn) == len(files) + 1 and not (out / ".rendering").exists()
+    # Done is done: nothing goes on there.
+    assert "not an empty folder" in said(capsys, *words, "--out", out, code=ExitCode.COULD_NOT_RUN)["problem"]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import platform
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
@@ -22,6 +24,9 @@ from mirror.schema.files import write_bytes
 Render: TypeAlias = tuple[Sequence[View], UInt8]
 """A picture (H, W, 3), RGB, and the views that it is the render of."""
 
+BEGUN: Final = ".rendering"
+"""In a folder whose renders are not all there yet: a hash of what they are of."""
+
 Renderer: TypeAlias = Callable[[Dataset, Plan], Iterable[Render]]
 """Renders every view of a plan once, in any order."""
 
@@ -35,8 +40,12 @@ def write_submission(
     out: Path,
     progress: Progress | None = None,
     costs: Runtime | None = None,
+    of: str | None = None,
 ) -> int:
     """Render a plan's views one by one and write them as a submission; the manifest is written last.
+
+    Where it is said what the pictures are of, a run that was interrupted goes on: the renderer may leave out views
+    whose files are there.
 
     Args:
         dataset: what the renderer may look at.
@@ -47,9 +56,10 @@ def write_submission(
         out: a new or an empty folder.
         progress: told of each view.
         costs: what is known of them besides the speed.
+        of: what decides the pictures besides plan, method and appearance, such as the hash of a model.
 
     Returns:
-        How many views were rendered.
+        How many views the submission has.
 
     Raises:
         UsageError: the protocol asks for no renders, or the folder holds something.
@@ -58,10 +68,11 @@ def write_submission(
     expected = expected_files(plan)
     if not expected or None in expected.values():
         raise UsageError(f"protocol {plan.protocol.name} asks for no renders", expected="a protocol that does")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
+    begin_rendering(out, None if of is None else (plan.hash, repr(method), repr(appearance), of))
     progress = progress or Silent()
     progress.start("rendering", len(plan.views))
+    there = sum((out / path).is_file() for path in expected)
+    progress.advance(there)
     written, taken, begin = 0, 0.0, time.perf_counter()
     for views, picture in renderer(dataset, plan):
         taken += time.perf_counter() - begin
@@ -71,9 +82,35 @@ def write_submission(
         written += len(views)
         progress.advance(len(views))
         begin = time.perf_counter()
-    if written != len(expected):
-        raise DatasetError(f"{written} of {len(expected)} views were rendered", file=out, expected="every view, once")
+    if there + written != len(expected):
+        rendered = f"{there + written} of {len(expected)} views were rendered"
+        raise DatasetError(rendered, file=out, expected="every view, once")
     runtime = costs or Runtime(device=f"{platform.machine()} CPU")
-    runtime = runtime.model_copy(update={"frames_per_second": written / max(taken, 1e-9)})
+    if written:
+        runtime = runtime.model_copy(update={"frames_per_second": written / max(taken, 1e-9)})
     write_manifest(out, manifest_for(plan, method, appearance, runtime))
-    return written
+    (out / BEGUN).unlink(missing_ok=True)
+    return len(expected)
+
+
+def begin_rendering(out: Path, of: Sequence[str] | None) -> None:
+    """See that a folder is new or empty, or that the same rendering was interrupted in it.
+
+    Args:
+        out: the folder; it is made.
+        of: what decides the pictures; None: nothing goes on.
+
+    Raises:
+        UsageError: it holds something else.
+        DatasetError: it cannot be written.
+    """
+    mark = hashlib.sha256(json.dumps(of).encode()).hexdigest()
+    begun = out / BEGUN
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if of is None or not begun.is_file():
+            raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
+        if begun.read_text() != mark:
+            raise UsageError("renders of something else began here", file=out, remedy="name a new one with --out")
+        return
+    if of is not None:
+        write_bytes(begun, mark.encode())

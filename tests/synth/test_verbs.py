@@ -11,8 +11,10 @@ import pytest
 import mirror.cli.main
 from mirror.cli.demo import main as demo
 from mirror.cli.main import main
+from mirror.errors import ExitCode
 from mirror.synth import Effects
 from mirror.synth.fleet.drives import drives_of
+from tests.leaderboard.test_add import result
 
 
 def test_synth_writes_recordings_that_ingest_can_judge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -78,9 +80,26 @@ def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ran: list[list[str]] = []
-    monkeypatch.setattr(mirror.cli.demo, "run", lambda words: ran.append(words) or 0)
+    scores = {"reconstructed": 17.5, "nearest_frame": 13.25, "mean_color": 11.0}
+
+    def noted(words: list[str]) -> int:
+        ran.append(words)
+        if words[1] == "evaluate":
+            out = Path(words[words.index("--out") + 1])
+            figures = [
+                {"metric": metric, "group": "novel", "value": scores[out.name] + more, "better": "higher", "n": 1}
+                for metric, more in (("psnr", 0.0), ("psnr_cc", 3.0))
+            ]
+            out.mkdir(parents=True)
+            (out / "result.json").write_text(json.dumps({**result(), "figures": figures}))
+        return 0
+
+    monkeypatch.setattr(mirror.cli.demo, "run", noted)
     own = tmp_path / "own"
     assert demo(["--out", str(own)]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert "  reconstructed PSNR 17.50 dB, PSNR* 20.50 dB on the held-out traversal" in told
+    assert "  nearest_frame PSNR 13.25 dB, PSNR* 16.25 dB on the held-out traversal" in told
     modules = [words[2] for words in ran if words[0] == "python"]
     assert modules == ["nearest_frame", "leaderboard", "mean_color", "leaderboard", "nearest_frame", "leaderboard"]
     verbs = [words[1] for words in ran if words[0] == "mirror"]
@@ -88,6 +107,9 @@ def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     (own / "old.txt").write_text("from the last demo")
     assert demo(["--out", str(own)]) == 0
     assert not (own / "old.txt").exists()
+    # What it says of itself is to be so.
+    scores["reconstructed"] = 13.0
+    assert demo(["--out", str(own)]) == ExitCode.FINDINGS
     other = tmp_path / "other"
     other.mkdir()
     (other / "letter.txt").write_text("mine")

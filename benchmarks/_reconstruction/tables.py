@@ -162,6 +162,8 @@ def _told(keys: frozenset[tuple[str, int]]) -> str:
 def _gap(gaps: np.ndarray) -> str:
     if np.isnan(gaps).any():
         return "-"
+    if len(gaps) < 2:
+        return f"{gaps.mean():+.3f}"
     low, high = interval(gaps)
     return f"{gaps.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
 

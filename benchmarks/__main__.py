@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from pathlib import Path
 
@@ -25,6 +26,10 @@ def main(argv: list[str]) -> int:
         except MirrorError as error:
             print(f"benchmarks {argv[0]}: {error}", file=sys.stderr)
             return ExitCode.COULD_NOT_RUN
+        except BrokenPipeError:
+            # The reader of our output went away (`| head`).
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return ExitCode.DONE
         return code
     print("usage: python -m benchmarks NAME [OPTIONS]; `--help` after a name explains it\n")
     for name in names():

@@ -118,7 +118,7 @@ def _truth(arguments: Arguments, declaration: Declared) -> int:
     for minutes in group.minutes:
         own = [one for one in found if one["job"]["core_minutes"] == minutes]
         print(f"{minutes:g} core-minutes a block, {group.width_px} px\n")
-        print(truth_tables(own) or "no model is trained to the end")
+        print(truth_tables(own) or "no model is measured")
     exact = [one for one in read_ceilings(arguments.data).values() if one["width_px"] == group.width_px]
     if text := ceiling_table([one for one in exact if one["scene"] in group.scenes]):
         print(f"\n### What the exact street scores\n\n{text}")

@@ -52,7 +52,7 @@ def ground_table(found: Sequence[Measured]) -> str:
 
 
 def ceiling_table(found: Sequence[Measured]) -> str:
-    """A row a scene, group, light and kind of poses, and their means over scenes."""
+    """A row a scene, group, light and kind of poses, and their means over several scenes."""
     by_kind: dict[tuple[str, str, str], list[tuple[str, Measured]]] = {}
     for one in found:
         for row in one["ceiling"]:
@@ -61,7 +61,7 @@ def ceiling_table(found: Sequence[Measured]) -> str:
     for kind, own in sorted(by_kind.items()):
         mean = {name: _mean(row[name] for _, row in own) for name in ("psnr", "psnr_cc", "ssim")}
         pictures = sum(row["pictures"] for _, row in own)
-        for scene, row in (*own, ("mean", {**mean, "pictures": pictures})):
+        for scene, row in own if len(own) == 1 else (*own, ("mean", {**mean, "pictures": pictures})):
             numbers = (f"{row['psnr']:.2f}", f"{row['psnr_cc']:.2f}", f"{row['ssim']:.3f}", str(row["pictures"]))
             rows.append([*kind, scene, *numbers])
     return _markdown(["views", "light", "poses", "scene", "PSNR", "PSNR*", "SSIM", "pictures"], rows)

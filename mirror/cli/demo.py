@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import shutil
@@ -88,7 +89,8 @@ def _held_out(result: Path) -> dict[str, float]:
 
     figures = read_json(result / RESULT, Result).figures
     own = {one.metric: one.value for one in figures if (one.group, one.level) == ("novel", "group")}
-    return {metric: float(own[metric] or 0.0) for metric in ("psnr", "psnr_cc")}
+    # A figure that there is not is above nothing.
+    return {metric: math.nan if (value := own[metric]) is None else value for metric in ("psnr", "psnr_cc")}
 
 
 def run(words: Sequence[str]) -> int:

@@ -47,9 +47,10 @@ class Points:
 def points_of(dataset: Dataset) -> Points:
     """The points of a view's traversals, of the layer that it chooses; see `Dataset.points`."""
     chosen = dataset.layers.points
-    listed = dataset.table("traversals", ["layers"]).column(0).to_pylist()
-    if chosen is not None and listed and not any(f"{POINTS.name}/{chosen}" in own for own in listed):
-        raise no_layer(POINTS.name, chosen, dataset.root)
+    if chosen is not None:
+        listed = dataset.table("traversals", ["layers"]).column(0).to_pylist()
+        if listed and not any(f"{POINTS.name}/{chosen}" in own for own in listed):
+            raise no_layer(POINTS.name, chosen, dataset.root)
     ids: list[str] = []
     parts: list[pa.Table] = []
     for part in select(dataset.catalog, dataset.filters, POINTS.name):

@@ -30,14 +30,13 @@ def changed(settings: _Settings, words: Mapping[str, str]) -> _Settings:
     if not words:
         return settings
     whole = asdict(settings)  # type: ignore[call-overload]
-    known = dict(_leaves(whole))
+    known = _leaves(whole)
     for name, text in words.items():
-        if name not in known or name == _SEED:
+        if name == _SEED:
+            raise UsageError("the seed is no setting", place="--set", expected="--seed")
+        if name not in known:
             near = difflib.get_close_matches(name, known, 3) or sorted(known)
-            raise UsageError(
-                f"no setting {name!r}" if name != _SEED else "the seed is no setting", place="--set",
-                expected=f"NAME=VALUE, such as {', '.join(near)}" if name != _SEED else "--seed",
-            )  # fmt: skip
+            raise UsageError(f"no setting {name!r}", place="--set", expected=f"NAME=VALUE, such as {', '.join(near)}")
         *outer, last = name.split(".")
         inner = whole
         for key in outer:
@@ -52,10 +51,11 @@ def changed(settings: _Settings, words: Mapping[str, str]) -> _Settings:
         ) from error
 
 
-def _leaves(whole: Mapping[str, Any], under: str = "") -> list[tuple[str, Any]]:
+def _leaves(whole: Mapping[str, Any], under: str = "") -> list[str]:
+    """Names of all settings."""
     found = []
     for key, value in whole.items():
-        found += _leaves(value, f"{under}{key}.") if isinstance(value, dict) else [(f"{under}{key}", value)]
+        found += _leaves(value, f"{under}{key}.") if isinstance(value, dict) else [f"{under}{key}"]
     return found
 
 

@@ -76,7 +76,7 @@ class Pictures:
             _, old = self._held.popitem(last=False)
             self.held_bytes -= old.bytes
         recorded = self._held[view.path]
-        # A quarter of the bytes is held of what is four times as many in float32.
+        # Held as it was recorded: in float32 colours would take four times the bytes.
         return replace(recorded, rgb=recorded.rgb.to(torch.float32).div_(255.0))
 
     def _open(self, view: View) -> TrainingPicture:

@@ -92,6 +92,8 @@ def run(job: Job, folder: Path) -> Path:
         **_costs(done),
         **scores,
     }
+    # What was measured of a model that this one takes the place of says nothing of this one.
+    (folder / TRUTH / outcome.name).unlink(missing_ok=True)
     write_bytes(outcome, (json.dumps(document, indent=1) + "\n").encode())
     return outcome
 

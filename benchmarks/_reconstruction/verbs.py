@@ -116,9 +116,10 @@ def _truth(arguments: Arguments, declaration: Declared) -> int:
     found = [one for one in measured(arguments.data) if group.has(Job(**one["job"]))]
     found.sort(key=lambda one: group.shown.index(one["job"]["entry"]))
     for minutes in group.minutes:
-        own = [one for one in found if one["job"]["core_minutes"] == minutes]
-        print(f"{minutes:g} core-minutes a block, {group.width_px} px\n")
-        print(truth_tables(own) or "no model is measured")
+        if own := [one for one in found if one["job"]["core_minutes"] == minutes]:
+            print(f"{minutes:g} core-minutes a block, {group.width_px} px\n\n{truth_tables(own)}")
+    if not found:
+        print("no model is measured")
     exact = [one for one in read_ceilings(arguments.data).values() if one["width_px"] == group.width_px]
     if text := ceiling_table([one for one in exact if one["scene"] in group.scenes]):
         print(f"\n### What the exact street scores\n\n{text}")

@@ -11,6 +11,7 @@ from typing import Final
 import tyro
 
 from leaderboard.refused import RefusedError
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, MirrorError, UsageError
 
 FOLDER: Final = Path(__file__).parent
@@ -65,7 +66,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _build(argv: Sequence[str]) -> int:
-    arguments = tyro.cli(Build, args=list(argv), prog="python -m leaderboard build")
+    arguments = parsed(Build, argv, "python -m leaderboard build")
     from leaderboard.site.page import build
 
     print(f"site: {build((arguments.board, *arguments.also), arguments.out)}")
@@ -73,7 +74,7 @@ def _build(argv: Sequence[str]) -> int:
 
 
 def _add(argv: Sequence[str]) -> int:
-    arguments = tyro.cli(Add, args=list(argv), prog="python -m leaderboard add")
+    arguments = parsed(Add, argv, "python -m leaderboard add")
     from leaderboard.add import add_result
     from leaderboard.pictures import Shown
 

@@ -18,7 +18,7 @@ from benchmarks._reconstruction.queue import run_all
 from benchmarks._reconstruction.settings import settings_tables
 from benchmarks._reconstruction.tables import differences, outcomes, tables, tuned
 from mirror.cli.watch import watching
-from mirror.errors import ExitCode
+from mirror.errors import DatasetError, ExitCode
 from mirror.schema.files import write_bytes
 
 _COMPARED: Final = ("train PSNR", "train SSIM", "train ST-LPIPS", "novel PSNR*", "novel SSIM", "novel ST-LPIPS")
@@ -41,7 +41,8 @@ def _trials(folder: Path, group: Group, grid: Tuning) -> str:
     for minutes in group.minutes:
         own = [one for one in outcomes(folder) if replace(group, minutes=(minutes,)).has(one.job)]
         if own:
-            parts.append(f"tuning, {minutes:g} core-minutes\n\n{tuned(own, grid)}")
+            what = "training PSNR / PSNR* of the held-out traversal, dB; the best sum of a method is bold"
+            parts.append(f"tuning, {minutes:g} core-minutes: {what}\n\n{tuned(own, grid)}")
     return "\n\n".join(parts)
 
 
@@ -81,6 +82,8 @@ def _publish(arguments: Arguments, declaration: Declared) -> int:
 def _show(arguments: Arguments, declaration: Declared) -> int:
     group = asked(arguments, declaration)
     found = [one for one in outcomes(arguments.data) if group.has(one.job)]
+    if not found:
+        raise _nothing(arguments, "outcome")
     print(f"declaration {declaration.hash[:16]}")
     for minutes in group.minutes:
         own = [one for one in found if one.job.core_minutes == minutes]
@@ -93,6 +96,11 @@ def _show(arguments: Arguments, declaration: Declared) -> int:
     if trials := _trials(arguments.data / TUNING, groups(declaration)[TUNING], declaration.tuning):
         print(f"\n{trials}")
     return ExitCode.DONE
+
+
+def _nothing(arguments: Arguments, what: str) -> DatasetError:
+    remedy = f"`prepare` and `run` with --data {arguments.data}; what is published is in docs/results"
+    return DatasetError(f"no {what} of group {arguments.group}", file=arguments.data, remedy=remedy)
 
 
 def _settings(arguments: Arguments, declaration: Declared) -> int:
@@ -119,7 +127,7 @@ def _truth(arguments: Arguments, declaration: Declared) -> int:
         if own := [one for one in found if one["job"]["core_minutes"] == minutes]:
             print(f"{minutes:g} core-minutes a block, {group.width_px} px\n\n{truth_tables(own)}")
     if not found:
-        print("no model is measured")
+        raise _nothing(arguments, "measured model")
     exact = [one for one in read_ceilings(arguments.data).values() if one["width_px"] == group.width_px]
     if text := ceiling_table([one for one in exact if one["scene"] in group.scenes]):
         print(f"\n### What the exact street scores\n\n{text}")
@@ -133,6 +141,8 @@ def _figures(arguments: Arguments, declaration: Declared) -> int:
     group = asked(arguments, declaration)
     group = replace(group, seeds=group.seeds[:1])
     trained = [job for job in done_jobs(arguments.data) if group.has(job)]
+    if not trained:
+        raise _nothing(arguments, "trained model")
     prefix = "" if arguments.group == COMPARISON else f"{arguments.group}-"
     for scene, minutes in product(group.scenes, group.minutes):
         own = [job for job in trained if (job.scene, job.core_minutes) == (scene, minutes)]

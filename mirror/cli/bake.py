@@ -10,6 +10,7 @@ from typing import Literal
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, UsageError
 
 
@@ -45,9 +46,11 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror bake")
+    arguments = parsed(Arguments, argv, "mirror bake")
     if arguments.out.suffix != ".ply":
         raise UsageError(f"{arguments.out}", place="--out", expected="a name that ends in .ply")
+    if not 0 <= arguments.degree <= 3:
+        raise UsageError(f"{arguments.degree}", place="--degree", expected="0 to 3")
     if not arguments.reach > 0.0:
         raise UsageError(f"{arguments.reach:g} m", place="--reach", expected="more than nothing")
     if (arguments.appearance or "").startswith("sweep:"):

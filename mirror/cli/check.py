@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror check")
+    arguments = parsed(Arguments, argv, "mirror check")
     if arguments.quick and arguments.full:
         raise UsageError("--quick and --full at once", expected="one of them, or neither")
 

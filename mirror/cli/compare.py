@@ -9,6 +9,7 @@ from pathlib import Path
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode
 
 _UNBOUNDED = 1000
@@ -29,7 +30,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror compare")
+    arguments = parsed(Arguments, argv, "mirror compare")
 
     from mirror.evaluation.compare import compare
 

@@ -15,8 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-import tyro
-
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, UsageError
 
 _LEADERBOARD: Final = Path(__file__).parents[2] / "leaderboard"
@@ -48,7 +47,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror demo")
+    arguments = parsed(Arguments, argv, "mirror demo")
 
     begin = time.monotonic()
     _clear(arguments.out)
@@ -115,19 +114,22 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
     yield ["mirror", "stats", dataset]
     yield ["mirror", "check", dataset]
     yield ["mirror", "report", dataset, "--out", str(out / "report.html")]
-    board = str(out / "board")
     for method in _BASELINES[: 1 if arguments.quick else None]:
         submission, result = str(out / "submissions" / method), out / "results" / method
         yield ["python", "-m", method, dataset, "--split", "novel", "--out", submission]
         yield ["mirror", "evaluate", submission, "--truth", dataset, "--out", str(result), "--report"]
         if _LEADERBOARD.exists():
-            shown = ["--submission", submission, "--truth", dataset, "--board", board]
-            name = ["--dataset", f"demo street ({preset}, seed {seed})"]
-            yield ["python", "-m", "leaderboard", "add", str(result / "result.json"), *name, *shown]
+            yield _board(arguments, str(result), submission, dataset, f"demo street ({preset}, seed {seed})")
     if _reconstructs(arguments):
         yield from _block(arguments)
     if _LEADERBOARD.exists():
-        yield ["python", "-m", "leaderboard", "build", "--also", board, "--out", str(out / "site")]
+        yield ["python", "-m", "leaderboard", "build", "--also", str(out / "board"), "--out", str(out / "site")]
+
+
+def _board(arguments: Arguments, result: str, submission: str, dataset: str, street: str) -> list[str]:
+    """Put a result on the demo's own board."""
+    shown = ["--submission", submission, "--truth", dataset, "--board", str(arguments.out / "board")]
+    return ["python", "-m", "leaderboard", "add", str(Path(result) / "result.json"), "--dataset", street, *shown]
 
 
 def _reconstructs(arguments: Arguments) -> bool:
@@ -151,6 +153,8 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     for submission in (ours, floor):
         results.append(str(out / "results" / Path(submission).name))
         yield ["mirror", "evaluate", submission, "--truth", dataset, "--out", results[-1], "--report"]
+        if _LEADERBOARD.exists():
+            yield _board(arguments, results[-1], submission, dataset, f"demo block (seed {seed})")
     yield ["mirror", "compare", *(str(Path(result) / "result.json") for result in results)]
 
 
@@ -172,6 +176,7 @@ def _clear(out: Path) -> None:
     if out.exists() and not (out / _MARK).is_file() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError("not an empty folder, and no demo made it", file=out, remedy="name another one with --out")
     if out.exists():
+        print(f"{out}: what an earlier demo left there is removed", flush=True)
         shutil.rmtree(out)
     out.mkdir(parents=True)
     (out / _MARK).write_text(_NOTE)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror evaluate")
+    arguments = parsed(Arguments, argv, "mirror evaluate")
 
     from mirror.cli.progress import progress_bar
     from mirror.cli.submission import asked_or_problems, say_report

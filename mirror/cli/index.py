@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.cli.folder import local_folder
 from mirror.errors import ExitCode
 
@@ -28,7 +29,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror index")
+    arguments = parsed(Arguments, argv, "mirror index")
 
     from mirror.dataset.index import build_index
     from mirror.dataset.layout import Layout, require_dataset

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.cli.folder import local_folder
 from mirror.cli.ingest import reader_options
 from mirror.errors import DatasetError, ExitCode
@@ -40,7 +41,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror info")
+    arguments = parsed(Arguments, argv, "mirror info")
     path = local_folder(arguments.path)
     if not path.exists():
         raise DatasetError("there is nothing at this path", file=path, expected="a dataset or a recording")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, MirrorError, UsageError
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror ingest")
+    arguments = parsed(Arguments, argv, "mirror ingest")
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror ingest RECORDING... --rois FILE --out DATASET")
     if arguments.out is None and not arguments.dry_run:

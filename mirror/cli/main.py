@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"mirror {verb}: {error}", file=sys.stderr)
         return ExitCode.COULD_NOT_RUN
     except KeyboardInterrupt:
-        print(f"mirror {verb}: interrupted: run the same command again, and it goes on", file=sys.stderr)
+        print(f"mirror {verb}: interrupted: run the same command again", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # The reader of our output went away (`| head`); point stdout elsewhere so that the exit stays quiet.
@@ -84,7 +84,7 @@ def _help() -> str:
         "",
         "`mirror VERB --help` explains a verb. Every verb that reports takes --json.",
         "Exit codes: 0 done; 1 findings or a failed check; 2 could not run or wrong usage;",
-        "3 partly done (some items failed, the rest is complete).",
+        "3 partly done (some items failed, the rest is complete); 130 interrupted.",
     ]
     return "\n".join(lines)
 

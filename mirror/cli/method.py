@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, MirrorError
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def method_main(argv: Sequence[str], renderer: Renderer, method: Method, appeara
     Returns:
         The exit code (`ExitCode`).
     """
-    arguments = tyro.cli(Arguments, args=list(argv), prog=f"python -m {method.name}")
+    arguments = parsed(Arguments, argv, f"python -m {method.name}")
 
     import mirror
     from mirror.cli.progress import progress_bar

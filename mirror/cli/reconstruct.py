@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -56,9 +57,9 @@ class Arguments:
     blocks: str | None = None
     """Names of blocks, separated by commas, to train these alone: others may be trained by other machines at the same
     time. Once all are, the same command without it finishes the model. Default: all."""
-    set: tuple[str, ...] = ()
-    """Settings of the method in place of its own, NAME=VALUE, such as depth_weight=0.1 refinement.most=9000; run.json
-    of a block lists all."""
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A setting of the method in place of its own, NAME=VALUE, such as depth_weight=0.1 or refinement.most=9000;
+    run.json of a block lists all."""
     threads: int | None = None
     """Default: as many as there are processors."""
     half: bool = False
@@ -69,7 +70,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror reconstruct")
+    arguments = parsed(Arguments, argv, "mirror reconstruct")
     for name, number, least in (
         ("--minutes", arguments.minutes, 0.0),
         ("--steps", arguments.steps, 0.0),
@@ -88,6 +89,7 @@ def main(argv: Sequence[str]) -> int:
     method = installed_method(arguments.method)
 
     import mirror
+    from mirror.cli.terminable import terminable
     from mirror.cli.watch import watching
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.training import asked_of_training
@@ -113,13 +115,13 @@ def main(argv: Sequence[str]) -> int:
         settings=_settings(arguments.set),
         withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
     )
-    with watching(quiet=arguments.json) as watch:
+    with watching(quiet=arguments.json) as watch, terminable():
         done = method.reconstruct(dataset, task, arguments.out, watch)
     if arguments.json:
         said = {"folder": str(done.folder), "scene": scene}
         print(json.dumps({**asdict(done), **said, "withheld": len(task.withheld)}))
     else:
-        _print(done, scene)
+        _print(done, scene, arguments)
     return ExitCode.DONE
 
 
@@ -145,7 +147,7 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) or "a scene with training traversals"
 
 
-def _print(done: Reconstructed, scene: str) -> None:
+def _print(done: Reconstructed, scene: str, arguments: Arguments) -> None:
     print(
         f"{scene}: {done.psnr_db:.2f} dB on training pictures after {done.steps} steps, "
         f"{done.core_s / 60.0:.1f} core-minutes, {done.wall_s / 60.0:.1f} minutes"
@@ -159,4 +161,4 @@ def _print(done: Reconstructed, scene: str) -> None:
     if done.undone:
         print(f"still to be trained: {', '.join(done.undone)}; then the same command without --blocks")
         return
-    print(f"next: mirror render {done.folder} --dataset ... --split ... --out SUBMISSION")
+    print(f"next: mirror render {done.folder} --dataset {arguments.dataset} --split {arguments.split} --out SUBMISSION")

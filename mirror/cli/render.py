@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from mirror.evaluation.views.view import View
 
 _VIDEOS = (".mp4", ".mkv")
+_NO_VIDEOS = (".avi", ".gif", ".m4v", ".mov", ".mpeg", ".mpg", ".ogv", ".webm", ".wmv")
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Arguments:
     where nobody drove: a video, or a folder of pictures.
     """
 
-    models: tyro.conf.Positional[tuple[Path, ...]]
+    model: tyro.conf.Positional[tuple[Path, ...]]
     """Folder that `mirror reconstruct` wrote; for a split of several scenes one of each."""
     dataset: str
     """The dataset's folder or URL: for poses and lenses; with --appearance fit, for the left half of pictures too."""
@@ -66,11 +68,17 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror render")
+    arguments = parsed(Arguments, argv, "mirror render")
     if (arguments.split is None) == (arguments.trajectory is None):
         raise UsageError("what shall be rendered?", expected="--split for a submission, or --trajectory, one of them")
     if arguments.width is not None and arguments.width < 1:
         raise UsageError(f"{arguments.width}", place="--width", expected="1 or more")
+    if arguments.out.suffix.lower() in _NO_VIDEOS:
+        raise UsageError(
+            f"{arguments.out}", place="--out", expected=f"a folder, or a name that ends in {' or '.join(_VIDEOS)}"
+        )
+    if not arguments.model:
+        raise UsageError("no model", place="MODEL", expected="a folder that `mirror reconstruct` wrote")
 
     import mirror
 
@@ -90,7 +98,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     for sign, what in (("sweep:", "a sweep is"), ("=", "looks by camera are")):
         if sign in arguments.appearance:
             raise UsageError(f"{what} for trajectories", place="--appearance", expected="one look for all views")
-    name, models = _models(arguments.models)
+    name, models = _models(arguments.model)
     split, protocol = str(arguments.split), load_protocol(arguments.protocol)
     for model in models.values():
         document = read_reconstruction(model)
@@ -200,7 +208,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     pixels = load_protocol(arguments.protocol).pixels
     if arguments.width is not None:
         pixels = pixels.model_copy(update={"max_width_px": arguments.width})
-    name, models = _models(arguments.models)
+    name, models = _models(arguments.model)
     if len(models) != 1:
         raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
     ((scene, model),) = models.items()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, UsageError
 
 
@@ -28,7 +29,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror report")
+    arguments = parsed(Arguments, argv, "mirror report")
 
     folder = arguments.out.absolute().parent
     if not folder.is_dir():

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.cli.ingest import Cleaning, Trigger, given, reader_options
 from mirror.errors import ExitCode, UsageError
 
@@ -59,7 +60,7 @@ def main(argv: Sequence[str]) -> int:
             raise UsageError(f"no such command: {words[0]!r}", expected="mirror rois propose RECORDING...")
         print("usage: mirror rois propose RECORDING...   (`mirror rois propose --help` explains it)")
         return ExitCode.DONE if words else ExitCode.COULD_NOT_RUN
-    arguments = tyro.cli(Propose, args=words[1:], prog="mirror rois propose")
+    arguments = parsed(Propose, words[1:], "mirror rois propose")
 
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror rois propose RECORDING...")

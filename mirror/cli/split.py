@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ _OF_METHOD = {
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror split")
+    arguments = parsed(Arguments, argv, "mirror split")
 
     from mirror.dataset.splits import extend_split, make_split
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror stats")
+    arguments = parsed(Arguments, argv, "mirror stats")
 
     from mirror.dataset import open as open_dataset
     from mirror.dataset.statistics import statistics

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-import tyro
-
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode
 
 
@@ -48,7 +47,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="mirror synth")
+    arguments = parsed(Arguments, argv, "mirror synth")
 
     from mirror.cli.progress import progress_bar
     from mirror.synth import Effects, Errors, write_recordings

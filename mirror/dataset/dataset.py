@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 from mirror.dataset.index.inputs import read_inputs
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.layout import MANIFEST, Layout
+from mirror.dataset.lock import is_written
 from mirror.dataset.query.catalog import TABLES, Catalog
 from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.dataset.query.select import count, query
@@ -297,8 +298,12 @@ class Dataset:
         try:
             data = self.store.read(path)
         except FileNotFoundError as error:
+            there = [file.removesuffix(".json") for file in self.store.files("splits")]
             raise DatasetError(
-                "no such split", file=self.store.where(path), remedy=f"make it: mirror split {self.root} {name}"
+                "no such split",
+                file=self.store.where(path),
+                expected=f"one of {', '.join(there)}" if there else None,
+                remedy=f"make it: mirror split {self.root} {name} --method ...",
             ) from error
         assignments = parse_json(data, SplitDocument, self.store.where(path)).assignments
         known = [value for value in get_args(Role) if value != "unused"]
@@ -327,11 +332,14 @@ def _open(store: Store, filters: Filters, layers: LayerChoice, *, check_stale: b
         current = read_inputs(store).fingerprints
         if dict(current) != manifest.derived_from:
             differing = sorted(key for key, value in current.items() if manifest.derived_from.get(key) != value)
+            written = store.folder is not None and is_written(Layout(store.folder))
             raise DatasetError(
                 f"the index is stale: {len(differing)} of its sources changed ({', '.join(differing[:3])} ...)",
                 file=store.where("index"),
                 expected="an index derived from what is there",
-                remedy=f"run `mirror index {store.root}`",
+                remedy="another run is writing the dataset, and its index last: wait for it"
+                if written
+                else f"run `mirror index {store.root}`",
             )
     return Dataset(document, filters, layers, digest, Catalog(store, manifest.files))
 

@@ -11,6 +11,19 @@ from mirror.errors import DatasetError
 from mirror.schema.files import unwritable
 
 
+def is_written(layout: Layout) -> bool:
+    """Whether a run holds the dataset's lock now."""
+    try:
+        with layout.lock.open() as handle:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        # Nobody has ever locked it, or nobody here may.
+        return False
+    return False
+
+
 @contextmanager
 def writer_lock(layout: Layout, *, wait: bool) -> Iterator[None]:
     """Hold the dataset's lock.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from mirror.dataset.dataset import Dataset
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.protocol import Protocol
 from mirror.schema.documents import Document, SplitDocument
 from mirror.schema.files import read_json
@@ -63,6 +63,11 @@ def read_reconstruction(model: Path) -> Reconstruction:
         DatasetError: the folder holds no model.
         SchemaError: its document is broken.
     """
+    if not (model / DOCUMENT).is_file():
+        raise DatasetError(
+            f"no {DOCUMENT} there" if model.is_dir() else "no such folder", file=model,
+            expected="the folder of a model, as `mirror reconstruct --out` wrote it",
+        )  # fmt: skip
     return read_json(model / DOCUMENT, Reconstruction)
 
 

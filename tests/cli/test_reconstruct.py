@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +16,7 @@ import pytest
 import torch
 
 import mirror
-from hybridworldsim.methods.layers import layers_for, method_of
+from hybridworldsim.methods.layers import Layers, layers_for, method_of
 from hybridworldsim.methods.street import OpenStreet
 from hybridworldsim.scene.blocks import divide
 from mirror.arrays import UInt8
@@ -24,6 +26,7 @@ from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
+from mirror.dataset.lock import writer_lock
 from mirror.dataset.pictures.depth import encode_depth
 from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.evaluation.methods import Task, installed_method
@@ -465,7 +468,7 @@ def test_another_folder_is_left_alone(dataset: Dataset, tmp_path: Path, capsys: 
         capsys, "render", tmp_path, "--dataset", dataset.root, "--split", "novel", "--out", tmp_path / "new",
         code=ExitCode.COULD_NOT_RUN,
     )  # fmt: skip
-    assert problem["problem"] == "missing"
+    assert problem["problem"] == "no reconstruction.json there"
 
 
 def test_a_layer_that_one_traversal_lacks_is_told_of_and_an_empty_one_is_read(
@@ -492,7 +495,7 @@ def test_settings_are_changed_by_name_and_written_down(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model = tmp_path / "model"
-    words = reconstruct(dataset, model, "--steps", 3, "--set", "depth_weight=0.5", "refinement.most=90")
+    words = reconstruct(dataset, model, "--steps", 3, "--set", "depth_weight=0.5", "--set", "refinement.most=90")
     (block,) = said(capsys, *words)["blocks"]
     settings = json.loads((model / block / "run.json").read_text())["settings"]
     assert settings["depth_weight"] == 0.5 and settings["refinement"]["most"] == 90
@@ -591,4 +594,75 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
     assert {path.relative_to(out): path.read_bytes() for path in out.rglob("*.png")} == files
     assert len(drawn) == len(files) + 1 and not (out / ".rendering").exists()
     # Done is done: nothing goes on there.
-    assert "not an empty folder" in said(capsys, *words, "--out", out, code=ExitCode.COULD_NOT_RUN)["problem"]
+    done = "a submission is there already" if where == "split" else "not an empty folder"
+    assert done in said(capsys, *words, "--out", out, code=ExitCode.COULD_NOT_RUN)["problem"]
+
+
+@pytest.mark.parametrize(
+    ("more", "place", "message"),
+    [
+        (("--trajectory", "lane-shift:far"), "--trajectory", "says no distance"),
+        (("--trajectory", "nowhere"), "--trajectory", "no trajectory 'nowhere'"),
+        (("--trajectory", "none.csv"), None, "no such file"),
+        (("--trajectory", "forward:1", "--cameras", "frnt"), "cameras of", "no camera frnt"),
+        (("--split", "novel", "--appearance", "neon"), "--appearance", "neon"),
+    ],
+)
+def test_a_rendering_that_cannot_be_is_refused_and_leaves_nothing(
+    dataset: Dataset,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    more: tuple[str, ...],
+    place: str,
+    message: str,
+) -> None:
+    model, out = tmp_path / "model", tmp_path / "out"
+    said(capsys, *reconstruct(dataset, model, "--steps", 2))
+    words = ("render", model, "--dataset", dataset.root, *more, "--out", out)
+    error = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
+    assert message in error["problem"] and (error["place"] or "").startswith(place or "")
+    assert not out.exists()
+
+
+def test_what_renders_need_is_told(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--dataset", dataset.root, "--trajectory", "forward:1")
+    error = said(capsys, "render", *words, "--out", tmp_path / "out", code=ExitCode.COULD_NOT_RUN)
+    assert (error["problem"], error["place"]) == ("no model", "MODEL")
+    error = said(capsys, "render", tmp_path / "m", *words, "--out", tmp_path / "out.avi", code=ExitCode.COULD_NOT_RUN)
+    assert error["place"] == "--out" and ".mp4" in error["expected"]
+    error = said(capsys, "render", tmp_path / "m", *words, "--out", tmp_path / "out", code=ExitCode.COULD_NOT_RUN)
+    assert error["problem"] == "no such folder" and "mirror reconstruct" in error["expected"]
+
+
+def test_a_block_that_there_is_not_is_refused_before_layers_are_made(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(path for path in Path(dataset.root).rglob("*"))
+    words = reconstruct(dataset, tmp_path / "model", "--initialise", "plane-sweep", "--blocks", "block_99")
+    error = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
+    assert error["place"] == "--blocks" and "block_00_00" in error["expected"]
+    assert sorted(path for path in Path(dataset.root).rglob("*")) == before
+
+
+def test_while_another_run_writes_it_a_stale_index_is_its_matter(dataset: Dataset) -> None:
+    layout = Layout(Path(dataset.root))
+    traversal = dataset.traversals()[0]
+    LayerWriter(layout, traversal, "points", "late", "1").finish(POINTS, [], {})
+    with pytest.raises(DatasetError, match=r"stale.*mirror index"):
+        mirror.open(dataset.root)
+    with writer_lock(layout, wait=False), pytest.raises(DatasetError, match=r"stale.*wait for it"):
+        mirror.open(dataset.root)
+
+
+def test_a_scheduler_ends_it_as_ctrl_c_does(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended(*_: object) -> Layers:
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise AssertionError("it went on")
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr("hybridworldsim.methods.static.layers_for", ended)
+    assert main([str(word) for word in reconstruct(dataset, tmp_path / "model")]) == 130
+    assert "run the same command again" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) == before

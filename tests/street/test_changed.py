@@ -33,6 +33,9 @@ def test_a_bare_word_is_a_word() -> None:
         ("depth_weight", "much", "--set depth_weight: 'much'.*number"),
         ("depth_weight", "NaN", "NaN.*finite"),
         ("first_anchors", "1.5", "--set first_anchors: 1.5.*integer"),
+        ("depth_weight", "-1", "-1.*0 or more"),
+        ("refinement.cells_m", "[1.6, -0.4]", "-0.4.*0 or more"),
+        ("hidden", "0", "hidden: 0.*1 or more"),
         ("seed", "3", "--seed"),
     ],
 )

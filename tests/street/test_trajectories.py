@@ -65,10 +65,11 @@ def test_poses_of_a_file_are_those_that_were_written(tmp_path: Path, suffix: str
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("qw,qx\n1,0\n", "without qy"),
+        ("qw,qx\n1,0\n", "no column qy"),
         ("qw,qx,qy,qz,tx_m,ty_m,tz_m\n", "no rows"),
         ("qw,qx,qy,qz,tx_m,ty_m,tz_m\n0,0,0,0,1,1,1\n", "row 0"),
-        ("qw,qx,qy,qz,tx_m,ty_m,tz_m\n1,0,0,0,,1,1\n", "not finite"),
+        ("qw,qx,qy,qz,tx_m,ty_m,tz_m\n1,0,0,0,,1,1\n", "row 0, column tx_m: nan; expected a finite number"),
+        ("qw,qx,qy,qz,tx_m,ty_m,tz_m\n1,0,0,0,1,1,1\n1,0,0,0,1,x,1\n", "row 1, column ty_m: x; expected a finite"),
         ("qw,qx,qy,qz,tx_m,ty_m,tz_m,timestamp_ns\n1,0,0,0,0,1,1,5\n1,0,0,0,0,1,1,5\n", "do not increase"),
     ],
 )

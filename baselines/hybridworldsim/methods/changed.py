@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, Final, TypeVar
 
@@ -42,12 +42,17 @@ def changed(settings: _Settings, words: Mapping[str, str]) -> _Settings:
         for key in outer:
             inner = inner[key]
         inner[last] = _value(name, text)
+        least = min((number for number in _numbers(inner[last])), default=0.0)
+        if least < 0.0:
+            raise UsageError(f"{least:g}", place=f"--set {name}", expected="0 or more")
     try:
         return TypeAdapter(type(settings)).validate_python(whole)
     except ValidationError as error:
         first = error.errors()[0]
+        # "Input should be a valid number, unable to parse ..."
+        expected = first["msg"].removeprefix("Input should be ").partition(",")[0]
         raise UsageError(
-            f"{first['input']!r}", place=f"--set {'.'.join(map(str, first['loc']))}", expected=first["msg"]
+            f"{first['input']!r}", place=f"--set {'.'.join(map(str, first['loc']))}", expected=expected
         ) from error
 
 
@@ -57,6 +62,14 @@ def _leaves(whole: Mapping[str, Any], under: str = "") -> list[str]:
     for key, value in whole.items():
         found += _leaves(value, f"{under}{key}.") if isinstance(value, dict) else [f"{under}{key}"]
     return found
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, list):
+        for one in value:
+            yield from _numbers(one)
+    elif isinstance(value, int | float):
+        yield float(value)
 
 
 def _value(name: str, text: str) -> Any:

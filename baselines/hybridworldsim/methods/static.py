@@ -82,15 +82,17 @@ class StaticMethod:
         if task.threads is not None:
             torch.set_num_threads(task.threads)
         # Before layers are made: what has nothing to mask road users by is not matched either.
-        training_views(dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
+        views = training_views(dataset, task.protocol, task.split, task.scene, withheld=task.withheld).views
+        driven = driven_m(dataset.where(split=task.split, role="train", scene=task.scene))
+        there = divide(_pictured_m(driven, views), self.block_m).blocks
+        blocks = [(block, own_views) for block in there if (own_views := views_of(block, views))]
+        chosen = _chosen([block.name for block, _ in blocks], task.blocks)
         layers = layers_for(dataset, task, watch)
+        # The plan knows of the layers.
         training = training_views(layers.dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
         own = layers.dataset.where(split=task.split, role="train", scene=task.scene)
         # Before anything is written: a scene that cannot begin leaves nothing behind.
         known = surroundings_of(own)
-        there = divide(_pictured_m(known.driven_m, training.views), self.block_m).blocks
-        blocks = [(block, views) for block in there if (views := views_of(block, training.views))]
-        chosen = _chosen([block.name for block, _ in blocks], task.blocks)
         for kind in KINDS:
             if bare := layers.lacking(kind, own.traversals()):
                 watch.say(f"without {kind}: {', '.join(bare)}")
@@ -100,16 +102,16 @@ class StaticMethod:
             write_json(out / DOCUMENT, about)
         held_out = _held_out(layers.dataset, task, watch)
         found: dict[str, Outcome | None] = {}
-        for place, (block, views) in enumerate(blocks):
+        for place, (block, seen) in enumerate(blocks):
             folder = RunFolder(out / block.name)
             # What others have done is held against this task; what they are still doing is left to them.
             if block.name not in chosen and folder.outcome is None:
                 found[block.name] = None
                 continue
-            initial = initial_of(known, block, _sources(views))
+            initial = initial_of(known, block, _sources(seen))
             points = len(initial.points_m)
-            watch.say(f"{block.name}, {place + 1} of {len(blocks)}: {len(views)} pictures, {points} points")
-            one = _Block(block, views, initial, layers, training, held_out)
+            watch.say(f"{block.name}, {place + 1} of {len(blocks)}: {len(seen)} pictures, {points} points")
+            one = _Block(block, seen, initial, layers, training, held_out)
             found[block.name] = self._train(one, task, folder, watch)
         outcomes = [outcome for outcome in found.values() if outcome is not None]
         done = Reconstructed(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from mirror.errors import UsageError
+
 
 @dataclass(frozen=True)
 class Rate:
@@ -116,3 +118,8 @@ class Settings:
     rates: Rates = field(default_factory=Rates)
     refinement: Refinement = field(default_factory=Refinement)
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("code", "offsets", "hidden", "plain_code", "first_anchors", "sky_count", "normal_every"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{getattr(self, name)}", place=f"setting {name}", expected="1 or more")

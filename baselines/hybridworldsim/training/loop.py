@@ -134,7 +134,7 @@ def train(
         "psnr_db": last["psnr_db"],
         "gaussians": int(last["gaussians"]),
     }
-    return folder.finish(write, outcome, options.title)
+    return folder.finish(write, outcome)
 
 
 def psnr_of(mean_square: float) -> float:
@@ -164,7 +164,7 @@ def _report(
         "gaussians": gaussians,
         **losses,
     }
-    folder.report(row)
+    folder.report(row, options.title)
     watch.report(
         f"{progress:4.0%}  step {position.steps}  {position.spent_s / 60.0:.2f} core-minutes  "
         f"PSNR {row['psnr_db']:.2f} dB  loss {losses['rgb']:.5f}  {gaussians} Gaussians"
@@ -240,6 +240,10 @@ def _interruptible() -> Iterator[threading.Event]:
         yield heard
         return
     before = signal.getsignal(signal.SIGINT)
+    if before == signal.SIG_IGN:
+        # In the background of a script that is how it is meant.
+        yield heard
+        return
 
     def hear(number: int, frame: FrameType | None) -> None:
         if heard.is_set():

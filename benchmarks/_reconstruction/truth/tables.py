@@ -102,7 +102,7 @@ def cost_table(found: Sequence[Measured]) -> str:
     for entry in {one["job"]["entry"]: None for one in found}:
         own = [one["costs"] for one in found if one["job"]["entry"] == entry]
         rows.append([entry, *(f"{_mean(row[name] for row in own):.4g}" for name in names)])
-    rows.append(["paper, quoted", f"{PAPER_FPS:.4g} at {PAPER_SIZE}", "-", "-", f"{PAPER_MB:g}", "its GPU"])
+    rows.append(["paper, quoted", f"{PAPER_FPS:.4g} at {PAPER_SIZE}", "-", "-", f"{PAPER_MB:g}", "not stated"])
     width, height = found[0]["costs"]["size_px"] if found else (0, 0)
     titles = [f"pictures a second, {width} x {height}", "ms", "core ms", "MB a 100 m", "threads"]
     return _markdown(["method", *titles], rows if found else [])

@@ -6,15 +6,15 @@ import hashlib
 import json
 import platform
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, TypeAlias
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import DatasetError, MirrorError, UsageError
 from mirror.evaluation.progress import Progress, Silent
-from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime
 from mirror.evaluation.submission.png import encode_png
 from mirror.evaluation.submission.template import expected_files, manifest_for, write_manifest
 from mirror.evaluation.views.plan import Plan
@@ -74,7 +74,7 @@ def write_submission(
     there = sum((out / path).is_file() for path in expected)
     progress.advance(there)
     written, taken, begin = 0, 0.0, time.perf_counter()
-    for views, picture in renderer(dataset, plan):
+    for views, picture in _nothing_left_behind(renderer(dataset, plan), out):
         taken += time.perf_counter() - begin
         data = encode_png(picture)
         for view in views:
@@ -93,6 +93,21 @@ def write_submission(
     return len(expected)
 
 
+def _nothing_left_behind(renders: Iterable[Render], out: Path) -> Iterator[Render]:
+    """Renders; the folder is as it was where not one of them can be made."""
+    coming = iter(renders)
+    try:
+        first = next(coming, None)
+    except MirrorError:
+        if out.is_dir() and [path.name for path in out.iterdir()] == [BEGUN]:
+            (out / BEGUN).unlink()
+            out.rmdir()
+        raise
+    if first is not None:
+        yield first
+        yield from coming
+
+
 def begin_rendering(out: Path, of: Sequence[str] | None) -> None:
     """See that a folder is new or empty, or that the same rendering was interrupted in it.
 
@@ -107,6 +122,10 @@ def begin_rendering(out: Path, of: Sequence[str] | None) -> None:
     mark = hashlib.sha256(json.dumps(of).encode()).hexdigest()
     begun = out / BEGUN
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if (out / MANIFEST).is_file():
+            raise UsageError(
+                "a submission is there already", file=out, remedy="take it, or name a new folder with --out"
+            )
         if of is None or not begun.is_file():
             raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
         if begun.read_text() != mark:

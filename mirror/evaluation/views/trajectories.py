@@ -89,6 +89,8 @@ def given(path: Path, hz: float = 10.0) -> Trajectory:
     import pandas as pd
 
     apart = _apart_ns(hz)
+    if not path.is_file():
+        raise UsageError("no such file", file=path)
     try:
         table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, skipinitialspace=True)
     except (OSError, ValueError) as error:
@@ -96,18 +98,25 @@ def given(path: Path, hz: float = 10.0) -> Trajectory:
     missing = [name for name in COLUMNS if name not in table]
     if missing or not len(table):
         raise UsageError(
-            f"{len(table)} rows without {', '.join(missing)}" if missing else "no rows", file=path,
+            f"no column {', '.join(missing)}" if missing else "no rows", file=path,
             expected=f"columns {' '.join(COLUMNS)}, and {_STAMP} if poses are not evenly spaced",
         )  # fmt: skip
+    numbers = {name: pd.to_numeric(table[name], errors="coerce").to_numpy() for name in COLUMNS}
+    for name, column in numbers.items():
+        if not np.isfinite(column).all():
+            row = int(np.argmin(np.isfinite(column)))
+            raise UsageError(
+                f"{table[name].iloc[row]}", file=path, place=f"row {row}, column {name}", expected="a finite number"
+            )
     try:
-        poses = Poses.from_columns({name: table[name].to_numpy() for name in COLUMNS})
+        poses = Poses.from_columns(numbers)
         stamps = (
             table[_STAMP].to_numpy(np.int64)
             if _STAMP in table
             else np.round(np.arange(len(table)) * apart).astype(np.int64)
         )
     except (UsageError, ValueError) as error:
-        raise UsageError(f"{error}", file=path, expected="finite numbers") from error
+        raise UsageError(f"{error}", file=path) from error
     if (np.diff(stamps) <= 0).any():
         row = int(np.argmax(np.diff(stamps) <= 0)) + 1
         raise UsageError("times do not increase", file=path, place=f"row {row}, column {_STAMP}")
@@ -140,16 +149,19 @@ def named(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> T
         except ValueError:
             metres = float("nan")
         if not np.isfinite(metres):
-            raise UsageError(f"{text!r} says no distance", expected=f"{kind}:METRES, such as {kind}:2.0")
+            raise UsageError(
+                f"{text!r} says no distance", place="--trajectory", expected=f"{kind}:METRES, such as {kind}:2.0"
+            )
         base = recorded(dataset, traversal_id)
         return base.shifted(left_m=metres) if kind == "lane-shift" else base.shifted(forward_m=metres)
     if text in dataset.traversals():
         return recorded(dataset, text)
-    if Path(text).is_file():
+    if Path(text).suffix in (".csv", ".parquet"):
         return given(Path(text), hz)
     raise UsageError(
-        f"no trajectory {text!r}", expected="lane-shift:METRES, forward:METRES, a traversal of the dataset, or a file"
-    )
+        f"no trajectory {text!r}", place="--trajectory",
+        expected="lane-shift:METRES, forward:METRES, a traversal of the dataset, or a file, .csv or .parquet",
+    )  # fmt: skip
 
 
 def views_along(
@@ -174,7 +186,9 @@ def views_along(
     images = {camera: image for frame in own.frames() for camera, image in frame.images.items()}
     unknown = sorted(set(cameras or ()) - set(images))
     if unknown:
-        raise UsageError(f"no camera {', '.join(unknown)}", place=traversal_id, expected=", ".join(sorted(images)))
+        raise UsageError(
+            f"no camera {', '.join(unknown)}", place=f"cameras of {traversal_id}", expected=", ".join(sorted(images))
+        )
     row = own.table("traversals", ["scene_id", "light", "weather"]).to_pylist()[0]
     rig = [
         (camera, final_camera(images[camera].camera_model, pixels), images[camera].calibration.ego_SE3_camera)

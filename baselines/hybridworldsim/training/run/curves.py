@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, TypeAlias
@@ -54,22 +55,35 @@ def write_chart(path: Path, rows: Sequence[Row], title: str) -> None:
 
 def _line(x: Sequence[float], y: Sequence[float], colour: str, place: int, label: str) -> str:
     top, height, left, width = 48 + 186 * place, 130, 70, 540
-    low, high = min(y), max(y)
-    wide, tall = max(x) or 1.0, (high - low) or 1.0
-    points = " ".join(f"{left + width * a / wide:.1f},{top + height * (high - b) / tall:.1f}" for a, b in zip(x, y))
-    words = (
-        (left, top - 8, "start", label),
-        (left - 6, top + 8, "end", f"{high:.5g}"),
-        (left - 6, top + height, "end", f"{low:.5g}"),
-        (left, top + height + 16, "start", "0"),
-        (left + width, top + height + 16, "end", f"{max(x):.3g} core-minutes"),
-    )
+    ticks = _round_ticks(min(y), max(y))
+    low, high, wide = ticks[0], ticks[-1], max(x) or 1.0
+
+    def down(value: float) -> float:
+        return top + height * (high - value) / (high - low)
+
+    points = " ".join(f"{left + width * a / wide:.1f},{down(b):.1f}" for a, b in zip(x, y))
+    words = [
+        (left, top - 8.0, "start", label),
+        (left, top + height + 16.0, "start", "0"),
+        (left + width, top + height + 16.0, "end", f"{max(x):.3g} core-minutes"),
+        *((left - 6, down(tick) + 4.0, "end", f"{tick:,g}") for tick in ticks),
+    ]
     texts = "".join(
-        f'<text x="{a}" y="{b}" font-size="11" text-anchor="{side}">{_escaped(word)}</text>'
+        f'<text x="{a}" y="{b:.1f}" font-size="11" text-anchor="{side}">{_escaped(word)}</text>'
         for a, b, side, word in words
     )
-    box = f'<rect x="{left}" y="{top}" width="{width}" height="{height}" fill="none" stroke="#ccc"/>'
-    return f'{box}<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>{texts}'
+    lines = "".join(f'<path d="M {left} {down(tick):.1f} h {width}" stroke="#ddd"/>' for tick in ticks)
+    return f'{lines}<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>{texts}'
+
+
+def _round_ticks(low: float, high: float) -> list[float]:
+    """Three to six multiples of 1, 2 or 5 times a power of ten; all values lie between the first and the last."""
+    span = (high - low) or abs(high) or 1.0
+    power = 10.0 ** math.floor(math.log10(span / 4.0))
+    step = next(power * times for times in (1.0, 2.0, 5.0, 10.0) if power * times >= span / 4.0)
+    first, last = math.floor(low / step), math.ceil(high / step)
+    # A line that is flat lies between two of them.
+    return [step * count for count in range(first, max(last, first + 1) + 1)]
 
 
 def _escaped(text: str) -> str:

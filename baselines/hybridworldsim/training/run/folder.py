@@ -221,21 +221,20 @@ class RunFolder:
         """Write a checkpoint."""
         write_checkpoint(self._checkpoint, learner.state(), position)
 
-    def report(self, row: Row) -> None:
-        """Write one more row of the curves."""
+    def report(self, row: Row, title: str) -> None:
+        """Write one more row of the curves, and the chart of a title anew."""
         self._rows.append(row)
         write_curves(self._curves, self._rows)
+        write_chart(self.path / "curves.svg", self._rows, title)
 
-    def finish(self, write: Callable[[Path], int], outcome: Mapping[str, Any], title: str) -> Outcome:
-        """Write model, chart and outcome, in this order.
+    def finish(self, write: Callable[[Path], int], outcome: Mapping[str, Any]) -> Outcome:
+        """Write model and outcome, in this order.
 
         Args:
             write: writes the model to a path, and says how many bytes it has.
             outcome: but for these bytes.
-            title: of the chart.
         """
         size = write(self.model)
-        write_chart(self.path / "curves.svg", self._rows, title)
         done = Outcome(**outcome, model_bytes=size)
         write_json(self.path / OUTCOME, done)
         return done

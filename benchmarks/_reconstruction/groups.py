@@ -21,6 +21,8 @@ TUNING: Final = "tuning"
 
 _TUNED: Final = tuple(f"{package.__name__}-tuned" for package in RIVALS)
 _MTGS: Final = "mtgs_style-tuned"
+_LEAST_MINUTES: Final = 0.01
+_LEAST_PX: Final = 16
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def asked(arguments: Arguments, declaration: Declared, name: Name | None = None)
     """The group that arguments name, or another, with what they say in place of its own.
 
     Raises:
-        UsageError: a row or a scene that there is not.
+        UsageError: a row or a scene that there is not, or no such budget, width or seed.
     """
     group = groups(declaration)[name or arguments.group]
     scenes = {*declaration.scenes, declaration.tuning.scene}
@@ -132,6 +134,13 @@ def asked(arguments: Arguments, declaration: Declared, name: Name | None = None)
             if word not in known:
                 near = difflib.get_close_matches(word, sorted(known), 3)
                 raise UsageError(f"no {word!r}", place=option, expected=" or ".join(near or sorted(known)[:9]))
+    for option, numbers, least in (
+        ("--minutes", arguments.minutes, _LEAST_MINUTES),
+        ("--width", () if arguments.width is None else (arguments.width,), _LEAST_PX),
+        ("--seeds", arguments.seeds, 0),
+    ):
+        if wrong := [number for number in numbers if not number >= least]:
+            raise UsageError(f"{wrong[0]:g}", place=option, expected=f"{least:g} or more")
     return replace(
         group,
         rows=arguments.entries or group.rows,

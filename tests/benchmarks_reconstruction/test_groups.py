@@ -51,11 +51,24 @@ def test_arguments_take_the_place_of_what_a_group_has() -> None:
     [
         (Arguments(entries=("our",)), "no 'our'; expected ours"),
         (Arguments(scenes=("karlsruhe",)), "no 'karlsruhe'; expected karlsruhe-"),
+        (Arguments(minutes=(10.0, -1.0)), "--minutes: -1; expected 0.01 or more"),
+        (Arguments(width=0), "--width: 0; expected 16 or more"),
+        (Arguments(seeds=(-1,)), "--seeds: -1; expected 0 or more"),
     ],
 )
 def test_what_there_is_not_is_refused(arguments: Arguments, remedy: str) -> None:
     with pytest.raises(UsageError, match=re.escape(remedy)):
         asked(arguments, DECLARED)
+
+
+@pytest.mark.parametrize("verb", ["show", "truth", "figures"])
+def test_nothing_is_not_shown_as_if_it_were_something(
+    verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reconstruction", verb, "--data", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert not said.out and "of group comparison" in said.err and "`prepare` and `run`" in said.err
+    assert not (tmp_path / "out").exists()
 
 
 def test_jobs_without_scenes_are_refused_before_they_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,6 +93,11 @@ class SplattingLearner:
                 self._adams[name].update(drawn.rows, drawn.harmonics.grad, 3 * first, 3 * (past - first))
         self.model.look.learn(picture.viewpoint)
 
+    @property
+    def reads_depth(self) -> bool:
+        """See `Learner`."""
+        return bool(self.settings.weights.depth or self.settings.weights.normal)
+
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """See `Learner`."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hybridworldsim.scene.settings import Rate
+from hybridworldsim.scene.settings import Rate, require, require_above
+from mirror.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,10 @@ class Seeding:
     sky_radii: float = 4.0
     far_count: int = 4_000
 
+    def __post_init__(self) -> None:
+        require(self, "seeding.", ("sky_radii",), 1)
+        require_above(self, "seeding.", ("spacing_m", "ground_spacing_m", "size", "opacity"))
+
 
 @dataclass(frozen=True)
 class Densification:
@@ -88,6 +93,15 @@ class Densification:
     largest_m: float | None = 5.0
     absolute: bool = False
 
+    def __post_init__(self) -> None:
+        require(self, "densification.", ("rounds",), 1)
+        if not self.begin < self.end <= 1.0:
+            raise UsageError(
+                f"from {self.begin:g} to {self.end:g}",
+                place="settings densification.begin, densification.end",
+                expected="begin below end, end 1 at most",
+            )
+
 
 @dataclass(frozen=True)
 class Weights:
@@ -108,6 +122,9 @@ class Weights:
     depth_kind: Literal["share", "inverse", "metres"] = "share"
     normal: float = 0.0
     normal_every: int = 4
+
+    def __post_init__(self) -> None:
+        require(self, "weights.", ("normal_every",), 1)
 
 
 @dataclass(frozen=True)
@@ -135,3 +152,6 @@ class Splatting:
     antialiased: bool = False
     near_m: float = 0.2
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        require_above(self, "", ("sh_step", "near_m"))

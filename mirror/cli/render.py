@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mirror.evaluation.views.view import View
 
 _VIDEOS = (".mp4", ".mkv")
+_HZ = 10.0
 _NO_VIDEOS = (".avi", ".gif", ".m4v", ".mov", ".mpeg", ".mpg", ".ogv", ".webm", ".wmv")
 
 
@@ -60,8 +61,8 @@ class Arguments:
     along a trajectory only the light changes, nothing moves."""
     width: int | None = None
     """Pictures along a trajectory are no wider. Default: what the protocol says."""
-    hz: float = 10.0
-    """Pictures a second along a trajectory."""
+    hz: float | None = None
+    """Pictures a second along a trajectory. Default: 10."""
     json: bool = False
     """Print what was written as JSON."""
 
@@ -95,6 +96,12 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.writing import write_submission
     from mirror.evaluation.views import plan_views
 
+    for option in ("traversal", "cameras", "width", "hz"):
+        if getattr(arguments, option) is not None:
+            raise UsageError(
+                "it is for trajectories", place=f"--{option}",
+                expected=f"no such option: protocol {arguments.protocol} says what a submission holds",
+            )  # fmt: skip
     for sign, what in (("sweep:", "a sweep is"), ("=", "looks by camera are")):
         if sign in arguments.appearance:
             raise UsageError(f"{what} for trajectories", place="--appearance", expected="one look for all views")
@@ -217,10 +224,12 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     own = dataset.where(scene=scene)
     base = arguments.traversal or _base(own, str(arguments.trajectory), document.split)
     cameras = None if arguments.cameras is None else arguments.cameras.split(",")
-    trajectory = named(own, str(arguments.trajectory), base, arguments.hz).at_rate(arguments.hz)
+    hz = _HZ if arguments.hz is None else arguments.hz
+    trajectory = named(own, str(arguments.trajectory), base, hz).at_rate(hz)
     views = views_along(own, base, trajectory, pixels, cameras)
     asked = sorted({view.camera for view in views})
-    if arguments.out.suffix in _VIDEOS and len(asked) > 1 and len({(v.width_px, v.height_px) for v in views}) > 1:
+    filmed = arguments.out.suffix.lower() in _VIDEOS
+    if filmed and len(asked) > 1 and len({(v.width_px, v.height_px) for v in views}) > 1:
         raise UsageError(
             f"cameras {', '.join(asked)} have pictures of different sizes", place="--cameras", expected="one of them"
         )
@@ -229,10 +238,10 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("rendering", len(views))
-        if arguments.out.suffix in _VIDEOS:
+        if filmed:
             from mirror.view.video import write_video
 
-            write_video(arguments.out, _side_by_side(views, render, len(asked), bar.advance), arguments.hz)
+            write_video(arguments.out, _side_by_side(views, render, len(asked), bar.advance), hz)
             rendered = len(views)
         else:
             of = (_hash(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)

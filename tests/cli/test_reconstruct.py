@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 from dataclasses import replace
@@ -18,7 +19,10 @@ import torch
 import mirror
 from hybridworldsim.methods.layers import Layers, layers_for, method_of
 from hybridworldsim.methods.street import OpenStreet
-from hybridworldsim.scene.blocks import divide
+from hybridworldsim.scene.blocks import Block, divide, views_of
+from hybridworldsim.training.feed import Pictures
+from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main
 from mirror.cli.watch import watching
@@ -29,7 +33,7 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.pictures.depth import encode_depth
 from mirror.errors import DatasetError, ExitCode, UsageError
-from mirror.evaluation.methods import Task, installed_method
+from mirror.evaluation.methods import Looking, Task, installed_method
 from mirror.evaluation.progress import Silent
 from mirror.evaluation.protocol import load_protocol
 from mirror.evaluation.reconstruction import Reconstruction, read_reconstruction, require_same_street, trained_on
@@ -606,6 +610,10 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
         (("--trajectory", "none.csv"), None, "no such file"),
         (("--trajectory", "forward:1", "--cameras", "frnt"), "cameras of", "no camera frnt"),
         (("--split", "novel", "--appearance", "neon"), "--appearance", "neon"),
+        (("--split", "novel", "--cameras", "front_wide"), "--cameras", "it is for trajectories"),
+        (("--split", "novel", "--width", 48), "--width", "it is for trajectories"),
+        (("--split", "novel", "--hz", 2), "--hz", "it is for trajectories"),
+        (("--split", "novel", "--traversal", "any"), "--traversal", "it is for trajectories"),
     ],
 )
 def test_a_rendering_that_cannot_be_is_refused_and_leaves_nothing(
@@ -622,6 +630,93 @@ def test_a_rendering_that_cannot_be_is_refused_and_leaves_nothing(
     error = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
     assert message in error["problem"] and (error["place"] or "").startswith(place or "")
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("setting", "place"),
+    [
+        ("refinement.most_ground=0", "setting refinement.most_ground"),
+        ("refinement.end=0.05", "settings refinement.begin"),
+        ("refinement.cells_m=[]", "settings refinement.begin"),
+        ("refinement.cells_m=[0.1, 0]", "setting refinement.cells_m"),
+        ("sky_radius=0", "setting sky_radius"),
+        ("first_spacing_m=0", "setting first_spacing_m"),
+        ("ground_spacing_m=0", "setting ground_spacing_m"),
+        ("depth_weight=1e400", "--set depth_weight"),
+        ("depth_weight=-1", "--set depth_weight"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused_before_anything_is_made(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], setting: str, place: str
+) -> None:
+    words = reconstruct(dataset, tmp_path / "model", "--initialise", "plane-sweep", "--set", setting)
+    assert said(capsys, *words, code=ExitCode.COULD_NOT_RUN)["place"].startswith(place)
+    assert not (tmp_path / "model").exists()
+    assert not list(Path(dataset.root).glob("traversals/*/layers/*/plane-sweep@*"))
+
+
+def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hybridworldsim.methods.static.divide", lambda driven, size_m: divide(driven, 16.0))
+    usual, masked = Pictures.__call__, set[str]()
+
+    def covered(pictures: Pictures, view: View) -> TrainingPicture:
+        picture = usual(pictures, view)
+        return replace(picture, scored=torch.zeros_like(picture.scored)) if view.path in masked else picture
+
+    first = said(capsys, *reconstruct(dataset, tmp_path / "whole", "--steps", 2))["blocks"]
+    gone = json.loads((tmp_path / "whole" / first[0] / "run.json").read_text())
+    origin = np.array(gone["origin_m"])
+    everything = training_views(dataset, load_protocol("static-reconstruction"), "novel", "street").views
+    block = Block((0, 0), tuple(origin.tolist()), 16.0, 4.0)
+    masked.update(one.path for one in views_of(block, everything))
+    monkeypatch.setattr(Pictures, "__call__", covered)
+    model = tmp_path / "model"
+    capsys.readouterr()
+    assert main([str(word) for word in reconstruct(dataset, model, "--steps", 2)]) == ExitCode.DONE
+    printed = capsys.readouterr()
+    assert f"{first[0]} is left out: masks cover every one of its pictures" in printed.out + printed.err
+    assert sorted(path.parent.name for path in model.glob("*/model.safetensors")) == sorted(first[1:])
+    words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))
+    assert said(capsys, *words, "--out", tmp_path / "submission")["views"] > 0
+    masked.update(one.path for one in everything)
+    nothing = said(capsys, *reconstruct(dataset, tmp_path / "none", "--steps", 2), code=ExitCode.COULD_NOT_RUN)
+    assert nothing["problem"] == "masks cover every training picture"
+
+
+def test_points_that_are_no_numbers_are_refused_by_name(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    traversal = dataset.where(split="novel", role="train").traversals()[0]
+    rows = [{**point(number), "x_m": math.inf if number == 3 else 1.0} for number in range(9)]
+    LayerWriter(Layout(Path(dataset.root)), traversal, "points", "broken", "1").finish(POINTS, rows, {})
+    build_index(Path(dataset.root))
+    words = reconstruct(dataset, tmp_path / "model", "--initialise", "broken@1")
+    refused = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
+    assert refused["problem"] == "1 of 9 points are no finite numbers" and "broken@1" in refused["place"]
+    assert not (tmp_path / "model").exists()
+
+
+def test_views_that_nobody_took_are_a_submission_too(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, submission, protocol = tmp_path / "model", tmp_path / "submission", tmp_path / "aside.toml"
+    protocols = Path(mirror.__file__).parent / "evaluation" / "protocols"
+    text = (protocols / "lane-shift.toml").read_text()
+    protocol.write_text(text.replace("max_width_px = 960", "max_width_px = 48"))
+    said(capsys, *reconstruct(dataset, model, "--steps", 12))
+    asked = ("--dataset", dataset.root, "--split", "novel", "--protocol", protocol, "--out", submission)
+    views = said(capsys, "render", model, *asked)["views"]
+    plan = plan_views(dataset, load_protocol(str(protocol)), "novel")
+    assert views == len(plan.views) == len(list(submission.rglob("*.png"))) > 20
+    assert {view.group for view in plan.views} == {f"{side}-{far}m" for side in ("left", "right") for far in (1, 2, 3)}
+    # Where it stands is what is drawn.
+    drawn = installed_method("hybridworldsim").open(model, Looking(views=plan.views))
+    for view in plan.views[:: len(plan.views) // 5]:
+        np.testing.assert_array_equal(cv2.imread(str(submission / view.path))[..., ::-1], drawn(view))
+    check = ("submission", "check", submission, "--truth", dataset.root, "--protocol", protocol)
+    assert main([str(word) for word in check]) == ExitCode.DONE
 
 
 def test_what_renders_need_is_told(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 
 import cv2
@@ -10,6 +12,7 @@ import pytest
 
 import mirror
 from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
+from hybridworldsim.mvs.methods import estimator_of
 from hybridworldsim.mvs.options import Options
 from hybridworldsim.mvs.run import initialise
 from hybridworldsim.mvs.writing.scene import Scene
@@ -24,6 +27,7 @@ from mirror.evaluation.protocol import load_protocol
 from mirror.evaluation.views import plan_views
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.tables import MASKS
+from mirror.weights.resolve import WeightsUnavailableError
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
 
 CAMERAS = ("front_wide", "front_left")
@@ -200,3 +204,22 @@ def test_masks_of_the_sky_do_not_pass_for_masks_of_road_users(dataset: Path) -> 
     assert set(made.table("masks", ["kind"]).column(0).to_pylist()) == {"sky"}
     with pytest.raises(DatasetError, match="nothing to mask road users by"):
         plan_views(made, load_protocol("static-reconstruction"), "s")
+
+
+def test_a_learned_estimator_is_found_with_its_weights(
+    dataset: Path, real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PatchmatchNet as it was published; its layers say with which weights they were made."""
+    weights = real_data / "weights" / "patchmatchnet"
+    if not weights.is_dir():
+        pytest.skip(f"no weights in {weights}")
+    monkeypatch.setenv("MIRROR_WEIGHTS", str(tmp_path / "nowhere"))
+    with pytest.raises(WeightsUnavailableError, match=r"params_000007\.ckpt"):
+        initialise(mirror.open(dataset), "s", method="patchmatchnet", width_px=48)
+    assert files(dataset) == {}
+    monkeypatch.setenv("MIRROR_WEIGHTS", str(weights))
+    report = initialise(mirror.open(dataset), "s", method="patchmatchnet", width_px=48)
+    assert report.layer == "patchmatchnet@s" and report.pictures == 20 and len(report.written) == 2
+    made = sorted(dataset.glob("traversals/*/layers/depth/patchmatchnet@s/manifest.json"))
+    own = hashlib.sha256(repr(estimator_of("patchmatchnet")).encode()).hexdigest()
+    assert [json.loads(path.read_text())["derived_from"]["estimator"] for path in made] == [own, own]

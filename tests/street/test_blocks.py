@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from hybridworldsim.scene.blocks import Block, divide, views_of
 from mirror.errors import UsageError
+from mirror.evaluation.views.view import View
 from tests.street.streets import view
 
 UTM = np.array([441_000.0, 4_475_000.0, 600.0])
@@ -67,6 +69,31 @@ def test_views_are_those_in_the_block_and_those_that_look_into_it_from_near() ->
     views = [view(0.0), view(-60.0), view(60.0), view(-80.0), view(-60.0, 45.0), view(-60.0, 90.0)]
     assert views_of(block, views) == (views[0], views[1], views[4])
     assert views_of(block, []) == ()
+
+
+def turned(yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: float) -> View:
+    """A level camera that looks along x, rolled about its axis, then tilted down, then turned to the left."""
+    level = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    about = Rotation.from_euler("ZYX", (yaw_deg, pitch_deg, roll_deg), degrees=True) * level
+    return view(x_m, y_m).model_copy(update={"world_SE3_camera": (*about.as_quat(scalar_first=True), x_m, y_m, 1.5)})
+
+
+@given(
+    st.floats(-180, 180), st.floats(-90, 90), st.sampled_from([0.0, 90.0, -90.0, 180.0]),
+    st.floats(-90, 90), st.floats(-90, 90),
+)  # fmt: skip
+@settings(max_examples=200, deadline=None)
+def test_however_a_camera_is_turned_it_trains_what_it_sees(
+    yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: float
+) -> None:
+    """A place of the block that is in the picture, and near, makes the view one of the block's."""
+    block = Block((0, 0), (0.0, 0.0, 0.0), 100.0, 25.0)
+    one = turned(yaw_deg, pitch_deg, roll_deg, x_m, y_m)
+    grid = np.linspace(-49.0, 49.0, 15)
+    places = np.stack(np.meshgrid(grid, grid, [-1.0, 0.0, 3.0, 9.0]), axis=-1).reshape(-1, 3)
+    near = np.linalg.norm(places[:, :2] - (x_m, y_m), axis=1) < 0.7 * 50.0
+    if (one.lens.project(one.pose.inverse().transform(places)).valid & near).any():
+        assert views_of(block, [one], 50.0) == (one,)
 
 
 @pytest.mark.parametrize("driven", [np.empty((0, 3)), np.full((3, 3), np.nan), np.zeros((3, 2))])

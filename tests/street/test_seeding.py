@@ -9,6 +9,7 @@ import pytest
 
 from hybridworldsim.scene.seeding import Initial, ground_seeds, sky_seeds
 from mirror.arrays import Float64
+from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_normalise
 
 
 def level(places: Float64) -> tuple[Float64, Float64]:
@@ -37,6 +38,29 @@ def test_the_ground_has_no_more_than_it_may_and_covers_the_street_evenly(lanes: 
         inside = (capped.means[:, 0] >= low) & (capped.means[:, 0] < low + 30.0)
         before = (free.means[:, 0] >= low) & (free.means[:, 0] < low + 30.0)
         assert float(inside.sum() / before.sum()) == pytest.approx(len(capped.means) / len(free.means), rel=0.1)
+
+
+def test_the_sky_is_a_hemisphere_of_equal_areas_that_look_inwards() -> None:
+    count, block = 600, crossing(1)
+    dome = sky_seeds(block, count, 4.0, 10)
+    means = dome.means.numpy().astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(means, axis=1), 4.0 * block.radius_m, rtol=1e-6)
+    directions = means / np.linalg.norm(means, axis=1, keepdims=True)
+    assert directions[:, 2].min() > -0.05
+    # Slices of equal height and sectors of equal angle have equal areas.
+    heights, _ = np.histogram(directions[:, 2], bins=6, range=(-0.05, 1.0))
+    sectors, _ = np.histogram(np.arctan2(directions[:, 1], directions[:, 0]), bins=8, range=(-np.pi, np.pi))
+    assert np.abs(heights - count / 6).max() <= 1 and np.abs(sectors - count / 8).max() <= 4
+    # No gaps: each point of the dome has a Gaussian within two of its standard deviations.
+    rng = np.random.default_rng(0)
+    asked = rng.normal(size=(4000, 3))
+    asked[:, 2] = np.abs(asked[:, 2])
+    asked /= np.linalg.norm(asked, axis=1, keepdims=True)
+    apart_m = 300.0 * np.sqrt(np.square(asked[:, None] - directions).sum(-1).min(1))
+    assert apart_m.max() < 2.0 * float(dome.scales[0, 0])
+    # The thin axis is the line of sight.
+    thin = matrix_from_quaternion(quaternion_normalise(dome.quats.numpy().astype(np.float64)))[:, :, 2]
+    np.testing.assert_allclose(np.abs((thin * directions).sum(1)), 1.0, atol=1e-6)
 
 
 def test_what_is_beyond_the_dome_is_seen_before_it_in_the_same_direction() -> None:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from hybridworldsim.scene.appearance import Appearance
 from hybridworldsim.scene.blocks import Block
 from hybridworldsim.scene.storage import load_block, save_block
-from hybridworldsim.training.viewpoint import viewpoint_of
+from hybridworldsim.training.viewpoint import Source, viewpoint_of
 from mirror.errors import DatasetError
 from mirror.metrics.images.psnr import psnr
 from tests.street.streets import SOURCES, street, view
@@ -73,3 +74,16 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     save_file({"a": torch.zeros(1)}, tmp_path / "other")
     with pytest.raises(DatasetError, match="format None"):
         load_block(tmp_path / "other")
+
+
+def test_another_traversal_takes_one_latent_for_itself_and_one_for_each_camera(tmp_path: Path) -> None:
+    """Memory hardly grows with the number of traversals: the paper's point against a set of colours for each."""
+    sizes = {}
+    for traversals in (1, 2, 101):
+        one = street()
+        sources = [Source(f"s.{number:03}.0", camera) for number in range(traversals) for camera in ("front", "rear")]
+        one.appearance = Appearance(sources, 8)
+        sizes[traversals] = save_block(tmp_path / str(traversals), BLOCK, one)
+    # Three latents of 8 numbers; the header has the names of the two sources.
+    each = (sizes[101] - sizes[1]) / 100
+    assert 3 * 8 * 4 <= each <= 3 * 8 * 4 + 80

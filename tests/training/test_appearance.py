@@ -8,7 +8,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybridworldsim.training.appearance import Looks, chamfer_m, seen_of
+from hybridworldsim.training.appearance import Looks, seen_of
+from hybridworldsim.training.lines import Lines, chamfer_m, filled
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror.evaluation.views.view import View
@@ -75,7 +76,7 @@ def test_blocks_agree_on_a_look_and_take_the_nearest_where_they_have_not_seen_it
     parts = [seen_of([one for one in TRAINED if one.traversal_id != absent]) for absent in ("s.night.0", "s.day.0")]
 
     def chosen(policy: str) -> list[str]:
-        return [Looks(own, policy, asked, street=SEEN).of(asked[0]).content.traversal_id for own in parts]
+        return [Looks(own, policy, asked, lines=Lines(SEEN, asked)).of(asked[0]).content.traversal_id for own in parts]
 
     assert chosen("nearest") == ["s.day.1", "s.night.0"]
     assert chosen("day") == ["s.day.1", "s.day.1"]
@@ -83,7 +84,9 @@ def test_blocks_agree_on_a_look_and_take_the_nearest_where_they_have_not_seen_it
     with pytest.raises(UsageError, match="'night'"):
         Looks(parts[0], "night", asked)
     # Nobody else has seen it: what is said of a street does not change what a block has seen itself.
-    assert Looks(SEEN, "nearest", asked, street=SEEN).of(asked[0]) == Looks(SEEN, "nearest", asked).of(asked[0])
+    assert Looks(SEEN, "nearest", asked, lines=Lines(SEEN, asked)).of(asked[0]) == Looks(SEEN, "nearest", asked).of(
+        asked[0]
+    )
 
 
 def test_mean_is_of_the_camera() -> None:
@@ -131,3 +134,34 @@ def test_chamfer_is_symmetric_and_does_not_depend_on_the_origin(shift: float, co
     assert chamfer_m(ours, theirs) == pytest.approx(chamfer_m(theirs, ours))
     assert chamfer_m(ours + origin, theirs + origin) == pytest.approx(chamfer_m(ours, theirs), abs=1e-6)
     assert chamfer_m(ours, ours) == 0.0
+
+
+def test_a_line_is_filled_up_evenly_and_keeps_its_places() -> None:
+    places = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.2, 0.0, 0.0], [1.2, 0.4, 0.0]])
+    expected = [[0.0, 0, 0], [0.4, 0, 0], [0.8, 0, 0], [1.2, 0, 0], [1.2, 0, 0], [1.2, 0.4, 0]]
+    np.testing.assert_allclose(filled(places), expected, atol=1e-12)
+    np.testing.assert_array_equal(filled(places[:1]), places[:1])
+
+
+def test_a_line_that_several_blocks_saw_is_all_of_it() -> None:
+    """Each block knows the part that it was trained on."""
+    halves = [seen_of([one for one in TRAINED if (one.world_SE3_camera[4] < 5.0) == first]) for first in (True, False)]
+    asked = line("s.new.0", 1.0)
+    lines = Lines([one for half in halves for one in half], asked)
+    chosen = {Looks(half, "nearest", asked, lines=lines).of(asked[0]).content.traversal_id for half in halves}
+    assert chosen == {"s.day.0"}
+    reference = [
+        chamfer_m(
+            np.concatenate(
+                [
+                    filled(np.array([one.pose.translation[0] for one in asked if one.camera == camera]))
+                    for camera in CAMERAS
+                ]
+            ),
+            np.concatenate(
+                [filled(np.array(one.centre_m)) for half in halves for one in half if one.traversal_id == name]
+            ),
+        )
+        for name in ("s.day.0", "s.night.0")
+    ]
+    assert reference[0] < reference[1] and lines.nearest(asked[0], ["s.night.0", "s.day.0"]) == "s.day.0"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, Final, TypeVar
@@ -42,9 +43,9 @@ def changed(settings: _Settings, words: Mapping[str, str]) -> _Settings:
         for key in outer:
             inner = inner[key]
         inner[last] = _value(name, text)
-        least = min((number for number in _numbers(inner[last])), default=0.0)
-        if least < 0.0:
-            raise UsageError(f"{least:g}", place=f"--set {name}", expected="0 or more")
+        for number in _numbers(inner[last]):
+            if not 0.0 <= number < math.inf:
+                raise UsageError(f"{number:g}", place=f"--set {name}", expected="a finite number, 0 or more")
     try:
         return TypeAdapter(type(settings)).validate_python(whole)
     except ValidationError as error:

@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 from hybridworldsim.scene.seeding import Initial
 from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, Looks
 from hybridworldsim.training.learner import Learner, Rendering
+from hybridworldsim.training.lines import Lines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters
 from hybridworldsim.training.run.specimens import pixels
@@ -79,9 +80,9 @@ class Opened:
                 place="--appearance", expected="nearest, or one that is given",
             )  # fmt: skip
         self._blocks = list(blocks)
-        street = tuple(source for one in blocks for source in one.run.sources)
+        lines = Lines([source for one in blocks for source in one.run.sources], looking.views)
         self._looks = [
-            Looks(one.run.sources, looking.policy, looking.views, looking.everywhere, street) for one in blocks
+            Looks(one.run.sources, looking.policy, looking.views, looking.everywhere, lines) for one in blocks
         ]
         self._centres = np.array([one.run.origin_m[:2] for one in blocks])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from hybridworldsim.scene.initial import driven_m, initial_of, surroundings_of
 from hybridworldsim.scene.seeding import Initial
 from hybridworldsim.training.appearance import Looks, seen_of
 from hybridworldsim.training.budget import Budget
-from hybridworldsim.training.feed import Pictures
+from hybridworldsim.training.feed import BarrenError, Pictures
 from hybridworldsim.training.learner import Learner
 from hybridworldsim.training.loop import Options, train
 from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken
@@ -112,7 +113,14 @@ class StaticMethod:
             points = len(initial.points_m)
             watch.say(f"{block.name}, {place + 1} of {len(blocks)}: {len(seen)} pictures, {points} points")
             one = _Block(block, seen, initial, layers, training, held_out)
-            found[block.name] = self._train(one, task, folder, watch)
+            try:
+                found[block.name] = self._train(one, task, folder, watch)
+            except BarrenError:
+                if place == len(blocks) - 1 and not any(found.values()):
+                    raise
+                # A corner of a street of which road users or the vehicle itself hide all: the rest can do without.
+                watch.say(f"{block.name} is left out: masks cover every one of its pictures")
+                shutil.rmtree(folder.path)
         outcomes = [outcome for outcome in found.values() if outcome is not None]
         done = Reconstructed(
             folder=out,
@@ -154,11 +162,12 @@ class StaticMethod:
             return done
         learner = self.make(one.initial, self._settings(task))
         origin = np.array(one.block.origin_m)
+        # Where it reads no depth, maps that others have made are not read either.
+        deep = one.layers.having("depth") if learner.reads_depth else frozenset()
         with folder.alone():
             return train(
                 learner,
-                # Where it reads no depth, maps that others have made are not read either.
-                Pictures(one.layers.dataset, one.training.plan, origin, one.layers.having("depth"), sky=self.sky),
+                Pictures(one.layers.dataset, one.training.plan, origin, deep, sky=self.sky),
                 one.views,
                 Budget(task.steps, task.core_minutes),
                 folder,
@@ -220,7 +229,8 @@ class _Block:
         shown = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
             shown.append(("held-out", self.held_out, views_of(self.block, self.held_out.views)))
-        looks = Looks(run.sources, "nearest", [view for _, plan, _ in shown for view in plan.views])
+        # Training pictures have looks of their own.
+        looks = Looks(run.sources, "nearest", () if self.held_out is None else self.held_out.views)
         found = []
         for name, plan, views in shown:
             pictures = Pictures(self.layers.dataset, plan, np.array(self.block.origin_m))

@@ -23,6 +23,7 @@ from hybridworldsim.scene.storage import load_block, save_block
 from hybridworldsim.scene.street import Street
 from hybridworldsim.training.appearance import FITTED, Blend, Looks
 from hybridworldsim.training.learner import Learner, Rendering
+from hybridworldsim.training.lines import Lines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.specimens import pixels
 from mirror.arrays import UInt8
@@ -96,10 +97,10 @@ class OpenStreet:
                     "all looks that are asked for were trained on: nothing to fit", place="--appearance",
                     expected="a split or protocol with traversals that were not", remedy="--appearance nearest",
                 )  # fmt: skip
-        street = tuple(source for own in seen for source in own)
+        lines = Lines([source for own in seen for source in own], looking.views)
         # Whatever is drawn of a block shares its latents.
         self._looks = {
-            id(one.street.appearance): Looks(own, looking.policy, looking.views, looking.everywhere, street)
+            id(one.street.appearance): Looks(own, looking.policy, looking.views, looking.everywhere, lines)
             for one, own in zip(blocks, seen)
         }
         self.blocks = [(one.block, one.street) for one in blocks]

@@ -134,12 +134,13 @@ def views_of(block: Block, views: Sequence[View], reach_m: float = REACH_M) -> t
 
 
 def _sector(view: View, reach_m: float) -> Any:
-    """What a view sees of the ground's plan, up to a distance: a polygon of shapely."""
+    """What a view sees of the ground's plan, up to a distance, however it is turned: a polygon of shapely."""
     import shapely
 
-    columns = np.linspace(0.0, view.width_px, 5)
-    rays = view.lens.unproject(np.stack((columns, np.full(5, view.cy_px)), axis=1)).direction
+    columns, rows = (np.linspace(0.0, size, 5) for size in (view.width_px, view.height_px))
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    rays = view.lens.unproject(grid).direction
     plan = (rays @ view.pose.matrix()[0, :3, :3].T)[:, :2]
     centre = view.pose.translation[0, :2]
     rim = centre + reach_m * plan / np.maximum(np.linalg.norm(plan, axis=1, keepdims=True), 1e-9)
-    return shapely.Polygon([centre, *rim])
+    return shapely.MultiPoint([centre, *rim]).convex_hull

@@ -45,7 +45,7 @@ def surroundings_of(dataset: Dataset) -> Surroundings:
         dataset: a view of the training traversals of one scene, and nothing else: no held-out one leaks in.
 
     Raises:
-        DatasetError: the traversals have no points.
+        DatasetError: the traversals have no points, or some that are no finite numbers.
         UsageError: they have several layers of points, and none was chosen.
     """
     points = dataset.points()
@@ -56,6 +56,12 @@ def surroundings_of(dataset: Dataset) -> Surroundings:
             place=f"scene {', '.join(dataset.scenes())}", expected="a layer of points",
             remedy=f"{made} found nothing to match: look at pictures, masks and poses, or try another --initialise"
             if made else "make one of the pictures: --initialise plane-sweep",
+        )  # fmt: skip
+    if wrong := int((~np.isfinite(points.position_m)).any(axis=1).sum()):
+        raise DatasetError(
+            f"{wrong} of {len(points)} points are no finite numbers", file=dataset.root,
+            place=f"scene {', '.join(dataset.scenes())}, layer of points {dataset.layers.points or 'that is there'}",
+            expected="metres in the scene's world", remedy="`mirror check` names the file; make the layer anew",
         )  # fmt: skip
     on_ground = np.array(points.kind) == "ground"
     ground = fit_ground(wheel_places(driven(dataset)), points.position_m[on_ground])

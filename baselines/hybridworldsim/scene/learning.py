@@ -85,6 +85,11 @@ class StreetLearner:
             {name: float(loss.detach()) for name, loss in losses.items()}, sum(part.held for part in drawn.parts)
         )
 
+    @property
+    def reads_depth(self) -> bool:
+        """See `Learner`."""
+        return bool(self.settings.depth_weight or self.settings.normal_weight)
+
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """See `Learner`."""
@@ -139,9 +144,10 @@ class StreetLearner:
         losses = {"rgb": colour_loss(drawn.rgb, picture.rgb, picture.scored)}
         if settings.structure_weight:
             losses["structure"] = structure_loss(drawn.rgb, picture.rgb, picture.scored)
-        if picture.depth_m is not None and settings.depth_weight:
+        if picture.depth_m is not None and self.reads_depth:
             known = (picture.depth_m > 0.0) & picture.scored & (drawn.alpha.detach() > 0.5)
-            losses["depth"] = depth_loss(drawn.depth_m, picture.depth_m, known)
+            if settings.depth_weight:
+                losses["depth"] = depth_loss(drawn.depth_m, picture.depth_m, known)
             if settings.normal_weight and self._steps % settings.normal_every == 0:
                 losses["normal"] = normal_loss(drawn.depth_m, picture.depth_m, known, picture.viewpoint.K)
         return losses

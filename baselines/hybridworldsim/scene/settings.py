@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from mirror.errors import UsageError
@@ -68,6 +69,16 @@ class Refinement:
     least_opacity: float = 0.005
     least_share: float = 0.01
 
+    def __post_init__(self) -> None:
+        require(self, "refinement.", ("most_ground", "most_sky"), 1)
+        require_above(self, "refinement.", ("cells_m",))
+        if not (self.begin < self.end <= 1.0 and self.cells_m):
+            raise UsageError(
+                f"from {self.begin:g} to {self.end:g}, in cells of {self.cells_m} m",
+                place="settings refinement.begin, refinement.end, refinement.cells_m",
+                expected="begin below end, end 1 at most, one size of cells or more",
+            )
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -120,6 +131,31 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("code", "offsets", "hidden", "plain_code", "first_anchors", "sky_count", "normal_every"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{getattr(self, name)}", place=f"setting {name}", expected="1 or more")
+        counts = ("code", "offsets", "hidden", "plain_code", "first_anchors", "sky_count", "sky_radius", "normal_every")
+        require(self, "", counts, 1)
+        require_above(self, "", ("first_spacing_m", "ground_spacing_m"))
+
+
+def require(settings: object, under: str, names: Sequence[str], least: float) -> None:
+    """See that settings are not below the least that there can be.
+
+    Raises:
+        UsageError: one is.
+    """
+    for name in names:
+        if not getattr(settings, name) >= least:
+            raise UsageError(
+                f"{getattr(settings, name)}", place=f"setting {under}{name}", expected=f"{least:g} or more"
+            )
+
+
+def require_above(settings: object, under: str, names: Sequence[str], least: float = 0.0) -> None:
+    """See that settings, or all numbers of each, are above something.
+
+    Raises:
+        UsageError: one is not.
+    """
+    for name in names:
+        value = getattr(settings, name)
+        if not all(number > least for number in (value if isinstance(value, tuple) else (value,))):
+            raise UsageError(f"{value}", place=f"setting {under}{name}", expected=f"more than {least:g}")

@@ -8,14 +8,14 @@ direction.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Final, TypeAlias
 
 import numpy as np
 
+from hybridworldsim.training.lines import Lines
 from hybridworldsim.training.run.folder import Seen
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
@@ -28,7 +28,6 @@ Blend: TypeAlias = tuple[tuple[Source, float], ...]
 FITTED: Final = "fit"
 MEAN: Final = "mean"
 SWEEP: Final = "sweep:"
-_STEP_M: Final = 0.5
 _MOST_PLACES: Final = 48
 
 
@@ -74,19 +73,17 @@ class Looks:
     Attributes:
         seen: what was trained on, at least one.
         policy: one of the names above; ``fit`` is not among them: it looks at pictures.
-        views: all that will be rendered: what they tell of a traversal's line decides which is nearest to it. A
-            traversal that is not among them is judged by the one picture that is asked for.
+        views: all that will be rendered.
         everywhere: the policy holds for traversals that were trained on too: to edit the light of one.
-        street: what all blocks of a street were trained on, so that they agree on a look; none: `seen` is all there is.
-            A block that has not seen what is chosen takes the nearest that it has.
+        lines: of what all blocks of a street were trained on, so that they agree on a look, and of these views; None:
+            `seen` is all there is. A block that has not seen what is chosen takes the nearest that it has.
     """
 
     seen: tuple[Seen, ...]
     policy: str = "nearest"
     views: Sequence[View] = ()
     everywhere: bool = False
-    street: tuple[Seen, ...] = ()
-    _nearest: dict[tuple[str, str | None], str] = field(default_factory=dict)
+    lines: Lines | None = None
 
     def __post_init__(self) -> None:
         for word in self._words:
@@ -128,30 +125,13 @@ class Looks:
     def _by_source(self) -> dict[Source, Seen]:
         return {Source(one.traversal_id, one.camera): one for one in self.seen}
 
-    @property
-    def _known(self) -> tuple[Seen, ...]:
-        return self.street or self.seen
+    @cached_property
+    def _street(self) -> Lines:
+        return self.lines or Lines(self.seen, self.views)
 
     @cached_property
     def _own(self) -> frozenset[str]:
         return frozenset(one.traversal_id for one in self.seen)
-
-    @cached_property
-    def _lines(self) -> dict[str, Float64]:
-        lines: dict[str, list[Float64]] = {}
-        for one in self._known:
-            lines.setdefault(one.traversal_id, []).append(_dense(np.array(one.centre_m)))
-        return {name: np.concatenate(own) for name, own in lines.items()}
-
-    @cached_property
-    def _asked(self) -> Mapping[str, Float64]:
-        by_camera: dict[Source, list[Float64]] = {}
-        for view in self.views:
-            by_camera.setdefault(Source(view.traversal_id, view.camera), []).append(view.pose.translation[0])
-        lines: dict[str, list[Float64]] = {}
-        for source, places in by_camera.items():
-            lines.setdefault(source.traversal_id, []).append(_dense(np.array(places)))
-        return {name: np.concatenate(own) for name, own in lines.items()}
 
     @cached_property
     def _order(self) -> dict[int, float]:
@@ -165,10 +145,11 @@ class Looks:
 
     def _matching(self, word: str) -> list[str]:
         """Traversals that a word means."""
-        found = sorted({one.traversal_id for one in self._known if word in (one.traversal_id, one.light, one.weather)})
+        known = self._street.known
+        found = sorted({one.traversal_id for one in known if word in (one.traversal_id, one.light, one.weather)})
         if not found:
-            lights = sorted({word for one in self._known for word in (one.light, one.weather)})
-            traversals = sorted({one.traversal_id for one in self._known})
+            lights = sorted({word for one in known for word in (one.light, one.weather)})
+            traversals = sorted({one.traversal_id for one in known})
             raise UsageError(
                 f"nothing that was trained on is {word!r}", place="--appearance",
                 expected=f"nearest, mean, fit, sweep:A:B, {', '.join(lights)}, or one of {', '.join(traversals)}",
@@ -177,22 +158,11 @@ class Looks:
 
     def _traversal(self, view: View, word: str | None) -> str:
         """Of the traversals that a word means, or of all, the one whose line is nearest to a view's."""
-        known = view.traversal_id in self._asked
-        key = (view.traversal_id, word)
-        if known and key in self._nearest:
-            return self._nearest[key]
-        names = sorted(self._lines) if word is None else self._matching(word)
-        line = self._asked[view.traversal_id] if known else view.pose.translation
-
-        def nearest(of: Sequence[str]) -> str:
-            return min(of, key=lambda name: chamfer_m(line, self._lines[name]))
-
-        chosen = nearest(names)
-        if chosen not in self._own:
-            chosen = nearest([name for name in names if name in self._own] or sorted(self._own))
-        if known:
-            self._nearest[key] = chosen
-        return chosen
+        names = sorted({one.traversal_id for one in self._street.known}) if word is None else self._matching(word)
+        chosen = self._street.nearest(view, names)
+        if chosen in self._own:
+            return chosen
+        return self._street.nearest(view, [name for name in names if name in self._own] or sorted(self._own))
 
     def _of_camera(self, traversal_id: str, view: View) -> Source:
         wanted = Source(traversal_id, view.camera)
@@ -207,24 +177,6 @@ class Looks:
             return float(np.array(one.forward[nearest]) @ forward)
 
         return max(own, key=likeness)
-
-
-def chamfer_m(ours: Float64, theirs: Float64) -> float:
-    """Mean distance of two sets of places (N, 3), (M, 3) to the nearest of the other, there and back."""
-    from scipy.spatial import cKDTree
-
-    there, back = cKDTree(theirs).query(ours)[0], cKDTree(ours).query(theirs)[0]
-    return float(there.mean() + back.mean())
-
-
-def _dense(places: Float64) -> Float64:
-    """Places (N, 3) of a line, filled up so that neighbours are near."""
-    parts = [places[:1]]
-    for begin, end in pairwise(places):
-        count = max(int(np.ceil(np.linalg.norm(end - begin) / _STEP_M)), 1)
-        shares = np.arange(1, count + 1)[:, None] / count
-        parts.append(begin + shares * (end - begin))
-    return np.concatenate(parts)
 
 
 def _three(numbers: Float64) -> tuple[float, float, float]:

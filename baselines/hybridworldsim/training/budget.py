@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any, Final
+
+from numba.core import event
 
 from mirror.errors import UsageError
 
@@ -14,8 +17,9 @@ class Budget:
 
     Attributes:
         steps: pictures trained on. Repeats exactly at the same number of threads.
-        core_minutes: processor time of all threads of the process, of training alone: reading ahead counts, rendering
-            for reports does not. With it, methods are compared at equal cost on a machine that does other work too.
+        core_minutes: processor time of all threads of the process, of training alone: reading ahead counts; rendering
+            for reports does not, nor compiling kernels, which happens once a machine. With it, methods are compared at
+            equal cost on a machine that does other work too.
     """
 
     steps: int | None = None
@@ -38,21 +42,49 @@ class Budget:
         return min(share, 1.0)
 
 
+class _Compiling(event.Listener):
+    """How much processor time went into kernels that were not on disk yet."""
+
+    def __init__(self) -> None:
+        self.spent_s, self._deep, self._since = 0.0, 0, 0.0
+
+    def on_start(self, _: Any) -> None:
+        """Numba begins to compile, one kernel at a time; what that calls is compiled within."""
+        if not self._deep:
+            self._since = time.process_time()
+        self._deep += 1
+
+    def on_end(self, _: Any) -> None:
+        """It is done."""
+        self._deep -= 1
+        if not self._deep:
+            self.spent_s += time.process_time() - self._since
+
+
+_COMPILING: Final = _Compiling()
+event.register("numba:compile", _COMPILING)
+
+
+def _worked_s() -> float:
+    """Processor time of this process so far, without compilation."""
+    return time.process_time() - _COMPILING.spent_s
+
+
 class Clock:
-    """Processor time of this process, that can be stopped.
+    """Processor time of this process without compilation, that can be stopped.
 
     Args:
         spent_s: where it begins: what an earlier run spent.
     """
 
     def __init__(self, spent_s: float = 0.0) -> None:
-        self._before, self._since = spent_s, time.process_time()
+        self._before, self._since = spent_s, _worked_s()
         self._paused = False
 
     @property
     def spent_s(self) -> float:
         """So far."""
-        return self._before + (0.0 if self._paused else time.process_time() - self._since)
+        return self._before + (0.0 if self._paused else _worked_s() - self._since)
 
     def pause(self) -> None:
         """What follows does not count."""
@@ -60,4 +92,4 @@ class Clock:
 
     def resume(self) -> None:
         """It counts again."""
-        self._since, self._paused = time.process_time(), False
+        self._since, self._paused = _worked_s(), False

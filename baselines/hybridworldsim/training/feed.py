@@ -149,11 +149,16 @@ def order(seed: int, count: int, first: int) -> Iterator[int]:
         epoch, place = epoch + 1, 0
 
 
+class BarrenError(DatasetError):
+    """Not one picture has a pixel to learn from."""
+
+
 def stream(pictures: Pictures, views: Sequence[View], seed: int, first: int) -> Generator[TrainingPicture, None, None]:
     """Training pictures without end, in the order of `order`; a thread opens the next ones meanwhile.
 
     Raises:
-        DatasetError: not one picture has a pixel to learn from; or a file is missing or broken.
+        BarrenError: not one picture has a pixel to learn from.
+        DatasetError: a file is missing or broken.
     """
     barren: set[int] = set()
     places = order(seed, len(views), first)
@@ -169,7 +174,7 @@ def stream(pictures: Pictures, views: Sequence[View], seed: int, first: int) -> 
                 if not picture.scored.any():
                     barren.add(place)
                     if len(barren) == len(views):
-                        raise DatasetError(
+                        raise BarrenError(
                             "masks cover every training picture", expected="pixels of the static street",
                             remedy="look at the masks: road users, the vehicle itself, and what the lens does not see",
                         )  # fmt: skip

@@ -50,6 +50,11 @@ class Learner(Protocol):
         """What is learnt: its parameters are all that rendering needs."""
         ...
 
+    @property
+    def reads_depth(self) -> bool:
+        """Whether it learns from depth maps: they are not read otherwise."""
+        ...
+
     def step(self, picture: TrainingPicture, progress: float) -> StepReport:
         """Learn from one picture.
 

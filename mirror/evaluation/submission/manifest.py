@@ -85,7 +85,7 @@ class Runtime(Document):
 
     Attributes:
         device: the processor.
-        frames_per_second: pictures a second at the protocol's size.
+        frames_per_second: pictures a second at the protocol's size, once the model is open.
         model_bytes: of everything that rendering needs, of all scenes together.
         driven_m: length of the road that the models cover, along the driven line.
         training_s: of all scenes together.

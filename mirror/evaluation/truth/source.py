@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.dataset import Dataset
@@ -15,6 +17,9 @@ from mirror.evaluation.submission.png import RenderError, decode_render
 from mirror.evaluation.truth.raster import raster_of
 from mirror.evaluation.truth.scored import scored_pixels
 from mirror.evaluation.views.view import View
+
+_HELD: Final = 16
+"""Traversals whose frames are held open: training asks for pictures of all in any order."""
 
 
 class TruthSource:
@@ -32,8 +37,8 @@ class TruthSource:
         self, dataset: Dataset, protocol: Protocol, layers: dict[str, tuple[str, ...]], hidden: Path | None = None
     ) -> None:
         self._dataset, self._protocol, self._layers, self._hidden = dataset, protocol, layers, hidden
-        self._traversal: tuple[str, FrameSequence, dict[int, int]] | None = None
-        self._frame: Frame | None = None
+        self._traversals: OrderedDict[str, tuple[FrameSequence, dict[int, int]]] = OrderedDict()
+        self._frame: tuple[str, Frame] | None = None
 
     def picture(self, view: View) -> UInt8:
         """The true picture (H, W, 3), RGB, in the view's raster.
@@ -72,22 +77,26 @@ class TruthSource:
         Raises:
             DatasetError: the dataset does not have it.
         """
-        if self._traversal is None or self._traversal[0] != view.traversal_id:
-            own = self._dataset.where(traversal=view.traversal_id)
+        name = view.traversal_id
+        if name not in self._traversals:
+            own = self._dataset.where(traversal=name)
             numbers: Sequence[int] = own.table("frames", ["frame_index"]).column(0).to_pylist()
-            self._traversal = (view.traversal_id, own.frames(), {number: at for at, number in enumerate(numbers)})
-            self._frame = None
-        _, frames, positions = self._traversal
-        if self._frame is None or self._frame.frame_index != view.frame_index:
-            self._frame = frames[positions[view.frame_index]]
-        image = self._frame.images.get(view.camera)
+            self._traversals[name] = own.frames(), {number: at for at, number in enumerate(numbers)}
+            if len(self._traversals) > _HELD:
+                self._traversals.popitem(last=False)
+        self._traversals.move_to_end(name)
+        if self._frame is None or (self._frame[0], self._frame[1].frame_index) != (name, view.frame_index):
+            frames, positions = self._traversals[name]
+            self._frame = name, frames[positions[view.frame_index]]
+        frame = self._frame[1]
+        image = frame.images.get(view.camera)
         if image is None or image.timestamp_ns != view.timestamp_ns:
             raise DatasetError(
                 f"no picture of camera {view.camera} at {view.timestamp_ns}",
                 file=self._dataset.root,
                 place=f"frame {view.frame_index} of {view.traversal_id}",
             )
-        return self._frame, image
+        return frame, image
 
 
 def _read_hidden(hidden: Path, view: View) -> bytes:

@@ -52,7 +52,7 @@ class Perspective:
         self._rational = any(self._denominator)
         self._tangential = (p1, p2)
         self.straight = not any(coefficients)
-        self.limit, self._farthest = self._find_limit()
+        self.limit, self._farthest = (np.inf, np.inf) if self.straight else self._find_limit()
         if not self.straight:
             self._table = InverseTable(self._radial, self.limit, reach)
 

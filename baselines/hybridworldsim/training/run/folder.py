@@ -153,6 +153,10 @@ class RunFolder:
         # What is done is done, whoever did it.
         now = run if self.outcome is None else run.model_copy(update={"threads": before.threads})
         differing = _differing(before.model_dump(mode="json"), now.model_dump(mode="json"))
+        if differing and self._is_bare:
+            with self.alone():
+                write_json(self.path / RUN, run)
+            return None
         if differing:
             elsewhere = "name another folder with --out"
             threads = f"--threads {before.threads}, or {elsewhere}" if before.threads != now.threads else elsewhere
@@ -161,6 +165,11 @@ class RunFolder:
                 expected="the same dataset, method and settings", remedy=threads,
             )  # fmt: skip
         return self.outcome
+
+    @property
+    def _is_bare(self) -> bool:
+        """Whether nothing was learnt yet: what began here failed before it had anything to keep."""
+        return self.outcome is None and not self._checkpoint.exists() and not self._curves.exists()
 
     @property
     def outcome(self) -> Outcome | None:

@@ -1,0 +1,211 @@
+"""What is pruned, what is grown and split, and that a block never has more than it may."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from hybridworldsim.scene.lazy_adam import LazyAdam
+from hybridworldsim.scene.nodes.anchors import Anchors
+from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians, Seeds
+from hybridworldsim.scene.refining.anchors import AnchorRefiner
+from hybridworldsim.scene.refining.cells import cells
+from hybridworldsim.scene.refining.code_gaussians import CodeRefiner
+from hybridworldsim.scene.refining.pace import wanted
+from hybridworldsim.scene.settings import Refinement
+from hybridworldsim.scene.splats import Splats
+from hybridworldsim.training.viewpoint import Viewpoint, viewpoint_of
+from tests.street.streets import view
+
+K = 2
+PLENTY = Refinement(times=10, most=100)
+WHENCE = viewpoint_of(view(), np.zeros(3))
+
+
+def anchors(count: int, apart_m: float = 5.0) -> Anchors:
+    """In a row along x, each with a code of its own; the Gaussians stand where the anchors do."""
+    torch.manual_seed(0)
+    means = torch.zeros(count, 3)
+    means[:, 0] = apart_m * torch.arange(count) + 0.05
+    node = Anchors(means, torch.ones(count), 75.0, offsets=K, code=4, latent=2, hidden=4)
+    node.codes.data = torch.arange(4.0 * count).view(count, 4)
+    node.offsets.data.zero_()
+    return node
+
+
+def shown(node: Anchors, opacities: Tensor, seen: Tensor | None = None) -> Splats:
+    """As if all Gaussians of some anchors were decoded."""
+    ids = torch.arange(len(node)) if seen is None else seen
+    rows = (ids[:, None] * K + torch.arange(K)).flatten()
+    none = torch.zeros(len(rows), 3)
+    own = opacities.repeat_interleave(K)
+    return Splats(none, torch.zeros(len(rows), 4), none, own, none, rows, len(node) * K, len(rows), ids)
+
+
+def refiner_of(node: Anchors, refinement: Refinement = PLENTY) -> tuple[AnchorRefiner, LazyAdam]:
+    tables = LazyAdam(node, Anchors.TABLES)
+    return AnchorRefiner(node, tables, refinement), tables
+
+
+def note(refiner: AnchorRefiner, part: Splats, pull: Tensor, times: int, whence: Viewpoint = WHENCE) -> None:
+    for _ in range(times):
+        refiner.note(part, torch.arange(len(part)), pull, whence)
+
+
+def test_anchors_that_show_nothing_go_once_they_were_looked_at_often_enough() -> None:
+    node = anchors(6)
+    refiner, tables = refiner_of(node)
+    codes = node.codes.detach().clone()
+    # Two of them transparent; of these one is seen nine times, and the other ten.
+    opacities = torch.full((6,), 0.8)
+    opacities[[1, 4]] = 0.001
+    note(refiner, shown(node, opacities), torch.zeros(6 * K), 9)
+    note(refiner, shown(node, opacities[1:], torch.arange(1, 6)), torch.zeros(5 * K), 1)
+    refiner.refine(1, torch.Generator())
+    assert tables.numbers.tolist() == [0, 2, 3, 5]
+    torch.testing.assert_close(node.codes.detach(), codes[[0, 2, 3, 5]], rtol=0, atol=0)
+    node = anchors(6)
+    refiner, tables = refiner_of(node)
+    note(refiner, shown(node, opacities), torch.zeros(6 * K), 9)
+    refiner.refine(1, torch.Generator())
+    assert len(node) == 6
+
+
+def test_the_sum_over_all_of_an_anchors_gaussians_decides() -> None:
+    node = anchors(2)
+    refiner, tables = refiner_of(node)
+    # 0.003 each is 0.006 together, above 0.005; 0.002 is 0.004.
+    note(refiner, shown(node, torch.tensor([0.003, 0.002])), torch.zeros(2 * K), 10)
+    refiner.refine(1, torch.Generator())
+    assert tables.numbers.tolist() == [0]
+
+
+def test_anchors_grow_where_pictures_pull_most_and_take_after_their_parents() -> None:
+    node = anchors(5)
+    # The second Gaussian of anchor 3 stands 1.7 m to its left, that of anchor 1 as far.
+    for row in (1, 3):
+        node.offsets.data[row, 1, 1] = 1.7
+    # Room for one of the two.
+    refinement = replace(PLENTY, times=100, most=25, cells_m=(1.0,), least_cell=0.0)
+    assert wanted(refinement, 4, 5, refinement.most) - 5 == 1
+    refiner, tables = refiner_of(node, refinement)
+    pull = torch.zeros(5 * K)
+    pull[3 * K + 1], pull[1 * K + 1] = 9.0, 4.0
+    note(refiner, shown(node, torch.ones(5)), pull, 3)
+    refiner.refine(4, torch.Generator().manual_seed(0))
+    assert len(node) == 6 and tables.numbers.tolist() == [0, 1, 2, 3, 4, 5]
+    # In the middle of the cell in which the Gaussian stood, as large as the cell, with the parent's code.
+    torch.testing.assert_close(node.means.detach()[5], torch.tensor([15.5, 1.5, 0.5]))
+    torch.testing.assert_close(node.log_scales.detach()[5], torch.zeros(6))
+    torch.testing.assert_close(node.codes[5], node.codes[3])
+    assert node.offsets[5].abs().max() <= 0.5
+
+
+def test_no_cell_is_finer_than_what_was_seen_of_it_from_nearest() -> None:
+    far, near = (viewpoint_of(view(x_m), np.zeros(3)) for x_m in (-400.0, -15.0))
+    for whence, grows in ((far, False), (near, True)):
+        node = anchors(1)
+        node.offsets.data[0, 1, 1] = 1.7
+        refiner, _ = refiner_of(node, replace(PLENTY, cells_m=(1.0,), least_cell=0.01))
+        note(refiner, shown(node, torch.ones(1)), torch.ones(K), 3, whence)
+        refiner.refine(10, torch.Generator())
+        # A hundredth of 400 m is more than a metre.
+        assert (len(node) == 2) == grows
+
+
+@given(st.integers(0, 2**16), st.integers(1, 30), st.integers(0, 60))
+@settings(max_examples=25, deadline=None)
+def test_there_are_never_more_anchors_than_they_are_to_be(seed: int, first: int, more: int) -> None:
+    rng = np.random.default_rng(seed)
+    node = anchors(first, apart_m=0.7)
+    refinement = replace(PLENTY, most=first + more, least_cell=0.0, cells_m=(0.8, 0.2))
+    refiner, tables = refiner_of(node, refinement)
+    for done in range(1, refinement.times + 1):
+        opacities = torch.from_numpy(rng.choice([0.0, 0.9], len(node), p=[0.2, 0.8]).astype(np.float32))
+        pull = torch.from_numpy(rng.gamma(1.0, size=len(node) * K).astype(np.float32))
+        note(refiner, shown(node, opacities), pull, 11)
+        gone = tables.numbers[opacities == 0.0].tolist()
+        before = len(node) - len(gone)
+        refiner.refine(done, torch.Generator().manual_seed(seed))
+        assert len(node) <= max(wanted(refinement, done, first, refinement.most), before) <= first + more
+        assert not set(gone) & set(tables.numbers.tolist())
+        assert len(tables.numbers) == len(node) and len(set(tables.numbers.tolist())) == len(node)
+        added = node.means.detach()[before:]
+        # New ones stand in cells of their own.
+        assert len(set(cells(added, 0.2).tolist())) == len(added)
+        # Offsets move, so that there is somewhere to grow.
+        node.offsets.data.uniform_(-1.0, 1.0)
+
+
+def code_gaussians(count: int) -> CodeGaussians:
+    """In a row along x, longest along their own z, turned by a quarter about x: along the world's minus y."""
+    torch.manual_seed(0)
+    means = torch.zeros(count, 3)
+    means[:, 0] = 10.0 * torch.arange(count)
+    turned = torch.tensor([math.cos(math.pi / 4), math.sin(math.pi / 4), 0.0, 0.0]).repeat(count, 1)
+    node = CodeGaussians(Seeds(means, 3.0 * turned, torch.tensor([[0.5, 1.0, 2.0]]).repeat(count, 1), 0.9), 4, 2, 4)
+    node.codes.data = torch.arange(4.0 * count).view(count, 4)
+    return node
+
+
+def splats(node: CodeGaussians) -> Splats:
+    none = torch.zeros(len(node), 3)
+    rows = torch.arange(len(node))
+    return Splats(none, torch.zeros(len(node), 4), none, torch.ones(len(node)), none, rows, len(node), len(node))
+
+
+def test_what_is_pulled_most_is_split_along_its_longest_axis() -> None:
+    node = code_gaussians(4)
+    refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, 5)
+    for _ in range(2):
+        refiner.note(splats(node), torch.arange(4), torch.tensor([1.0, 5.0, 2.0, 0.0]))
+    refiner.refine(10)
+    assert len(node) == 5
+    halves = node.means.detach()[3:]
+    # 0.6 standard deviations of 2 m to either side.
+    torch.testing.assert_close(halves, torch.tensor([[10.0, -1.2, 0.0], [10.0, 1.2, 0.0]]), rtol=0, atol=1e-5)
+    torch.testing.assert_close(node.log_scales.exp()[3:], torch.tensor([[0.5, 1.0, 2.0 / 1.6]]).repeat(2, 1))
+    torch.testing.assert_close(node.codes[3:], torch.arange(4.0, 8.0).repeat(2, 1))
+    torch.testing.assert_close(node.logits[3:].sigmoid(), torch.full((2,), 0.9))
+    assert node.means[:3, 0].tolist() == [0.0, 20.0, 30.0]
+
+
+def test_transparent_ones_go_and_what_a_single_picture_drew_is_not_split() -> None:
+    node = code_gaussians(4)
+    node.logits.data[2] = -9.0
+    refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, 50)
+    refiner.note(splats(node), torch.arange(4), torch.full((4,), 7.0))
+    refiner.refine(10)
+    assert node.means[:, 0].tolist() == [0.0, 10.0, 30.0]
+
+
+@given(st.integers(0, 2**16), st.integers(1, 20), st.integers(0, 40))
+@settings(max_examples=25, deadline=None)
+def test_there_are_as_many_code_gaussians_as_they_are_to_be(seed: int, first: int, more: int) -> None:
+    rng = np.random.default_rng(seed)
+    node = code_gaussians(first)
+    refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, first + more)
+    for done in range(1, PLENTY.times + 1):
+        for _ in range(2):
+            pull = torch.from_numpy(rng.uniform(0.1, 1.0, len(node)).astype(np.float32))
+            refiner.note(splats(node), torch.arange(len(node)), pull)
+        before = len(node)
+        refiner.refine(done)
+        # Splitting doubles at most.
+        assert len(node) == min(wanted(PLENTY, done, first, first + more), 2 * before)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_empty_nodes_are_refined_too(count: int) -> None:
+    node = anchors(count)
+    refiner, _ = refiner_of(node)
+    note(refiner, shown(node, torch.ones(count)), torch.ones(count * K), 3)
+    refiner.refine(1, torch.Generator())
+    assert len(node) >= count

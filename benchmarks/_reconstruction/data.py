@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -12,6 +13,7 @@ from benchmarks._reconstruction.methods import FEWER, fewer
 from hybridworldsim.methods.layers import are_made, layers_for
 from hybridworldsim.training.appearance import Looks, seen_of
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.layout import manifest_sha256
 from mirror.errors import DatasetError
 from mirror.evaluation.methods import Task
 from mirror.evaluation.progress import Watch
@@ -92,6 +94,25 @@ def require_prepared(
                     f"{scene} has no layers of split {split}, {width_px} px", file=folder,
                     remedy="`prepare` with the same --group, --width and --entries",
                 )  # fmt: skip
+
+
+def layers_of(dataset: Dataset, split: str, scene: str, source: str) -> dict[str, str]:
+    """What a model began with: of each kind of layer a hash of the manifests of the training traversals.
+
+    Args:
+        dataset: a local one.
+        split: whose training traversals.
+        scene: of which.
+        source: ``source@version``.
+    """
+    name, _, version = source.partition("@")
+    traversals = sorted(dataset.where(split=split, role="train", scene=scene).traversals())
+    found = {}
+    for kind in ("depth", "masks", "points"):
+        folders = [dataset.layout.layer(traversal, kind, name, version) for traversal in traversals]
+        there = [manifest_sha256(folder) for folder in folders if folder.is_dir()]
+        found[kind] = hashlib.sha256("".join(there).encode()).hexdigest()
+    return found
 
 
 def _run(main: object, words: list[str]) -> None:

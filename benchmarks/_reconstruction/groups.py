@@ -68,8 +68,9 @@ class Group:
 
 def groups(declaration: Declared) -> Mapping[Name, Group]:
     """All groups, by name."""
+    tuned = (OURS, _MTGS, STRUCTURE, *(name for name in _TUNED if name != _MTGS))
     whole = Group(
-        rows=(OURS, _MTGS, STRUCTURE, *(name for name in _TUNED if name != _MTGS)),
+        rows=(*tuned, SINGLE),
         beside=(OURS, STRUCTURE),
         against=(OURS, STRUCTURE),
         minutes=(declaration.core_minutes,),
@@ -100,7 +101,7 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
             against=(AGAIN,),
         ),
         "seam": replace(once, rows=("two-blocks",), beside=(OURS,), against=(OURS,)),
-        "budgets": replace(one_block, rows=whole.rows, minutes=declaration.core_minutes_curve),
+        "budgets": replace(one_block, rows=tuned, minutes=declaration.core_minutes_curve),
         "long": replace(
             one_block,
             rows=(OURS, _MTGS, STRUCTURE),

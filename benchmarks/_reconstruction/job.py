@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks._reconstruction.data import narrowed, opened, task_of
+from benchmarks._reconstruction.data import layers_of, narrowed, opened, task_of
 from benchmarks._reconstruction.declared import NOVEL, Declared, declared
 from benchmarks._reconstruction.methods import Entry, entries
 from benchmarks._reconstruction.scoring import Scores, averaged, plain, scores_of
@@ -89,6 +89,8 @@ def run(job: Job, folder: Path) -> Path:
         "declaration": declaration.hash,
         "settings": entry.settings(job.seed),
         "dataset_hash": plan.dataset_hash,
+        "plan_hash": plan.hash,
+        "layers": layers_of(dataset, split, job.scene, str(done.points)),
         **_costs(done),
         **scores,
     }

@@ -12,6 +12,7 @@ from typing import Any, Final
 import mtgs_style
 import omnire_style
 import vanilla_3dgs
+from benchmarks._reconstruction.choices import CHOICES, choice
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.scaled import scaled_street
 from benchmarks._reconstruction.small import as_small
@@ -99,7 +100,7 @@ def trial(name: str, rates: float, sizes: float) -> str:
 
 
 def trials() -> Mapping[str, Entry]:
-    """All trials of the tuning, by name: the grid, and beyond its edge for rivals."""
+    """All trials of the tuning, by name: the grid, beyond its edge for rivals, and choices of theirs taken back."""
     return {row.name: row for row in _trials()}
 
 
@@ -112,6 +113,8 @@ def _trials() -> Iterator[Entry]:
         for rates, sizes in (*cells, *WIDER[package.__name__]):
             settings = scaled(package.BY_HAND, rates, sizes)
             yield Entry(trial(package.__name__, rates, sizes), _explicit(package, settings))
+        for name, change in CHOICES[package.__name__].items():
+            yield Entry(choice(package.__name__, name), _explicit(package, change(package.TUNED)))
 
 
 def _as_many_bytes(settings: Settings) -> Refinement:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t
 
+from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, choice
 from benchmarks._reconstruction.declared import Tuning
 from benchmarks._reconstruction.job import OUTCOMES, Job, read_outcome
 from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, entries, trial
@@ -138,6 +139,20 @@ def tuned(found: Sequence[Outcome], grid: Tuning) -> str:
         if any(texts):
             lines.append(f"| {cell[0]:g}, {cell[1]:g} | {' | '.join(marked)} |")
     return "\n".join(lines)
+
+
+def taken_back(found: Sequence[Outcome]) -> str:
+    """Markdown: the tuned settings of rivals with one choice each taken back to what was released."""
+    known = {one.job.entry: (one.figures["train PSNR"], one.figures["novel PSNR*"]) for one in found}
+    lines = ["| taken back | training PSNR | minus tuned | PSNR* | minus tuned |", "|---|---|---|---|---|"]
+    for method, changes in CHOICES.items():
+        tuned_ones = known.get(choice(method, AS_TUNED))
+        for name in changes:
+            own = known.get(choice(method, name))
+            if own is not None and tuned_ones is not None:
+                both = " | ".join(f"{value:.2f} | {value - base:+.2f}" for value, base in zip(own, tuned_ones))
+                lines.append(f"| {choice(method, name)} | {both} |")
+    return "\n".join(lines) if len(lines) > 2 else ""
 
 
 def _of(found: Sequence[Outcome], entry: str) -> list[Outcome]:

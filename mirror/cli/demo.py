@@ -78,8 +78,23 @@ def _compared(results: Path) -> ExitCode:
     scores = {name: _held_out(results / name) for name in (_OURS, _FLOOR)}
     for name, own in scores.items():
         print(f"  {name:<13} PSNR {own['psnr']:.2f} dB, PSNR* {own['psnr_cc']:.2f} dB on the held-out traversal")
+    if costs := _costs(results / _OURS):
+        print(f"  {costs}")
     ahead = all(scores[_OURS][metric] > least for metric, least in scores[_FLOOR].items())
     return ExitCode.DONE if ahead else ExitCode.FINDINGS
+
+
+def _costs(result: Path) -> str:
+    """What the block takes, beside what the paper says of its own; nothing, where that is not known."""
+    from mirror.evaluation.result import RESULT, Result
+    from mirror.schema.files import read_json
+
+    runtime = read_json(result / RESULT, Result).submission.runtime
+    if runtime is None or None in (runtime.frames_per_second, runtime.model_bytes, runtime.driven_m):
+        return ""
+    megabytes = 1e-6 * (runtime.model_bytes or 0) * 100.0 / (runtime.driven_m or math.nan)
+    speed = f"{runtime.frames_per_second:.0f} pictures of 480 x 270 a second"
+    return f"{speed}, {megabytes:.1f} MB for 100 m of road (the paper: 21 of 960 x 540, 400 MB)"
 
 
 def _held_out(result: Path) -> dict[str, float]:

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks._reconstruction.data import write_fewer
+from benchmarks._reconstruction.data import layers_of, write_fewer
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.methods import entries
 from mirror.dataset import Dataset
 from mirror.dataset.dataset import open as open_dataset
+from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layout import Layout
+from mirror.schema.tables import POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 
 
@@ -39,3 +42,18 @@ def test_the_nearest_traversals_are_kept_and_what_is_held_out_stays(
 def test_rows_of_fewer_traversals_have_their_splits() -> None:
     assert entries()["1-traversals"].split == entries()["omnire_style-single"].split == "novel-1"
     assert entries()["1-traversals"].settings(0)["split"] == "novel-1" and "split" not in entries()["ours"].settings(0)
+
+
+def test_outcomes_know_the_layers_that_they_began_with(street: Dataset) -> None:  # noqa: F811
+    def written(version: str, x_m: float) -> dict[str, str]:
+        for traversal in street.where(split="novel", role="train").traversals():
+            row = {
+                "point": 0, "x_m": x_m, "y_m": 0.0, "z_m": 0.0, "r": 0, "g": 0, "b": 0, "kind": "background",
+                "views": 2, "sigma_m": None,
+            }  # fmt: skip
+            LayerWriter(Layout(Path(street.root)), traversal, "points", "made", version).finish(POINTS, [row], {})
+        return layers_of(street, "novel", "street", f"made@{version}")
+
+    one, other = written("1", 1.0), written("2", 2.0)
+    assert one["points"] != other["points"] and one["depth"] == other["depth"]
+    assert layers_of(street, "novel", "street", "made@1") == one

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from types import ModuleType
+from typing import Any
 
 import pytest
 
 import mtgs_style
 import omnire_style
+from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, choice
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.job import Job
 from benchmarks._reconstruction.methods import RIVALS, WIDER, trial, trials
 from benchmarks._reconstruction.scaled import scaled_street
-from benchmarks._reconstruction.tables import Outcome, tuned
+from benchmarks._reconstruction.tables import Outcome, taken_back, tuned
 from hybridworldsim.scene.settings import Rate, Settings
 from splatting.scaled import scaled
 
@@ -20,10 +23,11 @@ GRID = declared().tuning
 METHODS = ("ours", *(package.__name__ for package in RIVALS))
 
 
-def test_every_method_tries_every_cell() -> None:
+def test_every_method_tries_every_cell_and_rivals_what_they_were_released_with() -> None:
     cells = [(rates, sizes) for rates in GRID.rates for sizes in GRID.sizes]
     beyond = {trial(name, *cell) for name, wider in WIDER.items() for cell in wider}
-    assert set(trials()) == {trial(name, *cell) for name in METHODS for cell in cells} | beyond
+    back = {choice(name, change) for name, changes in CHOICES.items() for change in changes}
+    assert set(trials()) == {trial(name, *cell) for name in METHODS for cell in cells} | beyond | back
     assert not beyond & {trial(name, *cell) for name in METHODS for cell in cells}
 
 
@@ -48,6 +52,34 @@ def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
         replace(ours, rates=Settings().rates, refinement=Settings().refinement, first_anchors=Settings().first_anchors)
         == Settings()
     )
+
+
+@pytest.mark.parametrize("package", RIVALS)
+def test_a_choice_takes_back_what_was_released_and_nothing_else(package: ModuleType) -> None:
+    tuned_ones, released = (flat(asdict(settings)) for settings in (package.TUNED, package.RELEASED))
+    for name, change in CHOICES[package.__name__].items():
+        changed = flat(asdict(change(package.TUNED)))
+        # A rate that there is not is one name where it was two.
+        differing = {key for key in changed.keys() | tuned_ones.keys() if changed.get(key) != tuned_ones.get(key)}
+        assert bool(differing) == (name != AS_TUNED)
+        assert all(changed.get(key) == released.get(key) for key in differing)
+
+
+def flat(settings: dict[str, Any], under: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        found |= flat(value, f"{under}{key}.") if isinstance(value, dict) else {f"{under}{key}": value}
+    return found
+
+
+def test_choices_are_told_beside_the_tuned_ones() -> None:
+    found = [
+        Outcome(Job(choice("mtgs_style", name), GRID.scene, 0, GRID.core_minutes, 240),
+                {"train PSNR": 28.0 + gain, "novel PSNR*": 17.0 - gain})
+        for name, gain in ((AS_TUNED, 0.0), ("exposure", 0.25))
+    ]  # fmt: skip
+    assert "| mtgs_style+exposure | 28.25 | +0.25 | 16.75 | -0.25 |" in taken_back(found)
+    assert taken_back(found[1:]) == "" == taken_back([])
 
 
 def test_the_best_cell_of_each_method_is_marked() -> None:

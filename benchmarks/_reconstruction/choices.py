@@ -1,0 +1,60 @@
+"""What the rivals' tuned settings chose beside rates and sizes, each choice taken back alone to what was released."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import mtgs_style
+import omnire_style
+import vanilla_3dgs
+from splatting.settings import Weights
+
+AS_TUNED: Final = "as-tuned"
+"""Nothing taken back: the tuned settings once more, within the hours of the others."""
+
+
+def _absolute_errors(settings: Any) -> Any:
+    released = Weights()
+    colours = {"structure": released.structure, "pixelwise": released.pixelwise}
+    return replace(settings, weights=replace(settings.weights, **colours))
+
+
+CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
+    vanilla_3dgs.__name__: {
+        AS_TUNED: lambda settings: settings,
+        "l1": _absolute_errors,
+        "no-depth": lambda settings: replace(settings, weights=replace(settings.weights, depth=0.0)),
+        "resets": lambda settings: replace(
+            settings, densification=replace(settings.densification, resets=vanilla_3dgs.RELEASED.densification.resets)
+        ),
+    },
+    mtgs_style.__name__: {
+        AS_TUNED: lambda settings: settings,
+        "l1": _absolute_errors,
+        "exposure": lambda settings: replace(settings, exposure=mtgs_style.RELEASED.exposure),
+        "no-constant": lambda settings: replace(settings, rates=replace(settings.rates, adapter=None)),
+        "degree3": lambda settings: replace(settings, sh_degree=mtgs_style.RELEASED.sh_degree),
+        "inverse-depth": lambda settings: replace(
+            settings,
+            weights=replace(
+                settings.weights,
+                depth=mtgs_style.RELEASED.weights.depth,
+                depth_kind=mtgs_style.RELEASED.weights.depth_kind,
+            ),
+        ),
+    },
+    omnire_style.__name__: {
+        AS_TUNED: lambda settings: settings,
+        "l1": _absolute_errors,
+        "degree3": lambda settings: replace(settings, sh_degree=omnire_style.RELEASED.sh_degree),
+        "slow-affine": lambda settings: replace(settings, affine=omnire_style.RELEASED.affine),
+    },
+}
+"""By method and name: what changes the tuned settings."""
+
+
+def choice(method: str, name: str) -> str:
+    """The name of the row of a choice."""
+    return f"{method}+{name}"

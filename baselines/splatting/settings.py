@@ -63,6 +63,8 @@ class Seeding:
     def __post_init__(self) -> None:
         require(self, "seeding.", ("sky_radii",), 1)
         require_above(self, "seeding.", ("spacing_m", "ground_spacing_m", "size", "opacity"))
+        if not self.opacity < 1.0:
+            raise UsageError(f"{self.opacity:g}", place="setting seeding.opacity", expected="below 1")
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,6 @@ class Densification:
     absolute: bool = False
 
     def __post_init__(self) -> None:
-        require(self, "densification.", ("rounds",), 1)
         if not self.begin < self.end <= 1.0:
             raise UsageError(
                 f"from {self.begin:g} to {self.end:g}",

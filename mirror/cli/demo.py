@@ -86,15 +86,19 @@ def _compared(results: Path) -> ExitCode:
 
 def _costs(result: Path) -> str:
     """What the block takes, beside what the paper says of its own; nothing, where that is not known."""
-    from mirror.evaluation.result import RESULT, Result
+    import numpy as np
+    import pyarrow.parquet
+
+    from mirror.evaluation.result import IMAGES, RESULT, Result
     from mirror.schema.files import read_json
 
     runtime = read_json(result / RESULT, Result).submission.runtime
     if runtime is None or None in (runtime.frames_per_second, runtime.model_bytes, runtime.driven_m):
         return ""
+    pixels = np.mean(pyarrow.parquet.read_table(result / IMAGES, columns=["pixels"]).column("pixels").to_numpy())
     megabytes = 1e-6 * (runtime.model_bytes or 0) * 100.0 / (runtime.driven_m or math.nan)
-    speed = f"{runtime.frames_per_second:.0f} pictures of 480 x 270 a second"
-    return f"{speed}, {megabytes:.1f} MB for 100 m of road (the paper: 21 of 960 x 540, 400 MB)"
+    speed = f"{runtime.frames_per_second:.0f} pictures of {round(pixels, -2):,.0f} pixels a second"
+    return f"{speed}, {megabytes:.1f} MB for 100 m of road (the paper: 21 of {960 * 540:,}, 400 MB)"
 
 
 def _held_out(result: Path) -> dict[str, float]:

@@ -680,6 +680,13 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     assert sorted(path.parent.name for path in model.glob("*/model.safetensors")) == sorted(first[1:])
     words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))
     assert said(capsys, *words, "--out", tmp_path / "submission")["views"] > 0
+    # It stays left out: nothing is tried again.
+    masked.clear()
+    assert said(capsys, *reconstruct(dataset, model, "--steps", 2))["blocks"] == first[1:]
+    masked.update(one.path for one in views_of(block, everything))
+    alone = reconstruct(dataset, tmp_path / "alone", "--steps", 2, "--blocks", first[0])
+    assert said(capsys, *alone, code=ExitCode.COULD_NOT_RUN)["problem"] == "masks cover every training picture"
+    assert not (tmp_path / "alone" / first[0]).exists()
     masked.update(one.path for one in everything)
     nothing = said(capsys, *reconstruct(dataset, tmp_path / "none", "--steps", 2), code=ExitCode.COULD_NOT_RUN)
     assert nothing["problem"] == "masks cover every training picture"

@@ -27,7 +27,7 @@ from hybridworldsim.training.learner import StepReport
 from hybridworldsim.training.loop import REPORTS, Options, train
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.run.curves import read_curves
-from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken
+from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters, write_parameters
 from hybridworldsim.training.run.specimens import Specimen
 from mirror.errors import DatasetError, UsageError
@@ -434,10 +434,15 @@ def test_where_nothing_was_learnt_other_settings_begin_anew(tmp_path: Path) -> N
     """What failed before its first checkpoint does not claim the folder."""
     folder, other = RunFolder(tmp_path / "run"), RUN.model_copy(update={"seed": 1})
     folder.begin(other)
-    with folder.alone(), pytest.raises(DatasetError, match="another process is training here"):
-        folder.begin(RUN)
-    folder.begin(RUN)
+    assert folder.begin(RUN) is None
+    # It is another's until somebody trains.
+    assert read_run(tmp_path / "run") == other
+    with folder.alone():
+        folder.take(RUN)
+    assert read_run(tmp_path / "run") == RUN
     run(tmp_path / "run", 2)
+    with folder.alone(), pytest.raises(UsageError, match="a run of other settings began here"):
+        folder.take(other)
     with pytest.raises(UsageError, match="a run of other settings began here: seed 0, now 1"):
         folder.begin(other)
     (tmp_path / "run" / "outcome.json").unlink()

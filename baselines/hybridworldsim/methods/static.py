@@ -103,8 +103,13 @@ class StaticMethod:
             write_json(out / DOCUMENT, about)
         held_out = _held_out(layers.dataset, task, watch)
         found: dict[str, Outcome | None] = {}
+        barren: BarrenError | None = None
+        finished = read_reconstruction(out).done is not None
         for place, (block, seen) in enumerate(blocks):
             folder = RunFolder(out / block.name)
+            # Of a model that is done, what has no folder was left out.
+            if finished and not folder.path.exists():
+                continue
             # What others have done is held against this task; what they are still doing is left to them.
             if block.name not in chosen and folder.outcome is None:
                 found[block.name] = None
@@ -115,13 +120,14 @@ class StaticMethod:
             one = _Block(block, seen, initial, layers, training, held_out)
             try:
                 found[block.name] = self._train(one, task, folder, watch)
-            except BarrenError:
-                if place == len(blocks) - 1 and not any(found.values()):
-                    raise
+            except BarrenError as error:
+                barren = error
                 # A corner of a street of which road users or the vehicle itself hide all: the rest can do without.
                 watch.say(f"{block.name} is left out: masks cover every one of its pictures")
                 shutil.rmtree(folder.path)
         outcomes = [outcome for outcome in found.values() if outcome is not None]
+        if barren is not None and not outcomes:
+            raise barren
         done = Reconstructed(
             folder=out,
             blocks=tuple(name for name, outcome in found.items() if outcome is not None),
@@ -162,9 +168,10 @@ class StaticMethod:
             return done
         learner = self.make(one.initial, self._settings(task))
         origin = np.array(one.block.origin_m)
-        # Where it reads no depth, maps that others have made are not read either.
-        deep = one.layers.having("depth") if learner.reads_depth else frozenset()
+        # Where it reads no depth, maps that others have made are not read either, unless they tell whose sky is meant.
+        deep = one.layers.having("depth") if learner.reads_depth or self.sky else frozenset()
         with folder.alone():
+            folder.take(run)
             return train(
                 learner,
                 Pictures(one.layers.dataset, one.training.plan, origin, deep, sky=self.sky),

@@ -46,7 +46,12 @@ class _Compiling(event.Listener):
     """How much processor time went into kernels that were not on disk yet."""
 
     def __init__(self) -> None:
-        self.spent_s, self._deep, self._since = 0.0, 0, 0.0
+        self._before, self._deep, self._since = 0.0, 0, 0.0
+
+    @property
+    def spent_s(self) -> float:
+        """So far, of what is being compiled too."""
+        return self._before + (time.process_time() - self._since if self._deep else 0.0)
 
     def on_start(self, _: Any) -> None:
         """Numba begins to compile, one kernel at a time; what that calls is compiled within."""
@@ -56,9 +61,10 @@ class _Compiling(event.Listener):
 
     def on_end(self, _: Any) -> None:
         """It is done."""
+        spent_s = self.spent_s
         self._deep -= 1
         if not self._deep:
-            self.spent_s += time.process_time() - self._since
+            self._before = spent_s
 
 
 _COMPILING: Final = _Compiling()

@@ -50,8 +50,8 @@ def write_submission(
     Args:
         dataset: what the renderer may look at.
         plan: what is asked.
-        renderer: makes the pictures; how many it makes a second goes into the manifest, from the second one on: models
-            are opened and kernels compiled for the first.
+        renderer: makes the pictures; how many it makes a second goes into the manifest, without the first one of each
+            scene, for which models are opened and kernels compiled.
         method: for the manifest.
         appearance: for the manifest.
         out: a new or an empty folder.
@@ -75,14 +75,15 @@ def write_submission(
     there = sum((out / path).is_file() for path in expected)
     progress.advance(there)
     written, timed, taken, begin = 0, 0, 0.0, time.perf_counter()
+    scene = None
     for views, picture in _nothing_left_behind(renderer(dataset, plan), out):
-        if written:
+        if views[0].scene_id == scene:
             taken += time.perf_counter() - begin
             timed += len(views)
         data = encode_png(picture)
         for view in views:
             write_bytes(out / view.path, data)
-        written += len(views)
+        written, scene = written + len(views), views[0].scene_id
         progress.advance(len(views))
         begin = time.perf_counter()
     if there + written != len(expected):

@@ -135,7 +135,7 @@ class RunFolder:
         self._rows: list[Row] = []
 
     def begin(self, run: Run) -> Outcome | None:
-        """Say what the run is, or see that it is the one that began here.
+        """Say what the run is, or see that it is the one that began here, or that what began here learnt nothing.
 
         Returns:
             What came of it, if it is done.
@@ -153,11 +153,7 @@ class RunFolder:
         # What is done is done, whoever did it.
         now = run if self.outcome is None else run.model_copy(update={"threads": before.threads})
         differing = _differing(before.model_dump(mode="json"), now.model_dump(mode="json"))
-        if differing and self._is_bare:
-            with self.alone():
-                write_json(self.path / RUN, run)
-            return None
-        if differing:
+        if differing and not self._is_bare:
             elsewhere = "name another folder with --out"
             threads = f"--threads {before.threads}, or {elsewhere}" if before.threads != now.threads else elsewhere
             raise UsageError(
@@ -165,6 +161,15 @@ class RunFolder:
                 expected="the same dataset, method and settings", remedy=threads,
             )  # fmt: skip
         return self.outcome
+
+    def take(self, run: Run) -> None:
+        """Of who is `alone`: make the run this one, where another began and learnt nothing.
+
+        Raises:
+            UsageError: another one learnt something meanwhile.
+        """
+        if self.begin(run) is None:
+            write_json(self.path / RUN, run)
 
     @property
     def _is_bare(self) -> bool:

@@ -1,4 +1,4 @@
-"""What the rivals' tuned settings chose beside rates and sizes, each choice taken back alone to what was released."""
+"""Choices beside rates and sizes, each changed alone: the rivals' taken back to what was released, and some of ours."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any, Final
 import mtgs_style
 import omnire_style
 import vanilla_3dgs
+from hybridworldsim.scene.settings import Settings
+from splatting.scaled import faster
 from splatting.settings import Weights
 
 AS_TUNED: Final = "as-tuned"
@@ -52,7 +54,23 @@ CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
         "slow-affine": lambda settings: replace(settings, affine=omnire_style.RELEASED.affine),
     },
 }
-"""By method and name: what changes the tuned settings."""
+"""Of rivals, by method and name: what changes the tuned settings."""
+
+
+def _grown_until(settings: Settings, end: float) -> Settings:
+    return replace(settings, refinement=replace(settings.refinement, end=end))
+
+
+OWN: Final[Mapping[str, Callable[[Settings], Settings]]] = {
+    AS_TUNED: lambda settings: settings,
+    "depth-as-rivals": lambda settings: replace(settings, depth_weight=0.02),
+    "no-normals": lambda settings: replace(settings, normal_weight=0.0),
+    "fast-looks": lambda settings: replace(
+        settings, rates=replace(settings.rates, latents=faster(settings.rates, 2.0).latents)
+    ),
+    "grown-longer": lambda settings: _grown_until(settings, 0.8),
+}
+"""Of ours; fewer in all than any rival has."""
 
 
 def choice(method: str, name: str) -> str:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import mtgs_style
 import omnire_style
 import vanilla_3dgs
-from benchmarks._reconstruction.choices import CHOICES, choice
+from benchmarks._reconstruction.choices import CHOICES, OWN, choice
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.scaled import scaled_street
 from benchmarks._reconstruction.small import as_small
@@ -109,6 +109,8 @@ def _trials() -> Iterator[Entry]:
     cells = list(product(grid.rates, grid.sizes))
     for rates, sizes in cells:
         yield Entry(trial(OURS, rates, sizes), _street(partial(scaled_street, rates=rates, sizes=sizes)))
+    for name, change in OWN.items():
+        yield Entry(choice(OURS, name), _street(change))
     for package in RIVALS:
         for rates, sizes in (*cells, *WIDER[package.__name__]):
             settings = scaled(package.BY_HAND, rates, sizes)

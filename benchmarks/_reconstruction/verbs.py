@@ -16,7 +16,7 @@ from benchmarks._reconstruction.groups import COMPARISON, TUNING, Group, asked, 
 from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_ceilings, read_outcome
 from benchmarks._reconstruction.queue import run_all
 from benchmarks._reconstruction.settings import settings_tables
-from benchmarks._reconstruction.tables import differences, outcomes, tables, taken_back, tuned
+from benchmarks._reconstruction.tables import chosen, differences, outcomes, tables, tuned
 from mirror.cli.watch import watching
 from mirror.errors import DatasetError, ExitCode
 from mirror.schema.files import write_bytes
@@ -43,8 +43,8 @@ def _trials(folder: Path, group: Group, grid: Tuning) -> str:
         if own:
             what = "training PSNR / PSNR* of the held-out traversal, dB; the best sum of a method is bold"
             parts.append(f"tuning, {minutes:g} core-minutes: {what}\n\n{tuned(own, grid)}")
-            if text := taken_back(own):
-                what = "tuned settings of rivals, one choice each taken back to what was released, dB"
+            if text := chosen(own):
+                what = "one of the tuned settings changed, for rivals back to what was released, dB"
                 parts.append(f"choices, {minutes:g} core-minutes: {what}\n\n{text}")
     return "\n\n".join(parts)
 

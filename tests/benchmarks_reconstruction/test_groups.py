@@ -25,7 +25,7 @@ def test_rows_of_groups_are_known_and_none_is_left_out() -> None:
 
 def test_groups_run_what_is_declared() -> None:
     known = groups(DECLARED)
-    assert len(known["comparison"].jobs) == 6 * len(DECLARED.scenes) * len(DECLARED.seeds)
+    assert len(known["comparison"].jobs) == 7 * len(DECLARED.scenes) * len(DECLARED.seeds)
     assert {job.core_minutes for job in known["budgets"].jobs} == {2.0, 10.0, 30.0}
     assert {(job.core_minutes, job.width_px) for job in known["long"].jobs} == {(30.0, 480)}
     assert known["seam"].has(Job("ours", DECLARED.scenes[0], 0, 10.0, 240))

@@ -10,12 +10,12 @@ import pytest
 
 import mtgs_style
 import omnire_style
-from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, choice
+from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, OWN, choice
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.job import Job
-from benchmarks._reconstruction.methods import RIVALS, WIDER, trial, trials
+from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, trial, trials
 from benchmarks._reconstruction.scaled import scaled_street
-from benchmarks._reconstruction.tables import Outcome, taken_back, tuned
+from benchmarks._reconstruction.tables import Outcome, chosen, tuned
 from hybridworldsim.scene.settings import Rate, Settings
 from splatting.scaled import scaled
 
@@ -26,7 +26,7 @@ METHODS = ("ours", *(package.__name__ for package in RIVALS))
 def test_every_method_tries_every_cell_and_rivals_what_they_were_released_with() -> None:
     cells = [(rates, sizes) for rates in GRID.rates for sizes in GRID.sizes]
     beyond = {trial(name, *cell) for name, wider in WIDER.items() for cell in wider}
-    back = {choice(name, change) for name, changes in CHOICES.items() for change in changes}
+    back = {choice(name, change) for name, changes in ((OURS, OWN), *CHOICES.items()) for change in changes}
     assert set(trials()) == {trial(name, *cell) for name in METHODS for cell in cells} | beyond | back
     assert not beyond & {trial(name, *cell) for name in METHODS for cell in cells}
 
@@ -54,6 +54,11 @@ def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
     )
 
 
+def test_ours_has_no_more_trials_than_any_rival() -> None:
+    count = {name: sum(row.startswith(f"{name}+") for row in trials()) for name in METHODS}
+    assert all(count["ours"] <= count[package.__name__] for package in RIVALS)
+
+
 @pytest.mark.parametrize("package", RIVALS)
 def test_a_choice_takes_back_what_was_released_and_nothing_else(package: ModuleType) -> None:
     tuned_ones, released = (flat(asdict(settings)) for settings in (package.TUNED, package.RELEASED))
@@ -78,8 +83,8 @@ def test_choices_are_told_beside_the_tuned_ones() -> None:
                 {"train PSNR": 28.0 + gain, "novel PSNR*": 17.0 - gain})
         for name, gain in ((AS_TUNED, 0.0), ("exposure", 0.25))
     ]  # fmt: skip
-    assert "| mtgs_style+exposure | 28.25 | +0.25 | 16.75 | -0.25 |" in taken_back(found)
-    assert taken_back(found[1:]) == "" == taken_back([])
+    assert "| mtgs_style+exposure | 28.25 | +0.25 | 16.75 | -0.25 |" in chosen(found)
+    assert chosen(found[1:]) == "" == chosen([])
 
 
 def test_the_best_cell_of_each_method_is_marked() -> None:

@@ -11,7 +11,7 @@ from benchmarks._reconstruction.arguments import Arguments, GroupName
 from benchmarks._reconstruction.choices import choice
 from benchmarks._reconstruction.declared import Declared
 from benchmarks._reconstruction.job import Job
-from benchmarks._reconstruction.methods import AGAIN, OURS, RIVALS, SINGLE, STRUCTURE, entries, trials
+from benchmarks._reconstruction.methods import AGAIN, OURS, RIVALS, SINGLE, SMALL_EXPOSED, STRUCTURE, entries, trials
 from mirror.errors import UsageError
 
 Name: TypeAlias = Literal[GroupName, "tuning"]
@@ -86,7 +86,7 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
     grid = declaration.tuning
     return {
         COMPARISON: whole,
-        "bytes": replace(whole, rows=tuple(f"{package.__name__}-bytes" for package in RIVALS)),
+        "bytes": replace(whole, rows=(*(f"{package.__name__}-bytes" for package in RIVALS), SMALL_EXPOSED)),
         "released": replace(once, rows=tuple(f"{package.__name__}-released" for package in RIVALS)),
         "ablation": replace(
             once,

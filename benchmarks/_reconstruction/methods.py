@@ -29,6 +29,9 @@ STRUCTURE: Final = "ours-structure"
 SINGLE: Final = "omnire_style-single"
 """Of the traversal that is nearest to the held-out one, as OmniRe is meant."""
 
+SMALL_EXPOSED: Final = choice("mtgs_style-bytes", "exposure")
+"""MTGS-style with as many bytes as ours, and an exposure for each training picture."""
+
 RIVALS: Final = (vanilla_3dgs, mtgs_style, omnire_style)
 WIDER: Final[Mapping[str, tuple[tuple[float, float], ...]]] = {
     "vanilla_3dgs": ((1.0, 4.0),),
@@ -79,6 +82,7 @@ def entries() -> Mapping[str, Entry]:
             for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
         ),
         *(Entry(f"{package.__name__}-bytes", _explicit(package, as_small(package.TUNED))) for package in RIVALS),
+        Entry(SMALL_EXPOSED, _explicit(mtgs_style, _exposed(as_small(mtgs_style.TUNED)))),
         *(Entry(name, _street(change)) for name, change in _ABLATIONS.items()),
         Entry("two-blocks", replace(_street(_same), block_m=_TWO_BLOCKS_M)),
         *(Entry(f"{count}-traversals", _street(_same), fewer(declared().split, count)) for count in FEWER),
@@ -127,6 +131,10 @@ def _as_many_bytes(settings: Settings) -> Refinement:
 
 def _with_structure(settings: Settings) -> Settings:
     return replace(settings, structure_weight=STRUCTURE_WEIGHT)
+
+
+def _exposed(settings: Any) -> Any:
+    return CHOICES[mtgs_style.__name__]["exposure"](settings)
 
 
 def _same(settings: Settings) -> Settings:

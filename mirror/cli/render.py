@@ -92,6 +92,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.methods import Looking, installed_method, licence_of
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.reconstruction import read_reconstruction, require_same_street, require_unseen
+    from mirror.evaluation.scorers import scorer_of
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
     from mirror.evaluation.views import plan_views
@@ -138,7 +139,8 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     said = {"out": str(arguments.out), "views": count, "method": name}
     print(json.dumps(said) if arguments.json else f"{count} renders by {name}: {arguments.out}")
     if not arguments.json:
-        print(f"next: mirror evaluate {arguments.out} --truth {arguments.dataset}")
+        more = " --hidden FOLDER" if scorer_of(protocol.task).needs_hidden(plan) else ""
+        print(f"next: mirror evaluate {arguments.out} --truth {arguments.dataset}{more}")
     return ExitCode.DONE
 
 

@@ -70,7 +70,7 @@ OWN: Final[Mapping[str, Callable[[Settings], Settings]]] = {
     ),
     "grown-longer": lambda settings: _grown_until(settings, 0.8),
 }
-"""Of ours; fewer in all than any rival has."""
+"""Of ours; with its grid no more trials than any rival has."""
 
 
 def choice(method: str, name: str) -> str:

@@ -16,6 +16,7 @@ from mirror.errors import DatasetError
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
+ANEW = RESULTS / "anew"
 KNOWN = groups(declared())
 SHARED = {job.name for job in KNOWN["comparison"].jobs}
 
@@ -46,10 +47,20 @@ def test_tables_of_the_document_are_those_of_the_outcomes(
             VERBS[verb](arguments, declared())
         return
     VERBS[verb](arguments, declared())
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    assert_written(capsys.readouterr().out)
+
+
+def test_tables_of_what_was_made_anew_are_those_of_its_outcomes(capsys: pytest.CaptureFixture[str]) -> None:
+    VERBS["show"](Arguments("show", ANEW, group="bytes"), declared())
+    assert_written(capsys.readouterr().out)
+
+
+def assert_written(printed: str) -> None:
+    """All rows of the tables stand in the document."""
+    rows = [line for line in printed.splitlines() if line.startswith("| ")]
     written = set(RESULTS.with_suffix(".md").read_text().splitlines())
     missing = [row for row in rows if row not in written]
-    assert not missing, f"docs/results.md lacks what `{verb} --group {group}` prints: {missing[0]}"
+    assert rows and not missing, f"docs/results.md lacks what is printed of its outcomes: {missing[:1]}"
 
 
 @pytest.mark.parametrize("group", [name for name in GROUPS if name in ("comparison", "released")])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -25,7 +26,7 @@ class Arguments:
     Exit codes: 0 no errors, 1 errors (with --strict warnings too), 2 could not run.
     """
 
-    dataset: tyro.conf.Positional[str]
+    dataset: tyro.conf.Positional[Path]
     """The dataset's folder."""
     rule: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Run only this rule (POS003) or group (POS), whatever it reads; may be repeated."""
@@ -47,14 +48,13 @@ def main(argv: Sequence[str]) -> int:
     if arguments.quick and arguments.full:
         raise UsageError("--quick and --full at once", expected="one of them, or neither")
 
-    from mirror.cli.folder import local_folder
     from mirror.cli.progress import progress_bar
     from mirror.dataset.check import Cost, check
 
     cost = Cost.TABLES if arguments.quick else Cost.PICTURES if arguments.full else Cost.FILES
     with progress_bar(quiet=arguments.json) as bar:
         report = check(
-            local_folder(arguments.dataset),
+            arguments.dataset,
             only=arguments.rule,
             skip=arguments.skip,
             cost=cost,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.cli.arguments import parsed
+from mirror.cli.arguments import local_path, parsed
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def _pair(text: str, option: str, expected: str) -> tuple[str, Path]:
     name, equals, path = text.partition("=")
     if not (name and equals and path):
         raise UsageError(f"{text!r}", place=option, expected=expected)
-    return name, Path(path)
+    return name, local_path(Path(path), option)
 
 
 def _report(done: Evaluation, out: Path) -> Path:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import tyro
 
 from mirror.cli.arguments import parsed
-from mirror.cli.folder import local_folder
 from mirror.errors import ExitCode
 
 
@@ -17,7 +17,7 @@ from mirror.errors import ExitCode
 class Arguments:
     """Derive the index tables anew from drives, traversals and layers: the same bytes whatever the order of ingest."""
 
-    dataset: tyro.conf.Positional[str]
+    dataset: tyro.conf.Positional[Path]
     """The dataset's folder."""
     force: bool = False
     """Write every scene, also those that are up to date."""
@@ -36,12 +36,11 @@ def main(argv: Sequence[str]) -> int:
     from mirror.dataset.lock import writer_lock
     from mirror.ingest.replace import settle
 
-    folder = local_folder(arguments.dataset)
-    layout = Layout(folder)
+    layout = Layout(arguments.dataset)
     require_dataset(layout)
     with writer_lock(layout, wait=arguments.wait):
         settle(layout)
-        report = build_index(folder, force=arguments.force, whole=True)
+        report = build_index(layout.root, force=arguments.force, whole=True)
     if arguments.json:
         print(json.dumps(asdict(report)))
         return ExitCode.DONE

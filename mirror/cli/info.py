@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from mirror.cli.arguments import parsed
-from mirror.cli.folder import local_folder
 from mirror.cli.ingest import reader_options
 from mirror.errors import DatasetError, ExitCode
 
@@ -25,7 +25,7 @@ _LISTED = 12
 class Arguments:
     """Say what a path is: a dataset, or a recording that one of the readers recognises. No picture is opened."""
 
-    path: tyro.conf.Positional[str]
+    path: tyro.conf.Positional[Path]
     """A dataset's folder, or a recording."""
     reader: str | None = None
     """Name of the reader; default: recognised from the files."""
@@ -42,7 +42,7 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parsed(Arguments, argv, "mirror info")
-    path = local_folder(arguments.path)
+    path = arguments.path
     if not path.exists():
         raise DatasetError("there is nothing at this path", file=path, expected="a dataset or a recording")
     if (path / "dataset.json").is_file():

@@ -44,21 +44,23 @@ def method_main(argv: Sequence[str], renderer: Renderer, method: Method, appeara
     Returns:
         The exit code (`ExitCode`).
     """
-    arguments = parsed(Arguments, argv, f"python -m {method.name}")
+    try:
+        return _write(parsed(Arguments, argv, f"python -m {method.name}"), renderer, method, appearance)
+    except MirrorError as error:
+        print(f"{method.name}: {error}", file=sys.stderr)
+        return ExitCode.COULD_NOT_RUN
 
+
+def _write(arguments: Arguments, renderer: Renderer, method: Method, appearance: Appearance) -> ExitCode:
     import mirror
     from mirror.cli.progress import progress_bar
     from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.submission.writing import write_submission
     from mirror.evaluation.views import plan_views
 
-    try:
-        dataset = mirror.open(arguments.dataset)
-        plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)
-        with progress_bar(quiet=False) as bar:
-            count = write_submission(dataset, plan, renderer, method, appearance, arguments.out, bar)
-    except MirrorError as error:
-        print(f"{method.name}: {error}", file=sys.stderr)
-        return ExitCode.COULD_NOT_RUN
+    dataset = mirror.open(arguments.dataset)
+    plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)
+    with progress_bar(quiet=False) as bar:
+        count = write_submission(dataset, plan, renderer, method, appearance, arguments.out, bar)
     print(f"{count} renders: {arguments.out}")
     return ExitCode.DONE

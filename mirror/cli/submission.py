@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from mirror.cli.arguments import parsed_of
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def main(argv: Sequence[str]) -> int:
     verbs: dict[str, Callable[..., New | Check | Hidden]] = {"new": New, "check": Check, "hidden": Hidden}
     if words and words[0] not in (*verbs, "-h", "--help"):
         raise UsageError(f"no `mirror submission {words[0]}`", expected="`new`, `check` or `hidden`")
-    chosen = tyro.extras.subcommand_cli_from_dict(verbs, args=words, prog="mirror submission")
+    chosen = parsed_of(verbs, words, "mirror submission")
     if isinstance(chosen, New):
         return _new(chosen)
     return _check(chosen) if isinstance(chosen, Check) else _hidden(chosen)

@@ -10,6 +10,7 @@ import tyro
 
 from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.options import Options
+from mirror.cli.arguments import parsed
 from mirror.errors import ExitCode, MirrorError
 
 
@@ -32,13 +33,12 @@ class Arguments:
 
 def main() -> int:
     """Run the command line."""
-    arguments = tyro.cli(Arguments, prog="python -m hybridworldsim.mvs")
-
     import mirror
     from hybridworldsim.mvs.run import initialise
     from mirror.cli.progress import progress_bar
 
     try:
+        arguments = parsed(Arguments, sys.argv[1:], "python -m hybridworldsim.mvs")
         with progress_bar(quiet=False) as bar:
             report = initialise(
                 mirror.open(arguments.dataset),

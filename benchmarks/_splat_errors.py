@@ -45,7 +45,6 @@ class PictureErrors:
 
     Attributes:
         unmarked: the largest, outside marks.
-        unmarked_9999: 99.99 % of pixels outside marks are better.
         worst: the largest of all.
         all_999: 99.9 % of all pixels are better.
         beyond_flips: the largest of marked pixels, less what a flip there can do.
@@ -54,7 +53,6 @@ class PictureErrors:
     """
 
     unmarked: float
-    unmarked_9999: float
     worst: float
     all_999: float
     beyond_flips: float
@@ -114,7 +112,6 @@ def picture_errors(view: View, true: Truth) -> PictureErrors:
     clear, doubtful = apart[~marked], (apart - true.marks.jump.numpy())[marked]
     return PictureErrors(
         unmarked=float(clear.max(initial=0.0)),
-        unmarked_9999=_quantile(clear, 0.9999),
         worst=float(apart.max()),
         all_999=_quantile(apart, 0.999),
         beyond_flips=float(doubtful.max(initial=0.0)),

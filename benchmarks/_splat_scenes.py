@@ -76,6 +76,11 @@ def needles(count: int) -> Splats:
     return _volume("needles", count, np.array([10.0, 0.1, 0.1]), seed=2)
 
 
+def hairs(count: int) -> Splats:
+    """The same volume, each Gaussian ten thousand times as long as thick: thinner than a pixel."""
+    return _volume("hairs", count, np.array([10.0, 0.001, 0.001]), seed=6)
+
+
 def garden(folder: Path) -> Splats:
     """The captured cloud that gsplat is tested with; sizes from the three nearest neighbours.
 

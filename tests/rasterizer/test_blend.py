@@ -39,7 +39,7 @@ def single(seen):
     means = seen.means2d.detach()
     return seen._replace(
         means2d=means.float(), means2d_low=(means - means.float()).float(), depths=seen.depths.float(),
-        conics=seen.conics.detach(), factors=seen.factors.float(),
+        conics=seen.conics.detach(), factors=seen.factors,
     )  # fmt: skip
 
 
@@ -146,7 +146,7 @@ def test_a_hundred_thousand_on_one_pixel():
     seen = Projected(
         ids=torch.arange(count), means2d=torch.full((count, 2), 20.5), means2d_low=torch.zeros(count, 2),
         depths=torch.full((count,), 3.0), conics=torch.tensor([[1.0, 0.0, 1.0]]).repeat(count, 1).double(),
-        factors=torch.tensor([[1.0, 0.0, 1.0]]).repeat(count, 1), compensations=None,
+        factors=torch.tensor([[1.0, 0.0, 1.0]]).double().repeat(count, 1), compensations=None,
         radii=torch.full((count, 2), 4, dtype=torch.int32), counts={},
     )  # fmt: skip
     opacities = torch.full((count,), 0.005)
@@ -163,10 +163,10 @@ def test_a_hundred_thousand_on_one_pixel():
 def test_a_pixel_is_blended_to_the_cap_and_no_gradient_passes_there():
     seen = Projected(
         ids=torch.arange(1), means2d=torch.full((1, 2), 8.5), means2d_low=torch.zeros(1, 2),
-        depths=torch.ones(1), conics=torch.tensor([[0.5, 0.0, 0.5]]).double(), factors=torch.full((1, 3), 0.5**0.5),
-        compensations=None, radii=torch.full((1, 2), 6, dtype=torch.int32), counts={},
+        depths=torch.ones(1), conics=torch.tensor([[0.5, 0.0, 0.5]]).double(),
+        factors=torch.tensor([[0.5**0.5, 0.0, 0.5**0.5]]).double(), compensations=None,
+        radii=torch.full((1, 2), 6, dtype=torch.int32), counts={},
     )  # fmt: skip
-    seen = seen._replace(factors=torch.tensor([[0.5**0.5, 0.0, 0.5**0.5]]))
     weights = torch.zeros(16, 16, 1), torch.zeros(16, 16)
     weights[0][8, 8] = 1.0
     done, gradients = render(blend, seen, torch.ones(1, 1), torch.ones(1), 16, 16, weights)

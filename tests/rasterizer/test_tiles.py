@@ -40,7 +40,7 @@ def test_each_tile_has_the_gaussians_that_reach_it_in_depth_order(longest):
     order = np.argsort(depths).astype(np.int32)
     single = means.astype(np.float32)
     splats = splats_of(
-        single, (means - single).astype(np.float32), factors.astype(np.float32), opacities.astype(np.float32),
+        single, (means - single).astype(np.float32), factors, opacities.astype(np.float32),
         np.zeros((400, 3), np.float32), np.full((400, 2), 1 << 20, np.int32), TILES_X, TILES_Y,
     )  # fmt: skip
     tiles = tiles_of(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
@@ -60,7 +60,7 @@ def test_turns_number_the_pairs_of_each_gaussian():
     means, factors, opacities, depths = ellipses(300, 20.0, seed=1)
     order = np.argsort(depths).astype(np.int32)
     splats = splats_of(
-        means.astype(np.float32), np.zeros((300, 2), np.float32), factors.astype(np.float32),
+        means.astype(np.float32), np.zeros((300, 2), np.float32), factors,
         opacities.astype(np.float32), np.zeros((300, 3), np.float32), np.full((300, 2), 1 << 20, np.int32),
         TILES_X, TILES_Y,
     )  # fmt: skip
@@ -72,7 +72,7 @@ def test_turns_number_the_pairs_of_each_gaussian():
 
 def test_done_tiles_get_nothing_and_the_preset_s_extent_cuts():
     means = np.array([[60.0, 40.0]], np.float32)
-    factors, opacities = np.array([[0.02, 0.0, 0.02]], np.float32), np.array([0.9], np.float32)
+    factors, opacities = np.array([[0.02, 0.0, 0.02]]), np.array([0.9], np.float32)
 
     def tiles(radius, alive):
         splats = splats_of(

@@ -155,7 +155,7 @@ def meta_of(layout: Layout, means2d: Tensor, blending: Blending, counts: Iterabl
         "radii": radii[..., 0] if blending.preset.extent == "square" else radii,
         "means2d": means2d,
         "depths": layout.join([picture.depths for picture in projected]),
-        "conics": layout.join([picture.conics for picture in projected]),
+        "conics": layout.join([picture.conics.to(picture.means2d.dtype) for picture in projected]),
         "opacities": layout.join([view.opacities for view in blending.views]),
         "tile_width": math.ceil(blending.width / blending.tile_size),
         "tile_height": math.ceil(blending.height / blending.tile_size),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from torch import Tensor
 from hybridworldsim.rasterizer.buffers.traced import Traced
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
-from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, splats_of
+from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FLOOR, LEVEL, placed_at, splats_of
 from hybridworldsim.rasterizer.cpu.blending.tiles import tiles_of
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
@@ -109,7 +108,7 @@ def _trace_blocks(
         count = 0
         for place in range(begins[tile], begins[tile + 1]):
             row = ids[place] * stride
-            u, v = _offset(splats, row, centre_x, centre_y)
+            u, v = placed_at(splats, row, centre_x, centre_y)
             reach = math.sqrt(splats[row + LEVEL] - FLOOR) + _SLACK
             wide = from_centre * (splats[row + FACTORS] + abs(splats[row + FACTORS + 1]))
             high = from_centre * splats[row + FACTORS + 2]
@@ -121,7 +120,7 @@ def _trace_blocks(
                 light = np.float32(1.0)
                 for place in range(count):
                     row = reaching[place] * stride
-                    u, v = _offset(splats, row, np.float32(x) + half, np.float32(y) + half)
+                    u, v = placed_at(splats, row, np.float32(x) + half, np.float32(y) + half)
                     exponent = splats[row + LEVEL] - u * u - v * v
                     if exponent < FLOOR:
                         continue
@@ -142,11 +141,3 @@ def _trace_blocks(
                             rows[y, x, rank + 1] = rows[y, x, rank]
                     if rank < top:
                         weights[y, x, rank], rows[y, x, rank] = weight, reaching[place]
-
-
-@kernel(inline="always")
-def _offset(splats: Any, row: Any, x: Any, y: Any) -> Any:
-    """A pixel in the space where a Gaussian is round."""
-    dx = (x - splats[row + MEAN]) - splats[row + MEAN_LOW]
-    dy = (y - splats[row + MEAN + 1]) - splats[row + MEAN_LOW + 1]
-    return splats[row + FACTORS] * dx + splats[row + FACTORS + 1] * dy, splats[row + FACTORS + 2] * dy

@@ -22,7 +22,7 @@ from hybridworldsim.rasterizer.cpu.blending.forward import (
     exp2,
     placed,
 )
-from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FEATURES, FLOOR
+from hybridworldsim.rasterizer.cpu.blending.splats import FEATURES, FLOOR, factors_of
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.machine.vectors import (
     beyond,
@@ -253,8 +253,7 @@ def collect(
                 total_so_far = grown
             store(sums, column, total_so_far)
         row = i * stride
-        f11, f12 = np.float64(rows[row + FACTORS]), np.float64(rows[row + FACTORS + 1])
-        f22 = np.float64(rows[row + FACTORS + 2])
+        f11, f12, f22 = factors_of(rows, row)
         lean = f12 / f22
         suu, suv, svv = np.float64(sums[3]), np.float64(sums[4]), np.float64(sums[5])
         means[i, 0] = _LN4 * f11 * sums[1]

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
-from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FEATURES, FLOOR, LEVEL, MEAN, MEAN_LOW, NEAR
+from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FEATURES, FLOOR, LEVEL, NEAR, placed_at
 from hybridworldsim.rasterizer.cpu.blending.tiles import AHEAD
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.machine.vectors import (
@@ -72,9 +72,7 @@ def placed(
 ) -> Any:
     """Place a Gaussian in a tile; which of the tile's blocks it may reach, as bits."""
     f11, f12, f22 = rows[row + FACTORS], rows[row + FACTORS + 1], rows[row + FACTORS + 2]
-    dx = (centre_x - rows[row + MEAN]) - rows[row + MEAN_LOW]
-    dy = (centre_y - rows[row + MEAN + 1]) - rows[row + MEAN_LOW + 1]
-    u, v = f11 * dx + f12 * dy, f22 * dy
+    u, v = placed_at(rows, row, centre_x, centre_y)
     level = rows[row + LEVEL]
     out[at], out[at + 1], out[at + 2], out[at + 3], out[at + 4], out[at + 5] = u, v, f11, f12, f22, level
     at_x = fma(block_x, f11, fma(block_y, f12, u))

@@ -12,22 +12,23 @@ from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.machine.memory import room
 from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
 from hybridworldsim.rasterizer.presets import ALPHA_MIN
-from mirror.arrays import AnyArray, Float32, Int32
+from mirror.arrays import AnyArray, Float32, Float64, Int32
 
 MEAN: Final = 0
 MEAN_LOW: Final = 2
 FACTORS: Final = 4
 LEVEL: Final = 7
 NEAR: Final = 8
+LEAN_LOW: Final = 10
 FEATURES: Final = 12
 """Columns of a row: the mean (2) and what rounding took from it (2), the factors (3), log2 of the opacity, how near a
-block's centre is to the ellipse's if they may touch (2, squares: of both of u and v, and of v), two that are free, and
-the features."""
+block's centre is to the ellipse's if they may touch (2, squares: of both of u and v, and of v), what rounding took from
+the second factor, one that is free, and the features."""
 
 FLOOR: Final = np.float32(math.log2(ALPHA_MIN))
 """log2 of the least alpha that counts. Factors are scaled so that alpha = 2 ** (level - u^2 - v^2)."""
 
-_SCALE: Final = np.float32(math.sqrt(0.5 * math.log2(math.e)))
+_SCALE: Final = math.sqrt(0.5 * math.log2(math.e))
 _PARTS: Final = 16
 _SLACK_PX: Final = 0.02
 _SLACK: Final = np.float32(1e-3)
@@ -52,7 +53,7 @@ class Splats(NamedTuple):
 def splats_of(
     means: Float32,
     means_low: Float32,
-    factors: Float32,
+    factors: Float64,
     opacities: Float32,
     features: Float32,
     radii: Int32,
@@ -90,6 +91,25 @@ def splats_of(
 
 
 @kernel(inline="always")
+def factors_of(rows: Float32, row: Any) -> Any:
+    """The three factors of a row, as float64."""
+    lean = np.float64(rows[row + FACTORS + 1]) + rows[row + LEAN_LOW]
+    return np.float64(rows[row + FACTORS]), lean, np.float64(rows[row + FACTORS + 2])
+
+
+@kernel(inline="always")
+def placed_at(rows: Float32, row: Any, x: Any, y: Any) -> Any:
+    """A point of the picture in the space where a Gaussian is round: u and v.
+
+    In float64: far along a needle both terms of u are many times its width.
+    """
+    f11, f12, f22 = factors_of(rows, row)
+    dx = (np.float64(x) - rows[row + MEAN]) - rows[row + MEAN_LOW]
+    dy = (np.float64(y) - rows[row + MEAN + 1]) - rows[row + MEAN_LOW + 1]
+    return np.float32(f11 * dx + f12 * dy), np.float32(f22 * dy)
+
+
+@kernel(inline="always")
 def _tile(pixel: Any, tiles: int) -> int:
     """The tile of a coordinate, at least 0 and at most their number."""
     return int(min(max(pixel * np.float32(1.0 / TILE_PX), np.float32(0.0)), np.float32(tiles)))
@@ -101,7 +121,7 @@ def _lay(
     end: int,
     means: Float32,
     means_low: Float32,
-    factors: Float32,
+    factors: Float64,
     levels: Float32,
     features: Float32,
     radii: Int32,
@@ -116,7 +136,10 @@ def _lay(
     for i in range(begin, end):
         row = np.uint64(i * stride)
         x, y, level = means[i, 0], means[i, 1], levels[i]
-        f11, f12, f22 = factors[i, 0] * _SCALE, factors[i, 1] * _SCALE, factors[i, 2] * _SCALE
+        f11, f22 = np.float32(factors[i, 0] * _SCALE), np.float32(factors[i, 2] * _SCALE)
+        # rounding f11 or f22 makes a needle a little thinner or shorter; f12 / f11, its direction, may not be rounded
+        lean = factors[i, 1] / factors[i, 0] * f11
+        f12 = np.float32(lean)
         rows[row], rows[row + np.uint64(1)] = x, y
         rows[row + np.uint64(2)], rows[row + np.uint64(3)] = means_low[i, 0], means_low[i, 1]
         rows[row + np.uint64(4)], rows[row + np.uint64(5)], rows[row + np.uint64(6)] = f11, f12, f22
@@ -126,12 +149,13 @@ def _lay(
         near, near_v = reach + math.sqrt(block_u * block_u + block_v * block_v), reach + block_v
         rows[row + np.uint64(8)] = near * near * (one + _SLACK)
         rows[row + np.uint64(9)] = near_v * near_v * (one + _SLACK)
+        rows[row + np.uint64(10)] = np.float32(lean - f12)
         for channel in range(channels):
             rows[row + np.uint64(FEATURES + channel)] = features[i, channel]
         for channel in range(channels, stride - FEATURES):
             rows[row + np.uint64(FEATURES + channel)] = np.float32(0.0)
-        lean = f12 / f22
-        half_x = min(reach * math.sqrt(one + lean * lean) / f11 + slack, np.float32(radii[i, 0]))
+        shear = f12 / f22
+        half_x = min(reach * math.sqrt(one + shear * shear) / f11 + slack, np.float32(radii[i, 0]))
         half_y = min(reach / f22 + slack, np.float32(radii[i, 1]))
         x0, x1 = _tile(x - half_x, tiles_x), _tile(x + half_x + up, tiles_x)
         y0, y1 = _tile(y - half_y, tiles_y), _tile(y + half_y + up, tiles_y)

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
-from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FLOOR, LEVEL, MEAN, MEAN_LOW, Splats
+from hybridworldsim.rasterizer.cpu.blending.splats import FLOOR, LEVEL, MEAN, MEAN_LOW, Splats, factors_of
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.machine.memory import room
 from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
@@ -143,8 +143,7 @@ def _find(
         else:
             mean_x = np.float64(rows[row + MEAN]) + rows[row + MEAN_LOW]
             mean_y = np.float64(rows[row + MEAN + 1]) + rows[row + MEAN_LOW + 1]
-            f11, f12 = np.float64(rows[row + FACTORS]), np.float64(rows[row + FACTORS + 1])
-            f22 = np.float64(rows[row + FACTORS + 2])
+            f11, f12, f22 = factors_of(rows, row)
             square = np.float64(rows[row + LEVEL]) - FLOOR
             high = math.sqrt(square) / f22
             lean, wide, steep = f12 / f11, 1.0 / f11, f22 * f22

@@ -19,12 +19,15 @@ RECORD: tuple[tuple[type, tuple[int, ...]], ...] = (
     (np.float32, (2,)),  # means2d
     (np.float32, (2,)),  # means2d_low
     (np.float32, ()),  # depths
-    (np.float32, (3,)),  # conics
-    (np.float32, (3,)),  # factors
+    (np.float64, (3,)),  # conics
+    (np.float64, (3,)),  # factors
     (np.float32, ()),  # compensations
     (np.int32, (2,)),  # radii
 )
-"""What is written of each Gaussian: dtype and shape."""
+"""What is written of each Gaussian: dtype and shape.
+
+The shape of an ellipse stays float64: a needle's gradient cancels in its conic by the square of its aspect ratio.
+"""
 
 CAUSES = ("near", "far", "frustum", "radius", "opacity", "degenerate")
 """Why a Gaussian is culled; it counts for the first that is found, the cheapest is tried first."""

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 _Array = np.ndarray[Any, np.dtype[Any]]
 
+_UPSTREAM = (torch.float32, torch.float32, torch.float64, torch.float32)
+"""Of the gradients to means2d, depths, conics and compensations."""
+
 
 def project(
     means: Tensor,
@@ -68,7 +71,7 @@ def project(
         lens: distortion; None is a pinhole.
 
     Returns:
-        What is seen, float32.
+        What is seen, float32; conics and factors float64.
     """
     view = view_of(
         viewmat.detach().to(torch.float64).cpu().numpy(),
@@ -148,8 +151,9 @@ class _Project(torch.autograd.Function):
         means, quats, scales, viewmat, ids = ctx.saved_tensors
         dtype, number, seen = means.dtype, len(means), len(ids)
         given = tuple(flat(tensor, dtype) for tensor in (means, quats, scales))
-        nothing = np.zeros(3, np.float32)
-        upstream = tuple(nothing if gradient is None else flat(gradient, torch.float32) for gradient in gradients[:4])
+        upstream = tuple(
+            flat(torch.zeros(3) if gradient is None else gradient, kind) for gradient, kind in zip(gradients, _UPSTREAM)
+        )
         strides = tuple(0 if gradient is None else width for gradient, width in zip(gradients, (2, 1, 3, 1)))
         to_given = tuple(room(number * width, given[0].dtype).reshape(number, width) for width in (3, 4, 3))
         indices = ids.numpy()

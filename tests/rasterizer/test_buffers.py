@@ -148,6 +148,15 @@ def test_normals_are_shortest_axes_turned_to_the_camera(backend, angle):
     assert (picture[~seen] == 0.0).all()
 
 
+@pytest.mark.parametrize(("length", "counts"), [(1e-40, False), (1e-29, True), (1e-21, True), (1e25, True)])
+def test_normals_are_of_quaternions_that_are_rotations(length, counts):
+    shape = _disc(0.4) | cameras()
+    expected = facing_axes(*(shape[name] for name in ("means", "quats", "scales", "viewmats")))
+    shape["quats"] = (shape["quats"].double() * length).float()
+    found = facing_axes(*(shape[name] for name in ("means", "quats", "scales", "viewmats")))
+    torch.testing.assert_close(found, expected if counts else torch.zeros_like(expected))
+
+
 def test_normals_turn_with_the_camera_and_face_each():
     arguments = scene(views=2)
     turn = torch.tensor([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])

@@ -9,9 +9,18 @@ import pytest
 import torch
 
 from hybridworldsim.rasterizer import rasterization
+from hybridworldsim.rasterizer.cpu.blending.splats import splats_of
+from hybridworldsim.rasterizer.cpu.blending.tiles import tiles_of
+from hybridworldsim.rasterizer.limits import SIDE_MAX
 from hybridworldsim.rasterizer.rows import rows, spread
 from mirror.errors import UsageError
-from tests.rasterizer._scenes import both_backends, scene, with_gradients
+from tests.rasterizer._scenes import both_backends, cameras, one, scene, with_gradients
+
+_SQUARE = {"width": 16, "height": 16}
+
+
+def _tables(arguments):
+    return {name: arguments[name] for name in ("means", "quats", "scales", "opacities", "colors")}
 
 
 def _refused(place, match="", **changes):
@@ -57,9 +66,70 @@ def test_only_floating_point_tensors(name):
     _refused(name, "a torch tensor", **{name: scene(7, 2)[name].numpy()})
 
 
-@pytest.mark.parametrize(("name", "value"), [("width", 0), ("height", -3), ("width", 2.5), ("tile_size", 0)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("width", 0),
+        ("height", -3),
+        ("width", 2.5),
+        ("height", 21.0),
+        ("width", True),
+        ("width", "37"),
+        ("tile_size", 0),
+    ],
+)
 def test_sizes_are_whole_and_positive(name, value):
     _refused(name, "at least 1", **{name: value})
+
+
+@both_backends
+@pytest.mark.parametrize(
+    ("width", "height", "place"),
+    [
+        (10**9, 10**9, "width"),
+        (37, 10**9, "height"),
+        (SIDE_MAX + 1, 1, "width"),
+        (2**14 + 1, 2**14, "width, height"),
+        (2**63, 1, "width"),
+    ],
+)
+def test_images_too_large_to_be_held_are_refused_with_the_limit(backend, width, height, place):
+    error = _refused(place, "pixels", width=width, height=height, backend=backend)
+    assert "at most" in error.expected
+    assert "cx" in error.remedy
+
+
+@pytest.mark.parametrize("side", ["width", "height"])
+def test_the_longest_side_is_drawn_to_its_end(side):
+    far = one((0.0, 0.0, 2.0), 0.5, 0.9, (1.0,)) | cameras()
+    size = {"width": 16, "height": 16} | {side: SIDE_MAX}
+    axis = 0 if side == "width" else 1
+    far["Ks"] = torch.tensor([[[10.0, 0.0, 8.0], [0.0, 10.0, 8.0], [0.0, 0.0, 1.0]]])
+    far["Ks"][0, axis, 2] = SIDE_MAX - 8.0
+    image, _, _ = rasterization(**far | size, backend="cpu")
+    near, _, _ = rasterization(**far | {"Ks": torch.tensor([[[10.0, 0, 8], [0, 10.0, 8], [0, 0, 1]]]), **_SQUARE})
+    end = image[:, :, -16:] if side == "width" else image[:, -16:]
+    assert near.max() > 0.5
+    torch.testing.assert_close(end, near, rtol=0, atol=1e-5)
+
+
+def test_more_gaussians_than_can_be_numbered_are_refused():
+    many = {name: tensor[:1].expand(2**31, *tensor.shape[1:]) for name, tensor in _tables(scene(1)).items()}
+    with pytest.raises(UsageError, match="2147483648 Gaussians") as caught:
+        rasterization(**scene(1) | many)
+    assert caught.value.place == "means"
+
+
+def test_more_pairs_than_can_be_counted_are_refused():
+    tiles_x, tiles_y, count = 512, 512, 8192  # 2^31 pairs
+    splats = splats_of(
+        np.full((count, 2), 4096.0, np.float32), np.zeros((count, 2), np.float32),
+        np.tile([1e-6, 0.0, 1e-6], (count, 1)), np.ones(count, np.float32), np.zeros((count, 1), np.float32),
+        np.full((count, 2), 1 << 30, np.int32), tiles_x, tiles_y,
+    )  # fmt: skip
+    order, every = np.arange(count, dtype=np.int32), np.ones(tiles_x * tiles_y, np.bool_)
+    with pytest.raises(UsageError, match="pairs of a tile"):
+        tiles_of(splats, order, tiles_x, every)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from hybridworldsim.rasterizer.cpu.projection.packing import PART
 from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
+from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.presets import preset_of
 from hybridworldsim.rasterizer.projected import Projected
 from hybridworldsim.rasterizer.reference import project as reference
@@ -235,3 +236,38 @@ def test_anything_finite_gives_numbers(shape: list[float], opacity: float, antia
     gaussian = torch.tensor([shape])
     inputs = (gaussian[:, :3], gaussian[:, 3:7], gaussian[:, 7:], torch.tensor([opacity]), looking())
     sound(inputs, antialiased=antialiased, eps2d=0.3 if blurred else 0.0, far_plane=1e30)
+
+
+@pytest.mark.parametrize("exponent", [-45, -38, -31, -30, -29, -23, -19, 0, 19, 30, 38])
+@pytest.mark.parametrize("lens", [None, Lens(model="fisheye")])
+def test_quaternions_of_any_length_that_counts_are_the_same_rotation(exponent: int, lens: Lens | None) -> None:
+    means, quats, scales, opacities, viewmat = cloud(500)
+    means[:] = torch.tensor([0.3, 0.2, 4.0])
+    units = torch.nn.functional.normalize(quats.double(), dim=1)
+    long = (units * 10.0**exponent).float()  # below 1e-38 what is left of a quaternion is a few bits
+    counts = long.double().square().sum(1).sqrt() >= 1e-30
+    assert counts.all() == (exponent >= -29)
+    assert counts.any() == (exponent >= -30)
+    drawn = []
+    for project in (compiled, reference):
+        inputs = leaves((means, long, scales, opacities.clamp_min(0.1), viewmat))
+        shape = (*inputs, K, WIDTH, HEIGHT)
+        seen = project(*shape, **(options() | {"lens": lens}))
+        assert torch.equal(seen.ids, counts.nonzero()[:, 0])
+        assert seen.counts["degenerate"] == 500 - len(seen.ids)
+        if counts.any():
+            same = (means, units, scales.double(), opacities.clamp_min(0.1), viewmat)
+            unit = reference(means.double(), *same[1:], K, WIDTH, HEIGHT, **(options() | {"lens": lens}))
+            assert distance(seen.conics, unit.conics[counts[unit.ids]]) < 1e-5
+        for gradient in gradients(seen, inputs):
+            assert gradient.isfinite().all()
+        drawn.append(seen)
+    assert torch.equal(drawn[0].ids, drawn[1].ids)
+
+
+@pytest.mark.parametrize(("length", "count"), [(1e-31, 0), (1e-30, 1), (1e149, 1), (1e151, 0), (1e200, 0)])
+def test_quaternions_of_float64_have_the_same_limits(length: float, count: int) -> None:
+    means, scales = torch.tensor([[0.3, 0.2, 4.0]]).double(), torch.tensor([[0.1, 0.2, 0.3]]).double()
+    quats, opacities = torch.tensor([[length, 0.0, 0.0, 0.0]], dtype=torch.float64), torch.ones(1).double()
+    for project in (compiled, reference):
+        assert len(through(project, (means, quats, scales, opacities, looking())).ids) == count

@@ -117,3 +117,25 @@ def test_bits_do_not_depend_on_the_number_of_threads() -> None:
     finally:
         torch.set_num_threads(threads)
     assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("project", [compiled, reference])
+def test_a_fisheye_shows_what_is_less_than_90_degrees_off_its_axis(project: Any) -> None:
+    focal, size = 200.0, 800  # an equidistant lens, whose image reaches 114 degrees
+    degrees = torch.tensor([0.0, 45.0, 80.0, 89.0, 89.8, 89.95, 90.0, 90.5, 100.0, 114.0, 170.0], dtype=torch.float64)
+    angle = degrees.deg2rad()
+    means = 5.0 * torch.stack([angle.sin(), torch.zeros_like(angle), angle.cos()], dim=1)
+    shape = (torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double().expand(11, 4), torch.full((11, 3), 1e-3).double())
+    intrinsics = torch.tensor([[focal, 0.0, size / 2], [0.0, focal, size / 2], [0.0, 0.0, 1.0]])
+    camera = (torch.ones(11).double(), torch.eye(4).double(), intrinsics, size, size)
+    seen = project(means, *shape, *camera, **(options() | {"lens": LENSES["equidistant"]}))
+    # z is above the near plane of a centimetre up to 89.885 degrees
+    assert degrees[seen.ids].tolist() == [0.0, 45.0, 80.0, 89.0, 89.8]
+    assert seen.counts["near"] == 6
+    torch.testing.assert_close(seen.means2d[:, 0].double(), size / 2 + focal * angle[:5], rtol=0, atol=1e-2)
+
+    # 1 + 3 k1 angle^2 is 0 at 74 degrees: what lies beyond turns back
+    turning = Lens(model="fisheye", radial_coeffs=(-0.2, 0.0, 0.0, 0.0))
+    seen = project(means, *shape, *camera, **(options() | {"lens": turning}))
+    assert degrees[seen.ids].tolist() == [0.0, 45.0]
+    assert (seen.counts["near"], seen.counts["frustum"]) == (6, 3)

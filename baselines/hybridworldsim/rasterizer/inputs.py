@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -13,6 +12,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.limits import image_size, refuse_too_many
 from hybridworldsim.rasterizer.rows import compiled
 from mirror.errors import UsageError
 
@@ -30,7 +30,7 @@ class Inputs:
     Attributes:
         batch: those leading dimensions, often none.
         means: (N, 3) of each scene.
-        quats: (N, 4) of each scene, scalar first, of any length.
+        quats: (N, 4) of each scene, scalar first, of any length from 1e-30 to 1e150.
         scales: (N, 3) of each scene.
         opacities: (N,) of each scene.
         colors: (N, D) of each scene, or of each camera of each scene, with `sh_degree` (N, K, 3); None where only depth
@@ -114,6 +114,7 @@ def checked(
         UsageError: something does not fit; it is named.
     """
     choice("nonfinite", nonfinite, get_args(NonFinite))
+    width, height = image_size(width, height)
     tensors = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "viewmats": viewmats, "Ks": Ks}
     tensors |= {
         name: tensor for name, tensor in (("colors", colors), ("backgrounds", backgrounds)) if tensor is not None
@@ -123,6 +124,7 @@ def checked(
     if means.ndim < 2:
         raise _shape("means", means, "(..., N, 3)")
     *batch, count, _ = means.shape
+    refuse_too_many(count)
     if viewmats.ndim < 3:
         raise _shape("viewmats", viewmats, "(..., C, 4, 4)")
     cameras = viewmats.shape[-3]
@@ -157,8 +159,8 @@ def checked(
         colors=_tables(colors, 2 if sh_degree is None else 3) if colors is not None and "RGB" in render_mode else None,
         viewmats=viewmats.reshape(scenes, cameras, 4, 4),
         Ks=Ks.reshape(scenes, cameras, 3, 3),
-        width=positive("width", width),
-        height=positive("height", height),
+        width=width,
+        height=height,
         sh_degree=sh_degree,
         backgrounds=backgrounds,
         nonfinite=nonfinite,
@@ -269,21 +271,6 @@ def flag(place: str, value: bool) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise UsageError(f"{value!r} is no truth value", place=place, expected="True or False")
     return bool(value)
-
-
-def positive(place: str, value: int) -> int:
-    """A whole number of at least one.
-
-    Raises:
-        UsageError: it is none.
-    """
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = 0
-    if number < 1:
-        raise UsageError(f"{value!r} is no size", place=place, expected="a whole number of at least 1")
-    return number
 
 
 def no_less(place: str, value: float, least: float) -> float:

@@ -27,6 +27,11 @@ SQUARE_SIGMAS = 3.0
 SQUARE_DISCRIMINANT_MIN = 0.01
 """Floor under (trace / 2)^2 - det, pixel^4, in the longer axis of the `square` extent."""
 
+QUATERNION_MIN, QUATERNION_MAX = 1e-30, 1e150
+"""Lengths between which a quaternion is a rotation: below, its gradient would leave float32, above, its square float64.
+Others are degenerate, and culled. (gsplat's kernels square in float32: beyond 1e-19 to 1e19 their rotations are NaN or
+no rotations.)"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:

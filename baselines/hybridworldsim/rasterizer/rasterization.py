@@ -18,8 +18,8 @@ from hybridworldsim.rasterizer.inputs import (
     flag,
     lenses_of,
     no_less,
-    positive,
 )
+from hybridworldsim.rasterizer.limits import positive
 from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, preset_of
 from hybridworldsim.rasterizer.rendering import Options, render
 from mirror.errors import UsageError
@@ -74,7 +74,7 @@ def rasterization(
     Args:
         means: (..., N, 3) centres, metres. Float32 or float64: centres and cameras far from the origin, up to 1e7 m,
             want float64, in which the camera's position is subtracted before anything is float32.
-        quats: (..., N, 4) rotations, scalar first, of any length.
+        quats: (..., N, 4) rotations, scalar first, of any length from 1e-30 to 1e150; others are degenerate.
         scales: (..., N, 3) standard deviations along the axes, metres.
         opacities: (..., N) in [0, 1].
         colors: (..., N, D) or (..., C, N, D) of any number of channels; with `sh_degree` spherical harmonics, (..., N,

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.buffers.traced import blending_of
+from hybridworldsim.rasterizer.presets import QUATERNION_MAX, QUATERNION_MIN
 from hybridworldsim.rasterizer.rendering import backend_named
 from hybridworldsim.rasterizer.rows import rows
 
@@ -24,12 +25,12 @@ def facing_axes(means: Tensor, quats: Tensor, scales: Tensor, viewmats: Tensor) 
 
     Args:
         means: (..., N, 3).
-        quats: (..., N, 4) scalar first, of any length.
+        quats: (..., N, 4) scalar first, of any length from 1e-30 to 1e150.
         scales: (..., N, 3); of equal ones the first axis counts. No gradient: an axis only changes by jumps.
         viewmats: (..., C, 4, 4) camera from world.
 
     Returns:
-        (..., C, N, 3) unit vectors, x right, y down, z forward; zero for a quaternion of zero.
+        (..., C, N, 3) unit vectors, x right, y down, z forward; zero for a quaternion that is no rotation.
     """
     axes = _shortest_axes(quats, scales)[..., None, :, :]  # (..., 1, N, 3)
     rotations = viewmats[..., :3, :3]
@@ -91,9 +92,11 @@ def normalised(blended: Tensor) -> Tensor:
 
 def _shortest_axes(quats: Tensor, scales: Tensor) -> Tensor:
     """(..., N, 3) columns of the rotations of quaternions (..., N, 4): those of the smallest scales."""
-    squares = quats.square().sum(-1)
-    w, x, y, z = (quats / torch.where(squares > 0.0, squares, 1.0).sqrt()[..., None]).unbind(-1)
-    norm = torch.where(squares > 0.0, 1.0, 0.0)
+    squares = quats.double().square().sum(-1)
+    sound = (squares >= QUATERNION_MIN**2) & (squares <= QUATERNION_MAX**2)
+    units = quats.double() / torch.where(sound, squares, 1.0).sqrt()[..., None]
+    w, x, y, z = torch.where(sound[..., None], units, 0.0).to(quats.dtype).unbind(-1)
+    norm = torch.where(sound, 1.0, 0.0).to(quats.dtype)
     columns = torch.stack(
         [
             torch.stack([norm - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)], dim=-1),

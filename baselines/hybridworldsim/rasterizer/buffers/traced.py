@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.inputs import positive
+from hybridworldsim.rasterizer.limits import positive
 from hybridworldsim.rasterizer.meta import Blending
 from mirror.errors import UsageError
 

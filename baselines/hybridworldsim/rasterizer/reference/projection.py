@@ -8,7 +8,14 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.presets import ALPHA_MIN, SQUARE_DISCRIMINANT_MIN, SQUARE_SIGMAS, Preset
+from hybridworldsim.rasterizer.presets import (
+    ALPHA_MIN,
+    QUATERNION_MAX,
+    QUATERNION_MIN,
+    SQUARE_DISCRIMINANT_MIN,
+    SQUARE_SIGMAS,
+    Preset,
+)
 from hybridworldsim.rasterizer.projected import Projected
 from hybridworldsim.rasterizer.reference.unscented import unscented
 
@@ -27,7 +34,7 @@ class _Splats(NamedTuple):
     covariances: Tensor  # (N, 3): xx, xy, yy, blurred
     determinants: Tensor  # (N,), of the blurred covariances
     compensations: Tensor  # (N,)
-    finite: Tensor  # (N,) bool: whether centre and axes are, in the camera's frame
+    sound: Tensor  # (N,) bool: whether the quaternion is a rotation, centre and axes are finite in the camera's frame
     seen: Tensor  # (N,) bool: whether the lens shows them
 
 
@@ -53,12 +60,12 @@ def project(
 
     EWA splatting (Zwicker et al. 2001) as gsplat has it; through a lens, the unscented transform. What is culled gets
     no gradient; a Gaussian counts for the first cause that culls it, in the order near, far, degenerate (a quaternion
-    of zero, a covariance that is no ellipse, anything not finite), opacity, radius, frustum. A scale of zero is a flat
-    Gaussian and is shown; the sign of a scale means nothing.
+    that is no rotation, a covariance that is no ellipse, anything not finite), opacity, radius, frustum. A scale of
+    zero is a flat Gaussian and is shown; the sign of a scale means nothing.
 
     Args:
         means: (N, 3) metres, world.
-        quats: (N, 4) wxyz, of any length.
+        quats: (N, 4) wxyz, of any length from `QUATERNION_MIN` to `QUATERNION_MAX`.
         scales: (N, 3) metres.
         opacities: (N,) decide how far a Gaussian reaches; no gradient.
         viewmat: (4, 4) camera_SE3_world.
@@ -164,13 +171,20 @@ def _splats(
         determinants=blurred,
         # the inner `where` keeps the infinite slope of the root at zero out of the gradient
         compensations=torch.where(free, torch.where(free, ratio, 1.0).sqrt(), preset.compensation_min),
-        finite=torch.cat([means_c[:, None], axes_c], dim=1).isfinite().all((1, 2)),
+        sound=_are_rotations(quats) & torch.cat([means_c[:, None], axes_c], dim=1).isfinite().all((1, 2)),
         seen=seen,
     )
 
 
+def _are_rotations(quats: Tensor) -> Tensor:
+    """Whether quaternions (N, 4) have a length (N,) that counts."""
+    w, x, y, z = quats.detach().unbind(-1)
+    squares = w * w + x * x + y * y + z * z
+    return (squares >= QUATERNION_MIN**2) & (squares <= QUATERNION_MAX**2)
+
+
 def _rotations(quats: Tensor) -> Tensor:
-    """Quaternions (N, 4), of any length but zero, as matrices (N, 3, 3)."""
+    """Quaternions (N, 4) as matrices (N, 3, 3); NaN for those of zero."""
     w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -194,7 +208,7 @@ def _perspective(means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height:
 def _is_ellipse(splats: _Splats) -> Tensor:
     """Whether (N,) a covariance can be inverted and all else is finite."""
     fields = (splats.means2d, splats.covariances, splats.determinants[:, None], splats.compensations[:, None])
-    finite = splats.finite & torch.cat(fields, dim=-1).isfinite().all(-1)
+    finite = splats.sound & torch.cat(fields, dim=-1).isfinite().all(-1)
     return finite & (splats.determinants > 0.0) & (splats.covariances[:, ::2] > 0.0).all(-1)
 
 

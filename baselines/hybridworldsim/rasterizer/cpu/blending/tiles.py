@@ -13,6 +13,7 @@ from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.machine.memory import room
 from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.machine.vectors import fetch
+from hybridworldsim.rasterizer.limits import refuse_too_many_pairs
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 
 _PARTS: Final = 16
@@ -46,6 +47,9 @@ def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
         order: (R,) which of them, and in which order.
         tiles_x: columns of tiles.
         alive: (T,) whether anything is still to be seen in a tile.
+
+    Raises:
+        UsageError: too many pairs to be numbered.
     """
     edges = np.linspace(0, len(order), _PARTS + 1).astype(np.int64)
     # a part writes one tile beyond its last at most
@@ -53,6 +57,7 @@ def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
     starts[0] = 0
     in_parallel(lambda part: _boxed(edges[part], edges[part + 1], order, boxes, living, starts[part + 1 :]), _PARTS)
     np.cumsum(starts, out=starts)
+    refuse_too_many_pairs(int(starts[-1]))
     reached = room(starts[-1], np.int32)
     pairs, places = np.empty(len(order), np.int64), np.zeros((_PARTS, len(alive)), np.int64)
 

@@ -12,7 +12,13 @@ import numpy as np
 
 from hybridworldsim.rasterizer.cpu.machine import lanes
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.presets import ALPHA_MIN, SQUARE_DISCRIMINANT_MIN, SQUARE_SIGMAS
+from hybridworldsim.rasterizer.presets import (
+    ALPHA_MIN,
+    QUATERNION_MAX,
+    QUATERNION_MIN,
+    SQUARE_DISCRIMINANT_MIN,
+    SQUARE_SIGMAS,
+)
 
 RECORD: tuple[tuple[type, tuple[int, ...]], ...] = (
     (np.int64, ()),  # ids
@@ -32,9 +38,6 @@ The shape of an ellipse stays float64: a needle's gradient cancels in its conic 
 CAUSES = ("near", "far", "frustum", "radius", "opacity", "degenerate")
 """Why a Gaussian is culled; it counts for the first that is found, the cheapest is tried first."""
 
-NORM2_MIN = 1e-60
-"""Squared norm under which a quaternion is no rotation."""
-
 FLOAT32_MAX = 1e30
 """What is stored stays below, so that float32 holds it, and products with it."""
 
@@ -45,13 +48,15 @@ RADIUS_MAX = float(2**30)
 """Half extents saturate here, pixels: they are int32."""
 
 _LN2 = float(np.log(2.0))
+_SQUARE_MIN, _SQUARE_MAX = QUATERNION_MIN**2, QUATERNION_MAX**2
 
 
 @kernel(inline="always")
 def rotation(quaternion: Any) -> Any:
-    """The three rows of a quaternion's rotation, and 2 / its squared norm; any norm but 0."""
+    """The three rows of a quaternion's rotation, 2 / its squared norm, and whether it is a rotation at all."""
     w, x, y, z = quaternion
-    k = 2.0 / (w * w + x * x + y * y + z * z)
+    square = w * w + x * x + y * y + z * z
+    k = 2.0 / square
     xx, yy, zz = k * x * x, k * y * y, k * z * z
     xy, xz, yz = k * x * y, k * x * z, k * y * z
     wx, wy, wz = k * w * x, k * w * y, k * w * z
@@ -60,6 +65,7 @@ def rotation(quaternion: Any) -> Any:
         (xy + wz, 1.0 - (xx + zz), yz - wx),
         (xz - wy, yz + wx, 1.0 - (xx + yy)),
         k,
+        (square >= _SQUARE_MIN) & (square <= _SQUARE_MAX),
     )
 
 

@@ -12,7 +12,6 @@ from typing import Any
 from hybridworldsim.rasterizer.cpu.machine import lanes
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.projection.ellipses import (
-    NORM2_MIN,
     along,
     candidates,
     dot,
@@ -64,7 +63,7 @@ def project_part(view: Any, gaussians: Any, begin: Any, end: Any, rows: Any, out
     seen = 0
     for start in range(0, found, 8):
         x, y, z = to_camera(view, lanes.triples(means, rows, start))
-        first, second, third, k = rotation(lanes.quadruples(quats, rows, start))
+        first, second, third, _, turned = rotation(lanes.quadruples(quats, rows, start))
         inverse_depth = 1.0 / z
         u, v = x * inverse_depth, y * inverse_depth
         over_x, over_y, _, _ = jacobian(view, u, v, inverse_depth)
@@ -74,7 +73,7 @@ def project_part(view: Any, gaussians: Any, begin: Any, end: Any, rows: Any, out
         mean = view.fx * u + view.cx, view.fy * v + view.cy
         opacity = lanes.gather(opacities, rows, start, 1, 0)
         left = lanes.first_lanes(found - start)
-        shown = left & (k < 2.0 / NORM2_MIN)
+        shown = left & turned
         counts[5] += lanes.how_many(left) - lanes.how_many(shown)
         seen = record(view, rows, start, shown, mean, z, shape, opacity, seen, output, counts)
     return seen

@@ -61,7 +61,7 @@ def project_part_backward(
         world, quaternion = lanes.triples(means, rows, 8), lanes.quadruples(quats, rows, 8)
         size = lanes.triples(scales, rows, 8)
         x, y, z = to_camera(view, world)
-        first, second, third, k = rotation(quaternion)
+        first, second, third, k, _ = rotation(quaternion)
         inverse_depth = 1.0 / z
         u, v = x * inverse_depth, y * inverse_depth
         over_x, over_y, clamped_u, clamped_v = jacobian(view, u, v, inverse_depth)

@@ -50,12 +50,12 @@ def project(
 ) -> Projected:
     """Project Gaussians into one camera and keep those that reach its picture.
 
-    Differentiable to means, quats, scales and viewmat. A Gaussian that cannot be projected (a quaternion of length 0,
-    on or behind the camera plane, no invertible covariance) is culled, counted, and its gradient is 0.
+    Differentiable to means, quats, scales and viewmat. A Gaussian that cannot be projected (a quaternion that is
+    no rotation, on or behind the camera plane, no invertible covariance) is culled, counted, and its gradient is 0.
 
     Args:
         means: (N, 3) metres, float32 or float64.
-        quats: (N, 4) scalar first, of any length but 0.
+        quats: (N, 4) scalar first, of any length from 1e-30 to 1e150.
         scales: (N, 3) standard deviations, metres.
         opacities: (N,) decide how far a Gaussian reaches; no gradient.
         viewmat: (4, 4) world to camera.

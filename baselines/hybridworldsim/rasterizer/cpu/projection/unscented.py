@@ -14,7 +14,6 @@ from hybridworldsim.rasterizer.cpu.machine import lanes
 from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 from hybridworldsim.rasterizer.cpu.projection.bending import pixel
 from hybridworldsim.rasterizer.cpu.projection.ellipses import (
-    NORM2_MIN,
     along,
     candidates,
     dot,
@@ -138,7 +137,7 @@ def unscented_part(
     seen = 0
     for start in range(0, found, 8):
         mean = to_camera(view, lanes.triples(means, rows, start))
-        first, second, third, k = rotation(lanes.quadruples(quats, rows, start))
+        first, second, third, _, turned = rotation(lanes.quadruples(quats, rows, start))
         _put_steps(_axes(view, first, second, third), lanes.triples(scales, rows, start), scratch)
         lit = 0
         for number in range(7):
@@ -150,7 +149,7 @@ def unscented_part(
         shift, shape = _moments(scratch)
         centre = lanes.fetch(scratch, _PIXELS) + shift[0], lanes.fetch(scratch, _PIXELS + 8) + shift[1]
         left = lanes.first_lanes(found - start)
-        whole = left & (k < 2.0 / NORM2_MIN)
+        whole = left & turned
         shown = whole & lanes.mask_of(lit)
         counts[2] += lanes.how_many(whole) - lanes.how_many(shown)
         counts[5] += lanes.how_many(left) - lanes.how_many(whole)
@@ -204,7 +203,7 @@ def unscented_part_backward(
         world, quaternion = lanes.triples(means, rows, 8), lanes.quadruples(quats, rows, 8)
         size = lanes.triples(scales, rows, 8)
         mean = to_camera(view, world)
-        first, second, third, k = rotation(quaternion)
+        first, second, third, k, _ = rotation(quaternion)
         axes = _axes(view, first, second, third)
         _put_steps(axes, size, scratch)
         for number in range(7):

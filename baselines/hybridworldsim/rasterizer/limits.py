@@ -1,0 +1,88 @@
+"""How large images and scenes may be: what would overflow an index, or no memory holds, is refused by its name."""
+
+from __future__ import annotations
+
+import operator
+from typing import Final
+
+import numpy as np
+
+from mirror.errors import UsageError
+
+SIDE_MAX: Final = 65535 * 16
+"""Pixels of an image's side: columns and rows of tiles are numbered in 16 bits."""
+
+PIXELS_MAX: Final = 2**28
+"""Pixels of one image: it takes 55 bytes a pixel to render, 115 with gradients, which are 29 GiB here."""
+
+GAUSSIANS_MAX: Final = 2**31 - 1
+"""Gaussians of one scene: their order is int32."""
+
+PAIRS_MAX: Final = 2**31 - 1
+"""Pairs of tile and Gaussian that are listed at once: their places are counted in int32, and take 12 bytes each."""
+
+
+def positive(place: str, value: int) -> int:
+    """A whole number of at least one.
+
+    Raises:
+        UsageError: it is none.
+    """
+    try:
+        number = 0 if isinstance(value, bool | np.bool_) else operator.index(value)
+    except TypeError:
+        number = 0
+    if number < 1:
+        raise UsageError(f"{value!r} is no size", place=place, expected="a whole number of at least 1")
+    return number
+
+
+def image_size(width: int, height: int) -> tuple[int, int]:
+    """Width and height of an image, pixels.
+
+    Raises:
+        UsageError: one is no size, or the image is too large.
+    """
+    width, height = positive("width", width), positive("height", height)
+    remedy = "render the image in parts: for the part whose corner is (x, y), subtract x and y from cx and cy of Ks"
+    for place, side in (("width", width), ("height", height)):
+        if side > SIDE_MAX:
+            raise UsageError(f"{side} pixels", place=place, expected=f"at most {SIDE_MAX}", remedy=remedy)
+    if width * height > PIXELS_MAX:
+        raise UsageError(
+            f"an image of {width} x {height} pixels, which is {width * height}",
+            place="width, height",
+            expected=f"at most {PIXELS_MAX} pixels",
+            remedy=remedy,
+        )
+    return width, height
+
+
+def refuse_too_many(gaussians: int) -> None:
+    """Refuse scenes whose Gaussians cannot be numbered.
+
+    Raises:
+        UsageError: there are too many.
+    """
+    if gaussians > GAUSSIANS_MAX:
+        raise UsageError(
+            f"{gaussians} Gaussians",
+            place="means",
+            expected=f"at most {GAUSSIANS_MAX}",
+            remedy="render blocks of the scene that the camera reaches",
+        )
+
+
+def refuse_too_many_pairs(pairs: int) -> None:
+    """Refuse lists of tiles and Gaussians whose places cannot be counted.
+
+    Raises:
+        UsageError: there are too many.
+    """
+    if pairs > PAIRS_MAX:
+        raise UsageError(
+            f"{pairs} pairs of a tile of 16 x 16 pixels and a Gaussian that may reach it",
+            place="scales, width, height",
+            expected=f"at most {PAIRS_MAX} in a part of the scene",
+            remedy="render a smaller image, or the image in parts, or smaller Gaussians",
+        )

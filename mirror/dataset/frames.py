@@ -260,6 +260,16 @@ class Frame:
         """Stamps (N,) and ``world_SE3_ego`` of the whole traversal, as dense as the chosen pose layer has them."""
         return self._traversal.track
 
+    @property
+    def track_ids(self) -> tuple[str, ...]:
+        """Every object that the boxes of the whole traversal have, of the chosen layer, sorted.
+
+        Raises:
+            UsageError: there are several box layers and none was chosen.
+            DatasetError: the traversal does not have the chosen layer.
+        """
+        return self._traversal.track_ids
+
     def boxes(self, frame: str = "ego") -> FrameBoxes:
         """The boxes nearest in time, at most half a period of theirs away.
 

@@ -7,20 +7,21 @@ to a worker; it opens the dataset itself. Worker processes are to be started wit
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypedDict, Unpack
 
 import numpy as np
-import torch
 from torch.utils.data import Dataset as TorchDataset
 from torch.utils.data import IterableDataset, default_collate, get_worker_info
 
 from mirror.arrays import Int64
+from mirror.dataset.contents import ImageLayout, contents_of, raster_shapes
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Frame, FrameSequence
-from mirror.dataset.query.arrow import numbers
+from mirror.dataset.frames import FrameSequence
+from mirror.dataset.raster import Resize
+from mirror.dataset.samples import LENS_MODELS, Sample, camera_of, sample
 from mirror.errors import UsageError
 
-Sample = dict[str, Any]
+__all__ = ["LENS_MODELS", "FrameDataset", "IterableFrames", "Sample", "SampleOptions", "camera_of", "epoch_order"]
 
 _MAKE_AGAIN: Final = {
     "index": "restore the dataset as it was, or begin a new epoch with set_epoch",
@@ -28,25 +29,99 @@ _MAKE_AGAIN: Final = {
 }
 
 
+class SampleOptions(TypedDict, total=False):
+    """The options of `FrameDataset`, with their meaning there."""
+
+    undistort: bool
+    resize: Resize | None
+    layout: ImageLayout
+    boxes: bool
+    categories: Sequence[str] | None
+    masks: Sequence[str] | None
+    verify: bool
+
+
 class FrameDataset(TorchDataset[Sample]):
-    """The frames of a view as a map-style dataset; see `sample` for what an item is.
+    """The frames of a view as a map-style dataset.
+
+    A sample is a dictionary, ready for torch's own collate function. With C cameras, all of them in one order, images
+    of at most H x W pixels and at most N boxes:
+
+    - ``images`` (C, 3, H, W) uint8, RGB. A smaller image fills the upper left corner, with zeros beyond it, so that
+      intrinsics hold for it. ``height_px``, ``width_px`` (C,): its size. ``valid`` (C,) bool: False where a camera has
+      no image in this frame; its part of the sample is zero. ``pixel_valid`` (C, H, W) bool: True where a pixel is made
+      of recorded ones: False beyond a smaller image, and where an undistorted one shows what the lens does not see.
+    - ``intrinsics`` (C, 3, 3) float64: the matrix K of the images as they are here; the first pixel's centre is at 0.5.
+      ``lens`` (C,): number of the camera model in `LENS_MODELS`, -1 without an image. K alone is the whole lens only of
+      a ``pinhole``. ``distortion`` (C, 16) float64: the model's coefficients, then zeros; ``distortion_count`` (C,).
+      `camera_of` makes a `mirror.geometry.Camera` of them.
+    - ``world_SE3_camera`` (C, 4, 4) at each image's mid-exposure, ``world_SE3_ego`` (4, 4) at the frame's instant,
+      float64, in metres.
+    - ``timestamp_ns``, ``exposure_start_ns``, ``exposure_end_ns`` (C,) int64; ``frame_timestamp_ns``.
+    - ``scene_id``, ``traversal_id``, ``frame_index``.
+    - ``masks``: by name (C, H, W) bool, True for what the name says; ``instance`` (C, H, W) uint8, as stored.
+      ``mask_valid``: by name (C,) bool: False where an image has no such mask; its mask is then False everywhere, which
+      says nothing.
+    - ``world_SE3_box`` (N, 4, 4), ``box_size_m`` (N, 3) length, width, height, ``box_velocity_mps`` (N, 3) over ground
+      along the world's axes, NaN where unknown; ``box_category`` (N,): number in ``categories``; ``box_track`` (N,):
+      number of the object within its traversal, in `Frame.track_ids`; ``box_score`` (N,), NaN for a label without one;
+      ``box_valid`` (N,) bool: False behind the last box. ``box_timestamp_ns``: the instant that the boxes describe.
 
     For a resumable shuffled order give a loader ``sampler=epoch_order(len(dataset), seed, epoch)[consumed:]``.
 
     Args:
         dataset: the view.
-        cameras: cameras of every sample, in this order; default: all of the view.
-        verify: hold every picture against its hash.
+        cameras: cameras of every sample, in this order; default: all of the view. A name alone: samples of that camera,
+            whose tensors have no camera axis.
+        undistort: take images and masks to the pinhole of `mirror.geometry.undistorted`, which is that of the
+            benchmark's protocols; ``lens`` and ``intrinsics`` are then that pinhole's.
+        resize: (height, width) for all images, or a factor such as 0.5; ``intrinsics`` follow.
+        layout: ``chw``, or ``hwc``: ``images`` is (C, H, W, 3).
+        boxes: whether samples have boxes, of the layer that the view reads.
+        categories: only boxes of these, numbered in this order; default: all of the dataset, sorted.
+        masks: a list of ``kind`` or ``kind/source@version``; default: every kind that the dataset has. ``ego`` is the
+            rig's mask where an image has none of its own.
+        verify: hold every image against its hash.
+
+    Attributes:
+        dataset: the view.
+        cameras: names along the camera axis.
+        categories: of boxes, by number.
+        masks: names of the masks.
 
     Raises:
-        UsageError: the view has no pictures, a camera is not in it, or their pictures are of several sizes.
+        UsageError: the view has no images, or an argument does not fit it.
     """
 
-    def __init__(self, dataset: Dataset, cameras: Sequence[str] | None = None, *, verify: bool = False) -> None:
+    def __init__(
+        self,
+        dataset: Dataset,
+        cameras: str | Sequence[str] | None = None,
+        *,
+        undistort: bool = False,
+        resize: Resize | None = None,
+        layout: ImageLayout = "chw",
+        boxes: bool = True,
+        categories: Sequence[str] | None = None,
+        masks: Sequence[str] | None = None,
+        verify: bool = False,
+    ) -> None:
         self.dataset = dataset
-        self.cameras = _cameras(dataset, cameras)
-        self.verify = verify
-        self._size = _size(dataset.where(camera=self.cameras))
+        self._contents = contents_of(
+            dataset,
+            cameras,
+            undistort=undistort,
+            resize=resize,
+            layout=layout,
+            boxes=boxes,
+            categories=categories,
+            masks=masks,
+            verify=verify,
+        )
+        self.cameras = self._contents.cameras
+        self.categories = self._contents.categories
+        self.masks = self._contents.masks
+        self._shapes = raster_shapes(dataset, self._contents)
         self._frames: FrameSequence | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -59,11 +134,32 @@ class FrameDataset(TorchDataset[Sample]):
             self._frames = self.dataset.frames()
         return self._frames
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width that hold every image."""
+        heights, widths = zip(*self._shapes.values())
+        return max(heights), max(widths)
+
+    def _shape_of(self, traversal_id: str) -> tuple[int, int]:
+        return self._shapes.get(traversal_id, self.shape)
+
     def __len__(self) -> int:
         return len(self.frames)
 
     def __getitem__(self, index: int) -> Sample:
-        return sample(self.frames[int(index)], self.cameras, self._size, verify=self.verify)
+        return sample(self.frames[int(index)], self._contents, self.shape)
+
+    def unpadded(self, index: int) -> Sample:
+        """As an item, with tensors of images only as large as the largest image of the frame's traversal."""
+        frame = self.frames[int(index)]
+        return sample(frame, self._contents, self._shape_of(frame.traversal_id))
+
+    def shapes(self) -> Int64:
+        """Height and width (F, 2) of the tensors of images that `unpadded` makes of each of F frames."""
+        parts = self.frames.parts
+        traversals = self.dataset.catalog.traversal_ids
+        of_parts = [self._shape_of(traversals[part.traversal].as_py()) for part in parts]
+        return np.repeat(np.array(of_parts, np.int64).reshape(-1, 2), [part.rows for part in parts], axis=0)
 
 
 class IterableFrames(IterableDataset[Sample]):
@@ -77,46 +173,55 @@ class IterableFrames(IterableDataset[Sample]):
 
     Args:
         dataset: the view.
-        batch_size: samples a batch; the last one of an epoch may be smaller.
-        cameras: cameras of every sample, in this order; default: all of the view.
+        batch_size: samples a batch; the last one of an epoch, or of a size, may be smaller.
+        cameras: as of `FrameDataset`.
         seed: what the order is drawn by.
         shuffle: False: in order of traversal and time.
         rank: which share of the samples is this process's.
         world_size: number of shares; they have no sample in common.
         drop_last: leave out what does not fill a batch of every rank, so that all ranks have as many.
-        verify: hold every picture against its hash.
+        group_by_size: make each batch of frames whose images need tensors of one size, and no larger. Else all tensors
+            of the view are as large as its largest image.
+        options: those of `FrameDataset`.
 
     Raises:
-        UsageError: the view has no pictures, a camera is not in it, or a number is out of range.
+        UsageError: the view has no images, an argument does not fit it, or a number is out of range.
     """
 
     def __init__(
         self,
         dataset: Dataset,
         batch_size: int,
-        cameras: Sequence[str] | None = None,
+        cameras: str | Sequence[str] | None = None,
         *,
         seed: int = 0,
         shuffle: bool = True,
         rank: int = 0,
         world_size: int = 1,
         drop_last: bool = False,
-        verify: bool = False,
+        group_by_size: bool = False,
+        **options: Unpack[SampleOptions],
     ) -> None:
         if batch_size < 1 or not 0 <= rank < world_size:
             raise UsageError(
                 f"batch_size {batch_size}, rank {rank} of world_size {world_size}",
                 expected="batch_size >= 1 and 0 <= rank < world_size",
             )
-        self._samples = FrameDataset(dataset, cameras, verify=verify)
+        self._samples = FrameDataset(dataset, cameras, **options)
         self._batch_size = batch_size
         self._seed = seed
         self._shuffle = shuffle
         self._rank = rank
         self._world_size = world_size
         self._drop_last = drop_last
+        self._group_by_size = group_by_size
         self._epoch = 0
         self._step = 0
+
+    @property
+    def samples(self) -> FrameDataset:
+        """What the batches are made of; it has the names of cameras, categories and masks."""
+        return self._samples
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -129,22 +234,20 @@ class IterableFrames(IterableDataset[Sample]):
         self._step = 0
 
     def __len__(self) -> int:
-        """Batches in a whole epoch."""
-        return -(-self._own_count() // self._batch_size)
+        """Batches of this rank in a whole epoch."""
+        together = self._batch_size * self._world_size
+        whole, rest = np.divmod(np.array([len(group) for group in self._groups()], np.int64), together)
+        return int(whole.sum() + (0 if self._drop_last else np.count_nonzero(rest > self._rank)))
 
     def __iter__(self) -> Iterator[Sample]:
         """Batches from where the state stands to the end of the epoch; with workers, every n-th of them."""
         worker = get_worker_info()
         number, workers = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        total = len(self._samples)
-        order = epoch_order(total, self._seed, self._epoch) if self._shuffle else np.arange(total)
-        own = order[self._rank :: self._world_size][: self._own_count()]
+        batches = self._batches()
         # Worker w takes every n-th batch from the first to do: a loader asks its workers in turn, so that batches come
         # in order, and those that were used are always the first ones of the epoch.
-        for step in range(self._step + number, len(self), workers):
-            start = step * self._batch_size
-            collated = default_collate([self._samples[int(index)] for index in own[start : start + self._batch_size]])
-            yield {**collated, "epoch": self._epoch, "step": step}
+        for step in range(self._step + number, len(batches), workers):
+            yield {**default_collate(self._load(batches[step])), "epoch": self._epoch, "step": step}
 
     def state_dict(self, batch: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """What to load to go on behind a batch.
@@ -160,6 +263,7 @@ class IterableFrames(IterableDataset[Sample]):
             "batch_size": self._batch_size,
             "world_size": self._world_size,
             "shuffle": self._shuffle,
+            "group_by_size": self._group_by_size,
             "index": self._samples.dataset.index_sha256,
             "filters": self._samples.dataset.filters.to_dict(),
         }
@@ -171,7 +275,9 @@ class IterableFrames(IterableDataset[Sample]):
             UsageError: it is of another seed, batch size, number of ranks, index or view: the order differs.
         """
         ours = self.state_dict()
-        for name in ("seed", "batch_size", "world_size", "shuffle", "index", "filters"):
+        # States from before there were groups have none.
+        state = {"group_by_size": False, **state}
+        for name in ("seed", "batch_size", "world_size", "shuffle", "group_by_size", "index", "filters"):
             theirs = state.get(name)
             if theirs != ours[name]:
                 raise UsageError(
@@ -183,11 +289,38 @@ class IterableFrames(IterableDataset[Sample]):
         self._epoch = state["epoch"]
         self._step = state["step"]
 
-    def _own_count(self) -> int:
+    def _load(self, indices: Int64) -> list[Sample]:
+        read = self._samples.unpadded if self._group_by_size else self._samples.__getitem__
+        return [read(int(index)) for index in indices]
+
+    def _groups(self) -> list[Int64]:
+        """Frames that may share a batch, each in ascending order."""
         total = len(self._samples)
-        if self._drop_last:
-            return total // (self._world_size * self._batch_size) * self._batch_size
-        return len(range(self._rank, total, self._world_size))
+        if not self._group_by_size:
+            return [np.arange(total)]
+        shapes, group = np.unique(self._samples.shapes(), axis=0, return_inverse=True)
+        return [np.flatnonzero(group == number) for number in range(len(shapes))]
+
+    def _batches(self) -> list[Int64]:
+        """This rank's batches of the epoch, each of some frames of one group.
+
+        The ranks' batches of a step are cut from the same stretch of their group, so that they are of one size; steps
+        come in the order of their first frames.
+        """
+        total = len(self._samples)
+        order = epoch_order(total, self._seed, self._epoch) if self._shuffle else np.arange(total)
+        place = np.empty(total, np.int64)
+        place[order] = np.arange(total)
+        together = self._batch_size * self._world_size
+        found: list[tuple[int, Int64]] = []
+        for group in self._groups():
+            places = np.sort(place[group])
+            for start in range(0, len(places), together):
+                stretch = places[start : start + together]
+                own = order[stretch[self._rank :: self._world_size]]
+                if len(own) and (len(stretch) == together or not self._drop_last):
+                    found.append((int(stretch[0]), own))
+        return [own for _, own in sorted(found, key=lambda batch: batch[0])]
 
 
 def epoch_order(count: int, seed: int, epoch: int) -> Int64:
@@ -199,69 +332,6 @@ def epoch_order(count: int, seed: int, epoch: int) -> Int64:
     # A list of one makes numpy keep the type and wrap without a warning.
     key = _mix(_mix(np.array([seed % 2**64], np.uint64)) + np.array([epoch % 2**64], np.uint64))
     return np.argsort(_mix(key + np.arange(count, dtype=np.uint64)), kind="stable")
-
-
-def sample(frame: Frame, cameras: Sequence[str], size: tuple[int, int], *, verify: bool = False) -> Sample:
-    """One frame as tensors that collate; a camera without a picture is zero there and False in ``valid``.
-
-    ``images`` (C, 3, H, W) uint8, ``valid`` (C,) bool, ``timestamp_ns`` (C,) int64, ``intrinsics`` (C, 3, 3) float64
-    with the first pixel's centre at 0.5, ``world_SE3_camera`` (C, 4, 4) and ``world_SE3_ego`` (4, 4) float64, and the
-    keys ``scene_id``, ``traversal_id``, ``frame_index``, ``frame_timestamp_ns``.
-
-    Args:
-        frame: the frame.
-        cameras: cameras of the sample, in order.
-        size: height and width of every picture.
-        verify: hold every picture against its hash.
-
-    Raises:
-        DatasetError: a picture, pose or calibration is missing or broken.
-    """
-    count = len(cameras)
-    images = np.zeros((count, 3, *size), np.uint8)
-    valid, stamps = np.zeros(count, np.bool_), np.zeros(count, np.int64)
-    intrinsics, mounted = np.zeros((count, 3, 3)), np.zeros((count, 4, 4))
-    for row, camera in enumerate(cameras):
-        image = frame.images.get(camera)
-        if image is not None:
-            valid[row], stamps[row] = True, image.timestamp_ns
-            intrinsics[row] = image.camera_model.intrinsic_matrix()
-            mounted[row] = image.world_SE3_camera.matrix()[0]
-    # A worker is one of many: it keeps to its own thread.
-    frame.decode_into(images, cameras, threads=None if get_worker_info() is None else 1, verify=verify)
-    return {
-        "images": torch.from_numpy(images),
-        "valid": torch.from_numpy(valid),
-        "timestamp_ns": torch.from_numpy(stamps),
-        "intrinsics": torch.from_numpy(intrinsics),
-        "world_SE3_camera": torch.from_numpy(mounted),
-        "world_SE3_ego": torch.from_numpy(frame.world_SE3_ego.matrix()[0]),
-        "scene_id": frame.scene_id,
-        "traversal_id": frame.traversal_id,
-        "frame_index": frame.frame_index,
-        "frame_timestamp_ns": frame.timestamp_ns,
-    }
-
-
-def _size(view: Dataset) -> tuple[int, int]:
-    rasters = view.table("images", ["height_px", "width_px"])
-    heights, widths = (np.unique(numbers(column)).tolist() for column in rasters.columns)
-    if len(heights) > 1 or len(widths) > 1:
-        raise UsageError(
-            f"pictures of several sizes: heights {heights}, widths {widths}",
-            remedy="choose cameras or drives of one size: where(camera=..., drive=...)",
-        )
-    return heights[0], widths[0]
-
-
-def _cameras(dataset: Dataset, cameras: Sequence[str] | None) -> tuple[str, ...]:
-    known = dataset.cameras()
-    if not known:
-        raise UsageError("the view has no pictures", remedy="choose scenes or drives that were recorded with cameras")
-    for camera in cameras or ():
-        if camera not in known:
-            raise UsageError(f"no camera {camera!r} in the view", expected=f"of {', '.join(known)}")
-    return tuple(known if cameras is None else cameras)
 
 
 def _mix(values: Any) -> Any:

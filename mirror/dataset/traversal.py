@@ -82,7 +82,7 @@ class FrameBoxes:
     def into(self, frame: str, frame_SE3_ego: Poses) -> FrameBoxes:
         """The same boxes in another frame, given one pose of the ego frame in it."""
         turn = Poses(frame_SE3_ego.rotation, np.zeros((1, 3)))
-        velocity = turn.transform(self.velocity_mps) if len(self) else self.velocity_mps
+        velocity = turn.transform(self.velocity_mps)[0] if len(self) else self.velocity_mps
         return FrameBoxes(
             frame,
             self.timestamp_ns,
@@ -258,6 +258,17 @@ class Traversal:
         return _frame_boxes(table, np.empty(0, np.int64), timestamp_ns)
 
     @cached_property
+    def track_ids(self) -> tuple[str, ...]:
+        """Every object that the boxes of the chosen layer have, sorted.
+
+        Raises:
+            UsageError: the traversal has several box layers and none was chosen.
+            DatasetError: the traversal does not have the chosen layer.
+        """
+        _, table = self._boxes
+        return tuple(sorted(set(table["track_id"].to_pylist()))) if table else ()
+
+    @cached_property
     def _boxes(self) -> tuple[Int64, Mapping[str, pa.Array]]:
         names = BOXES.schema.names
         self._require_listed("boxes", self._layers.boxes)
@@ -303,7 +314,7 @@ def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Ar
     Raises:
         UsageError: there are several and none was chosen.
     """
-    names = pc.binary_join_element_wise(source.cast(pa.string()), version.cast(pa.string()), "@")
+    names = layer_names(source, version)
     there = sorted(pc.unique(names).to_pylist())
     if chosen is None:
         if len(there) > 1:
@@ -313,6 +324,11 @@ def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Ar
             )
         chosen = there[0]
     return member(names, frozenset([chosen]))
+
+
+def layer_names(source: pa.Array, version: pa.Array) -> pa.Array:
+    """``source@version`` (N,) of rows with a source (N,) and its version (N,)."""
+    return pc.binary_join_element_wise(source.cast(pa.string()), version.cast(pa.string()), "@")
 
 
 def no_layer(kind: str, layer: str, where: str) -> DatasetError:

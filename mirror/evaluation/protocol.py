@@ -12,6 +12,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from mirror.errors import SchemaError, UsageError
+from mirror.geometry.cameras import WIDEST_DEG
 from mirror.schema.documents import Document, Identifier, Role
 
 RESERVED: Final = {"safety": "it follows with the closed-loop simulator"}
@@ -84,7 +85,7 @@ class Pixels(Document):
     """
 
     space: Literal["raw", "undistorted"]
-    widest_deg: float = Field(default=70.0, gt=0, lt=89)
+    widest_deg: float = Field(default=WIDEST_DEG, gt=0, lt=89)
     max_width_px: int = Field(ge=16, le=8192)
     picture_resize: Literal["area"] = "area"
     mask_resize: Literal["all", "nearest"] = "all"

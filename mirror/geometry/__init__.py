@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from mirror.geometry.box_projection import BoxProjections, convex_hull, project_boxes
 from mirror.geometry.boxes import corners, points_in_boxes
-from mirror.geometry.cameras import COEFFICIENTS, Camera, Projection, Rays, camera_from_row
+from mirror.geometry.cameras import COEFFICIENTS, Camera, Projection, Rays, camera_from_row, undistorted
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import (
@@ -50,4 +50,5 @@ __all__ = [
     "quaternion_normalise",
     "rotate",
     "slerp",
+    "undistorted",
 ]

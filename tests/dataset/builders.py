@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import pyarrow as pa
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, seal
 from mirror.dataset.pictures.depth import encode_depth
+from mirror.geometry.cameras import Camera
 from mirror.geometry.geodesy import TangentFrame
 from mirror.schema.documents import (
     CleaningOptions,
@@ -54,6 +55,7 @@ class Pass:
         weather: clear, rain ...
         dropped: (camera, frame) without a picture.
         pictures: encoded bytes of a picture, by camera, written for every frame; None: rows only.
+        codec: how they are encoded.
     """
 
     scene_id: str
@@ -68,6 +70,7 @@ class Pass:
     weather: str = "clear"
     dropped: frozenset[tuple[str, int]] = frozenset()
     pictures: Mapping[str, bytes] | None = None
+    codec: str = "jpeg"
 
     @property
     def exit_ns(self) -> int:
@@ -90,6 +93,8 @@ class Builder:
     root: Path
     cameras: Sequence[str] = ("front_wide", "front_left", "front_right")
     size: tuple[int, int] = (48, 32)
+    lenses: Mapping[str, Camera] = field(default_factory=dict)
+    rig_id: str = "rig"
     scenes: dict[str, Roi] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -97,13 +102,18 @@ class Builder:
         write_json(self.layout.document, DatasetDocument(trigger=TriggerOptions(), cleaning=CleaningOptions()))
         self.write_rois()
         if self.cameras:
-            rig = Rig(
-                rig_id="rig",
-                vehicle_type="van",
-                reference_camera=self.cameras[0],
-                cameras=tuple(RigCamera(name=name, source_name=name) for name in self.cameras),
-            )
-            write_json(self.layout.rig("rig"), rig)
+            self.write_rig()
+
+    def write_rig(self, static_masks: Mapping[str, str] | None = None) -> None:
+        """The rig of the drives to come; static masks: file beside it, by camera."""
+        masks = static_masks or {}
+        rig = Rig(
+            rig_id=self.rig_id,
+            vehicle_type="van",
+            reference_camera=self.cameras[0],
+            cameras=tuple(RigCamera(name=name, source_name=name, static_mask=masks.get(name)) for name in self.cameras),
+        )
+        write_json(self.layout.rig(self.rig_id), rig)
 
     def scene(self, scene_id: str, longitude_deg: float = -79.4, latitude_deg: float = 43.6, **more: object) -> Roi:
         place = {} if "frame" in more else {"longitude_deg": longitude_deg, "latitude_deg": latitude_deg}
@@ -132,7 +142,7 @@ class Builder:
             drive_id=drive_id,
             vehicle_id=vehicle_id,
             vehicle_type="van",
-            rig_id="rig" if self.cameras else None,
+            rig_id=self.rig_id if self.cameras else None,
             source=Source(reader="test", name=drive_id, files=1, bytes=1, fingerprint="0" * 64),
             configuration="0" * 64,
             scenes=tuple(self.scenes),
@@ -172,7 +182,7 @@ class Builder:
             "images.parquet": encode_table(images, IMAGES),
             "calibrations.parquet": encode_rows(
                 [
-                    calibration(camera, number, self.size, vehicle_id, drive_id)
+                    calibration(camera, number, self.size, vehicle_id, drive_id, **self._lens(camera))
                     for number, camera in enumerate(self.cameras)
                 ],
                 CALIBRATIONS,
@@ -228,14 +238,14 @@ class Builder:
                 "exposure_start_ns": stamps - 5_000_000,
                 "exposure_end_ns": stamps + 5_000_000,
                 "frame_index": pa.array(frame, pa.int32()),
-                "width_px": pa.repeat(pa.scalar(self.size[0], pa.int32()), n),
-                "height_px": pa.repeat(pa.scalar(self.size[1], pa.int32()), n),
+                "width_px": pa.array([self._size(name)[0] for name in camera], pa.int32()),
+                "height_px": pa.array([self._size(name)[1] for name in camera], pa.int32()),
                 "uri": [f"traversals/{traversal_id}/recorded/{name}" for name in names],
                 "byte_offset": pa.repeat(pa.scalar(0, pa.int64()), n),
                 "byte_length": pa.array(
                     [1000 if pictures is None else len(pictures[key]) for key in camera], pa.int64()
                 ),
-                "codec": ["jpeg"] * n,
+                "codec": [item.codec] * n,
                 "video_pts": pa.nulls(n, pa.int64()),
                 "sha256": pa.array(
                     [digest.get(key) or hashlib.sha256(name.encode()).digest() for key, name in zip(camera, names)],
@@ -244,6 +254,13 @@ class Builder:
                 "privacy": ["raw"] * n,
             }
         )
+
+    def _size(self, camera: str) -> tuple[int, int]:
+        lens = self.lenses.get(camera)
+        return self.size if lens is None else (lens.width_px, lens.height_px)
+
+    def _lens(self, camera: str) -> dict[str, object]:
+        return asdict(self.lenses[camera]) if camera in self.lenses else {}
 
     def _ledger(self, drive_id: str, traversal_id: str | None, item: Pass) -> dict[str, object]:
         duration = (item.exit_ns - item.entry_ns) / SECOND

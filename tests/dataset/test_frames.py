@@ -208,6 +208,7 @@ class TestBoxes:
         assert np.allclose(ego.pose.translation, [[10.0, 0.0, 0.8]] * 2)
         # Eastward at 10 m/s, at the centre after 250 ms: the boxes' instant is 190 ms before.
         assert np.allclose(world.pose.translation, [[8.1, 0.0, 0.8]] * 2, atol=1e-9)
+        assert world.velocity_mps.shape == camera.velocity_mps.shape == (2, 3)
         assert np.allclose(world.velocity_mps, [[3.0, 0.0, 0.0]] * 2, atol=1e-12)
         # The picture of front_left is of 101 ms: the car has gone on by 0.41 m, the camera sits 0.1 m left.
         assert np.allclose(camera.pose.translation, [[0.1, 0.8, 8.09]] * 2, atol=1e-9)

@@ -1,0 +1,164 @@
+"""What the samples of a view hold: worked out once, from the index alone, so that all of them have the same shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+import pyarrow.compute as pc
+
+from mirror.arrays import Int64
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.query.arrow import mask, member, numbers
+from mirror.dataset.query.filters import Filters
+from mirror.dataset.query.select import select
+from mirror.dataset.raster import Resize, checked_resize, resized_shape
+from mirror.dataset.traversal import layer_names
+from mirror.errors import UsageError
+from mirror.schema.documents import Rig
+
+ImageLayout = Literal["chw", "hwc"]
+
+MASK_KINDS: Final = ("dynamic", "ego", "sky", "instance")
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What one sample holds.
+
+    Attributes:
+        cameras: in the order of the samples' camera axis.
+        one_camera: the samples have no camera axis.
+        layout: where images have their channels.
+        undistort: images are those of a pinhole.
+        resize: of `mirror.dataset.raster.resized_shape`.
+        boxes: rows of the tensors of boxes; None: samples have none.
+        categories: classes of boxes, in the order of their numbers.
+        masks: ``kind`` or ``kind/source@version``.
+        verify: hold images against their hashes.
+    """
+
+    cameras: tuple[str, ...]
+    one_camera: bool
+    layout: ImageLayout
+    undistort: bool
+    resize: Resize | None
+    boxes: int | None
+    categories: tuple[str, ...]
+    masks: tuple[str, ...]
+    verify: bool
+
+
+def contents_of(
+    dataset: Dataset,
+    cameras: str | Sequence[str] | None,
+    *,
+    undistort: bool,
+    resize: Resize | None,
+    layout: ImageLayout,
+    boxes: bool,
+    categories: Sequence[str] | None,
+    masks: Sequence[str] | None,
+    verify: bool,
+) -> Contents:
+    """The contents of samples, with what was left to the view filled in; arguments as of `FrameDataset`.
+
+    Raises:
+        UsageError: the view has no images, or an argument does not fit it.
+    """
+    if layout not in ("chw", "hwc"):
+        raise UsageError(f"layout={layout!r}", expected="'chw' or 'hwc'")
+    if categories is not None and (not boxes or isinstance(categories, str)):
+        raise UsageError(f"categories={categories!r} with boxes={boxes}", expected="a list of names, and boxes=True")
+    named = _cameras(dataset, cameras)
+    known, count = _boxes(dataset) if boxes else ((), None)
+    return Contents(
+        cameras=named,
+        one_camera=isinstance(cameras, str),
+        layout=layout,
+        undistort=bool(undistort),
+        resize=checked_resize(resize),
+        boxes=count,
+        categories=known if categories is None else tuple(categories),
+        masks=_masks(dataset, masks),
+        verify=verify,
+    )
+
+
+def raster_shapes(dataset: Dataset, contents: Contents) -> dict[str, tuple[int, int]]:
+    """Height and width that hold every image of a traversal as samples have it, by traversal."""
+    view = _whole_traversals(dataset).where(camera=contents.cameras)
+    table = view.table("images", ["traversal_id", "height_px", "width_px"])
+    rows = table.group_by(["traversal_id", "height_px", "width_px"]).aggregate([]).to_pylist()
+    shapes: dict[str, tuple[int, int]] = {}
+    for row in rows:
+        height, width = resized_shape((row["height_px"], row["width_px"]), contents.resize)
+        before = shapes.get(row["traversal_id"], (0, 0))
+        shapes[row["traversal_id"]] = (max(before[0], height), max(before[1], width))
+    return shapes
+
+
+def _cameras(dataset: Dataset, cameras: str | Sequence[str] | None) -> tuple[str, ...]:
+    known = dataset.cameras()
+    if not known:
+        raise UsageError("the view has no images", remedy="choose scenes or drives that were recorded with cameras")
+    chosen = known if cameras is None else [cameras] if isinstance(cameras, str) else list(cameras)
+    for camera in chosen:
+        if camera not in known:
+            raise UsageError(f"no camera {camera!r} in the view", expected=f"of {', '.join(known)}")
+    if not chosen or len(set(chosen)) < len(chosen):
+        raise UsageError(f"cameras {chosen}", expected="at least one, each once")
+    return tuple(chosen)
+
+
+def _boxes(dataset: Dataset) -> tuple[tuple[str, ...], int]:
+    """Categories and the most boxes of one instant, in the whole dataset: views of it have the same ones."""
+    catalog, chosen = dataset.catalog, dataset.layers.boxes
+    categories: set[str] = set()
+    most = 0
+    for part in select(catalog, Filters(), "boxes"):
+        names = ["timestamp_ns", "category", "source", "source_version"]
+        stamps, category, source, version = catalog.columns.read(part.path, part.number, names)
+        if chosen is None:
+            own = np.ones(len(stamps), np.bool_)
+        else:
+            own = member(layer_names(source, version), frozenset([chosen]))
+        categories.update(pc.unique(category.filter(mask(own))).to_pylist())
+        most = max(most, int(_run_lengths(numbers(stamps)[own]).max(initial=0)))
+    return tuple(sorted(categories)), most
+
+
+def _run_lengths(values: Int64) -> Int64:
+    """How often each value stands in a row of equal ones."""
+    ends = np.flatnonzero(np.diff(values, append=values[-1:] + 1))
+    return np.diff(ends, prepend=-1)
+
+
+def _masks(dataset: Dataset, masks: Sequence[str] | None) -> tuple[str, ...]:
+    """The masks of samples; every kind that the whole dataset has, if none is named."""
+    if isinstance(masks, str):
+        raise UsageError(f"masks={masks!r}", expected=f"a list of names, such as [{masks!r}]")
+    everything = replace(dataset, filters=Filters())
+    table = everything.table("masks", ["kind", "source", "source_version"])
+    rows = table.group_by(["kind", "source", "source_version"]).aggregate([]).to_pylist()
+    kinds = {row["kind"] for row in rows}
+    rigs = set(everything.table("traversals", ["rig_id"]).column(0).to_pylist()) - {None}
+    if any(camera.static_mask for rig_id in rigs for camera in dataset.store.json(f"rigs/{rig_id}.json", Rig).cameras):
+        kinds.add("ego")
+    if masks is None:
+        return tuple(kind for kind in MASK_KINDS if kind in kinds)
+    known = kinds | {f"{row['kind']}/{row['source']}@{row['source_version']}" for row in rows}
+    for name in masks:
+        if name not in known:
+            raise UsageError(
+                f"no masks {name!r} in the dataset",
+                expected=f"of {', '.join(sorted(known))}" if known else "none: masks=[]",
+            )
+    return tuple(masks)
+
+
+def _whole_traversals(dataset: Dataset) -> Dataset:
+    """A view of all that the traversals of a view have, whatever its times, places and cameras."""
+    return replace(dataset, filters=Filters(traversal=frozenset(dataset.traversals())))

@@ -65,6 +65,19 @@ def test_the_undistorted_raster_holds_all_that_the_lens_sees(lens: Camera) -> No
     assert (uv.max(axis=0) > np.array([flat.width_px, flat.height_px]) - 3.0).all()
 
 
+@pytest.mark.parametrize(("cx_px", "cy_px"), [(-12.0, -30.0), (-30.0, -12.0), (-30.0, 130.0), (170.0, -30.0)])
+def test_an_arc_across_the_image_bounds_the_raster_to_half_a_pixel(cx_px: float, cy_px: float) -> None:
+    """The lens's axis is beyond a corner: the circle of the widest angle runs across two edges of the image."""
+    lens = Camera("kannala_brandt", 160, 120, 60.0, 60.0, cx_px, cy_px, (0.02, -0.01, 0.0, 0.0))
+    flat = undistorted(lens, 60.0)
+    u, v = np.meshgrid(np.linspace(0, 160, 1601), np.linspace(0, 120, 1201))
+    rays = lens.unproject(np.stack([u, v], axis=-1).reshape(-1, 2))
+    seen = rays.direction[rays.valid & (rays.direction[:, 2] >= np.cos(np.radians(60.0)))]
+    uv = flat.project(seen).uv_px
+    assert np.abs(uv.min(axis=0)).max() < 0.5
+    assert np.abs(uv.max(axis=0) - (160, 120)).max() < 0.5
+
+
 def test_the_raster_is_scaled_down_and_never_up() -> None:
     pixels = Pixels(space="raw", max_width_px=100)
     small_one = final_camera(LENSES[1], pixels)

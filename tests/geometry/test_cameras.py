@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.geometry import Camera, camera_from_row
+from mirror.geometry.cameras.perspective import Perspective
 
 PIXEL = {"width_px": 1920, "height_px": 1080, "cx_px": 955.3, "cy_px": 545.1}
 CAMERAS = {
@@ -180,6 +181,38 @@ def test_perspective_round_trip_whatever_the_coefficients(
     check_round_trip(camera, angle)
 
 
+def test_hard_lenses_are_inverted_up_to_their_limit() -> None:
+    """Lenses far beyond any real one, where Newton's method needs short steps from a good start."""
+    generator = np.random.default_rng(0)
+    share = np.linspace(0.0, 1.0, 60)
+    for number in range(100):
+        brown = (*generator.uniform(-2, 2, 2), *generator.uniform(-0.02, 0.02, 2), generator.uniform(-1, 1))
+        rational = tuple(generator.uniform(-2, 2, 3)) if number % 2 else (0.0, 0.0, 0.0)
+        camera = Camera("rational", 1000, 800, 400.0, 400.0, 500.0, 400.0, (*brown, *rational))
+        rays = rays_at(0.9999 * min(camera.angle_limit_rad, np.radians(80)) * share)
+        projection = camera.project(rays)
+        back = camera.unproject(projection.uv_px)
+        assert back.valid.all()
+        # Close to a pole pixels lie anywhere.
+        near = np.abs(projection.uv_px).max(axis=1) < 10_000
+        assert np.abs(camera.project(back.direction).uv_px - projection.uv_px)[near].max() < 1e-8
+        assert np.abs(back.direction - rays)[:50].max() < 1e-9
+
+
+@pytest.mark.parametrize("model", ["brown_conrady", "rational"])
+def test_an_image_of_a_real_lens_needs_no_careful_steps(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    careful: list[int] = []
+    slow = Perspective._undistort_carefully
+
+    def counted(self: Perspective, u: np.ndarray, v: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, ...]:
+        careful.append(len(u))
+        return slow(self, u, v, radius)
+
+    monkeypatch.setattr(Perspective, "_undistort_carefully", counted)
+    assert CAMERAS[model].scaled(0.1).rays().valid.all()
+    assert not careful
+
+
 @given(st.tuples(*(st.floats(-0.5, 0.5) for _ in range(4))), st.floats(-0.3, 0.3))
 @settings(max_examples=100, deadline=None)
 def test_fisheye_round_trip_whatever_the_coefficients(coefficients: tuple[float, ...], even: float) -> None:
@@ -189,9 +222,14 @@ def test_fisheye_round_trip_whatever_the_coefficients(coefficients: tuple[float,
         check_round_trip(camera, np.linspace(0.0, 0.9999 * camera.angle_limit_rad, 60))
 
 
-def check_round_trip(camera: Camera, angle: np.ndarray) -> None:
+def rays_at(angle: np.ndarray) -> np.ndarray:
+    """Rays at angles from the axis, each in another direction around it."""
     around = 2.4 * np.arange(len(angle))
-    rays = np.stack((np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)), axis=-1)
+    return np.stack((np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)), axis=-1)
+
+
+def check_round_trip(camera: Camera, angle: np.ndarray) -> None:
+    rays = rays_at(angle)
     projection = camera.project(rays)
     assert projection.defined.all()
     scale = np.abs(projection.uv_px).max()

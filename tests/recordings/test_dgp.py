@@ -55,6 +55,13 @@ def test_the_real_scene(scene: Path) -> None:
     assert recording.rig is not None
     assert tuple(camera.name for camera in recording.rig.cameras) == CAMERAS
     assert recording.rig.reference_camera == "CAMERA_01"
+    # Eight digits of a hash, as git abbreviates.
+    calibration = next((scene / "calibration").iterdir()).stem
+    assert recording.rig.rig_id == f"dgp_{calibration[:8]}"
+    boxes = recording.boxes()
+    assert boxes is not None
+    ontologies = {file.stem[:8] for file in (scene / "ontology").iterdir()}
+    assert set(boxes.column("source_version").to_pylist()) <= ontologies
     streams = recording.images()
     assert tuple(streams) == CAMERAS
     # The file names count units of 100 ns.

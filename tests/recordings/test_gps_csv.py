@@ -88,6 +88,19 @@ def test_usual_tables_need_no_options(tmp_path: Path, text: str, first_ns: int) 
     assert recording.info.vehicle_id == "unknown"
 
 
+@pytest.mark.parametrize("digits", [8, 11, 14, 17])
+def test_the_unit_changes_at_a_power_of_ten(tmp_path: Path, digits: int) -> None:
+    """Each unit begins at 1973-03-03; a moment earlier is a date in the unit before that no stamp can hold."""
+    recording = open_recording(write(tmp_path / "x.csv", f"time,lat,lon\n{10**digits},43.8,-79.5\n"))
+    assert recording.track().timestamp_ns[0] == 10**17
+    if digits > 8:
+        assert refusal(write(tmp_path / "y.csv", f"time,lat,lon\n{10**digits - 100},43.8,-79.5\n")).place
+
+
+def test_less_than_1973_in_seconds_has_no_unit(tmp_path: Path) -> None:
+    assert "time_unit" in str(refusal(write(tmp_path / "x.csv", "time,lat,lon\n99999999,43.8,-79.5\n")))
+
+
 def test_stated_columns_units_and_ids(tmp_path: Path) -> None:
     file = write(
         tmp_path / "x.csv", "a,b,c,d,e,f\n1312220104,43.8,-79.5,120,0.5,van 3\n1312220105,43.9,-79.4,,,van 3\n"
@@ -124,6 +137,13 @@ def test_files_that_are_drives_of_their_own_are_refused(tmp_path: Path) -> None:
     error = refusal(tmp_path)
     assert "one by one" in str(error)
     assert error.file is not None and error.file.endswith("b.csv")
+
+
+def test_the_next_file_may_start_with_the_stamp_that_the_last_one_starts_with(tmp_path: Path) -> None:
+    """A logger that splits its file before the clock has moved; only a start before that is another drive."""
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.csv", "timestamp,lat,lon\n1628184886,43.8,-79.5\n")
+    assert (np.diff(open_recording(tmp_path).track().timestamp_ns) == 0).all()
 
 
 def test_the_folder_layout_is_not_taken_for_tables(tmp_path: Path) -> None:

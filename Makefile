@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint mutants clean
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0
@@ -27,3 +27,7 @@ lint: $(STAMP)
 
 clean:
 	rm -rf $(VENV) demo build dist *.egg-info
+
+# 300 changes of one token, each run against the tests of its room: up to four hours of one core. Not in CI.
+mutants: $(STAMP)
+	$(BIN)/python -m benchmarks mutants

@@ -1,0 +1,135 @@
+"""Changes of one token in a source file."""
+
+from __future__ import annotations
+
+import ast
+import io
+import tokenize
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+_SWAPS: Final = "+ - / += -= / *= /= / & | / << >> / == != / and or / True False / min max / minimum maximum / any all"
+_PAIRS: Final = [pair.split() for pair in f"{_SWAPS} / argmin argmax / break continue".split(" / ")]
+# What a token may become; a number becomes one more, or twice as large where one more is little.
+_OTHERS: Final[Mapping[str, tuple[str, ...]]] = {
+    **{old: (new,) for one, two in _PAIRS for old, new in ((one, two), (two, one))},
+    **{"*": ("+", "/"), "/": ("*",), "//": ("*",), "%": ("*",), "**": ("*",), "~": ("",), "not": ("",)},
+    **{"<": ("<=", ">"), "<=": ("<", ">="), ">": (">=", "<"), ">=": (">", "<="), "is": ("is not",), "in": ("not in",)},
+}
+_LARGE: Final = 1e6
+_LAYOUT: Final = (tokenize.NL, tokenize.NEWLINE, tokenize.COMMENT, tokenize.INDENT, tokenize.DEDENT)
+_LOGS: Final = ("debug", "info", "warning", "warn", "error", "print")
+_Place = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One token changed.
+
+    Attributes:
+        file: path in the tree.
+        row: number of the line, from 1.
+        new_line: the whole line with the change.
+        line: text of the line without it, stripped.
+        becomes: text with it, stripped.
+        repeat: how many equal changes of equal lines the file has before this one.
+        function: first line of the innermost function that holds it; 0: none does.
+    """
+
+    file: str
+    row: int
+    new_line: str
+    line: str
+    becomes: str
+    repeat: int
+    function: int
+
+    @property
+    def name(self) -> str:
+        """What its outcome is kept under: the same after the line has moved to another place or file."""
+        return f"{self.line} -> {self.becomes} #{self.repeat}"
+
+    def applied(self, text: str) -> str:
+        """The source file's text with the change."""
+        lines = text.splitlines()
+        return "\n".join([*lines[: self.row - 1], self.new_line, *lines[self.row :], ""])
+
+
+def compiles(text: str) -> bool:
+    """Whether a source file's text is Python."""
+    try:
+        compile(text, "mutant", "exec")
+    except SyntaxError:
+        return False
+    return True
+
+
+def mutants(file: str, text: str) -> Iterator[Mutant]:
+    """All mutants of a source file; some may not compile (``for x not in y``).
+
+    Left alone: text, annotations (but for the calls in them), decorators, ``raise`` statements, logging, ``__all__``.
+    """
+    excluded, included, functions = _ranges(ast.parse(text))
+    lines = text.splitlines()
+    tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type not in _LAYOUT]
+    words = ["", *(token.string for token in tokens), ""]
+    repeats: Counter[tuple[str, str]] = Counter()
+    for index, token in enumerate(tokens):
+        row, column = token.start
+        if _holds(excluded, token.start) and not _holds(included, token.start):
+            continue
+        for other in _replacements(token, words[index], words[index + 2]):
+            line = lines[row - 1]
+            rest = line[column + len(token.string) :]
+            new_line = line[:column] + other + (rest if other else rest.lstrip())
+            change = line.strip(), new_line.strip()
+            inner = max((first for first, last in functions if first <= row <= last), default=0)
+            yield Mutant(file, row, new_line, *change, repeats[change], inner)
+            repeats[change] += 1
+
+
+def _replacements(token: tokenize.TokenInfo, before: str, after: str) -> tuple[str, ...]:
+    text = token.string
+    if token.type == tokenize.NUMBER:
+        number = ast.literal_eval(text)
+        return (repr(number + 1 if abs(number) < _LARGE else number * 2),)
+    # Stars before arguments are no operators, and `not` alone changes `is not` and `not in`.
+    operand = before[-1:].isalnum() or before[-1:] in ("_", ")", "]", "}") or before[-1:] in ("'", '"')
+    star = text in ("*", "**") and not (operand and before not in ("lambda", "return", "yield", "in", "print"))
+    if star or (text == "is" and after == "not") or (text == "in" and before == "not"):
+        return ()
+    # Names of keyword arguments.
+    return () if token.type == tokenize.NAME and after == "=" else _OTHERS.get(text, ())
+
+
+def _holds(ranges: list[tuple[_Place, _Place]], place: _Place) -> bool:
+    return any(first <= place < end for first, end in ranges)
+
+
+def _ranges(tree: ast.AST) -> tuple[list[tuple[_Place, _Place]], list[tuple[_Place, _Place]], list[tuple[int, int]]]:
+    """Places left alone, places within them that are not, and the first and last lines of functions."""
+    excluded: list[ast.expr | ast.stmt] = []
+    included: list[ast.expr | ast.stmt] = []
+    functions = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            functions.append((min(one.lineno for one in (node, *node.decorator_list)), node.end_lineno or node.lineno))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            excluded += node.decorator_list
+        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
+            excluded.append(node)
+        if isinstance(node, ast.Raise):
+            excluded.append(node)
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", "")) in _LOGS:
+            excluded.append(node)
+        for annotation in (getattr(node, "annotation", None), getattr(node, "returns", None)):
+            if isinstance(annotation, ast.expr):
+                excluded.append(annotation)
+                included += [call for call in ast.walk(annotation) if isinstance(call, ast.Call)]
+    return _spans(excluded), _spans(included), functions
+
+
+def _spans(nodes: list[ast.expr | ast.stmt]) -> list[tuple[_Place, _Place]]:
+    return [((n.lineno, n.col_offset), (n.end_lineno or 0, n.end_col_offset or 0)) for n in nodes]

@@ -1,0 +1,281 @@
+"""Mutants: 300 changes of one token in the source, each run against the tests of its room.
+
+``python -m benchmarks mutants`` draws the mutants, runs those that have no outcome yet, and prints the survivors.
+``benchmarks/mutants.toml`` holds the survivors that are equivalent, each with its reason. Exit code 1: a survivor has
+no reason, less than 85 % are killed, or some have not run.
+
+The draw ranks all mutants by a hash of the line before and after the change; outcomes and reasons are kept under the
+same text. Lines that move to another place or file keep theirs.
+
+Nothing runs in the checkout: every mutant gets a fresh copy of the tracked files and of the real recordings (of
+MIRROR_REAL_DATA). First the tests run without a mutant and must pass. This records how long each test takes and which
+functions it calls, so that of a mutant's tests the likeliest run first. Compiled kernels are removed from the copy if
+their module imports the changed one, in however many steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks._mutations import Mutant, compiles, mutants
+from benchmarks.report import OUT
+from mirror.errors import ExitCode, UsageError
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+ROOMS: Final = {
+    "mirror/geometry": ("tests/geometry",),
+    "mirror/metrics": ("tests/metrics",),
+    "mirror/ingest": ("tests/ingest",),
+    "mirror/recordings": ("tests/recordings",),
+    "mirror/schema": ("tests/schema",),
+    "mirror/dataset": ("tests/dataset", "tests/dataset_rules", "tests/dataset_split", "tests/dataset_stats"),
+    "mirror/evaluation": ("tests/evaluation",),
+    "baselines/hybridworldsim/rasterizer": ("tests/rasterizer",),
+}
+_EQUIVALENT: Final = ROOT / "benchmarks" / "mutants.toml"
+_BAR: Final = 0.85
+# A test may take ten times as long as without a mutant, and this: its kernels may have to be compiled.
+_PATIENCE_S: Final = 120.0
+_ROOM_S: Final = 1800.0
+_MEMORY_BYTES: Final = 3 * 2**33
+_FILE_BYTES: Final = 2**31
+# Tests of speed fail on a busy machine.
+_TESTS: Final = ("-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "benchmarks._mutant_plugin",
+                 "--hypothesis-seed=0", "-k", "not fast_enough")  # fmt: skip
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Draw, run, report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--hours", type=float, default=4.0, help="processor time after which no new mutant is begun")
+    parser.add_argument("--state", type=Path, default=OUT / "mutants", help="where copies and outcomes lie")
+    parser.add_argument("--again", action="store_true", help="run the survivors without a reason once more")
+    parser.add_argument("--report", action="store_true", help="run nothing")
+    options = parser.parse_args(argv)
+    sample = draw(options.count, options.seed)
+    run = _Run(options.state.resolve())
+    reasons = _reasons()
+    if not options.report:
+        run.begin()
+        for mutant in sample:
+            outcome = run.outcomes.get(mutant.name)
+            survived = options.again and outcome is not None and not outcome["killed"] and mutant.name not in reasons
+            if (outcome is None or survived) and run.hours() < options.hours:
+                run.try_mutant(mutant)
+    return _report(sample, run.outcomes, reasons)
+
+
+def draw(count: int, seed: int) -> list[Mutant]:
+    """The mutants whose hashes come first, of all rooms together."""
+    texts = {path.relative_to(ROOT).as_posix(): path.read_text() for room in ROOMS for path in _sources(ROOT / room)}
+    every = [mutant for file, text in texts.items() for mutant in mutants(file, text)]
+    every.sort(key=lambda mutant: hashlib.sha256(f"{seed} {mutant.name}".encode()).digest())
+    chosen: list[Mutant] = []
+    for mutant in every:
+        if len(chosen) == count:
+            break
+        if compiles(mutant.applied(texts[mutant.file])):
+            chosen.append(mutant)
+    return chosen
+
+
+class _Run:
+    """The copies that mutants run in, and what came of them."""
+
+    def __init__(self, state: Path) -> None:
+        self.clean, self.work = state / "clean", state / "work"
+        self._state, self._file = state, state / "outcomes.jsonl"
+        lines = self._file.read_text().splitlines() if self._file.exists() else []
+        self.outcomes: dict[str, dict[str, Any]] = {one["mutant"]: one for one in map(json.loads, lines)}
+        self._tests: dict[str, list[dict[str, Any]]] = {}
+
+    def hours(self) -> float:
+        """Processor time that all outcomes took."""
+        return float(sum(one["cpu_s"] for one in self.outcomes.values())) / 3600
+
+    def begin(self) -> None:
+        """Copy the tree if it has changed, and run each room's tests in the copy.
+
+        Raises:
+            UsageError: tests fail without a mutant.
+        """
+        words = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+        listed = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\0")
+        files = [name for name in listed if name and (ROOT / name).is_file()]
+        digest = hashlib.sha256(b"".join(name.encode() + (ROOT / name).read_bytes() for name in files)).hexdigest()
+        record = self._state / f"tests-{digest[:16]}.json"
+        if record.exists():
+            self._tests = json.loads(record.read_bytes())
+            return
+        shutil.rmtree(self.clean, ignore_errors=True)
+        for name in files:
+            (self.clean / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, self.clean / name)
+        data = Path(os.environ.get("MIRROR_REAL_DATA", ROOT.parent / "shared" / "data"))
+        if data.is_dir():
+            shutil.copytree(data, self.clean / "real_data", copy_function=shutil.copy)
+        for room in ROOMS:
+            lines = self._state / "recorded.jsonl"
+            lines.unlink(missing_ok=True)
+            code, output = self._pytest(self.clean, room, {"record": str(lines)})
+            if code:
+                raise UsageError(
+                    f"the tests of {room} fail without a mutant:\n{output[-3000:]}", remedy="correct them first"
+                )
+            self._tests[room] = [json.loads(line) for line in lines.read_text().splitlines()]
+        record.write_text(json.dumps(self._tests))
+
+    def try_mutant(self, mutant: Mutant) -> None:
+        """Run a room's tests against a mutant and keep the outcome."""
+        shutil.rmtree(self.work, ignore_errors=True)
+        shutil.copytree(self.clean, self.work, symlinks=True)
+        file = self.work / mutant.file
+        file.write_text(mutant.applied(file.read_text()))
+        importers = _importers(mutant.file, self.work)
+        for importer in importers:
+            for kernel in (self.work / importer).parent.glob(f"__pycache__/{Path(importer).stem}.*.nb[ic]"):
+                kernel.unlink()
+        room = next(room for room in ROOMS if mutant.file.startswith(f"{room}/"))
+        function = f"{mutant.file}:{mutant.function}"
+
+        def unlikely(test: Mapping[str, Any]) -> tuple[bool, bool, bool, float]:
+            files = {call.rpartition(":")[0] for call in test["calls"]}
+            return function not in test["calls"], mutant.file not in files, not files & importers, test["s"]
+
+        tests = self._tests[room]
+        limits = {test["test"]: _PATIENCE_S + 10 * test["s"] for test in tests}
+        plan = {"order": [test["test"] for test in sorted(tests, key=unlikely)], "limit_s": limits}
+        begin = _cpu_s()
+        code, output = self._pytest(self.work, room, plan)
+        by = next((line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))), f"exit {code}")
+        outcome = {"mutant": mutant.name, "file": mutant.file, "killed": code != 0, "cpu_s": round(_cpu_s() - begin, 1)}
+        outcome |= {"by": by[:200] if code else None}
+        self.outcomes[mutant.name] = outcome
+        with self._file.open("a") as out:
+            out.write(json.dumps(outcome) + "\n")
+        print("killed  " if code else "SURVIVED", mutant.file, mutant.name, flush=True)
+
+    def _pytest(self, tree: Path, room: str, plan: Mapping[str, Any]) -> tuple[int, str]:
+        file = self._state / "plan.json"
+        file.write_text(json.dumps(plan))
+        temporary = self._state / "tmp"
+        shutil.rmtree(temporary, ignore_errors=True)
+        temporary.mkdir()
+        environment = os.environ | {
+            "PYTHONPATH": f"{tree}:{tree}/baselines",
+            "MIRROR_MUTANTS": str(file),
+            "MIRROR_REAL_DATA": str(tree / "real_data"),
+            "TMPDIR": str(temporary),
+        }
+        words = [sys.executable, "-m", "pytest", *_TESTS, *ROOMS[room]]
+        with (self._state / "output.txt").open("w+") as output:
+            process = subprocess.Popen(
+                words,
+                cwd=tree,
+                env=environment,
+                stdout=output,
+                stderr=output,
+                start_new_session=True,
+                preexec_fn=_bound,
+            )
+            try:
+                code = process.wait(_ROOM_S)
+            except subprocess.TimeoutExpired:
+                code = -signal.SIGKILL
+            finally:
+                _end(process)
+            output.seek(0)
+            return code, output.read()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End what a run has left running."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def _bound() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (_FILE_BYTES, _FILE_BYTES))
+
+
+def _cpu_s() -> float:
+    """Processor time of all runs so far."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _sources(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.py"))
+
+
+def _importers(file: str, tree: Path) -> set[str]:
+    """A source file and all files of the rooms that import it, in however many steps."""
+    texts = {path.relative_to(tree).as_posix(): path.read_text() for room in ROOMS for path in _sources(tree / room)}
+    found, fresh = {file}, {file}
+    while fresh:
+        modules = [_module(one) for one in fresh]
+        named = {f"from {module} import" for module in modules}
+        named |= {
+            f"from {package} import {name}" for package, _, name in (module.rpartition(".") for module in modules)
+        }
+        fresh = {one for one, text in texts.items() if any(words in text for words in named)} - found
+        found |= fresh
+    return found
+
+
+def _module(file: str) -> str:
+    return file.removeprefix("baselines/").removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def _reasons() -> dict[str, str]:
+    """Why survivors are equivalent, by the mutant's name."""
+    if not _EQUIVALENT.exists():
+        return {}
+    found = tomllib.loads(_EQUIVALENT.read_text())["equivalent"]
+    return {f"{one['line']} -> {one['becomes']} #{one.get('repeat', 0)}": one["because"] for one in found}
+
+
+def _report(sample: Iterable[Mutant], outcomes: Mapping[str, Mapping[str, Any]], reasons: Mapping[str, str]) -> int:
+    counts: dict[str, Counter[str]] = {room: Counter() for room in (*ROOMS, "all")}
+    for mutant in sample:
+        outcome = outcomes.get(mutant.name)
+        state = "not run" if outcome is None else "killed" if outcome["killed"] else "survived"
+        if state == "survived" and mutant.name in reasons:
+            state = "equivalent"
+        elif state != "killed":
+            print(f"{state:8} {mutant.file}:{mutant.row}: {mutant.name}")
+        for room in counts:
+            if room == "all" or mutant.file.startswith(f"{room}/"):
+                counts[room][state] += 1
+    print("\n| room | mutants | killed | equivalent | survived | not run |\n|---|---|---|---|---|---|")
+    for room, count in counts.items():
+        figures = (count[state] for state in ("killed", "equivalent", "survived", "not run"))
+        print(f"| {room} | {count.total()} | {' | '.join(map(str, figures))} |")
+    every = counts["all"]
+    share = every["killed"] / max(every.total(), 1)
+    print(f"\nkilled: {share:.1%}, {_BAR:.0%} asked for")
+    return (
+        ExitCode.DONE if share >= _BAR and every["killed"] + every["equivalent"] == every.total() else ExitCode.FINDINGS
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -70,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _plain(report: CheckReport, arguments: Arguments) -> dict[str, object]:
     return {
-        "dataset": arguments.dataset,
+        "dataset": str(arguments.dataset),
         "rules": [rule.rule_id for rule in report.rules],
         "counts": report.counts(),
         "findings": [

@@ -60,7 +60,7 @@ def main(argv: Sequence[str]) -> int:
         plain, lines = recording.to_dict(), _recording_lines(recording)
         kind = "recording"
     if arguments.json:
-        print(json.dumps({"path": arguments.path, "kind": kind, **plain}))
+        print(json.dumps({"path": str(arguments.path), "kind": kind, **plain}))
         return ExitCode.DONE
     width = max(len(name) for name, _ in lines)
     print(f"{arguments.path} is a {kind}")

@@ -1,8 +1,11 @@
-"""Turn street photos and their COLMAP model into a recording: ``python examples/lund_recording.py FOLDER RECORDING``.
+"""Turn photos and their COLMAP model into a recording: ``python examples/lund_recording.py FOLDER RECORDING``.
 
-FOLDER has ``images/`` with longitude, latitude and height in their EXIF data and a model in ``colmap/``, of one
-SIMPLE_RADIAL camera, as in docs/rasterizer_training.md. It takes pycolmap (extra ``calibration``) and pillow.
-COLMAP knows neither up, nor north, nor metres: up is what photos have in common, the rest tells their EXIF data.
+FOLDER has ``images/`` and a model in ``colmap/``, as in docs/rasterizer_training.md: of one camera or several, of
+photos in any order. Each photo keeps its camera's lens; photos of several sizes become a recording each, in RECORDING,
+because the images of a MIRROR camera have one size. It takes pycolmap (extra ``calibration``) and pillow. COLMAP knows
+neither up, nor north, nor metres: up is what the photos have in common; north and metres come from longitude and
+latitude in the EXIF data of at least two photos. Where photos have none, ``--metres-per-unit NUMBER`` gives the metres,
+and the recording is in a local frame.
 """
 
 import csv
@@ -10,101 +13,279 @@ import json
 import shutil
 import sys
 import zlib  # noqa: F401 - before pycolmap, whose wheel brings one of its own
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
 from PIL import Image
 
-from mirror.arrays import Float64
+from mirror.arrays import Float64, Int64
+from mirror.errors import ExitCode, MirrorError, UsageError
 from mirror.geometry.geodesy import ecef_R_enu, ecef_to_geodetic, geodetic_to_ecef
 from mirror.geometry.quaternions import quaternion_from_matrix
 
 HEIGHT_M = 1.6  # of the camera above the ground: it was held in a hand
-START_NS = 1_400_000_000_000_000_000  # the photos tell no time: one a second
+START_NS = 1_400_000_000_000_000_000  # the photos tell no time: one a second, or fewer where they are far apart
+SPEED_MPS, HALF_ACCELERATION_MPS2 = 60.0, 5.0  # from photo to photo, at most: ingest takes what is more for outliers
 EGO_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 GPS = 34853
+CAMERA = "front_wide"
+SUFFIXES = {".jpg": ".jpg", ".jpeg": ".jpg", ".png": ".png"}
+LENSES: dict[str, tuple[str, list[str]]] = {
+    "SIMPLE_PINHOLE": ("pinhole", []),
+    "PINHOLE": ("pinhole", []),
+    "SIMPLE_RADIAL": ("brown_conrady", ["k", "0", "0", "0", "0"]),
+    "RADIAL": ("brown_conrady", ["k1", "k2", "0", "0", "0"]),
+    "OPENCV": ("brown_conrady", ["k1", "k2", "p1", "p2", "0"]),
+    "FULL_OPENCV": ("rational", ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"]),
+    "SIMPLE_RADIAL_FISHEYE": ("kannala_brandt", ["k", "0", "0", "0"]),
+    "RADIAL_FISHEYE": ("kannala_brandt", ["k1", "k2", "0", "0"]),
+    "OPENCV_FISHEYE": ("kannala_brandt", ["k1", "k2", "k3", "k4"]),
+}
+"""COLMAP's camera models: what MIRROR calls them, and their coefficients in its order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """Where the cameras of N photos stood, in metres.
+
+    Attributes:
+        images: of the model.
+        frame: as recording.json has it.
+        positions: columns of the poses' table, by name.
+        world_R_ego: (N, 3, 3).
+        metres_per_unit: of COLMAP's units.
+        said: what else there is to tell.
+    """
+
+    images: list[pycolmap.Image]
+    frame: dict[str, str]
+    positions: dict[str, Float64]
+    world_R_ego: Float64
+    metres_per_unit: float
+    said: str
+
+    def of(self, some: Int64) -> "Walk":
+        """Some of the photos, by number."""
+        positions = {name: column[some] for name, column in self.positions.items()}
+        return replace(
+            self,
+            images=[self.images[number] for number in some],
+            positions=positions,
+            world_R_ego=self.world_R_ego[some],
+        )
+
+
+def registered(folder: Path) -> tuple[pycolmap.Reconstruction, list[pycolmap.Image]]:
+    """The model, and those of its images that have a pose and a photo of their camera's size, by name."""
+    try:
+        model = pycolmap.Reconstruction(str(folder / "colmap"))
+    except (ValueError, RuntimeError) as error:
+        raise UsageError(f"no model can be read: {error}", file=folder / "colmap", expected="a COLMAP model") from error
+    images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
+    if len(images) < 2:
+        raise UsageError(f"{len(images)} images with a pose", file=folder / "colmap", expected="at least 2")
+    photos = folder / "images"
+    missing = [image.name for image in images if not (photos / image.name).is_file()]
+    if missing:
+        raise UsageError(
+            f"{len(missing)} of {len(images)} photos of the model are missing: {', '.join(missing[:5])}",
+            file=photos,
+            remedy="put them there, or take these images out of the model",
+        )
+    kinds = {SUFFIXES.get(Path(image.name).suffix.lower()) for image in images}
+    if len(kinds) > 1 or None in kinds:
+        found = sorted({Path(image.name).suffix for image in images})
+        raise UsageError(
+            f"photos are {', '.join(found)}", file=photos, expected="all .jpg or all .png", remedy="convert them"
+        )
+    for image in images:
+        lens, size = model.cameras[image.camera_id], Image.open(photos / image.name).size
+        if lens.model.name not in LENSES:
+            raise UsageError(
+                f"camera {lens.camera_id} is {lens.model.name}",
+                file=folder / "colmap",
+                expected=" or ".join(LENSES),
+                remedy="let COLMAP fit one of these, or undistort the photos",
+            )
+        if size != (lens.width, lens.height):
+            raise UsageError(
+                f"{size[0]} x {size[1]} pixels",
+                file=photos / image.name,
+                expected=f"{lens.width} x {lens.height}, as camera {lens.camera_id} of the model has",
+            )
+    return model, images
 
 
 def places(photos: list[Path]) -> Float64:
-    """(N, 3) longitude, latitude and height as cameras wrote them."""
+    """(N, 3) longitude, latitude and height as cameras wrote them; NaN of photos without, 0 for a height alone."""
     rows = []
     for photo in photos:
         tags = Image.open(photo).getexif().get_ifd(GPS)
-        angles = [float(np.dot([float(part) for part in tags[key]], [1, 1 / 60, 1 / 3600])) for key in (4, 2)]
-        signs = [-1.0 if tags[key] in ("W", "S") else 1.0 for key in (3, 1)]
-        rows.append([*(sign * angle for sign, angle in zip(signs, angles)), float(tags[6])])
-    return np.array(rows)
+        row = [np.nan, np.nan, 0.0]
+        if all(key in tags for key in (1, 2, 3, 4)):
+            angles = [float(np.dot([float(part) for part in tags[key]], [1, 1 / 60, 1 / 3600])) for key in (4, 2)]
+            row[:2] = [-angle if tags[key] in ("W", "S") else angle for key, angle in zip((3, 1), angles)]
+        if 6 in tags and np.isfinite(float(tags[6])):
+            row[2] = -float(tags[6]) if tags.get(5) in (1, b"\1") else float(tags[6])
+        rows.append(row)
+    table = np.array(rows)
+    table[~np.isfinite(table).all(axis=1)] = np.nan
+    return table
 
 
-def levelled(rotations: Float64, centres: Float64, east_north_m: Float64) -> tuple[Float64, Float64, float]:
-    """Cameras in east, north, up: rotations (N, 3, 3), centres (N, 3) and how many metres a unit of COLMAP's has."""
+def level_of(folder: Path, rotations: Float64) -> Float64:
+    """(3, 3) from COLMAP's axes to some with z up: up is the mean of what is up in the photos (N, 3, 3)."""
     up = -rotations[:, :, 1].mean(axis=0)
+    if np.linalg.norm(up) < 0.5:
+        raise UsageError(
+            "the photos have no up in common", file=folder / "images", expected="most of them held upright"
+        )
     up /= np.linalg.norm(up)
     x = np.cross(np.eye(3)[np.abs(up).argmin()], up)
     x /= np.linalg.norm(x)
-    level = np.stack([x, np.cross(up, x), up])
-    flat = centres @ level.T
-    # A turn and a scale of the plane are one complex number.
-    here, there = flat[:, 0] + 1j * flat[:, 1], east_north_m[:, 0] + 1j * east_north_m[:, 1]
-    here, there = here - here.mean(), there - there.mean()
-    factor = np.vdot(here, there) / np.vdot(here, here)
-    scale, turn = abs(factor), np.angle(factor)
-    enu = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]) @ level
-    return enu @ rotations, scale * (centres - centres.mean(axis=0)) @ enu.T, scale
+    return np.stack([x, np.cross(up, x), up])
 
 
-def main(folder: Path, out: Path) -> None:
-    """Write the recording, and say where it lies."""
-    model = pycolmap.Reconstruction(str(folder / "colmap"))
-    images = sorted(model.images.values(), key=lambda image: image.name)
-    lens = model.cameras[images[0].camera_id]
-    if lens.model.name != "SIMPLE_RADIAL":
-        sys.exit(f"{folder / 'colmap'}: camera {lens.camera_id} is {lens.model.name}, expected SIMPLE_RADIAL")
-    focal, cx, cy, radial = lens.params
+def turn_and_scale(folder: Path, here: Float64, there: Float64) -> tuple[Float64, float]:
+    """Of level coordinates (N, 2) to east and north (N, 2): (3, 3) about z, and metres a unit."""
+    spread = float(np.linalg.norm(np.ptp(there, axis=0))) if len(there) else 0.0
+    if spread < 2.0 or not np.ptp(here, axis=0).any():
+        raise UsageError(
+            f"{len(there)} photos have a place in their EXIF data, {spread:.1f} m apart",
+            file=folder / "images",
+            expected="2 or more, over at least 2 m, for north and metres",
+            remedy="--metres-per-unit NUMBER: metres a unit of the model; the recording is then in a local frame",
+        )
+    # a turn and a scale of the plane are one complex number
+    moved, wanted = ((points - points.mean(axis=0)) @ [1, 1j] for points in (here, there))
+    factor = np.vdot(moved, wanted) / np.vdot(moved, moved)
+    turn = np.angle(factor)
+    matrix = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    return matrix, float(abs(factor))
 
-    gps = places([folder / "images" / image.name for image in images])
-    middle = gps.mean(axis=0)
-    origin = geodetic_to_ecef(*middle)
-    ecef_R_place = ecef_R_enu(*middle[:2])
-    metric = (geodetic_to_ecef(*gps.T) - origin) @ ecef_R_place
+
+def walk_of(folder: Path, images: list[pycolmap.Image], metres_per_unit: float | None) -> Walk:
+    """Poses in metres: east, north and up of the places in EXIF data, or local with the metres that are given."""
     rotations = np.stack([image.cam_from_world().rotation.matrix().T for image in images])
-    enu_R_camera, centres, scale = levelled(
-        rotations, np.stack([image.projection_center() for image in images]), metric
-    )
-    # The vehicle is whoever walks: its frame stands under the camera, and tilts as the camera does.
-    enu_R_ego = enu_R_camera @ EGO_R_CAMERA.T
-    longitude, latitude, height = ecef_to_geodetic(origin + (centres - HEIGHT_M * enu_R_ego[:, :, 2]) @ ecef_R_place.T)
+    centres = np.stack([image.projection_center() for image in images])
+    level = level_of(folder, rotations)
+    if metres_per_unit is not None:
+        if not 0.0 < metres_per_unit < np.inf:
+            raise UsageError(f"{metres_per_unit}", place="--metres-per-unit", expected="a number above 0")
+        world_R_ego = level @ rotations @ EGO_R_CAMERA.T
+        ground = metres_per_unit * (centres - centres.mean(axis=0)) @ level.T - HEIGHT_M * world_R_ego[:, :, 2]
+        columns = dict(zip(("x_m", "y_m", "z_m"), ground.T))
+        frame = {"kind": "local", "name": "colmap"}
+        return Walk(
+            images, frame, columns, world_R_ego, metres_per_unit, "local frame: its origin is the middle of the photos"
+        )
+    gps = places([folder / "images" / image.name for image in images])
+    known = np.isfinite(gps[:, 0])
+    middle = gps[known].mean(axis=0) if known.any() else np.zeros(3)
+    origin, ecef_R_place = geodetic_to_ecef(*middle), ecef_R_enu(*middle[:2])
+    metric = (geodetic_to_ecef(*gps[known].T) - origin) @ ecef_R_place
+    flat = centres @ level.T
+    turn, scale = turn_and_scale(folder, flat[known, :2], metric[:, :2])
+    enu = scale * (flat - flat[known].mean(axis=0)) @ turn.T + [*metric[:, :2].mean(axis=0), 0.0]
+    # the vehicle is whoever walks: its frame stands under the camera, and tilts as the camera does
+    world_R_ego = turn @ level @ rotations @ EGO_R_CAMERA.T
+    geodetic = ecef_to_geodetic(origin + (enu - HEIGHT_M * world_R_ego[:, :, 2]) @ ecef_R_place.T)
+    off = np.linalg.norm(enu[known, :2] - metric[:, :2], axis=1).max()
+    said = f"{off:.0f} m at most from where the EXIF data of {known.sum()} photos says\n"
+    said += f"the middle: --roi {middle[0]:.6f},{middle[1]:.6f}"
+    columns = dict(zip(("longitude_deg", "latitude_deg", "height_m"), geodetic))
+    return Walk(images, {"kind": "wgs84"}, columns, world_R_ego, scale, said)
 
-    pictures = out / "images" / "front_wide"
-    pictures.mkdir(parents=True)
+
+def calibrations(lenses: list[pycolmap.Camera], stamps: list[int]) -> list[dict[str, Any]]:
+    """The lens of each photo (N), as one calibration for every run of photos of one camera."""
+    begins = [place for place, lens in enumerate(lenses) if place == 0 or lens.camera_id != lenses[place - 1].camera_id]
+    rows: list[dict[str, Any]] = []
+    for begin, end in zip(begins, [*begins[1:], len(lenses)]):
+        lens = lenses[begin]
+        values = {"0": 0.0} | dict(zip(lens.params_info.split(", "), map(float, lens.params)))
+        model, coefficients = LENSES[lens.model.name]
+        rows.append({
+            "camera": CAMERA, "model": model, "width_px": lens.width, "height_px": lens.height,
+            "fx_px": values.get("fx", values.get("f")), "fy_px": values.get("fy", values.get("f")),
+            "cx_px": values["cx"], "cy_px": values["cy"], "distortion": [values[name] for name in coefficients],
+            "ego_SE3_camera": [0.5, -0.5, 0.5, -0.5, 0.0, 0.0, HEIGHT_M],
+            "valid_from_ns": None if begin == 0 else stamps[begin - 1] + 1,
+            "valid_to_ns": None if end == len(lenses) else stamps[end - 1],
+            "method": f"COLMAP, camera {lens.camera_id}",
+        })  # fmt: skip
+    return rows
+
+
+def seconds_a_photo(centres_m: Float64) -> int:
+    """Whole seconds between photos taken at (N, 3) one after the other, so that ingest believes the motion."""
+    steps = np.linalg.norm(np.diff(centres_m, axis=0), axis=1)
+    turns = np.linalg.norm(centres_m[1:-1] - 0.5 * (centres_m[:-2] + centres_m[2:]), axis=1)
+    least = max(steps.max(initial=0.0) / SPEED_MPS, np.sqrt(turns.max(initial=0.0) / HALF_ACCELERATION_MPS2))
+    return max(1, int(np.ceil(least)))
+
+
+def write(folder: Path, out: Path, drive: str, model: pycolmap.Reconstruction, walk: Walk) -> int:
+    """Write photos of one size as a recording; returns the seconds from photo to photo."""
+    seconds = seconds_a_photo(walk.metres_per_unit * np.stack([image.projection_center() for image in walk.images]))
+    stamps = [START_NS + number * seconds * 1_000_000_000 for number in range(len(walk.images))]
+    photos = out / "images" / CAMERA
+    photos.mkdir(parents=True)
     (out / "calibrations").mkdir()
     with (out / "poses.csv").open("w", newline="") as file:
         table = csv.writer(file)
-        table.writerow(["timestamp", "longitude_deg", "latitude_deg", "height_m", "qw", "qx", "qy", "qz"])
-        for number, image in enumerate(images):
-            stamp = START_NS + number * 1_000_000_000
-            quaternion = quaternion_from_matrix(enu_R_ego[number]).ravel().tolist()
-            table.writerow([stamp, longitude[number], latitude[number], height[number], *quaternion])
-            shutil.copyfile(folder / "images" / image.name, pictures / f"{stamp}.jpg")
-    calibration = {
-        "camera": "front_wide", "model": "brown_conrady", "width_px": lens.width, "height_px": lens.height,
-        "fx_px": focal, "fy_px": focal, "cx_px": cx, "cy_px": cy, "distortion": [radial, 0.0, 0.0, 0.0, 0.0],
-        "ego_SE3_camera": [0.5, -0.5, 0.5, -0.5, 0.0, 0.0, HEIGHT_M], "method": "COLMAP",
-    }  # fmt: skip
-    (out / "calibrations" / "refined.json").write_text(json.dumps([calibration], indent=1))
+        table.writerow(["timestamp", *walk.positions, "qw", "qx", "qy", "qz"])
+        for number, (stamp, image) in enumerate(zip(stamps, walk.images)):
+            quaternion = quaternion_from_matrix(walk.world_R_ego[number]).ravel().tolist()
+            table.writerow([stamp, *(column[number] for column in walk.positions.values()), *quaternion])
+            suffix = SUFFIXES[Path(image.name).suffix.lower()]
+            shutil.copyfile(folder / "images" / image.name, photos / f"{stamp}{suffix}")
+    lenses = calibrations([model.cameras[image.camera_id] for image in walk.images], stamps)
+    (out / "calibrations" / "refined.json").write_text(json.dumps(lenses, indent=1))
     recording = {
-        "format": "mirror-folder", "version": "1.0", "drive_id": "lund", "vehicle_id": "walker",
+        "format": "mirror-folder", "version": "1.0", "drive_id": drive, "vehicle_id": "walker",
         "vehicle_type": "walker", "rig_id": "hand", "time_base": "unix_ns",
-        "frame": {"kind": "wgs84"}, "is_clip": True, "light": "day",
-        "weather": "clouds", "city": "Lund", "licence": "BSD-2-Clause", "reference_camera": "front_wide",
-        "cameras": {"front_wide": {}},
+        "frame": walk.frame, "is_clip": True, "light": "day",
+        "weather": "clouds", "city": "Lund", "licence": "BSD-2-Clause", "reference_camera": CAMERA,
+        "cameras": {CAMERA: {}},
     }  # fmt: skip
     (out / "recording.json").write_text(json.dumps(recording, indent=1))
-    off = np.linalg.norm(centres[:, :2] - (metric - metric.mean(axis=0))[:, :2], axis=1)
-    print(f"{len(images)} photos, {scale:.1f} m a unit of COLMAP's, {off.max():.0f} m at most from where EXIF says")
-    print(f"the middle: --roi {middle[0]:.6f},{middle[1]:.6f}")
+    return seconds
+
+
+def main(folder: Path, out: Path, metres_per_unit: float | None = None) -> None:
+    """Write the recording, or of photos of several sizes one each, and say where they lie."""
+    if out.exists():
+        raise UsageError("is there already", file=out, expected="a new folder")
+    model, images = registered(folder)
+    walk = walk_of(folder, images, metres_per_unit)
+    lenses = [model.cameras[image.camera_id] for image in images]
+    sizes = np.array([f"{lens.width}x{lens.height}" for lens in lenses])
+    part = out.with_name(out.name + ".part")
+    shutil.rmtree(part, ignore_errors=True)
+    for size in np.unique(sizes):
+        own = walk.of(np.flatnonzero(sizes == size))
+        whole = len(own.images) == len(images)
+        seconds = write(folder, part if whole else part / size, "lund" if whole else f"lund_{size}", model, own)
+        kinds = len({image.camera_id for image in own.images})
+        print(f"{out if whole else out / size}: {len(own.images)} photos, {kinds} lens(es), one every {seconds} s")
+    part.rename(out)
+    print(f"{walk.metres_per_unit:.1f} m a unit of COLMAP's, {walk.said}")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    import argparse
+
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path, help="holds images/ and colmap/")
+    parser.add_argument("recording", type=Path, help="a new folder")
+    parser.add_argument("--metres-per-unit", type=float, help="of the model, where no photo has a place")
+    chosen = parser.parse_args()
+    try:
+        main(chosen.folder, chosen.recording, chosen.metres_per_unit)
+    except MirrorError as error:
+        print(error, file=sys.stderr)
+        sys.exit(ExitCode.COULD_NOT_RUN)

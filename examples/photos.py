@@ -19,6 +19,8 @@ from torch.nn.functional import conv2d
 from torch.optim import Adam
 from torch.optim.lr_scheduler import ExponentialLR
 
+from mirror.errors import UsageError
+
 
 @dataclass(frozen=True, eq=False)
 class Photos:
@@ -109,6 +111,16 @@ def load(folder: Path, width: int) -> Photos:
     """Read ``images/`` and ``colmap/`` of a folder; photos become `width` pixels wide and free of distortion."""
     model = pycolmap.Reconstruction(str(folder / "colmap"))
     images = sorted(model.images.values(), key=lambda image: image.name)
+    kinds = {
+        (lens.model.name, lens.width, lens.height) for lens in (model.cameras[image.camera_id] for image in images)
+    }
+    if len(kinds) != 1 or {"SIMPLE_RADIAL"} != {name for name, _, _ in kinds}:
+        raise UsageError(
+            f"cameras are {sorted(kinds)}",
+            file=folder / "colmap",
+            expected="SIMPLE_RADIAL cameras of one size",
+            remedy="let COLMAP fit that model to photos of one size, or undistort them",
+        )
     pictures, viewmats, cameras = [], [], []
     for image in images:
         lens = model.cameras[image.camera_id]

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hybridworldsim.scene.decoders import Conditioned
-from hybridworldsim.scene.nodes.anchors import Anchors
-from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians
-from hybridworldsim.scene.splats import Splats
-from hybridworldsim.scene.street import Drawn, Street, draw
+from hybridworldsim.model.decoders import Conditioned
+from hybridworldsim.model.nodes.anchors import Anchors
+from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
+from hybridworldsim.model.splats import Splats
+from hybridworldsim.model.street import Drawn, Street, draw
 from hybridworldsim.training.viewpoint import Viewpoint
 
 

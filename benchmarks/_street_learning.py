@@ -10,9 +10,9 @@ from torch import Tensor, nn
 
 from benchmarks import _plain_losses as plain
 from benchmarks.report import Peer, Row, best_ms
-from hybridworldsim.scene.curvature import normal_loss
-from hybridworldsim.scene.lazy_adam import BETA1, BETA2, LazyAdam
-from hybridworldsim.scene.similarity import similarity
+from hybridworldsim.model.curvature import normal_loss
+from hybridworldsim.model.lazy_adam import BETA1, BETA2, LazyAdam
+from hybridworldsim.model.ssim_loss import similarity
 
 WIDTH, HEIGHT = 480, 270
 _KNOWN, _PATCH = 0.06, 6

@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from benchmarks.report import Peer, Row
-from hybridworldsim.rendering.composition import Composition
-from hybridworldsim.rendering.parts import Looks
-from hybridworldsim.scene.blocks import Block
-from hybridworldsim.scene.street import Street
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.composition import Composition
+from hybridworldsim.model.parts import Looks
+from hybridworldsim.model.street import Street
 from mirror.arrays import Float64
-from mirror.evaluation.views.view import View, pose_numbers
 from mirror.geometry.poses import Poses
+from mirror.protocols.views.view import View, pose_numbers
 
 STEP_M = 0.1
 

@@ -17,11 +17,11 @@ import torch
 from benchmarks._plain_street import exact, plain_picture
 from benchmarks._street_learning import learning_rows
 from benchmarks.report import Peer, Row, report
-from hybridworldsim.scene.blocks import Block
-from hybridworldsim.scene.seeding import Initial, street_of
-from hybridworldsim.scene.settings import Refinement, Settings
-from hybridworldsim.scene.storage import load_block, save_block
-from hybridworldsim.scene.street import Drawn, Street
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.seeding import Initial, street_of
+from hybridworldsim.model.settings import Refinement, Settings
+from hybridworldsim.model.storage import load_block, save_block
+from hybridworldsim.model.street import Drawn, Street
 from hybridworldsim.training.viewpoint import Source, Viewpoint
 from mirror.arrays import Float64
 

@@ -15,10 +15,10 @@ from leaderboard.pictures import Shown, copy_pairs
 from leaderboard.recount import require_counted
 from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError
-from mirror.evaluation.protocol import load_protocol, protocol_names
 from mirror.evaluation.result import Figure as Scored
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
+from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import write_json
 from mirror.version import __version__
 

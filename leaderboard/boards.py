@@ -11,7 +11,7 @@ from typing import Final
 
 from leaderboard.entry import ALL, Entry, Figure, Measured, Reported
 from leaderboard.measures import MEASURES, Measure
-from mirror.evaluation.protocol import load_protocol, protocol_names
+from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import sha256_bytes
 
 FLOOR: Final = ("nearest_frame", "mean_color")

@@ -11,7 +11,7 @@ from pydantic import Field, RootModel, model_validator
 
 from leaderboard.measures import MEASURES
 from mirror.errors import DatasetError, SchemaError
-from mirror.evaluation.protocol import protocol_names
+from mirror.protocols.document import protocol_names
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json, sha256_bytes
 

@@ -15,10 +15,10 @@ from leaderboard.refused import RefusedError
 from mirror.arrays import UInt8
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.check import check_submission
-from mirror.evaluation.submission.png import decode_render, most_bytes
 from mirror.evaluation.submission.untrusted import open_untrusted
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views import Plan, View, plan_views
+from mirror.protocols.png import decode_render, most_bytes
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views import Plan, View, plan_views
 from mirror.schema.files import write_bytes
 
 _VIEWS: Final = 3

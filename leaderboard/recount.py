@@ -16,7 +16,7 @@ from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import mean_weights
 from mirror.evaluation.result import IMAGES, Figure, Result
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 _TOLERANCE: Final = 1e-9
 _MOST_BYTES: Final = 1 << 30

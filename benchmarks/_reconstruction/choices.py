@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-import mtgs_style
-import omnire_style
-import vanilla_3dgs
-from hybridworldsim.scene.settings import Settings
-from splatting.scaled import faster
-from splatting.settings import Weights
+from hybridworldsim.model.settings import Settings
+from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
+from mirror_baselines.splatting.scaled import faster
+from mirror_baselines.splatting.settings import Weights
 
 AS_TUNED: Final = "as-tuned"
 """Nothing taken back: the tuned settings once more, within the hours of the others."""

@@ -15,10 +15,10 @@ from hybridworldsim.training.appearance import Looks, seen_of
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.layout import manifest_sha256
 from mirror.errors import DatasetError
-from mirror.evaluation.methods import Task
-from mirror.evaluation.progress import Watch
-from mirror.evaluation.protocol import Protocol, load_protocol
-from mirror.evaluation.views import plan_views
+from mirror.methods.plugin import Task
+from mirror.progress import ProgressReporter
+from mirror.protocols.document import Protocol, load_protocol
+from mirror.protocols.views import plan_views
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import read_json, write_json
 
@@ -46,7 +46,12 @@ def opened(folder: Path) -> Dataset:
 
 
 def prepare(
-    folder: Path, declaration: Declared, scenes: Sequence[str], splits: Sequence[str], width_px: int, watch: Watch
+    folder: Path,
+    declaration: Declared,
+    scenes: Sequence[str],
+    splits: Sequence[str],
+    width_px: int,
+    watch: ProgressReporter,
 ) -> None:
     """Make what is not there yet.
 

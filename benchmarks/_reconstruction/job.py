@@ -13,12 +13,13 @@ from benchmarks._reconstruction.declared import NOVEL, Declared, declared
 from benchmarks._reconstruction.methods import Entry, entries
 from benchmarks._reconstruction.scoring import Scores, averaged, plain, scores_of
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.methods import Looking, Reconstructed
-from mirror.evaluation.progress import Silent
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views import Plan, plan_views
+from mirror.methods.appearance import Looking
+from mirror.methods.plugin import Reconstructed
 from mirror.metrics.features.perceptual import PerceptualDistance
 from mirror.metrics.features.st_lpips import load_st_lpips
+from mirror.progress import NullProgress
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views import Plan, plan_views
 from mirror.schema.files import write_bytes
 
 RUNS: Final = "runs"
@@ -81,7 +82,7 @@ def run(job: Job, folder: Path) -> Path:
     split = entry.split or declaration.split
     task = task_of(declaration, job.scene, split, job.width_px, job.core_minutes, job.seed)
     model = folder / RUNS / job.name
-    done = entry.method.reconstruct(dataset, task, model, Silent())
+    done = entry.method.reconstruct(dataset, task, model, NullProgress())
     plan = plan_views(dataset.where(scene=job.scene), narrowed(declaration, job.width_px), split)
     scores = _scored(entry, model, dataset, plan, declaration, network)
     document = {

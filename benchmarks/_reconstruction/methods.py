@@ -9,9 +9,6 @@ from functools import cache, partial
 from itertools import product
 from typing import Any, Final
 
-import mtgs_style
-import omnire_style
-import vanilla_3dgs
 from benchmarks._reconstruction.choices import CHOICES, OWN, choice
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.scaled import scaled_street
@@ -19,8 +16,9 @@ from benchmarks._reconstruction.small import as_small
 from hybridworldsim.methods.static import StaticMethod
 from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
 from hybridworldsim.methods.street import make as make_street
-from hybridworldsim.scene.settings import Refinement, Settings
-from splatting.scaled import scaled
+from hybridworldsim.model.settings import Refinement, Settings
+from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
+from mirror_baselines.splatting.scaled import scaled
 
 OURS: Final = "ours"
 STRUCTURE: Final = "ours-structure"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hybridworldsim.scene.settings import Settings
-from splatting.scaled import faster
+from hybridworldsim.model.settings import Settings
+from mirror_baselines.splatting.scaled import faster
 
 
 def scaled_street(settings: Settings, rates: float, sizes: float) -> Settings:

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from mirror.arrays import Bool, UInt8
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
 from mirror.metrics.features.perceptual import PerceptualDistance
 from mirror.metrics.features.st_lpips import st_lpips
 from mirror.metrics.images.colour_correction import psnr_cc
 from mirror.metrics.images.psnr import psnr
 from mirror.metrics.images.ssim import ssim
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 
 _PERCEIVED = 40
 """ST-LPIPS takes half a second a picture: about so many of a group get it, evenly chosen."""

@@ -8,12 +8,12 @@ from typing import Final
 
 import torch
 
-from hybridworldsim.scene.nodes.anchors import Anchors
-from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians, Seeds
-from hybridworldsim.scene.settings import Settings
-from mtgs_style import MtgsStyle
-from omnire_style import OmnireStyle
-from splatting.settings import Splatting
+from hybridworldsim.model.nodes.anchors import Anchors
+from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
+from hybridworldsim.model.settings import Settings
+from mirror_baselines.mtgs_style import MtgsStyle
+from mirror_baselines.omnire_style import OmnireStyle
+from mirror_baselines.splatting.settings import Splatting
 
 _GEOMETRY: Final = 11
 """Numbers of a Gaussian that are no colour: place, rotation, scale, opacity."""

@@ -17,8 +17,8 @@ from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_ceilings, 
 from benchmarks._reconstruction.queue import run_all
 from benchmarks._reconstruction.settings import settings_tables
 from benchmarks._reconstruction.tables import chosen, differences, outcomes, tables, tuned
-from mirror.cli.watch import watching
 from mirror.errors import DatasetError, ExitCode
+from mirror.progress import progress_bar
 from mirror.schema.files import write_bytes
 
 _COMPARED: Final = ("train PSNR", "train SSIM", "train ST-LPIPS", "novel PSNR*", "novel SSIM", "novel ST-LPIPS")
@@ -28,7 +28,7 @@ def _tune(arguments: Arguments, declaration: Declared) -> int:
     """Make the street of the trials, run those that are not done, and show all."""
     grid, folder = declaration.tuning, arguments.data / TUNING
     group = asked(arguments, declaration, TUNING)
-    with watching(quiet=False) as watch:
+    with progress_bar(quiet=False) as watch:
         street = replace(declaration, preset=grid.preset, scenes_seed=grid.seed)
         prepare(folder, street, group.scenes, [declaration.split], group.width_px, watch)
     failed = run_all(group.jobs, folder, arguments.jobs)
@@ -52,7 +52,7 @@ def _trials(folder: Path, group: Group, grid: Tuning) -> str:
 def _prepare(arguments: Arguments, declaration: Declared) -> int:
     group = asked(arguments, declaration)
     splits = dict.fromkeys(split_of(row, declaration) for row in group.rows)
-    with watching(quiet=False) as watch:
+    with progress_bar(quiet=False) as watch:
         prepare(arguments.data, declaration, group.scenes, list(splits), group.width_px, watch)
     return ExitCode.DONE
 

@@ -18,7 +18,8 @@ from leaderboard.site.plot import time_quality_plot
 from leaderboard.site.slider import board_slider, picture_files
 from leaderboard.site.tables import board_table
 from mirror.errors import DatasetError
-from mirror.evaluation.protocol import load_protocol
+from mirror.html import style_sheet
+from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
 
@@ -54,10 +55,7 @@ def build_site(entries: Sequence[Entry], pictures: Sequence[Path], out: Path) ->
 
 
 def _page(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
-    style = (
-        files("mirror.view").joinpath("report.css").read_text()
-        + files("leaderboard.site").joinpath("site.css").read_text()
-    )
+    style = style_sheet() + files("leaderboard.site").joinpath("site.css").read_text()
     script = files("leaderboard.site").joinpath("site.js").read_text()
     policy = (
         f"default-src 'none'; img-src 'self' file:; style-src '{_source_hash(style)}'; "

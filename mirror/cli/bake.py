@@ -57,11 +57,11 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError("a sweep is for trajectories", place="--appearance", expected="one look")
 
     import mirror
-    from mirror.evaluation.baking import BakeOptions, baking_method
-    from mirror.evaluation.methods import Looking
-    from mirror.evaluation.protocol import load_protocol
-    from mirror.evaluation.reconstruction import read_reconstruction, require_same_street
-    from mirror.evaluation.views.trajectories import recorded, views_along
+    from mirror.methods.appearance import Looking
+    from mirror.methods.model_document import read_reconstruction, require_same_street
+    from mirror.methods.ply_export import BakeOptions, baking_method
+    from mirror.protocols.document import load_protocol
+    from mirror.protocols.views.trajectories import recorded, views_along
 
     document = read_reconstruction(arguments.model)
     whole = mirror.open(arguments.dataset)

@@ -48,8 +48,7 @@ def main(argv: Sequence[str]) -> int:
     if arguments.quick and arguments.full:
         raise UsageError("--quick and --full at once", expected="one of them, or neither")
 
-    from mirror.cli.progress import progress_bar
-    from mirror.dataset.check import Cost, check
+    from mirror.progress import progress_bar
 
     cost = Cost.TABLES if arguments.quick else Cost.PICTURES if arguments.full else Cost.FILES
     with progress_bar(quiet=arguments.json) as bar:

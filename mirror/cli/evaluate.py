@@ -65,11 +65,11 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parsed(Arguments, argv, "mirror evaluate")
 
-    from mirror.cli.progress import progress_bar
     from mirror.cli.submission import asked_or_problems, say_report
-    from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.run import Options, evaluate
     from mirror.evaluation.submission.untrusted import open_untrusted
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
     from mirror.weights.resolve import WeightResolver
 
     asked = asked_or_problems(open_untrusted(arguments.submission), arguments.protocol, arguments.split)

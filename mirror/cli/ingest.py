@@ -114,11 +114,11 @@ def main(argv: Sequence[str]) -> int:
     if arguments.out is None and not arguments.dry_run:
         raise UsageError("no dataset folder given", place="--out", expected="--out DATASET, or --dry-run")
 
-    from mirror.cli.progress import progress_bar
     from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import parse_roi, read_rois
     from mirror.ingest.run import ingest
     from mirror.ingest.traversal import WriteOptions
+    from mirror.progress import progress_bar
 
     rois = read_rois(arguments.rois) if arguments.rois else []
     rois += [parse_roi(text) for text in arguments.roi]

@@ -53,10 +53,10 @@ def method_main(argv: Sequence[str], renderer: Renderer, method: Method, appeara
 
 def _write(arguments: Arguments, renderer: Renderer, method: Method, appearance: Appearance) -> ExitCode:
     import mirror
-    from mirror.cli.progress import progress_bar
-    from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.submission.writing import write_submission
-    from mirror.evaluation.views import plan_views
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+    from mirror.protocols.views import plan_views
 
     dataset = mirror.open(arguments.dataset)
     plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)

@@ -15,7 +15,7 @@ from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
-    from mirror.evaluation.methods import Reconstructed
+    from mirror.methods.plugin import Reconstructed
 
 _MINUTES = 10.0
 
@@ -84,15 +84,16 @@ def main(argv: Sequence[str]) -> int:
     if arguments.minutes is not None and arguments.steps is not None:
         raise UsageError("both --minutes and --steps", expected="one of them")
 
-    from mirror.evaluation.methods import Task, installed_method
+    from mirror.methods.plugin import Task
+    from mirror.methods.registry import installed_method
 
     method = installed_method(arguments.method)
 
     import mirror
     from mirror.cli.terminable import terminable
-    from mirror.cli.watch import watching
-    from mirror.evaluation.protocol import load_protocol
-    from mirror.evaluation.training import asked_of_training
+    from mirror.methods.training_images import asked_of_training
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
 
     dataset = mirror.open(arguments.dataset)
     protocol = load_protocol(arguments.protocol)
@@ -115,7 +116,7 @@ def main(argv: Sequence[str]) -> int:
         settings=_settings(arguments.set),
         withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
     )
-    with watching(quiet=arguments.json) as watch, terminable():
+    with progress_bar(quiet=arguments.json) as watch, terminable():
         done = method.reconstruct(dataset, task, arguments.out, watch)
     if arguments.json:
         said = {"folder": str(done.folder), "scene": scene}

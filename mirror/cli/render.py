@@ -19,11 +19,11 @@ from mirror.errors import ExitCode, UsageError
 if TYPE_CHECKING:
     from mirror.arrays import UInt8
     from mirror.dataset.dataset import Dataset
-    from mirror.evaluation.methods import Looking
     from mirror.evaluation.submission.manifest import Appearance, Runtime
     from mirror.evaluation.submission.writing import Render
-    from mirror.evaluation.views.plan import Plan
-    from mirror.evaluation.views.view import View
+    from mirror.methods.appearance import Looking
+    from mirror.protocols.views.plan import Plan
+    from mirror.protocols.views.view import View
 
 _VIDEOS = (".mp4", ".mkv")
 _HZ = 10.0
@@ -88,14 +88,15 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _submission(arguments: Arguments, dataset: Dataset) -> int:
-    from mirror.cli.progress import progress_bar
-    from mirror.evaluation.methods import Looking, installed_method, licence_of
-    from mirror.evaluation.protocol import load_protocol
-    from mirror.evaluation.reconstruction import read_reconstruction, require_same_street, require_unseen
     from mirror.evaluation.scorers import scorer_of
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
-    from mirror.evaluation.views import plan_views
+    from mirror.methods.appearance import Looking
+    from mirror.methods.model_document import read_reconstruction, require_same_street, require_unseen
+    from mirror.methods.registry import installed_method, licence_of
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+    from mirror.protocols.views import plan_views
 
     for option in ("traversal", "cameras", "width", "hz"):
         if getattr(arguments, option) is not None:
@@ -146,7 +147,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
 
 def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
     """The method of models, and each by its scene."""
-    from mirror.evaluation.reconstruction import read_reconstruction
+    from mirror.methods.model_document import read_reconstruction
 
     documents = [(folder, read_reconstruction(folder)) for folder in folders]
     methods = sorted({document.method for _, document in documents})
@@ -161,13 +162,13 @@ def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
 
 def _hash(models: Iterable[Path]) -> str:
     """Of the documents of models, which say what each took: no two trainings took the same."""
-    from mirror.evaluation.reconstruction import DOCUMENT
+    from mirror.methods.model_document import DOCUMENT
 
     return hashlib.sha256(b"".join((model / DOCUMENT).read_bytes() for model in models)).hexdigest()
 
 
 def _trained_on(models: Iterable[Path]) -> str:
-    from mirror.evaluation.reconstruction import read_reconstruction
+    from mirror.methods.model_document import read_reconstruction
 
     documents = [read_reconstruction(model) for model in models]
     withheld = sum(one.withheld for one in documents)
@@ -176,8 +177,8 @@ def _trained_on(models: Iterable[Path]) -> str:
 
 
 def _costs(models: Iterable[Path]) -> Runtime:
-    from mirror.evaluation.reconstruction import read_reconstruction
     from mirror.evaluation.submission.manifest import Runtime
+    from mirror.methods.model_document import read_reconstruction
 
     device = f"{platform.machine()} CPU"
     costs = [read_reconstruction(model).done for model in models]
@@ -194,8 +195,8 @@ def _costs(models: Iterable[Path]) -> Runtime:
 
 def appearance_of(looking: Looking) -> Appearance:
     """What a manifest says of the looks of pictures that were not trained on."""
-    from mirror.evaluation.methods import FITTED_PART
     from mirror.evaluation.submission.manifest import Appearance
+    from mirror.methods.appearance import FITTED_PART
 
     if looking.policy == "nearest":
         return Appearance(policy="nearest-traversal", description="by the symmetric chamfer distance of driven lines")
@@ -207,12 +208,14 @@ def appearance_of(looking: Looking) -> Appearance:
 
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
-    from mirror.cli.progress import progress_bar
-    from mirror.evaluation.methods import Looking, by_camera, installed_method, opened_by_camera
-    from mirror.evaluation.protocol import load_protocol
-    from mirror.evaluation.reconstruction import read_reconstruction, require_same_street
     from mirror.evaluation.submission.writing import begin_rendering
-    from mirror.evaluation.views.trajectories import named, views_along
+    from mirror.methods.appearance import Looking
+    from mirror.methods.by_camera import by_camera, opened_by_camera
+    from mirror.methods.model_document import read_reconstruction, require_same_street
+    from mirror.methods.registry import installed_method
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+    from mirror.protocols.views.trajectories import named, views_along
 
     pixels = load_protocol(arguments.protocol).pixels
     if arguments.width is not None:
@@ -275,8 +278,8 @@ def _side_by_side(
 
 def _pictures(out: Path, views: Sequence[View], render: Callable[[View], UInt8], advance: Callable[[int], None]) -> int:
     """Render what is not there yet; how many that was."""
-    from mirror.evaluation.submission.png import encode_png
     from mirror.evaluation.submission.writing import BEGUN
+    from mirror.protocols.png import encode_png
     from mirror.schema.files import write_bytes
 
     files = [(view, out / view.camera / f"{view.frame_index:05d}.png") for view in views]

@@ -65,10 +65,10 @@ def main(argv: Sequence[str]) -> int:
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror rois propose RECORDING...")
 
-    from mirror.cli.progress import progress_bar
     from mirror.ingest.propose import propose_rois
     from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import write_rois
+    from mirror.progress import progress_bar
 
     options = IngestOptions(
         reader=arguments.reader,

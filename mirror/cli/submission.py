@@ -91,11 +91,11 @@ def main(argv: Sequence[str]) -> int:
 
 def _new(arguments: New) -> int:
     import mirror
-    from mirror.cli.progress import progress_bar
-    from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.submission.template import write_template
-    from mirror.evaluation.truth.source import TruthSource
-    from mirror.evaluation.views import plan_views
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+    from mirror.protocols.truth.source import TruthSource
+    from mirror.protocols.views import plan_views
 
     dataset, protocol = mirror.open(arguments.dataset), load_protocol(arguments.protocol)
     plan = plan_views(dataset, protocol, arguments.split)
@@ -115,11 +115,11 @@ def _new(arguments: New) -> int:
 
 def _check(arguments: Check) -> int:
     import mirror
-    from mirror.cli.progress import progress_bar
-    from mirror.evaluation.protocol import load_protocol
     from mirror.evaluation.submission.check import check_submission
     from mirror.evaluation.submission.untrusted import open_untrusted
-    from mirror.evaluation.views import plan_views
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+    from mirror.protocols.views import plan_views
 
     files = open_untrusted(arguments.submission)
     asked = asked_or_problems(files, arguments.protocol, arguments.split)
@@ -136,10 +136,10 @@ def _check(arguments: Check) -> int:
 
 def _hidden(arguments: Hidden) -> int:
     import mirror
-    from mirror.cli.progress import progress_bar
-    from mirror.evaluation.protocol import load_protocol
-    from mirror.evaluation.truth.synthetic import write_hidden_truth
-    from mirror.evaluation.views import plan_views
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+    from mirror.protocols.views import plan_views
+    from mirror.synth.hidden_truth import write_hidden_truth
 
     dataset = mirror.open(arguments.dataset)
     plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)

@@ -49,7 +49,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parsed(Arguments, argv, "mirror synth")
 
-    from mirror.cli.progress import progress_bar
+    from mirror.progress import progress_bar
     from mirror.synth import Effects, Errors, write_recordings
     from mirror.synth.writing.truth import truth_kinds
 

@@ -15,8 +15,8 @@ from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.figures import LEAST_BLOCKS, TOO_FEW_BLOCKS, blocks_of, mean_weights, spread_of
 from mirror.evaluation.result import IMAGES, Figure, Result, finite
 from mirror.evaluation.run import read_result
-from mirror.evaluation.views.view import View
 from mirror.metrics.images.bootstrap import paired_difference
+from mirror.protocols.views.view import View
 
 _KEYS: Final = ("scene_id", "traversal_id", "frame_index", "camera", "light", "weather")
 

@@ -10,12 +10,12 @@ from typing import Final, Literal
 import numpy as np
 
 from mirror.arrays import Float64, Int64
-from mirror.evaluation.protocol import Protocol
 from mirror.evaluation.result import Figure, Level, finite
-from mirror.evaluation.views.view import View
 from mirror.metrics.images.aggregate import summarise
 from mirror.metrics.images.bootstrap import Interval, frame_blocks, mean_interval
 from mirror.metrics.score import Score
+from mirror.protocols.document import Protocol
+from mirror.protocols.views.view import View
 
 Better = Literal["higher", "lower", "none"]
 

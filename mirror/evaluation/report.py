@@ -20,11 +20,10 @@ from mirror.evaluation.result import Figure, Level, Result
 from mirror.evaluation.run import Evaluation
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Scored
-from mirror.evaluation.views.view import View
+from mirror.html import html_table, inline_image, style_sheet
+from mirror.protocols.views.view import View
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
-from mirror.view.pictures import inlined_picture
-from mirror.view.tables import html_table
 
 _WIDTH_PX: Final = 480
 _EACH: Final = 2
@@ -62,9 +61,7 @@ def write_report(done: Evaluation, out: Path) -> None:
         f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
         f"result {result.hash[:12]}.</footer>",
     ]
-    style = "".join(
-        files(package).joinpath("report.css").read_text() for package in ("mirror.view", "mirror.evaluation")
-    )
+    style = style_sheet() + files("mirror.evaluation").joinpath("report.css").read_text()
     page = (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
@@ -170,7 +167,7 @@ def _triple(words: str, view: View, inputs: Inputs) -> str:
     pictures = (("render", render), ("truth", truth), ("error", error_map(render, truth, scored)))
     figures = ""
     for name, picture in pictures:
-        inlined = inlined_picture(picture, f"{name} of {view.path}", _WIDTH_PX)
+        inlined = inline_image(picture, f"{name} of {view.path}", _WIDTH_PX)
         figures += f"<figure>{inlined}<figcaption>{name}</figcaption></figure>"
     return (
         f'<p><b>{escape(words)}</b> <span class="dim">{escape(view.camera)}, frame {view.frame_index} of '

@@ -9,8 +9,8 @@ from typing import Final, Literal
 
 from pydantic import Field
 
-from mirror.evaluation.protocol import Protocol
 from mirror.evaluation.submission.manifest import SubmissionManifest
+from mirror.protocols.document import Protocol
 from mirror.schema.documents import Document
 
 RESULT: Final = "result.json"

@@ -18,8 +18,6 @@ import pyarrow.parquet as pq
 import mirror
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.extractors import extractor_of
-from mirror.evaluation.progress import Progress, Silent
-from mirror.evaluation.protocol import Protocol
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
 from mirror.evaluation.scorers import scorer_of
 from mirror.evaluation.scorers.inputs import Inputs
@@ -27,9 +25,11 @@ from mirror.evaluation.scorers.scorer import STAND_IN, Scored
 from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import open_untrusted
-from mirror.evaluation.truth.hidden import require_hidden
-from mirror.evaluation.views import Plan, plan_views
 from mirror.evaluation.workers import Log, score_jobs
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.protocols.document import Protocol
+from mirror.protocols.truth.hidden import require_hidden
+from mirror.protocols.views import Plan, plan_views
 from mirror.schema.files import write_bytes, write_json
 from mirror.version import __version__
 from mirror.weights.errors import WeightsUnavailableError
@@ -95,7 +95,7 @@ def evaluate(
     split: str,
     out: Path,
     options: Options | None = None,
-    progress: Progress | None = None,
+    progress: ProgressReporter | None = None,
 ) -> Evaluation:
     """Score a submission and write ``result.json`` and ``images.parquet``.
 
@@ -115,7 +115,7 @@ def evaluate(
         DatasetError: the truth is incomplete, or the results cannot be written.
         UntrustedError: the submission is refused as a whole.
     """
-    options, progress = options or Options(), progress or Silent()
+    options, progress = options or Options(), progress or NullProgress()
     if options.workers < 1:
         raise UsageError(f"{options.workers} workers", expected="at least one")
     if out.exists() and not out.is_dir():

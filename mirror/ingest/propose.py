@@ -20,8 +20,9 @@ from mirror.arrays import Float64, Int64
 from mirror.errors import MirrorError, RecordingError, UsageError
 from mirror.ingest.clean import CleanTrack, clean
 from mirror.ingest.metric import scales
-from mirror.ingest.request import IngestOptions, Progress, Silent, thresholds
+from mirror.ingest.request import IngestOptions, thresholds
 from mirror.ingest.trigger import Trigger
+from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 
@@ -74,7 +75,7 @@ def propose_rois(
     radius_m: float = 200.0,
     prefix: str = "roi",
     options: IngestOptions | None = None,
-    progress: Progress | None = None,
+    progress: ProgressReporter | None = None,
 ) -> Proposals:
     """Rank ROI centres by how many separate traversals pass the trigger there.
 
@@ -89,7 +90,7 @@ def propose_rois(
     Returns:
         ROIs whose circles do not overlap, by accepted passes, then drives, then driven length.
     """
-    options, progress = options or IngestOptions(), progress or Silent()
+    options, progress = options or IngestOptions(), progress or NullProgress()
     trigger_options = thresholds(TriggerOptions, options.trigger)
     cleaning = thresholds(CleaningOptions, options.cleaning)
     if options.workers < 1:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from pydantic import ValidationError
 
@@ -34,28 +34,6 @@ def thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> Threshold
             place=f"--{name.replace('_', '-')}",
             remedy="see `mirror ingest --help`",
         ) from error
-
-
-class Progress(Protocol):
-    """How a run tells how far it is."""
-
-    def start(self, what: str, total: int) -> None:
-        """A phase begins, with so many steps."""
-        ...
-
-    def advance(self, steps: int) -> None:
-        """Steps are done; called from several threads."""
-        ...
-
-
-class Silent:
-    """No progress shown."""
-
-    def start(self, what: str, total: int) -> None:
-        """Say nothing."""
-
-    def advance(self, steps: int) -> None:
-        """Say nothing."""
 
 
 @dataclass(frozen=True)

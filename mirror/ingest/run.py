@@ -26,10 +26,11 @@ from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
 from mirror.ingest.drive import refuse_other_rig, seal_drive, traversals_intact, verify_source
 from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
 from mirror.ingest.replace import set_aside, settle
-from mirror.ingest.request import IngestOptions, IngestReport, Progress, Silent, thresholds
+from mirror.ingest.request import IngestOptions, IngestReport, thresholds
 from mirror.ingest.rois import merge_rois, read_rois, write_rois
 from mirror.ingest.traversal import Written, selected_pictures, traversal_id, write_traversal
 from mirror.ingest.trigger import Trigger
+from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.protocol import Recording
 from mirror.recordings.registry import open_recording
@@ -61,7 +62,7 @@ class _Opened:
 
 
 class _Run:
-    def __init__(self, layout: Layout, options: IngestOptions, progress: Progress) -> None:
+    def __init__(self, layout: Layout, options: IngestOptions, progress: ProgressReporter) -> None:
         self.layout = layout
         self.options = options
         self.progress = progress
@@ -78,7 +79,7 @@ def ingest(
     rois: Sequence[Roi],
     out: Path,
     options: IngestOptions | None = None,
-    progress: Progress | None = None,
+    progress: ProgressReporter | None = None,
 ) -> IngestReport:
     """Ingest recordings into a dataset.
 
@@ -97,7 +98,7 @@ def ingest(
         DatasetError: the dataset is locked, has other thresholds, or cannot be written.
         MirrorError: with ``fail_fast``, whatever the first bad recording has.
     """
-    run = _Run(Layout(out), options or IngestOptions(), progress or Silent())
+    run = _Run(Layout(out), options or IngestOptions(), progress or NullProgress())
     if run.options.workers < 1:
         raise UsageError(f"{run.options.workers} workers", expected="at least one")
     if run.options.weather_plugin is not None and run.options.weather_plugin not in weather_plugins():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,17 +9,16 @@ from datetime import UTC, datetime
 from html import escape
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
-from mirror.arrays import Float64, UInt8
+from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.geometry.box_projection import project_boxes
+from mirror.html import inline_image
 from mirror.schema.documents import CANONICAL_CAMERAS
 
 CATEGORY_HUES: Final = ("car", "truck", "bus", "van", "pedestrian", "cyclist", "motorcycle", "bicycle")
-_JPEG_QUALITY: Final = 80
 _EDGE_POINTS: Final = 6
 _GOLDEN_DEG: Final = 137.5
 _STOOD_M: Final = 1.0
@@ -173,25 +171,7 @@ def _figure(picture: str, overlay: str, caption: str, area: str) -> str:
 
 
 def _inlined(frame: Frame, camera: str, width_px: int) -> str:
-    return inlined_picture(frame.images[camera].decode(), camera, width_px)
-
-
-def inlined_picture(picture: UInt8, alt: str, width_px: int) -> str:
-    """An ``img`` that holds its picture.
-
-    Args:
-        picture: (H, W, 3), RGB.
-        alt: what it shows, in words.
-        width_px: wider pictures are scaled down.
-    """
-    height, width = picture.shape[:2]
-    if width > width_px:
-        size = (width_px, round(height * width_px / width))
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-    encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-    data = base64.b64encode(encoded.tobytes()).decode()
-    size_text = f'width="{picture.shape[1]}" height="{picture.shape[0]}"'
-    return f'<img alt="{escape(alt)}" {size_text} src="data:image/jpeg;base64,{data}">'
+    return inline_image(frame.images[camera].decode(), camera, width_px)
 
 
 def _overlay(frame: Frame, camera: str) -> str:

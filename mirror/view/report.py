@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +17,7 @@ import pyarrow.compute as pc
 
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import TableRow, table_row
+from mirror.html import style_sheet
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
@@ -74,7 +74,7 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
         *_rigs(dataset, traversals),
         f"<footer>Made by mirror {__version__} from the dataset {escape(dataset.root)} alone.</footer>",
     ]
-    style = files("mirror.view").joinpath("report.css").read_text()
+    style = style_sheet()
     page = (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any, Final
 
+from mirror.html import html_table
 from mirror.schema.documents import SplitDocument
 from mirror.view.pictures import utc
 
@@ -90,11 +91,3 @@ def ledger(passes: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     yield html_table(head.split(","), rows)
     if len(refused) > _ROWS:
         yield f'<p class="dim">The first {_ROWS} of {len(refused)}; all are in index/passes.parquet.</p>'
-
-
-def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table that scrolls sideways where it is too wide; columns whose names begin with ``n:`` are numbers."""
-    kinds = [' class="n"' if name.startswith("n:") else "" for name in head]
-    heads = "".join(f"<th{kind}>{escape(name.removeprefix('n:'))}</th>" for name, kind in zip(head, kinds))
-    body = "".join(f"<tr>{''.join(f'<td{kind}>{cell}</td>' for cell, kind in zip(row, kinds))}</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'

@@ -12,7 +12,7 @@ import pytest
 import mirror
 from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
-from mirror.evaluation.protocol import Protocol, load_protocol
+from mirror.protocols.document import Protocol, load_protocol
 from mirror.schema.documents import NovelTraversal, SplitDocument
 from mirror.schema.files import write_json
 from mirror.schema.tables import BOXES

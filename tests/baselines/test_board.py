@@ -8,18 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-import mean_color
-import nearest_frame
 from leaderboard.add import add_result
 from leaderboard.entry import Measured, load_entries
 from leaderboard.pictures import Shown
 from leaderboard.refused import RefusedError
 from leaderboard.site.page import build
 from mirror.dataset import Dataset
-from mirror.evaluation.protocol import load_protocol
 from mirror.evaluation.run import evaluate
 from mirror.evaluation.submission.writing import write_submission
-from mirror.evaluation.views import plan_views
+from mirror.protocols.document import load_protocol
+from mirror.protocols.views import plan_views
+from mirror_baselines import mean_color, nearest_frame
 
 
 def test_baselines_stand_on_a_board(dataset: Dataset, tmp_path: Path) -> None:

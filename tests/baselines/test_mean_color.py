@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mean_color import APPEARANCE, METHOD, MOST_PICTURES, mean_colour, render
 from mirror.dataset import Dataset
 from mirror.errors import DatasetError
-from mirror.evaluation.protocol import Protocol
 from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.evaluation.submission.writing import write_submission
-from mirror.evaluation.training import training_pictures
-from mirror.evaluation.views import plan_views
+from mirror.methods.training_images import training_pictures
+from mirror.protocols.document import Protocol
+from mirror.protocols.views import plan_views
+from mirror_baselines.mean_color import APPEARANCE, METHOD, MOST_PICTURES, mean_colour, render
 from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
 
 

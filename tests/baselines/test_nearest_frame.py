@@ -14,15 +14,15 @@ from scipy.spatial.transform import Rotation
 from mirror.dataset import Dataset
 from mirror.dataset.frames import Image
 from mirror.errors import DatasetError, ExitCode, UsageError
-from mirror.evaluation.protocol import Protocol, load_protocol
 from mirror.evaluation.run import evaluate
 from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.evaluation.submission.writing import write_submission
-from mirror.evaluation.views import plan_views
 from mirror.geometry.poses import Poses
-from nearest_frame import APPEARANCE, METHOD, METRES_A_RADIAN, nearest, render
-from nearest_frame import __main__ as command
+from mirror.protocols.document import Protocol, load_protocol
+from mirror.protocols.views import plan_views
+from mirror_baselines.nearest_frame import APPEARANCE, METHOD, METRES_A_RADIAN, nearest, render
+from mirror_baselines.nearest_frame import __main__ as command
 from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
 
 COLOURS = {name: np.array(colour) for name, _, _, colour, _ in DRIVES}
@@ -60,7 +60,7 @@ def test_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     generator = np.random.default_rng(3)
     ours, theirs = random_poses(generator, 50), random_poses(generator, 40)
     whole = nearest(ours, theirs)
-    monkeypatch.setattr("nearest_frame.matching._PAIRS", 7)
+    monkeypatch.setattr("mirror_baselines.nearest_frame.matching._PAIRS", 7)
     assert nearest(ours, theirs).tolist() == whole.tolist()
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from hybridworldsim.scene.seeding import Initial
-from hybridworldsim.scene.settings import Rate
+from hybridworldsim.model.seeding import Initial
+from hybridworldsim.model.settings import Rate
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.viewpoint import Source, Viewpoint
-from splatting.settings import Densification, Splatting
+from mirror_baselines.splatting.settings import Densification, Splatting
 
 WIDTH, HEIGHT = 48, 32
 SOURCES = (Source("a", "front"), Source("b", "front"))

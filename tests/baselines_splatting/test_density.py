@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-import vanilla_3dgs
+from mirror_baselines import vanilla_3dgs
 from tests.baselines_splatting.scenes import GROWING, initial, pictures, small
 
 pytest.importorskip("gsplat", reason="gsplat is not installed: its strategy is what densifies")
@@ -19,7 +19,7 @@ def _rounds(steps, monkeypatch, **changes):
     learner = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
     density, rounds, resets = learner._density, [], []
     after = density.after
-    monkeypatch.setattr("splatting.density.reset_opa", lambda *_: resets.append(None))
+    monkeypatch.setattr("mirror_baselines.splatting.density.reset_opa", lambda *_: resets.append(None))
 
     def watched(tables, optimizers, meta, progress):
         before = len(resets)

@@ -7,9 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-import mtgs_style
-import omnire_style
-import vanilla_3dgs
+from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
 from tests.baselines_splatting.scenes import (
     GROWING,
     HEIGHT,

@@ -7,14 +7,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-import mtgs_style
-import omnire_style
-from hybridworldsim.scene.settings import Rate
+from hybridworldsim.model.settings import Rate
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
-from omnire_style.cube import Cube
-from splatting.seeding import seeded
-from splatting.settings import Rates
+from mirror_baselines import mtgs_style, omnire_style
+from mirror_baselines.omnire_style.cube import Cube
+from mirror_baselines.splatting.seeding import seeded
+from mirror_baselines.splatting.settings import Rates
 from tests.baselines_splatting.scenes import GROWING, SOURCES, initial, picture, small, stripes, viewpoint
 
 A, B = SOURCES

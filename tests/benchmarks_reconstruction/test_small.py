@@ -11,8 +11,8 @@ import torch
 
 from benchmarks._reconstruction.methods import RIVALS
 from benchmarks._reconstruction.small import as_small, numbers_of
-from hybridworldsim.scene.seeding import Initial, street_of
-from hybridworldsim.scene.settings import Refinement, Settings
+from hybridworldsim.model.seeding import Initial, street_of
+from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 

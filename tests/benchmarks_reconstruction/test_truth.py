@@ -13,7 +13,7 @@ from benchmarks._reconstruction.truth.geometry import by_distance, height_row, r
 from benchmarks._reconstruction.truth.street import TrueView, camera_z, world_points
 from benchmarks._reconstruction.truth.trained import job_of, spread
 from mirror.errors import UsageError
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 from mirror.synth.model import Label
 
 angles = st.floats(-0.4, 0.4)

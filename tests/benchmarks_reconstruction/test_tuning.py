@@ -8,16 +8,15 @@ from typing import Any
 
 import pytest
 
-import mtgs_style
-import omnire_style
 from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, OWN, choice
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.job import Job
 from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, trial, trials
 from benchmarks._reconstruction.scaled import scaled_street
 from benchmarks._reconstruction.tables import Outcome, chosen, tuned
-from hybridworldsim.scene.settings import Rate, Settings
-from splatting.scaled import scaled
+from hybridworldsim.model.settings import Rate, Settings
+from mirror_baselines import mtgs_style, omnire_style
+from mirror_baselines.splatting.scaled import scaled
 
 GRID = declared().tuning
 METHODS = ("ours", *(package.__name__ for package in RIVALS))

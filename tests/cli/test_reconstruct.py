@@ -19,13 +19,12 @@ import torch
 import mirror
 from hybridworldsim.methods.layers import Layers, layers_for, method_of
 from hybridworldsim.methods.street import OpenStreet
-from hybridworldsim.scene.blocks import Block, divide, views_of
-from hybridworldsim.training.feed import Pictures
+from hybridworldsim.model.blocks import Block, divide, views_of
+from hybridworldsim.training.data_loader import Pictures
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main
-from mirror.cli.watch import watching
 from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
@@ -33,12 +32,14 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.pictures.depth import encode_depth
 from mirror.errors import DatasetError, ExitCode, UsageError
-from mirror.evaluation.methods import Looking, Task, installed_method
-from mirror.evaluation.progress import Silent
-from mirror.evaluation.protocol import load_protocol
-from mirror.evaluation.reconstruction import Reconstruction, read_reconstruction, require_same_street, trained_on
-from mirror.evaluation.views import Plan, plan_views
-from mirror.evaluation.views.view import View
+from mirror.methods.appearance import Looking
+from mirror.methods.model_document import Reconstruction, read_reconstruction, require_same_street, trained_on
+from mirror.methods.plugin import Task
+from mirror.methods.registry import installed_method
+from mirror.progress import NullProgress, progress_bar
+from mirror.protocols.document import load_protocol
+from mirror.protocols.views import Plan, plan_views
+from mirror.protocols.views.view import View
 from mirror.schema.tables import DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 
@@ -196,13 +197,13 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
 def test_held_out_traversals_need_no_layers(dataset: Dataset, tmp_path: Path) -> None:
     chosen = dataset.with_layers(depth="made@1", points="made@1")
     task = Task("street", "novel", load_protocol(str(narrow(tmp_path))), steps=4, threads=1)
-    done = installed_method("hybridworldsim").reconstruct(chosen, task, tmp_path / "model", Silent())
+    done = installed_method("hybridworldsim").reconstruct(chosen, task, tmp_path / "model", NullProgress())
     assert done.steps == 4 and list((tmp_path / "model").glob("*/pictures/held-out-0-*.jpg"))
 
 
 def narrow(folder: Path) -> Path:
     """The protocol in 48 pixels, by PSNR."""
-    text = Path(mirror.__file__).parent.joinpath("evaluation/protocols/static-reconstruction.toml").read_text()
+    text = Path(mirror.__file__).parent.joinpath("protocols/definitions/static-reconstruction.toml").read_text()
     path = folder / "narrow.toml"
     path.write_text(text.replace("max_width_px = 960", "max_width_px = 48"))
     return path
@@ -257,9 +258,9 @@ def test_the_papers_method_has_the_papers_losses_and_the_other_one_more(
 
 def test_where_no_bar_moves_each_report_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     for quiet, expected in ((False, "50 %\n"), (True, "")):
-        with watching(quiet=quiet) as watch:
+        with progress_bar(quiet=quiet) as watch:
             watch.start("training", 10)
-            watch.now("5 dB")
+            watch.status("5 dB")
             watch.advance(5)
             watch.report("50 %")
         assert capsys.readouterr() == ("", expected)
@@ -269,10 +270,10 @@ def test_on_a_terminal_the_bar_reports_and_notes_stay(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
-    with watching(quiet=False) as watch:
+    with progress_bar(quiet=False) as watch:
         watch.start("training", 10)
         watch.report("50 %")
-        watch.say("points [a@1] are not of b")
+        watch.message("points [a@1] are not of b")
     drawn = capsys.readouterr().err
     assert "points [a@1] are not of b" in drawn and "50 %" not in drawn
 
@@ -342,7 +343,7 @@ def test_layers_that_were_made_for_a_split_are_not_taken_for_another_unasked(str
         build_index(layout.root)
         assert method_of(mirror.open(street.root), task) == expected
     # What was brought is chosen among the two.
-    assert layers_for(mirror.open(street.root), task, Silent()).points == "lidar@other-240"
+    assert layers_for(mirror.open(street.root), task, NullProgress()).points == "lidar@other-240"
 
 
 def test_a_layer_is_named_and_depth_of_another_is_not_read(
@@ -412,7 +413,7 @@ def test_layers_that_were_chosen_stay_chosen_when_others_are_made(
     monkeypatch.setattr("hybridworldsim.methods.layers.initialise", lambda *_, **__: SimpleNamespace(layer="made@1"))
     (scene,) = dataset.where(split="novel", role="train").scenes()
     task = Task(scene=scene, split="novel", protocol=load_protocol(str(narrow(tmp_path))), initialise="plane-sweep")
-    layers = layers_for(dataset.with_layers(stage="online"), task, Silent())
+    layers = layers_for(dataset.with_layers(stage="online"), task, NullProgress())
     assert (layers.depth, layers.points) == ("made@1", "made@1")
     assert layers.dataset.layers == replace(dataset.layers, stage="online", depth="made@1", points="made@1")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.__main__ import main as benchmarks
-from mirror.cli import progress
+from mirror import progress
 from mirror.cli.main import main
 from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from leaderboard.__main__ import main as leaderboard
-from mean_color import APPEARANCE, METHOD, render
 from mirror.cli.arguments import local_path
 from mirror.cli.main import main
 from mirror.cli.method import method_main
+from mirror_baselines.mean_color import APPEARANCE, METHOD, render
 
 OUTPUTS = {
     "ingest": "ingest there --roi 1,2 --out {url}",

@@ -8,12 +8,12 @@ from typing import Any
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.protocol import Protocol, parse_protocol
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
-from mirror.evaluation.submission.png import encode_png
 from mirror.evaluation.submission.template import manifest_for, write_manifest
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views import Plan, View, plan_views
+from mirror.protocols.document import Protocol, parse_protocol
+from mirror.protocols.png import encode_png
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views import Plan, View, plan_views
 
 SPLIT = "novel"
 

@@ -18,13 +18,13 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.compare import compare
-from mirror.evaluation.protocol import load_protocol
 from mirror.evaluation.run import Options, evaluate, read_result
 from mirror.evaluation.submission.manifest import Appearance, Rectangle
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views import View
 from mirror.evaluation.workers import Log
 from mirror.geometry.box_projection import project_boxes
+from mirror.protocols.document import load_protocol
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views import View
 from tests.evaluation.submissions import SPLIT, small, write_renders
 from tests.evaluation.test_png import chunk, png
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mirror.evaluation.figures import LEAST_BLOCKS, Measure, figures_of, mean_weights, spread_of
-from mirror.evaluation.views.view import View
 from mirror.metrics.score import Score
+from mirror.protocols.views.view import View
 from tests.evaluation.submissions import small
 
 MEASURE = Measure("psnr", "dB", "higher")

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mirror.evaluation.submission.png import (
+from mirror.protocols.png import (
     RenderError,
     decode_render,
     encode_png,

@@ -7,8 +7,8 @@ from importlib.resources import files
 import pytest
 
 from mirror.errors import SchemaError, UsageError
-from mirror.evaluation.protocol import RESERVED, Protocol, load_protocol, parse_protocol, protocol_names
 from mirror.evaluation.scorers import TASKS, scorer_of
+from mirror.protocols.document import RESERVED, Protocol, load_protocol, parse_protocol, protocol_names
 from tests.evaluation.submissions import small
 
 
@@ -38,7 +38,7 @@ def test_shifts_are_those_that_are_declared() -> None:
 
 
 def test_the_hash_is_of_what_is_measured_not_of_words_or_layout() -> None:
-    text = files("mirror.evaluation").joinpath("protocols/static-reconstruction.toml").read_text()
+    text = files("mirror.protocols").joinpath("definitions/static-reconstruction.toml").read_text()
     protocol = parse_protocol(text.encode(), "a.toml")
     told = parse_protocol(text.replace("Novel-view", "New-view").replace("every = 5", "every   =   5").encode(), "b")
     other = parse_protocol(text.replace("every = 5", "every = 4").encode(), "c")
@@ -60,7 +60,7 @@ def test_the_hash_is_of_what_is_measured_not_of_words_or_layout() -> None:
     ],
 )
 def test_a_wrong_key_is_named(old: str, new: str, place: str | None) -> None:
-    text = files("mirror.evaluation").joinpath("protocols/static-reconstruction.toml").read_text()
+    text = files("mirror.protocols").joinpath("definitions/static-reconstruction.toml").read_text()
     with pytest.raises(SchemaError) as caught:
         parse_protocol(text.replace(old, new).encode(), "mine.toml")
     assert caught.value.file == "mine.toml"

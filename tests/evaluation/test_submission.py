@@ -15,11 +15,11 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.manifest import Appearance, read_manifest
-from mirror.evaluation.submission.png import encode_png
 from mirror.evaluation.submission.template import expected_files, write_template
 from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views import Plan, plan_views
+from mirror.protocols.png import encode_png
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views import Plan, plan_views
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
 
 

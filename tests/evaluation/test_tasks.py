@@ -17,25 +17,25 @@ import pytest
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, UsageError
-from mirror.evaluation import methods
 from mirror.evaluation.extractors import extractor_of
 from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
-from mirror.evaluation.protocol import Protocol, load_protocol
 from mirror.evaluation.run import Evaluation, Options, evaluate
-from mirror.evaluation.scorers import distributions
+from mirror.evaluation.scorers import distributions, speed
 from mirror.evaluation.scorers import runtime as runtime_scorer
 from mirror.evaluation.scorers.distributions import clips_of
 from mirror.evaluation.scorers.editing_accuracy import target_hull
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
-from mirror.evaluation.submission.png import encode_png
 from mirror.evaluation.submission.template import expected_files, manifest_for, write_manifest
-from mirror.evaluation.truth import synthetic
-from mirror.evaluation.truth.hidden import HIDDEN, HiddenDocument, hidden_document
-from mirror.evaluation.truth.synthetic import write_hidden_truth
-from mirror.evaluation.views import View, plan_views
+from mirror.methods import registry
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.metrics.features.frechet import frechet_distance
+from mirror.protocols.document import Protocol, load_protocol
+from mirror.protocols.png import encode_png
+from mirror.protocols.truth import synthetic
+from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, hidden_document
+from mirror.protocols.views import View, plan_views
 from mirror.schema.files import read_json, write_json
+from mirror.synth.hidden_truth import write_hidden_truth
 from tests.evaluation.submissions import SPLIT, small, write_renders
 
 ALONE = Options(workers=1)
@@ -359,7 +359,7 @@ def test_the_speed_of_an_installed_method_is_measured_here(
             return render
 
     monkeypatch.setattr(runtime_scorer, "installed_method", lambda name: Slow())
-    monkeypatch.setattr(methods, "_LEAST_S", 0.3)
+    monkeypatch.setattr(speed, "_LEAST_S", 0.3)
     protocol = load_protocol("runtime")
     plan = plan_views(dataset, protocol, SPLIT)
     (tmp_path / "s").mkdir()
@@ -375,14 +375,14 @@ def test_the_speed_of_an_installed_method_is_measured_here(
 
 def test_methods_that_are_not_installed_are_named() -> None:
     with pytest.raises(UsageError, match="no method"):
-        methods.installed_method("none such")
+        registry.installed_method("none such")
 
 
 def test_a_method_whose_libraries_are_absent_names_the_extra() -> None:
     code = (
         "import sys; sys.modules['gsplat'] = None\n"
         "from mirror.errors import UsageError\n"
-        "from mirror.evaluation.methods import installed_method\n"
+        "from mirror.methods.registry import installed_method\n"
         "try: installed_method('mtgs_style')\n"
         "except UsageError as error: print(error)\n"
     )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from leaderboard.entry import Figure, Measured, Pair
-from mirror.evaluation.protocol import load_protocol
+from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_json
 from tests.leaderboard.browser import NAMES, Browser, find_browser
 

@@ -16,7 +16,7 @@ from leaderboard.add import add_result
 from leaderboard.entry import Measured, load_entries
 from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError, ExitCode, MirrorError
-from mirror.evaluation.protocol import load_protocol
+from mirror.protocols.document import load_protocol
 from mirror.schema.files import sha256_bytes
 
 PROTOCOL = load_protocol("static-reconstruction")

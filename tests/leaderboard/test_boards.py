@@ -11,7 +11,7 @@ from leaderboard.boards import FLOOR, boards_of, seconds_per_picture, value_of
 from leaderboard.entry import Figure, Measured, Reported, load_entries
 from leaderboard.measures import MEASURES
 from mirror.errors import DatasetError, MirrorError, SchemaError
-from mirror.evaluation.protocol import load_protocol, protocol_names
+from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import write_json
 from tests.leaderboard.conftest import ENTRIES, measured
 

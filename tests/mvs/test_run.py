@@ -23,8 +23,8 @@ from mirror.dataset.layout import Layout, manifest_sha256
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.splits import make_split
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.protocol import load_protocol
-from mirror.evaluation.views import plan_views
+from mirror.protocols.document import load_protocol
+from mirror.protocols.views import plan_views
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.tables import MASKS
 from mirror.weights.resolve import WeightsUnavailableError

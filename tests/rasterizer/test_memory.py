@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from hybridworldsim.rasterizer.cpu.machine.memory import filled, room
+from hybridworldsim.kernels.memory import filled, room
 
 LARGE = 1 << 20
 

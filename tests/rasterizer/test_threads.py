@@ -5,7 +5,7 @@ import threading
 import pytest
 import torch
 
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.kernels.threads import in_parallel
 
 
 @pytest.fixture(params=[1, 2, 4])

@@ -4,9 +4,9 @@ import numba
 import numpy as np
 import pytest
 
+from hybridworldsim.kernels import vectors as v
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.rasterizer.cpu.blending.forward import exp2
-from hybridworldsim.rasterizer.cpu.machine import vectors as v
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
 
 A = np.array([-3.5, -2.5, -1.0, -0.0, 0.0, 0.5, 1.5, 2.5, 3.0, 7.25, 1e-3, 1e3, -1e3, 5.0, 6.0, 9.0], np.float32)
 B = np.roll(A, 5) + np.float32(0.25)

@@ -18,8 +18,8 @@ import torch
 import mirror
 from mirror.cli.main import main
 from mirror.errors import ExitCode
-from mirror.evaluation.protocol import load_protocol
-from mirror.evaluation.training import asked_of_training
+from mirror.methods.training_images import asked_of_training
+from mirror.protocols.document import load_protocol
 from tests.conftest import ROOT
 
 ROI = "13.194864,55.698894"

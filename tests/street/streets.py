@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from hybridworldsim.scene.appearance import Appearance
-from hybridworldsim.scene.nodes.anchors import Anchors
-from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians, Seeds
-from hybridworldsim.scene.street import Street
+from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.nodes.anchors import Anchors
+from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
+from hybridworldsim.model.street import Street
 from hybridworldsim.training.viewpoint import Source
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 SOURCES = [Source("s.a.0", "front_wide"), Source("s.a.0", "rear")]
 HALF = 30.0

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.bake import Baked, bake, draw_baked, shortfall_db, write_ply
-from hybridworldsim.scene.appearance import Appearance
-from hybridworldsim.scene.blocks import Block
+from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.ply_export import Baked, bake, draw_baked, shortfall_db, write_ply
 from mirror.errors import UsageError
 from tests.street.streets import SOURCES, shifted, street, view
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hybridworldsim.scene.blocks import Block, divide, views_of
+from hybridworldsim.model.blocks import Block, divide, views_of
 from mirror.errors import UsageError
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 from tests.street.streets import view
 
 UTM = np.array([441_000.0, 4_475_000.0, 600.0])

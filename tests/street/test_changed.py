@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from hybridworldsim.methods.changed import changed
-from hybridworldsim.scene.settings import Settings
+from hybridworldsim.model.settings import Settings
 from mirror.errors import UsageError
-from splatting.settings import Splatting
+from mirror_baselines.splatting.settings import Splatting
 
 
 def test_a_setting_of_any_depth_is_changed_and_nothing_else() -> None:

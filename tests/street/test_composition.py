@@ -5,12 +5,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybridworldsim.rendering.composition import Composition
-from hybridworldsim.rendering.partition import partition
-from hybridworldsim.rendering.parts import parts_of
-from hybridworldsim.scene.appearance import Appearance
-from hybridworldsim.scene.blocks import Block
-from hybridworldsim.scene.street import Street
+from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.composition import Composition
+from hybridworldsim.model.partition import partition
+from hybridworldsim.model.parts import parts_of
+from hybridworldsim.model.street import Street
 from hybridworldsim.training.viewpoint import viewpoint_of
 from mirror.metrics.images.psnr import psnr
 from tests.street.streets import SOURCES, shifted, street, view

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from benchmarks._plain_street import plain_anchors, plain_gaussians
-from hybridworldsim.scene.nodes.gathering import told
-from hybridworldsim.scene.visible import visible
+from hybridworldsim.model.nodes.gathering import told
+from hybridworldsim.model.visible import visible
 from hybridworldsim.training.viewpoint import viewpoint_of
 from tests.street.streets import SOURCES, street, view
 

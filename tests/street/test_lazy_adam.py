@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from hybridworldsim.scene.lazy_adam import BETA1, BETA2, LazyAdam
+from hybridworldsim.model.lazy_adam import BETA1, BETA2, LazyAdam
 
 RATES = {"table": 0.03, "numbers": 0.2}
 

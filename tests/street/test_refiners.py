@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from hybridworldsim.scene.lazy_adam import LazyAdam
-from hybridworldsim.scene.nodes.anchors import Anchors
-from hybridworldsim.scene.nodes.code_gaussians import CodeGaussians, Seeds
-from hybridworldsim.scene.refining.anchors import AnchorRefiner
-from hybridworldsim.scene.refining.cells import cells
-from hybridworldsim.scene.refining.code_gaussians import CodeRefiner
-from hybridworldsim.scene.refining.pace import wanted
-from hybridworldsim.scene.settings import Refinement
-from hybridworldsim.scene.splats import Splats
+from hybridworldsim.model.densification.anchors import AnchorRefiner
+from hybridworldsim.model.densification.cells import cells
+from hybridworldsim.model.densification.code_gaussians import CodeRefiner
+from hybridworldsim.model.densification.schedule import wanted
+from hybridworldsim.model.lazy_adam import LazyAdam
+from hybridworldsim.model.nodes.anchors import Anchors
+from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
+from hybridworldsim.model.settings import Refinement
+from hybridworldsim.model.splats import Splats
 from hybridworldsim.training.viewpoint import Viewpoint, viewpoint_of
 from tests.street.streets import view
 

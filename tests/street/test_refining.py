@@ -3,9 +3,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybridworldsim.scene.refining.cells import best_of_each, cells, grown
-from hybridworldsim.scene.refining.pace import due, wanted
-from hybridworldsim.scene.settings import Refinement
+from hybridworldsim.model.densification.cells import best_of_each, cells, grown
+from hybridworldsim.model.densification.schedule import due, wanted
+from hybridworldsim.model.settings import Refinement
 
 
 @given(st.integers(0, 10_000), st.integers(0, 60), st.integers(0, 40), st.integers(0, 50))

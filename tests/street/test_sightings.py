@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-import hybridworldsim.scene.sightings as module
-from hybridworldsim.scene.sightings import Sightings
+import hybridworldsim.model.visibility_cache as module
+from hybridworldsim.model.visibility_cache import Sightings
 from hybridworldsim.training.viewpoint import viewpoint_of
 from tests.street.streets import view
 from tests.training.street import Painted, learner, views

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from benchmarks._plain_losses import similarity as plain_similarity
-from hybridworldsim.scene.similarity import similarity
+from hybridworldsim.model.ssim_loss import similarity
 
 
 @pytest.mark.parametrize(("height", "width"), [(24, 31), (3, 2), (1, 1)])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.scene.appearance import Appearance
-from hybridworldsim.scene.blocks import Block
-from hybridworldsim.scene.storage import load_block, save_block
+from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.training.viewpoint import Source, viewpoint_of
 from mirror.errors import DatasetError
 from mirror.metrics.images.psnr import psnr

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from mirror.errors import UsageError
-from mirror.evaluation.views.trajectories import Trajectory, given
 from mirror.geometry.poses import Poses
+from mirror.protocols.views.trajectories import Trajectory, given
 from mirror.view.video import write_video
 
 SECOND = 1_000_000_000

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from hybridworldsim.scene.learning import StreetLearner
-from hybridworldsim.scene.seeding import Initial, street_of
-from hybridworldsim.scene.settings import Refinement, Settings
+from hybridworldsim.model.learning import StreetLearner
+from hybridworldsim.model.seeding import Initial, street_of
+from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.viewpoint import Source, Viewpoint, viewpoint_of
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 WIDTH, HEIGHT = 32, 20
 TRAVERSALS = ("s.day.0", "s.night.0")
@@ -94,7 +94,7 @@ Edit = Callable[[TrainingPicture], TrainingPicture]
 
 @dataclass
 class Painted:
-    """Opens pictures as `hybridworldsim.training.feed.Pictures` does, without a dataset."""
+    """Opens pictures as `hybridworldsim.training.data_loader.Pictures` does, without a dataset."""
 
     edit: Edit = lambda picture: picture
     opened: int = 0

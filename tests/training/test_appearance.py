@@ -12,7 +12,7 @@ from hybridworldsim.training.appearance import Looks, seen_of
 from hybridworldsim.training.lines import Lines, chamfer_m, filled
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 from tests.training.street import Painted, learner, view
 
 CAMERAS = ("front_wide", "rear")

@@ -8,11 +8,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybridworldsim.training.feed import Pictures, seen_by
+from hybridworldsim.training.data_loader import Pictures, seen_by
 from hybridworldsim.training.views import training_views
 from mirror.dataset import Dataset
-from mirror.evaluation.protocol import load_protocol
 from mirror.geometry.cameras import Camera
+from mirror.protocols.document import load_protocol
 from tests.baselines.conftest import dataset  # noqa: F401 - a fixture
 from tests.training.street import view
 

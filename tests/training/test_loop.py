@@ -18,10 +18,10 @@ import torch
 from safetensors.torch import load_file
 from torch import nn
 
-from hybridworldsim.scene.blocks import Block
-from hybridworldsim.scene.learning import StreetLearner
-from hybridworldsim.scene.seeding import street_of
-from hybridworldsim.scene.storage import save_block
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.learning import StreetLearner
+from hybridworldsim.model.seeding import street_of
+from hybridworldsim.model.storage import save_block
 from hybridworldsim.training.budget import Budget, Clock
 from hybridworldsim.training.learner import StepReport
 from hybridworldsim.training.loop import REPORTS, Options, train

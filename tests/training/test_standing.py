@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridworldsim.standing import moving
+from hybridworldsim.stationary import moving
 
 
 def along(*metres: float) -> list[np.ndarray]:

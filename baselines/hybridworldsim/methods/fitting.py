@@ -7,16 +7,16 @@ from typing import Final
 import numpy as np
 import torch
 
-from hybridworldsim.scene.blocks import Block, views_of
-from hybridworldsim.scene.losses import colour_loss
-from hybridworldsim.scene.street import Street
+from hybridworldsim.model.blocks import Block, views_of
+from hybridworldsim.model.losses import colour_loss
+from hybridworldsim.model.street import Street
 from hybridworldsim.training.appearance import Looks
-from hybridworldsim.training.feed import Pictures
+from hybridworldsim.training.data_loader import Pictures
 from hybridworldsim.training.run.folder import Run, Seen
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
-from mirror.evaluation.methods import FITTED_PART, Looking
-from mirror.evaluation.views.view import View
+from mirror.methods.appearance import FITTED_PART, Looking
+from mirror.protocols.views.view import View
 
 _STEPS: Final = 60
 _RATE: Final = 0.05

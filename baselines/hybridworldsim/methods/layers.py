@@ -13,9 +13,9 @@ from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.run import initialise
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
-from mirror.evaluation.methods import Task
-from mirror.evaluation.progress import Progress
-from mirror.evaluation.training import Picture
+from mirror.methods.plugin import Task
+from mirror.methods.training_images import Picture
+from mirror.progress import ProgressReporter
 
 BROUGHT: Final = "dataset"
 PLANE_SWEEP: Final = "plane-sweep"
@@ -47,7 +47,7 @@ class Layers:
         return [] if getattr(self, kind) is None else sorted(set(traversals) - self.having(kind))
 
 
-def layers_for(dataset: Dataset, task: Task, progress: Progress) -> Layers:
+def layers_for(dataset: Dataset, task: Task, progress: ProgressReporter) -> Layers:
     """The layers that a task asks for, of the training traversals of its scene.
 
     Args:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from pydantic import TypeAdapter
 
-from hybridworldsim.scene.seeding import Initial
+from hybridworldsim.model.seeding import Initial
 from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, Looks
 from hybridworldsim.training.learner import Learner, Rendering
 from hybridworldsim.training.lines import Lines
@@ -20,8 +20,8 @@ from hybridworldsim.training.run.specimens import pixels
 from hybridworldsim.training.viewpoint import Source, viewpoint_of
 from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
-from mirror.evaluation.methods import Looking
-from mirror.evaluation.views.view import View
+from mirror.methods.appearance import Looking
+from mirror.protocols.views.view import View
 
 
 class Renderer(Protocol):

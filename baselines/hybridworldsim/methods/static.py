@@ -17,12 +17,12 @@ from scipy.spatial import cKDTree
 from hybridworldsim.methods.changed import changed
 from hybridworldsim.methods.layers import KINDS, Layers, layers_for
 from hybridworldsim.methods.opened import Opened, Renderer, open_block
-from hybridworldsim.scene.blocks import SIZE_M, Block, divide, views_of
-from hybridworldsim.scene.initial import driven_m, initial_of, surroundings_of
-from hybridworldsim.scene.seeding import Initial
+from hybridworldsim.model.blocks import SIZE_M, Block, divide, views_of
+from hybridworldsim.model.initial import driven_m, initial_of, surroundings_of
+from hybridworldsim.model.seeding import Initial
 from hybridworldsim.training.appearance import Looks, seen_of
 from hybridworldsim.training.budget import Budget
-from hybridworldsim.training.feed import BarrenError, Pictures
+from hybridworldsim.training.data_loader import BarrenError, Pictures
 from hybridworldsim.training.learner import Learner
 from hybridworldsim.training.loop import Options, train
 from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken
@@ -33,12 +33,13 @@ from hybridworldsim.training.views import TrainingViews, training_views
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.methods import Looking, Reconstructed, Task
-from mirror.evaluation.progress import Watch
-from mirror.evaluation.protocol import Group
-from mirror.evaluation.reconstruction import DOCUMENT, Costs, Reconstruction, read_reconstruction, trained_on
-from mirror.evaluation.views import Plan, plan_views
-from mirror.evaluation.views.view import View
+from mirror.methods.appearance import Looking
+from mirror.methods.model_document import DOCUMENT, Costs, Reconstruction, read_reconstruction, trained_on
+from mirror.methods.plugin import Reconstructed, Task
+from mirror.progress import ProgressReporter
+from mirror.protocols.document import Group
+from mirror.protocols.views import Plan, plan_views
+from mirror.protocols.views.view import View
 from mirror.schema.files import write_json
 
 _SPECIMENS: Final = 2
@@ -46,7 +47,7 @@ _SPECIMENS: Final = 2
 
 @dataclass(frozen=True)
 class StaticMethod:
-    """What is trained by `hybridworldsim.training`; see `mirror.evaluation.methods.InstalledMethod`.
+    """What is trained by `hybridworldsim.training`; see `mirror.methods.plugin.InstalledMethod`.
 
     Attributes:
         name: of the entry point.
@@ -62,7 +63,7 @@ class StaticMethod:
     block_m: float = SIZE_M
     sky: bool = False
 
-    def reconstruct(self, dataset: Dataset, task: Task, out: Path, watch: Watch) -> Reconstructed:
+    def reconstruct(self, dataset: Dataset, task: Task, out: Path, watch: ProgressReporter) -> Reconstructed:
         """Train each block of a scene; see `InstalledMethod.reconstruct`.
 
         Raises:
@@ -96,9 +97,9 @@ class StaticMethod:
         known = surroundings_of(own)
         for kind in KINDS:
             if bare := layers.lacking(kind, own.traversals()):
-                watch.say(f"without {kind}: {', '.join(bare)}")
+                watch.message(f"without {kind}: {', '.join(bare)}")
         if training.standing:
-            watch.say(f"{training.standing} pictures of a standing vehicle are left out")
+            watch.message(f"{training.standing} pictures of a standing vehicle are left out")
         if not (out / DOCUMENT).exists():
             write_json(out / DOCUMENT, about)
         held_out = _held_out(layers.dataset, task, watch)
@@ -116,14 +117,14 @@ class StaticMethod:
                 continue
             initial = initial_of(known, block, _sources(seen))
             points = len(initial.points_m)
-            watch.say(f"{block.name}, {place + 1} of {len(blocks)}: {len(seen)} pictures, {points} points")
+            watch.message(f"{block.name}, {place + 1} of {len(blocks)}: {len(seen)} pictures, {points} points")
             one = _Block(block, seen, initial, layers, training, held_out)
             try:
                 found[block.name] = self._train(one, task, folder, watch)
             except BarrenError as error:
                 barren = error
                 # A corner of a street of which road users or the vehicle itself hide all: the rest can do without.
-                watch.say(f"{block.name} is left out: masks cover every one of its pictures")
+                watch.message(f"{block.name} is left out: masks cover every one of its pictures")
                 shutil.rmtree(folder.path)
         outcomes = [outcome for outcome in found.values() if outcome is not None]
         if barren is not None and not outcomes:
@@ -160,11 +161,11 @@ class StaticMethod:
         """Write what rendering needs, and say how many bytes that is."""
         return write_parameters(path, learner.model, half=half)
 
-    def _train(self, one: _Block, task: Task, folder: RunFolder, watch: Watch) -> Outcome:
+    def _train(self, one: _Block, task: Task, folder: RunFolder, watch: ProgressReporter) -> Outcome:
         run = self._run(one, task)
         done = folder.begin(run)
         if done is not None:
-            watch.say(f"{folder.path} is done: {done.psnr_db:.2f} dB after {done.steps} steps")
+            watch.message(f"{folder.path} is done: {done.psnr_db:.2f} dB after {done.steps} steps")
             return done
         learner = self.make(one.initial, self._settings(task))
         origin = np.array(one.block.origin_m)
@@ -231,7 +232,7 @@ class _Block:
     training: TrainingViews
     held_out: Plan | None
 
-    def specimens(self, run: Run, watch: Watch) -> list[Specimen]:
+    def specimens(self, run: Run, watch: ProgressReporter) -> list[Specimen]:
         """A few training and held-out pictures of the block; of what is held out, those that can be had."""
         shown = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
@@ -249,7 +250,7 @@ class _Block:
                 except DatasetError as error:
                     if plan is not self.held_out:
                         raise
-                    watch.say(f"not shown beside the others: {error}")
+                    watch.message(f"not shown beside the others: {error}")
                     continue
                 found.append(Specimen(f"{name}-{number}", picture, looks.of(view).colours[0][0]))
         return found
@@ -312,7 +313,7 @@ def _finish(out: Path, done: Reconstructed) -> None:
     write_json(out / DOCUMENT, read_reconstruction(out).model_copy(update={"done": costs}))
 
 
-def _held_out(dataset: Dataset, task: Task, watch: Watch) -> Plan | None:
+def _held_out(dataset: Dataset, task: Task, watch: ProgressReporter) -> Plan | None:
     """Views of what is held out of the scene, to look at: nothing is learnt from them. None: there are none."""
     roles = ("held_out", "test")
     own = dataset.where(scene=task.scene)
@@ -325,7 +326,7 @@ def _held_out(dataset: Dataset, task: Task, watch: Watch) -> Plan | None:
         return plan_views(own, task.protocol.model_copy(update={"groups": groups}), task.split) if groups else None
     except DatasetError as error:
         # Training can do without.
-        watch.say(f"held-out pictures are not shown: {error}")
+        watch.message(f"held-out pictures are not shown: {error}")
         return None
 
 

@@ -10,17 +10,17 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-from hybridworldsim.bake import bake, shortfall_db, write_ply
 from hybridworldsim.methods.fitting import fit_looks
 from hybridworldsim.methods.static import StaticMethod, block_folders
-from hybridworldsim.rendering.composition import Composition
-from hybridworldsim.scene.appearance import Appearance
-from hybridworldsim.scene.blocks import Block
-from hybridworldsim.scene.learning import StreetLearner
-from hybridworldsim.scene.seeding import Initial, street_of
-from hybridworldsim.scene.settings import Settings
-from hybridworldsim.scene.storage import load_block, save_block
-from hybridworldsim.scene.street import Street
+from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.composition import Composition
+from hybridworldsim.model.learning import StreetLearner
+from hybridworldsim.model.ply_export import bake, shortfall_db, write_ply
+from hybridworldsim.model.seeding import Initial, street_of
+from hybridworldsim.model.settings import Settings
+from hybridworldsim.model.storage import load_block, save_block
+from hybridworldsim.model.street import Street
 from hybridworldsim.training.appearance import FITTED, Blend, Looks
 from hybridworldsim.training.learner import Learner, Rendering
 from hybridworldsim.training.lines import Lines
@@ -28,9 +28,9 @@ from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.specimens import pixels
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
-from mirror.evaluation.baking import BakeOptions, Baking
-from mirror.evaluation.methods import Looking
-from mirror.evaluation.views.view import View
+from mirror.methods.appearance import Looking
+from mirror.methods.ply_export import BakeOptions, Baking
+from mirror.protocols.views.view import View
 
 NAME: Final = "hybridworldsim"
 STRUCTURE_WEIGHT: Final = 0.1
@@ -51,7 +51,7 @@ class StreetMethod(StaticMethod):
         options: BakeOptions,
         looking: Looking = Looking(),  # noqa: B008
     ) -> Baking:
-        """See `mirror.evaluation.baking.BakingMethod`."""
+        """See `mirror.methods.ply_export.BakingMethod`."""
         street = OpenStreet([_open(folder) for folder in block_folders(model)], looking)
         looks = street.latents(views[0])
         baked = bake(street.blocks, views, looks, degree=options.degree, sky=options.sky, reach_m=options.reach_m)

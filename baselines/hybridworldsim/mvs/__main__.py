@@ -35,7 +35,7 @@ def main() -> int:
     """Run the command line."""
     import mirror
     from hybridworldsim.mvs.run import initialise
-    from mirror.cli.progress import progress_bar
+    from mirror.progress import progress_bar
 
     try:
         arguments = parsed(Arguments, sys.argv[1:], "python -m hybridworldsim.mvs")

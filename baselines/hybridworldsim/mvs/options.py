@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hybridworldsim.standing import STANDING_M
-from mirror.evaluation.protocol import Pixels
+from hybridworldsim.stationary import STANDING_M
+from mirror.protocols.document import Pixels
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layout import read_manifest
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError
-from mirror.evaluation.progress import Progress, Silent
-from mirror.evaluation.training import Picture
+from mirror.methods.training_images import Picture
+from mirror.progress import NullProgress, ProgressReporter
 
 _LOOKED_AT: Final = ("poses", "calibrations", "boxes")
 """Kinds of layers that say what is matched, and from where; masks do so too."""
@@ -61,7 +61,7 @@ def initialise(
     version: str | None = None,
     options: Options | None = None,
     withheld: Set[Picture] = frozenset(),
-    progress: Progress | None = None,
+    progress: ProgressReporter | None = None,
 ) -> Initialised:
     """Write layers of depth, points and sky masks for the training traversals of a split.
 
@@ -96,7 +96,7 @@ def initialise(
     else:
         estimator = estimator or estimator_of(method, weights)
         kinds = ("depth", "masks", "points") if chosen.sky else ("depth", "points")
-    told = progress or Silent()
+    told = progress or NullProgress()
     made_of = _made_of(view, chosen, estimator, withheld)
     layers = Layers(view.layout, method, version or split, kinds, made_of)
     if all(layers.complete(one) for one in view.traversals()):
@@ -159,7 +159,7 @@ def _all_scenes(
     options: Options,
     estimator: DepthEstimator | None,
     withheld: Set[Picture],
-    progress: Progress,
+    progress: ProgressReporter,
 ) -> Initialised:
     kept = tuple(one for one in view.traversals() if layers.complete(one))
     counts: dict[str, int] = dict.fromkeys(("ground", "background", "far"), 0)

@@ -20,7 +20,7 @@ from hybridworldsim.training.run.folder import Seen
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 Blend: TypeAlias = tuple[tuple[Source, float], ...]
 """Looks that were trained on, with weights that sum to one."""

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from hybridworldsim.training.run.folder import Seen
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 _STEP_M: Final = 0.5
 

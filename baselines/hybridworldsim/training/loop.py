@@ -16,15 +16,15 @@ from typing import Final
 from torch import Tensor
 
 from hybridworldsim.training.budget import Budget, Clock
-from hybridworldsim.training.feed import Pictures, stream
+from hybridworldsim.training.data_loader import Pictures, stream
 from hybridworldsim.training.learner import Learner, StepReport
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.run.checkpoint import Position, Sums
 from hybridworldsim.training.run.folder import Outcome, RunFolder
 from hybridworldsim.training.run.specimens import Specimen, write_specimens
 from mirror.errors import DatasetError
-from mirror.evaluation.progress import Silent, Watch
-from mirror.evaluation.views.view import View
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.protocols.views.view import View
 
 REPORTS: Final = 40
 """Rows of the curves, at equal steps of progress."""
@@ -61,7 +61,7 @@ def train(
     *,
     seed: int = 0,
     options: Options | None = None,
-    watch: Watch | None = None,
+    watch: ProgressReporter | None = None,
 ) -> Outcome:
     """Train until the budget is spent; go on where an earlier call stopped.
 
@@ -83,7 +83,7 @@ def train(
             are none; the last checkpoint stays.
         KeyboardInterrupt: after Ctrl-C, once a checkpoint is written.
     """
-    options, watch = options or Options(), watch or Silent()
+    options, watch = options or Options(), watch or NullProgress()
     position = folder.resume(learner)
     clock, wall = Clock(position.spent_s), _Wall(position.wall_s)
     kept = time.monotonic()
@@ -110,7 +110,7 @@ def train(
             wall.pause()
             position = replace(position, spent_s=clock.spent_s, wall_s=wall.spent_s)
             if int(progress * _THOUSAND) > told:
-                watch.now(f"{live:.2f} dB, loss {report.losses['rgb']:.5f}, {gaussians} Gaussians")
+                watch.status(f"{live:.2f} dB, loss {report.losses['rgb']:.5f}, {gaussians} Gaussians")
                 watch.advance(int(progress * _THOUSAND) - told)
                 told = int(progress * _THOUSAND)
             if progress * REPORTS >= position.reports + 1 or progress >= 1.0:
@@ -120,7 +120,7 @@ def train(
                 folder.keep(learner, position)
                 kept = time.monotonic()
             if interrupted.is_set():
-                watch.say(f"interrupted at step {position.steps}: the checkpoint is in {folder.path}")
+                watch.message(f"interrupted at step {position.steps}: the checkpoint is in {folder.path}")
                 raise KeyboardInterrupt
             clock.resume()
             wall.resume()
@@ -149,7 +149,7 @@ def _report(
     gaussians: int,
     learner: Learner,
     options: Options,
-    watch: Watch,
+    watch: ProgressReporter,
 ) -> Position:
     """Write a row of the curves, and pictures at every so many-th."""
     _require_sound(learner, position)

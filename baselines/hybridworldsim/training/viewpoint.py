@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 
 class Source(NamedTuple):

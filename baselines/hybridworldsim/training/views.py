@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Set
 from dataclasses import dataclass
 
-from hybridworldsim.standing import STANDING_M, moving
+from hybridworldsim.stationary import STANDING_M, moving
 from hybridworldsim.training.viewpoint import require_pinhole
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
-from mirror.evaluation.protocol import Frames, Group, Protocol
-from mirror.evaluation.training import Picture
-from mirror.evaluation.views import plan_views
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
+from mirror.methods.training_images import Picture
+from mirror.protocols.document import Frames, Group, Protocol
+from mirror.protocols.views import plan_views
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 
 
 @dataclass(frozen=True)

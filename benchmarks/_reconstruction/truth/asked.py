@@ -9,9 +9,9 @@ from pathlib import Path
 from benchmarks._reconstruction.data import narrowed, opened
 from benchmarks._reconstruction.declared import Declared
 from benchmarks._reconstruction.truth.street import StreetTruth
-from mirror.evaluation.views import plan_views
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
+from mirror.protocols.views import plan_views
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 
 
 @dataclass(frozen=True, eq=False)

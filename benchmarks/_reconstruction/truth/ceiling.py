@@ -10,7 +10,7 @@ from benchmarks._reconstruction.declared import NOVEL, TRAINING, Declared
 from benchmarks._reconstruction.scoring import averaged, scored
 from benchmarks._reconstruction.truth.asked import Asked, asked
 from hybridworldsim.training.appearance import Looks, seen_of
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 POSES: Final = ("recorded", "true")
 

@@ -9,7 +9,7 @@ import torch
 
 from benchmarks._reconstruction.truth.trained import Trained, spread
 from benchmarks.street import HEIGHT, PAPER_MS, WIDTH, timed
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 PAPER_FPS: Final = 1000.0 / PAPER_MS
 PAPER_SIZE: Final = "960 x 540"

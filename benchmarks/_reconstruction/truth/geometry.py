@@ -13,7 +13,7 @@ from benchmarks._reconstruction.truth.street import TrueView, world_points
 from benchmarks._reconstruction.truth.trained import Trained
 from hybridworldsim.methods.street import OpenStreet
 from mirror.arrays import Bool, Float64
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 from mirror.synth.model import Label
 
 EDGES_M: Final = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0)

@@ -9,7 +9,7 @@ from benchmarks._reconstruction.scoring import averaged, scored
 from benchmarks._reconstruction.truth.trained import Trained
 from hybridworldsim.training.appearance import Looks
 from hybridworldsim.training.run.specimens import pixels
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.view import View
 
 EDITS: Final = (("day", "night"), ("night", "day"))
 

@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks._reconstruction.truth.trained import Trained, spread
 from benchmarks._street_seam import seam_rows
 from hybridworldsim.methods.street import OpenStreet
-from hybridworldsim.scene.blocks import Block
-from mirror.evaluation.views.view import View
+from hybridworldsim.model.blocks import Block
+from mirror.protocols.views.view import View
 
 _NEAR_M: Final = 5.0
 _MOST_VIEWS: Final = 8

@@ -12,12 +12,12 @@ import numpy.typing as npt
 from mirror.arrays import Bool, Float32, Float64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
-from mirror.evaluation.truth.raster import raster_of
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
 from mirror.geometry.cameras import Camera
 from mirror.metrics.images.psnr import psnr
+from mirror.protocols.truth.raster import raster_of
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 from mirror.synth.model import NO_OBJECT
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from benchmarks._reconstruction.truth.lighting import EDITS, target_of, views_in
 from benchmarks._reconstruction.truth.trained import Trained
 from hybridworldsim.training.appearance import SWEEP
 from mirror.arrays import UInt8
-from mirror.evaluation.methods import Looking
-from mirror.evaluation.submission.png import encode_png
-from mirror.evaluation.views.view import View
+from mirror.methods.appearance import Looking
+from mirror.protocols.png import encode_png
+from mirror.protocols.views.view import View
 from mirror.schema.files import write_bytes
 
 _SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)

@@ -21,10 +21,10 @@ from hybridworldsim.methods.opened import Renderer
 from hybridworldsim.methods.static import block_folders
 from hybridworldsim.training.run.folder import MODEL, Seen, read_run
 from mirror.errors import UsageError
-from mirror.evaluation.methods import Looking
-from mirror.evaluation.reconstruction import Costs, read_reconstruction
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
+from mirror.methods.appearance import Looking
+from mirror.methods.model_document import Costs, read_reconstruction
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 
 _NAME: Final = re.compile(
     r"(?P<entry>.+)\.(?P<scene>[a-z][a-z-]*)\.(?P<minutes>[\d.]+)min\.(?P<width>\d+)px\.(?P<seed>\d+)"

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Final
 
-from mirror.evaluation.protocol import Task
 from mirror.evaluation.scorers.scorer import Scorer
+from mirror.protocols.document import Task
 
 TASKS: Final[Mapping[Task, str]] = {
     "reconstruction": "reconstruction",

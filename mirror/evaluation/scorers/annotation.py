@@ -8,7 +8,6 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from mirror.evaluation.protocol import Detection
 from mirror.evaluation.result import Figure, finite
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Job, Scored, Values
@@ -16,12 +15,13 @@ from mirror.evaluation.submission.check import MOST_TABLE_BYTES
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.template import detections_path
 from mirror.evaluation.submission.untrusted import UntrustedError, parse_untrusted
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
 from mirror.geometry.poses import Poses
 from mirror.metrics.detection.boxes import DetectionBoxes, in_range
 from mirror.metrics.detection.config import DETECTION_CVPR_2019, DetectionConfig
 from mirror.metrics.detection.nuscenes import NuScenesDetection, nuscenes_detection
+from mirror.protocols.document import Detection
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 from mirror.schema.documents import Document
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e7, le=1e7)]

@@ -10,16 +10,16 @@ import numpy as np
 from mirror.arrays import AnyArray, Float32, Int64, UInt8
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import LEAST_BLOCKS, TOO_FEW_BLOCKS, blocks_of
-from mirror.evaluation.protocol import Fid, Fvd, Kid, Metric, Protocol, metric_name
 from mirror.evaluation.result import Figure, finite
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Job, Scored, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
 from mirror.metrics.features.cache import FeatureCache, feature_key
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.metrics.features.kid import kid
+from mirror.protocols.document import Fid, Fvd, Kid, Metric, Protocol, metric_name
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 
 if TYPE_CHECKING:
     from mirror.metrics.features.extractor import Extractor

@@ -11,17 +11,17 @@ import numpy as np
 from mirror.arrays import Bool, Float64
 from mirror.evaluation.extractors import Extractor, extractor_of
 from mirror.evaluation.figures import Measure, figures_of
-from mirror.evaluation.protocol import EditIou, Protocol, metric_name
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.reconstruction import score_of
 from mirror.evaluation.scorers.scorer import Job, Scored, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
-from mirror.evaluation.views.plan import Plan, render_path
-from mirror.evaluation.views.view import Edit, View, pose_of
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.iou_2d import HullVariant, hull_iou
 from mirror.metrics.boxes.raster import polygon_mask
+from mirror.protocols.document import EditIou, Protocol, metric_name
+from mirror.protocols.views.plan import Plan, render_path
+from mirror.protocols.views.view import Edit, View, pose_of
 
 ALL: Final = "all"
 _VARIANTS: Final[Mapping[str, HullVariant]] = {

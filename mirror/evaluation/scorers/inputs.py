@@ -12,13 +12,14 @@ import numpy as np
 
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.protocol import Protocol
 from mirror.evaluation.submission.check import MOST_TABLE_BYTES
-from mirror.evaluation.submission.manifest import Rectangle, SubmissionManifest
-from mirror.evaluation.submission.png import decode_render, most_bytes
+from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import UntrustedFiles, open_untrusted
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views.view import View
+from mirror.protocols.document import Protocol
+from mirror.protocols.png import decode_render, most_bytes
+from mirror.protocols.rectangle import Rectangle
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views.view import View
 from mirror.weights.resolve import WeightResolver
 
 

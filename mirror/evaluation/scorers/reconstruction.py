@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Final
 
 from mirror.arrays import Bool, UInt8
 from mirror.evaluation.figures import Measure, figures_of
-from mirror.evaluation.protocol import Lpips, Metric, Psnr, PsnrCc, Ssim, metric_name
 from mirror.evaluation.result import Figure, finite
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import STAND_IN, Job, Scored, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
-from mirror.evaluation.views.plan import Plan
 from mirror.metrics.features.lpips import TRUNK_WEIGHTS
 from mirror.metrics.images.colour_correction import psnr_cc
 from mirror.metrics.images.psnr import psnr
 from mirror.metrics.images.ssim import ssim
 from mirror.metrics.score import EMPTY_MASK, Score
+from mirror.protocols.document import Lpips, Metric, Psnr, PsnrCc, Ssim, metric_name
+from mirror.protocols.views.plan import Plan
 
 if TYPE_CHECKING:
     from mirror.metrics.features.perceptual import PerceptualDistance

@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from mirror.evaluation.methods import frames_per_second, installed_method
-from mirror.evaluation.protocol import metric_name
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.scorers.speed import frames_per_second
 from mirror.evaluation.submission.manifest import Runtime as Reported
 from mirror.evaluation.submission.manifest import SubmissionManifest
-from mirror.evaluation.views.plan import Plan
+from mirror.methods.registry import installed_method
+from mirror.protocols.document import metric_name
+from mirror.protocols.views.plan import Plan
 
 _UNITS: Final[Mapping[str, tuple[str, str]]] = {
     "frames_per_second": ("Hz", "higher"),

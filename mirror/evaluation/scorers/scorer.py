@@ -9,8 +9,8 @@ from typing import Final, Protocol, TypeAlias
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.submission.manifest import SubmissionManifest
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 
 STAND_IN: Final = "st_"
 

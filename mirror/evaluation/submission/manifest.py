@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles, parse_untrusted
+from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, is_identifier
 
 MANIFEST: Final = "manifest.json"
@@ -20,7 +21,6 @@ _STEERING: Final = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"
 Text = Annotated[str, Field(max_length=2000, pattern=rf"^[^{_STEERING}]*$")]
 Word = Annotated[str, Field(min_length=1, max_length=120, pattern=rf"^[^\t\n{_STEERING}]+$")]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Figure = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -42,21 +42,6 @@ class Method(Document):
     url: Annotated[str, Field(max_length=400, pattern=r"^(https?://[^\s<>\"']*)?$")] = ""
     licence: Text = ""
     trained_on: Text = ""
-
-
-class Rectangle(Document):
-    """A part of every raster, in shares of its width and height."""
-
-    left: Share
-    top: Share
-    right: Share
-    bottom: Share
-
-    @model_validator(mode="after")
-    def _some(self) -> Rectangle:
-        if self.left >= self.right or self.top >= self.bottom:
-            raise ValueError("left < right and top < bottom")
-        return self
 
 
 class Appearance(Document):

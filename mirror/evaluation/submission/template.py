@@ -11,10 +11,10 @@ import numpy as np
 
 from mirror.errors import UsageError
 from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime, SubmissionManifest
-from mirror.evaluation.submission.png import encode_png
-from mirror.evaluation.truth.source import TruthSource
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
+from mirror.protocols.png import encode_png
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 from mirror.schema.files import write_bytes, write_json
 
 VIEWS: Final = "views.json"

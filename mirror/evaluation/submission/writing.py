@@ -13,12 +13,12 @@ from typing import Final, TypeAlias
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, UsageError
-from mirror.evaluation.progress import Progress, Silent
 from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime
-from mirror.evaluation.submission.png import encode_png
 from mirror.evaluation.submission.template import expected_files, manifest_for, write_manifest
-from mirror.evaluation.views.plan import Plan
-from mirror.evaluation.views.view import View
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.protocols.png import encode_png
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import View
 from mirror.schema.files import write_bytes
 
 Render: TypeAlias = tuple[Sequence[View], UInt8]
@@ -38,7 +38,7 @@ def write_submission(
     method: Method,
     appearance: Appearance,
     out: Path,
-    progress: Progress | None = None,
+    progress: ProgressReporter | None = None,
     costs: Runtime | None = None,
     of: str | None = None,
 ) -> int:
@@ -70,7 +70,7 @@ def write_submission(
     if not expected or None in expected.values():
         raise UsageError(f"protocol {plan.protocol.name} asks for no renders", expected="a protocol that does")
     begin_rendering(out, None if of is None else (plan.hash, repr(method), repr(appearance), of))
-    progress = progress or Silent()
+    progress = progress or NullProgress()
     progress.start("rendering", len(plan.views))
     there = sum((out / path).is_file() for path in expected)
     progress.advance(there)

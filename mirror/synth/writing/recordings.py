@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from mirror.errors import UsageError
-from mirror.ingest.request import Progress, Silent
+from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.documents import CANONICAL_CAMERAS, Roi
 from mirror.schema.files import write_json
 from mirror.synth.errors import Errors
@@ -62,7 +62,7 @@ def write_recordings(
     effects: Effects | None = None,
     truth: Sequence[TruthKind] = (),
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressReporter | None = None,
 ) -> Written:
     """Write the recordings of a preset, and ``rois.geojson`` beside them.
 
@@ -104,7 +104,7 @@ def write_recordings(
         )
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError("not an empty folder", file=out, remedy="name another folder, or remove this one")
-    progress = Silent() if progress is None else progress
+    progress = NullProgress() if progress is None else progress
     write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
     written = Written()
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:

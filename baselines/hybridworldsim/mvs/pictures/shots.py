@@ -11,18 +11,18 @@ import cv2
 import numpy as np
 
 from hybridworldsim.mvs.estimator import PosedPicture
-from hybridworldsim.standing import STANDING_M, moving
+from hybridworldsim.stationary import STANDING_M, moving
 from mirror.arrays import Bool
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame, Image
 from mirror.errors import DatasetError
-from mirror.evaluation.protocol import Pixels
-from mirror.evaluation.training import Picture
-from mirror.evaluation.truth.raster import raster_of
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
+from mirror.methods.training_images import Picture
 from mirror.metrics.boxes.raster import polygon_mask
+from mirror.protocols.document import Pixels
+from mirror.protocols.truth.raster import raster_of
 
 _HELD: Final = 256
 
@@ -61,7 +61,7 @@ def shots_of(
         dataset: the view.
         pixels: the raster in which they are matched.
         withheld: pictures that are left out.
-        standing_m: see `hybridworldsim.standing.moving`.
+        standing_m: see `hybridworldsim.stationary.moving`.
 
     Raises:
         DatasetError: the view has none, or poses or calibrations are missing.

@@ -25,8 +25,8 @@ from mirror.arrays import AnyArray, Bool, Float32, Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.pictures.depth import decode_depth, encode_depth
 from mirror.errors import DatasetError
-from mirror.evaluation.progress import Progress
-from mirror.evaluation.training import Picture
+from mirror.methods.training_images import Picture
+from mirror.progress import ProgressReporter
 from mirror.schema.files import read_table, write_bytes
 from mirror.schema.tables import DEPTH, MASKS, POINTS
 
@@ -50,7 +50,7 @@ class Scene:
     """
 
     def __init__(
-        self, view: Dataset, layers: Layers, options: Options, withheld: Set[Picture], progress: Progress
+        self, view: Dataset, layers: Layers, options: Options, withheld: Set[Picture], progress: ProgressReporter
     ) -> None:
         self._layers, self._options, self._progress = layers, options, progress
         self._shots = shots_of(view, options.pixels, withheld, options.standing_m)

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.rasterizer.buffers.traced import Traced
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
 from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FLOOR, LEVEL, placed_at, splats_of
 from hybridworldsim.rasterizer.cpu.blending.tiles import tiles_of
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
 from hybridworldsim.rasterizer.presets import TRANSMITTANCE_STOP, Preset
 from hybridworldsim.rasterizer.projected import Projected
 from mirror.arrays import Float32, Int32, Int64

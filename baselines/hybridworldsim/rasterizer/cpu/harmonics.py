@@ -15,10 +15,10 @@ from numpy.polynomial import polynomial
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from hybridworldsim.rasterizer.cpu.machine import lanes
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.memory import room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.kernels import lanes
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.projection.packing import PART
 from hybridworldsim.rasterizer.cpu.projection.project import flat
 from mirror.arrays import Float64

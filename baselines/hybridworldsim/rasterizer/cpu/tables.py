@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.memory import room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel, spans
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import Float32, Float64, Int64
 
 

@@ -11,20 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
-from hybridworldsim.rasterizer.cpu.blending.forward import (
-    BATCH,
-    BLOCK_X,
-    BLOCK_Y,
-    PIXEL_X,
-    PIXEL_Y,
-    PLACED,
-    exp2,
-    placed,
-)
-from hybridworldsim.rasterizer.cpu.blending.splats import FEATURES, FLOOR, factors_of
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.vectors import (
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.vectors import (
     beyond,
     bits,
     choose,
@@ -42,6 +30,18 @@ from hybridworldsim.rasterizer.cpu.machine.vectors import (
     take,
     totals,
 )
+from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
+from hybridworldsim.rasterizer.cpu.blending.forward import (
+    BATCH,
+    BLOCK_X,
+    BLOCK_Y,
+    PIXEL_X,
+    PIXEL_Y,
+    PLACED,
+    exp2,
+    placed,
+)
+from hybridworldsim.rasterizer.cpu.blending.splats import FEATURES, FLOOR, factors_of
 from mirror.arrays import Float32, Float64, Int32, Int64
 
 SUMS: Final = 8

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from hybridworldsim.kernels.memory import filled, room
+from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.rasterizer.blended import Blended
 from hybridworldsim.rasterizer.cpu.blending.backward import SUMS, blend_tiles_backward, collect
 from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, TILE_PX, Canvas, blank
@@ -17,8 +19,6 @@ from hybridworldsim.rasterizer.cpu.blending.forward import BATCH, PLACED, blend_
 from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
 from hybridworldsim.rasterizer.cpu.blending.splats import Splats, splats_of
 from hybridworldsim.rasterizer.cpu.blending.tiles import Tiles, tiles_of
-from hybridworldsim.rasterizer.cpu.machine.memory import filled, room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
 from hybridworldsim.rasterizer.presets import Preset
 from hybridworldsim.rasterizer.projected import Projected
 from mirror.arrays import Float32, Float64, Int32, Int64

@@ -6,10 +6,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.memory import filled, room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
-from hybridworldsim.rasterizer.cpu.machine.vectors import by_pixel, load, store, store_threes
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.memory import filled, room
+from hybridworldsim.kernels.threads import in_parallel
+from hybridworldsim.kernels.vectors import by_pixel, load, store, store_threes
 from mirror.arrays import Bool, Float32, Int32
 
 TILE_PX: Final = 16

@@ -11,11 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
-from hybridworldsim.rasterizer.cpu.blending.splats import FACTORS, FEATURES, FLOOR, LEVEL, NEAR, placed_at
-from hybridworldsim.rasterizer.cpu.blending.tiles import AHEAD
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.vectors import (
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.vectors import (
     bits,
     choose,
     choose_whole,
@@ -33,6 +30,16 @@ from hybridworldsim.rasterizer.cpu.machine.vectors import (
     take,
     times_power,
 )
+from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
+from hybridworldsim.rasterizer.cpu.blending.splats import (
+    FACTORS,
+    FEATURES,
+    FLOOR,
+    LEVEL,
+    NEAR,
+    placed_at,
+)
+from hybridworldsim.rasterizer.cpu.blending.tiles import AHEAD
 from hybridworldsim.rasterizer.presets import TRANSMITTANCE_STOP
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.threads import in_parallel
 from mirror.arrays import AnyArray, Float32, Int32, Int64
 
 _BITS: Final = 11

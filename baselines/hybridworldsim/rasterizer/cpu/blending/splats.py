@@ -7,10 +7,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.memory import room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
 from hybridworldsim.rasterizer.presets import ALPHA_MIN
 from mirror.arrays import AnyArray, Float32, Float64, Int32
 

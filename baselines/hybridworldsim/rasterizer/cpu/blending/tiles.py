@@ -7,12 +7,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.threads import in_parallel
+from hybridworldsim.kernels.vectors import fetch
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.blending.splats import FLOOR, LEVEL, MEAN, MEAN_LOW, Splats, factors_of
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
-from hybridworldsim.rasterizer.cpu.machine.memory import room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
-from hybridworldsim.rasterizer.cpu.machine.vectors import fetch
 from hybridworldsim.rasterizer.limits import refuse_too_many_pairs
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.machine import lanes
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.kernels import lanes
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.rasterizer.cpu.projection.view import View
 from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, Lens
 

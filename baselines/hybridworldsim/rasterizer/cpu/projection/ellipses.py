@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hybridworldsim.rasterizer.cpu.machine import lanes
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.kernels import lanes
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.rasterizer.presets import (
     ALPHA_MIN,
     QUATERNION_MAX,

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hybridworldsim.rasterizer.cpu.machine import lanes
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.kernels import lanes
+from hybridworldsim.kernels.compilation import kernel
 
 _RATIO_MIN = 1e-290  # of the determinants, below which the root's slope overflows
 

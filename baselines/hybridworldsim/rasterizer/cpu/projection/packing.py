@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.cpu.machine.memory import room
+from hybridworldsim.kernels.memory import room
 from hybridworldsim.rasterizer.cpu.projection.ellipses import RECORD
 from mirror.arrays import AnyArray, Int64
 

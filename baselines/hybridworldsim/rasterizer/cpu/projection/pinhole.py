@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hybridworldsim.rasterizer.cpu.machine import lanes
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.kernels import lanes
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.rasterizer.cpu.projection.ellipses import (
     along,
     candidates,

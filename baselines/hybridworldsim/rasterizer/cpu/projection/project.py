@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from hybridworldsim.rasterizer.cpu.machine.memory import room
-from hybridworldsim.rasterizer.cpu.machine.threads import in_parallel
+from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.projection.bending import Bending, bending_of
 from hybridworldsim.rasterizer.cpu.projection.ellipses import CAUSES
 from hybridworldsim.rasterizer.cpu.projection.packing import PART, InOrder

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from hybridworldsim.rasterizer.cpu.machine import lanes
-from hybridworldsim.rasterizer.cpu.machine.kernels import kernel
+from hybridworldsim.kernels import lanes
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.rasterizer.cpu.projection.bending import pixel
 from hybridworldsim.rasterizer.cpu.projection.ellipses import (
     along,

@@ -1,0 +1,1 @@
+"""What compiled kernels share: compilation, SIMD vectors, aligned memory and threads."""

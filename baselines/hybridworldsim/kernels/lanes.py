@@ -1,0 +1,288 @@
+"""Eight Gaussians at once in numba kernels, in float64.
+
+Projection needs float64 (a needle's covariance cancels) and has no rows of pixels to run along, so each lane is one
+Gaussian. What a lane gives does not depend on the lanes beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from llvmlite import ir
+from numba import types
+
+from hybridworldsim.kernels import simd
+from hybridworldsim.kernels.simd import I32, Vector, function, intrinsic, picked
+
+LANES: Final = 8
+Float64x8: Final = Vector(types.float64, LANES)
+Mask8: Final = Vector(types.boolean, LANES)
+
+_DOUBLE, _LONG = ir.DoubleType(), ir.IntType(64)
+_DOUBLES, _LONGS = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_LONG, LANES)
+
+
+def _given(result: Any, emit: Callable[..., Any], *kinds: Any) -> Any:
+    return function((Float64x8,) * len(kinds), result, emit)(*kinds)
+
+
+@intrinsic
+def spread(context: Any, number: Any) -> Any:
+    """A vector of one number."""
+    return _given(Float64x8, lambda builder, vector: vector, number)
+
+
+@intrinsic
+def root(context: Any, a: Any) -> Any:
+    """Square root."""
+    return _given(Float64x8, simd.call("sqrt", Float64x8), a)
+
+
+@intrinsic
+def magnitude(context: Any, a: Any) -> Any:
+    """Without sign."""
+    return _given(Float64x8, simd.call("fabs", Float64x8), a)
+
+
+@intrinsic
+def whole_above(context: Any, a: Any) -> Any:
+    """The least whole number that is not less."""
+    return _given(Float64x8, simd.call("ceil", Float64x8), a)
+
+
+@intrinsic
+def lesser(context: Any, a: Any, b: Any) -> Any:
+    """The lesser of each two; ``b`` where one is no number."""
+    return _given(Float64x8, lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b), a, b)
+
+
+@intrinsic
+def greater(context: Any, a: Any, b: Any) -> Any:
+    """The greater of each two; ``b`` where one is no number."""
+    return _given(Float64x8, lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), a, b)
+
+
+@intrinsic
+def choose(context: Any, mask: Any, a: Any, b: Any) -> Any:
+    """``a`` where the mask is set, else ``b``."""
+    return _given(Float64x8, lambda builder, *args: builder.select(*args), mask, a, b)
+
+
+@intrinsic
+def rounded(context: Any, a: Any) -> Any:
+    """To the nearest float32."""
+    singles = ir.VectorType(ir.FloatType(), LANES)
+    return _given(Float64x8, lambda builder, a: builder.fpext(builder.fptrunc(a, singles), _DOUBLES), a)
+
+
+@intrinsic
+def mantissa(context: Any, a: Any) -> Any:
+    """Of a positive ordinary number, in [1, 2)."""
+
+    def emit(builder: Any, a: Any) -> Any:
+        low = builder.and_(builder.bitcast(a, _LONGS), ir.Constant(_LONGS, [(1 << 52) - 1] * LANES))
+        return builder.bitcast(builder.or_(low, ir.Constant(_LONGS, [1023 << 52] * LANES)), _DOUBLES)
+
+    return _given(Float64x8, emit, a)
+
+
+@intrinsic
+def exponent(context: Any, a: Any) -> Any:
+    """Of a positive ordinary number, which is its mantissa times two to this power."""
+
+    def emit(builder: Any, a: Any) -> Any:
+        high = builder.lshr(builder.bitcast(a, _LONGS), ir.Constant(_LONGS, [52] * LANES))
+        return builder.sitofp(builder.sub(high, ir.Constant(_LONGS, [1023] * LANES)), _DOUBLES)
+
+    return _given(Float64x8, emit, a)
+
+
+@intrinsic
+def bits(context: Any, mask: Any) -> Any:
+    """The mask as a number, whose lowest bit is the first lane's."""
+    return _given(types.int64, lambda b, mask: b.zext(b.bitcast(mask, ir.IntType(LANES)), _LONG), mask)
+
+
+@intrinsic
+def mask_of(context: Any, number: Any) -> Any:
+    """The mask that has a number's lowest bits."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.bitcast(builder.trunc(args[0], ir.IntType(LANES)), Mask8.llvm)
+
+    return Mask8(types.int64), lower
+
+
+@intrinsic
+def how_many(context: Any, mask: Any) -> Any:
+    """How many lanes are set."""
+    return _given(types.int64, lambda b, mask: b.zext(b.ctpop(b.bitcast(mask, ir.IntType(LANES))), _LONG), mask)
+
+
+@intrinsic
+def first_lanes(context: Any, count: Any) -> Any:
+    """The mask of that many lanes; all of them from LANES on."""
+    emit = lambda b, count: b.fcmp_ordered("<", ir.Constant(_DOUBLES, list(range(LANES))), count)  # noqa: E731
+    return _given(Mask8, emit, count)
+
+
+@intrinsic
+def total(context: Any, a: Any) -> Any:
+    """Sum of the lanes, by halves."""
+
+    def emit(builder: Any, value: Any) -> Any:
+        half = LANES // 2
+        while half:
+            other = picked(builder, value, value, [(lane + half) % LANES for lane in range(LANES)])
+            value = builder.fadd(value, other)
+            half //= 2
+        return builder.extract_element(value, ir.Constant(I32, 0))
+
+    return _given(types.float64, emit, a)
+
+
+@intrinsic
+def fetch(context: Any, array: Any, start: Any) -> Any:
+    """The lanes from an index of a flat array on; nothing checks that they are there."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = _load(builder, simd.data(context, builder, sig.args[0], args[0]), args[1], LANES)
+        return vector if vector.type == _DOUBLES else builder.fpext(vector, _DOUBLES)
+
+    return Float64x8(array, types.intp), lower
+
+
+@intrinsic
+def gather(context: Any, array: Any, rows: Any, start: Any, stride: Any, column: Any) -> Any:
+    """Lane j: ``array[rows[start + j] * stride + column]`` of a flat array; nothing checks that it is there."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data, rows = (simd.data(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
+        start, stride, column = args[2:]
+        vector = ir.Constant(ir.VectorType(data.type.pointee, LANES), ir.Undefined)
+        for lane in range(LANES):
+            row = builder.load(builder.gep(rows, [builder.add(start, ir.Constant(_LONG, lane))]))
+            value = builder.load(builder.gep(data, [builder.add(builder.mul(row, stride), column)]))
+            vector = builder.insert_element(vector, value, ir.Constant(I32, lane))
+        return vector if data.type.pointee == _DOUBLE else builder.fpext(vector, _DOUBLES)
+
+    return Float64x8(array, rows, types.intp, types.intp, types.intp), lower
+
+
+def _joined(builder: Any, parts: list[Any]) -> Any:
+    """Vectors of one size, whose number is a power of two, as one."""
+    while len(parts) > 1:
+        order = list(range(2 * parts[0].type.count))
+        parts = [picked(builder, a, b, order) for a, b in zip(parts[::2], parts[1::2])]
+    return parts[0]
+
+
+def _load(builder: Any, data: Any, index: Any, count: int) -> Any:
+    element = data.type.pointee
+    place = builder.bitcast(builder.gep(data, [index]), ir.PointerType(ir.VectorType(element, count)))
+    return builder.load(place, align=8 if element == _DOUBLE else 4)
+
+
+def _columns(columns: int) -> Callable[..., Any]:
+    """What `triples` and `quadruples` emit; rows that follow each other are loaded at once."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data, rows = (simd.data(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
+        kind, width = ir.VectorType(data.type.pointee, LANES), ir.Constant(_LONG, columns)
+        numbers = [
+            builder.load(builder.gep(rows, [builder.add(args[2], ir.Constant(_LONG, lane))])) for lane in range(LANES)
+        ]
+        run = builder.icmp_signed("==", builder.sub(numbers[-1], numbers[0]), ir.Constant(_LONG, LANES - 1))
+        found: list[list[Any]] = []
+        with builder.if_else(run) as (then, otherwise):
+            with then:
+                whole = _load(builder, data, builder.mul(numbers[0], width), LANES * columns)
+                nothing = ir.Constant(whole.type, ir.Undefined)
+                found.append(
+                    [
+                        picked(builder, whole, nothing, [columns * lane + column for lane in range(LANES)])
+                        for column in range(columns)
+                    ]
+                )
+                blocks = [builder.block]
+            with otherwise:
+                parts = []
+                for number in numbers:
+                    at = builder.mul(number, width)
+                    if columns == 4:
+                        parts.append(_load(builder, data, at, 4))
+                    else:  # elements 0 1 1 2: four of them would reach beyond the array
+                        second = builder.add(at, ir.Constant(_LONG, 1))
+                        parts.append(_joined(builder, [_load(builder, data, place, 2) for place in (at, second)]))
+                whole = _joined(builder, parts)
+                nothing = ir.Constant(whole.type, ir.Undefined)
+                found.append(
+                    [
+                        picked(builder, whole, nothing, [4 * lane + column for lane in range(LANES)])
+                        for column in ((0, 1, 2, 3) if columns == 4 else (0, 1, 3))
+                    ]
+                )
+                blocks.append(builder.block)
+        vectors = []
+        for ways in zip(*found):
+            vector = builder.phi(kind)
+            for way, block in zip(ways, blocks):
+                vector.add_incoming(way, block)
+            vectors.append(vector)
+        if kind != _DOUBLES:
+            vectors = [builder.fpext(vector, _DOUBLES) for vector in vectors]
+        return context.make_tuple(builder, sig.return_type, vectors)
+
+    return lower
+
+
+@intrinsic
+def triples(context: Any, array: Any, rows: Any, start: Any) -> Any:
+    """The three columns of the rows ``rows[start : start + LANES]`` of a (N, 3) array, given flat.
+
+    Rows ascend, so that the last tells a run; spare ones at the end repeat the first.
+    """
+    return types.UniTuple(Float64x8, 3)(array, rows, types.intp), _columns(3)
+
+
+@intrinsic
+def quadruples(context: Any, array: Any, rows: Any, start: Any) -> Any:
+    """The four columns of rows of a (N, 4) array, as `triples`."""
+    return types.UniTuple(Float64x8, 4)(array, rows, types.intp), _columns(4)
+
+
+def _put(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    """Write vectors as the columns of an array's rows."""
+    vectors = args[2:]
+    data = simd.data(context, builder, sig.args[0], args[0])
+    place = builder.gep(data, [builder.mul(args[1], ir.Constant(_LONG, len(vectors)))])
+    element = data.type.pointee
+    kind = ir.VectorType(element, LANES)
+    if isinstance(element, ir.FloatType):
+        vectors = [builder.fptrunc(vector, kind) for vector in vectors]
+    elif element != _DOUBLE:
+        vectors = [builder.fptosi(vector, kind) for vector in vectors]
+    order = [column * LANES + lane for lane in range(LANES) for column in range(len(vectors))]
+    vectors = [*vectors, ir.Constant(kind, ir.Undefined)] if len(vectors) == 3 else vectors
+    whole = picked(builder, joined := _joined(builder, list(vectors)), ir.Constant(joined.type, ir.Undefined), order)
+    builder.store(whole, builder.bitcast(place, ir.PointerType(whole.type)), align=4)
+    return context.get_dummy_value()
+
+
+@intrinsic
+def put(context: Any, array: Any, row: Any, a: Any) -> Any:
+    """Write the lanes from a row of a (N,) array on, in its type; nothing checks that they fit."""
+    return types.void(array, types.intp, a), _put
+
+
+@intrinsic
+def put_pairs(context: Any, array: Any, row: Any, a: Any, b: Any) -> Any:
+    """Write the lanes as columns, from a row of a contiguous (N, 2) array on, as `put` does."""
+    return types.void(array, types.intp, a, b), _put
+
+
+@intrinsic
+def put_triples(context: Any, array: Any, row: Any, a: Any, b: Any, c: Any) -> Any:
+    """Write the lanes as columns, from a row of a contiguous (N, 3) array on, as `put` does."""
+    return types.void(array, types.intp, a, b, c), _put

@@ -1,0 +1,1 @@
+"""Where Gaussians are added and removed during training."""

@@ -1,0 +1,122 @@
+"""Background nodes: anchors, each with a code, from which networks decode the Gaussians round it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from hybridworldsim.model.decoders import Conditioned, decoded
+from hybridworldsim.model.nodes.assembly import GEOMETRY, assembled
+from hybridworldsim.model.nodes.gathering import rows_of, told
+from hybridworldsim.model.splats import Splats
+from hybridworldsim.model.visible import visible
+from hybridworldsim.training.viewpoint import Viewpoint
+
+_OPACITY = 0.3
+_SPREAD = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorRows:
+    """Some anchors.
+
+    Attributes:
+        ids: (M,) int64 which, ascending.
+        means: (M, 3).
+        offsets: (M, k, 3).
+        codes: (M, F).
+        log_scales: (M, 6).
+    """
+
+    ids: Tensor
+    means: Tensor
+    offsets: Tensor
+    codes: Tensor
+    log_scales: Tensor
+
+
+class Anchors(nn.Module):
+    """A node of anchors, after Scaffold-GS.
+
+    Each anchor has k offsets. Of the code, the place, the direction and the appearance one network reads opacity, scale
+    and rotation of all k Gaussians, another their colours; an offset's feature is its own rows of the last layers.
+    Gaussians of no opacity are dropped before anything is drawn.
+
+    Args:
+        means: (N, 3) anchors in the block's frame, metres.
+        spacing_m: (N,) size that the offsets and the Gaussians of each begin with.
+        radius_m: of the block: places are told to the networks in its units.
+        offsets: k.
+        code: size of a code.
+        latent: size of the appearance's.
+        hidden: width of the networks.
+    """
+
+    TABLES: ClassVar = ("means", "offsets", "codes", "log_scales")
+
+    def __init__(
+        self, means: Tensor, spacing_m: Tensor, radius_m: float, *, offsets: int, code: int, latent: int, hidden: int
+    ) -> None:
+        super().__init__()
+        count = len(means)
+        self.radius_m, self.k = radius_m, offsets
+        self.means = nn.Parameter(means.clone(), requires_grad=False)
+        self.offsets = nn.Parameter(_SPREAD * (2.0 * torch.rand(count, offsets, 3) - 1.0))
+        self.codes = nn.Parameter(torch.zeros(count, code))
+        self.log_scales = nn.Parameter(spacing_m.log()[:, None].repeat(1, 6))
+        self.geometry = Conditioned(code, 6, latent, hidden, GEOMETRY * offsets, bent=False)
+        self.colour = Conditioned(code, 6, latent, hidden, 3 * offsets, bent=True)
+        with torch.no_grad():
+            # Visible and unturned to begin with: what is not drawn is not learnt.
+            bias = self.geometry.out.bias.view(offsets, GEOMETRY)
+            bias.zero_()
+            bias[:, 0], bias[:, 4] = _OPACITY, 1.0
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def seen(self, viewpoint: Viewpoint) -> Tensor:
+        """(M,) int64 anchors that a viewpoint may see, whose offsets reach three of their own sizes."""
+        with torch.no_grad():
+            return visible(viewpoint, self.means, 3.0 * self.log_scales.amax(1).exp())
+
+    def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> AnchorRows:
+        """Anchors (M,); rows of tables that are at hand already are not looked up."""
+        return AnchorRows(ids, **rows_of(self, self.TABLES, ids, learnt or {}))
+
+    def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: AnchorRows | None = None) -> Splats:
+        """Gaussians of anchors.
+
+        Args:
+            viewpoint: whence.
+            latent: appearance, of the colours.
+            content: appearance, of what is there at all (leaves, billboards). It is the same vector but for edits of
+                the light, which must not move anything.
+            rows: of which anchors; None: of all that the viewpoint may see.
+        """
+        rows = rows or self.rows(self.seen(viewpoint))
+        geometry, colours = self.read(rows, viewpoint, latent, content)
+        centres, quats, scales, opacities, tints, slots = assembled(
+            geometry, colours, rows.means, rows.offsets, rows.log_scales
+        )
+        return Splats(
+            centres,
+            quats,
+            scales,
+            opacities,
+            tints,
+            rows=rows.ids[slots // self.k] * self.k + slots % self.k,
+            held=len(self) * self.k,
+            decoded=len(rows.ids) * self.k,
+            seen=rows.ids,
+        )
+
+    def read(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
+        """What the networks say of anchors: (M, k * 8) and (M, k * 3); see `assembled`."""
+        facts = told(rows.codes, rows.means, viewpoint.centre, self.radius_m)
+        geometry, colours = decoded(facts, (self.geometry, content), (self.colour, latent))
+        return geometry, colours

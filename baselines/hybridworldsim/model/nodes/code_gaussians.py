@@ -1,0 +1,116 @@
+"""Sky and ground nodes: Gaussians with a code, from which a network reads the colour."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from hybridworldsim.model.decoders import Conditioned, decoded
+from hybridworldsim.model.nodes.gathering import rows_of, told
+from hybridworldsim.model.splats import Splats
+from hybridworldsim.model.visible import visible
+from hybridworldsim.training.viewpoint import Viewpoint
+
+_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Seeds:
+    """Gaussians to begin with.
+
+    Attributes:
+        means: (N, 3) in the block's frame, metres.
+        quats: (N, 4) scalar first.
+        scales: (N, 3) metres.
+        opacity: of each.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacity: float
+
+
+@dataclass(frozen=True, eq=False)
+class CodeRows:
+    """Some Code-Gaussians.
+
+    Attributes:
+        ids: (M,) int64 which, ascending.
+        means: (M, 3).
+        quats: (M, 4).
+        log_scales: (M, 3).
+        logits: (M,) of opacities.
+        codes: (M, F).
+    """
+
+    ids: Tensor
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    logits: Tensor
+    codes: Tensor
+
+
+class CodeGaussians(nn.Module):
+    """A node of Code-Gaussians.
+
+    Args:
+        seeds: what it begins with.
+        code: size of a code.
+        latent: size of the appearance's.
+        hidden: width of the network.
+    """
+
+    TABLES: ClassVar = ("means", "quats", "log_scales", "logits", "codes")
+
+    def __init__(self, seeds: Seeds, code: int, latent: int, hidden: int) -> None:
+        super().__init__()
+        count = len(seeds.means)
+        self.means = nn.Parameter(seeds.means.clone())
+        self.quats = nn.Parameter(seeds.quats.clone())
+        self.log_scales = nn.Parameter(seeds.scales.log())
+        self.logits = nn.Parameter(torch.full((count,), seeds.opacity).logit())
+        self.codes = nn.Parameter(torch.zeros(count, code))
+        self.colour = Conditioned(code, 3, latent, hidden, 3, bent=True)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def seen(self, viewpoint: Viewpoint) -> Tensor:
+        """(M,) int64 Gaussians that a viewpoint may see."""
+        with torch.no_grad():
+            return visible(viewpoint, self.means, _SIGMAS * self.log_scales.amax(1).exp())
+
+    def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> CodeRows:
+        """Gaussians (M,); rows of tables that are at hand already are not looked up."""
+        return CodeRows(ids, **rows_of(self, self.TABLES, ids, learnt or {}))
+
+    def decode(self, viewpoint: Viewpoint, latent: Tensor, rows: CodeRows | None = None) -> Splats:
+        """Gaussians with their colours.
+
+        Args:
+            viewpoint: whence.
+            latent: appearance.
+            rows: which; None: all that the viewpoint may see.
+        """
+        rows = rows or self.rows(self.seen(viewpoint))
+        return Splats(
+            rows.means,
+            rows.quats,
+            rows.log_scales.exp(),
+            rows.logits.sigmoid(),
+            self.colours(rows, viewpoint, latent),
+            rows=rows.ids,
+            held=len(self),
+            decoded=len(rows.ids),
+        )
+
+    def colours(self, rows: CodeRows, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
+        """(M, 3) of Gaussians, as a viewpoint sees them."""
+        (tints,) = decoded(told(rows.codes, rows.means, viewpoint.centre), (self.colour, latent))
+        return tints.sigmoid()

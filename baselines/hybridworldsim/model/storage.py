@@ -1,0 +1,126 @@
+"""A block on disk: one safetensors file, nothing in it that rendering does not need."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.nodes.anchors import Anchors
+from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
+from hybridworldsim.model.street import Street
+from hybridworldsim.training.state import load
+from hybridworldsim.training.viewpoint import Source
+from mirror.errors import DatasetError
+from mirror.schema.files import write_bytes
+
+FORMAT: Final = "hybridworldsim.block/2"
+_ENTRY: Final = "hybridworldsim"
+_TABLES: Final = ("offsets", "codes", "log_scales", "quats", "logits")
+
+
+def save_block(
+    path: Path, block: Block, street: Street, *, half: bool = False, about: Mapping[str, Any] | None = None
+) -> int:
+    """Write a block: of an anchor 50 numbers (place, k = 3 offsets, code of 32, 6 sizes), 200 bytes.
+
+    In half precision positions stay float32, as do networks and latents, and an anchor takes 106 bytes.
+
+    Args:
+        path: of the file; written whole or not at all.
+        block: where it is.
+        street: the model.
+        half: store what is not a position, a network or a latent as float16.
+        about: whatever else shall be known of it, as JSON: settings, hashes.
+
+    Returns:
+        Bytes of the file.
+
+    Raises:
+        DatasetError: a number is not finite, or too large for half precision.
+    """
+    from safetensors.torch import save
+
+    tables = {name: _stored(name, parameter, half, path) for name, parameter in street.named_parameters()}
+    said = {
+        "format": FORMAT,
+        "block": json.dumps(asdict(block)),
+        "radius_m": repr(street.background.radius_m),
+        "sources": json.dumps([tuple(source) for source in street.appearance.sources]),
+        "about": json.dumps(dict(about or {}), sort_keys=True),
+    }
+    # One entry: safetensors writes several in any order, and equal models are to have equal bytes.
+    data = save(tables, {_ENTRY: json.dumps(said, sort_keys=True)})
+    write_bytes(path, data)
+    return len(data)
+
+
+def load_block(path: Path) -> tuple[Block, Street, dict[str, Any]]:
+    """Read what `save_block` wrote.
+
+    Returns:
+        The block, its street in float32, and what else was said about it.
+
+    Raises:
+        DatasetError: there is no such file, or it is of another format.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, "pt") as file:
+            said = json.loads((file.metadata() or {}).get(_ENTRY, "{}"))
+            if said.get("format") != FORMAT:
+                raise DatasetError(f"format {said.get('format')!r}", file=path, expected=FORMAT)
+            tables = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no mapping
+    except (OSError, SafetensorError) as error:
+        raise DatasetError(f"not to be read: {error}", file=path, expected=f"a block, {FORMAT}") from error
+    block = json.loads(said["block"])
+    block = Block(tuple(block["index"]), tuple(block["origin_m"]), block["size_m"], block["overlap_m"])
+    street = _empty(tables, float(said["radius_m"]), [Source(*pair) for pair in json.loads(said["sources"])])
+    load(street, {f"model.{name}": table for name, table in tables.items()})
+    return block, street, json.loads(said["about"])
+
+
+def _stored(name: str, parameter: Tensor, half: bool, path: Path) -> Tensor:
+    table = parameter.detach().contiguous()
+    if half and name.rpartition(".")[2] in _TABLES:
+        table = table.half()
+    if not torch.isfinite(table).all():
+        raise DatasetError(
+            "a number is not finite" + (", or too large for half precision" if half else ""), file=path, place=name,
+            remedy="train again from the last checkpoint" + (", or store float32" if half else ""),
+        )  # fmt: skip
+    return table
+
+
+def _empty(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source]) -> Street:
+    """A street of the same sizes without rows."""
+    latent = tables["appearance.drives"].shape[1]
+    none = torch.empty(0, 3)
+    with torch.random.fork_rng(devices=[]):
+        background = Anchors(
+            none,
+            torch.empty(0),
+            radius_m,
+            offsets=tables["background.offsets"].shape[1],
+            code=tables["background.codes"].shape[1],
+            latent=latent,
+            hidden=tables["background.geometry.out.weight"].shape[1],
+        )
+        ground, sky = (
+            CodeGaussians(
+                Seeds(none, torch.empty(0, 4), none, 0.5),
+                tables[f"{name}.codes"].shape[1],
+                latent,
+                tables[f"{name}.colour.out.weight"].shape[1],
+            )
+            for name in ("ground", "sky")
+        )
+        return Street(background, ground, sky, Appearance(sources, latent))

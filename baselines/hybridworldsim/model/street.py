@@ -1,0 +1,115 @@
+"""One block of a street: its nodes, its appearance, and how they are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from torch import Tensor, nn
+
+from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.nodes.anchors import AnchorRows, Anchors
+from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, CodeRows
+from hybridworldsim.model.splats import Splats, joined
+from hybridworldsim.rasterizer import rasterization
+from hybridworldsim.training.viewpoint import Viewpoint
+
+
+class Rows(NamedTuple):
+    """Some of what each node has."""
+
+    background: AnchorRows
+    ground: CodeRows
+    sky: CodeRows
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A picture with what the optimiser reads.
+
+    Attributes:
+        rgb: (H, W, 3).
+        alpha: (H, W).
+        depth_m: (H, W) expected.
+        parts: what each node decoded, in the nodes' order.
+        meta: of the rasterizer.
+    """
+
+    rgb: Tensor
+    alpha: Tensor
+    depth_m: Tensor
+    parts: tuple[Splats, ...]
+    meta: dict[str, Any]
+
+
+class Street(nn.Module):
+    """The static model of a block.
+
+    Args:
+        background: its anchors.
+        ground: Code-Gaussians on the road and what lies beside it.
+        sky: Code-Gaussians round the block; what stands outside the block is among them.
+        appearance: latent vectors.
+    """
+
+    def __init__(self, background: Anchors, ground: CodeGaussians, sky: CodeGaussians, appearance: Appearance) -> None:
+        super().__init__()
+        self.background, self.ground, self.sky, self.appearance = background, ground, sky, appearance
+
+    @property
+    def nodes(self) -> tuple[Anchors, CodeGaussians, CodeGaussians]:
+        """Background, ground, sky: the order of all that is told of nodes."""
+        return self.background, self.ground, self.sky
+
+    def decode(
+        self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: Rows | None = None
+    ) -> tuple[Splats, ...]:
+        """What each node shows a viewpoint; of `rows`, or of all that the viewpoint may see."""
+        anchors, ground, sky = rows or (None, None, None)
+        return (
+            self.background.decode(viewpoint, latent, content, anchors),
+            self.ground.decode(viewpoint, latent, ground),
+            self.sky.decode(viewpoint, latent, sky),
+        )
+
+    def forward(
+        self,
+        viewpoint: Viewpoint,
+        latent: Tensor,
+        content: Tensor | None = None,
+        *,
+        rows: Rows | None = None,
+        pulls: bool = False,
+    ) -> Drawn:
+        """Draw a viewpoint.
+
+        Args:
+            viewpoint: whence.
+            latent: appearance of the colours.
+            content: appearance of what is there; default: the same.
+            rows: of what; default: of all that the viewpoint may see.
+            pulls: the backward pass is to tell how strongly the picture pulls at its Gaussians.
+        """
+        parts = self.decode(viewpoint, latent, latent if content is None else content, rows)
+        return draw(viewpoint, parts, pulls=pulls)
+
+
+def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, pulls: bool = False) -> Drawn:
+    """Rasterize what nodes show; see `Street.forward`."""
+    splats = joined(parts)
+    pictures, alphas, meta = rasterization(
+        splats.means,
+        splats.quats,
+        splats.scales,
+        splats.opacities,
+        splats.colours,
+        viewpoint.viewmat[None],
+        viewpoint.K[None],
+        viewpoint.width_px,
+        viewpoint.height_px,
+        near_plane=0.2,
+        render_mode="RGB+ED",
+        absgrad=pulls,
+        nonfinite="cull",
+    )
+    return Drawn(pictures[0, ..., :3], alphas[0, ..., 0], pictures[0, ..., 3], parts, meta)

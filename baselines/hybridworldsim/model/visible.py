@@ -1,0 +1,88 @@
+"""Which points a viewpoint may see, so that nothing else is decoded."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.threads import in_parallel, spans
+from hybridworldsim.training.viewpoint import Viewpoint
+from mirror.arrays import Float32
+
+NEAREST_M: Final = 0.05
+
+
+def visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
+    """Points whose sphere the view's pyramid may meet.
+
+    Args:
+        viewpoint: whence.
+        means: (N, 3) in the block's frame.
+        reach_m: (N,) radius of what belongs to each.
+
+    Returns:
+        (M,) int64 rows, ascending.
+    """
+    points, radii = (np.ascontiguousarray(table.detach().numpy(), np.float32) for table in (means, reach_m))
+    view, rows = _pyramid(viewpoint), room(len(points), np.int64)
+    edges = spans(len(points))
+    counts = np.zeros(len(edges) - 1, np.int64)
+
+    def work(part: int) -> None:
+        counts[part] = find_visible(edges[part], edges[part + 1], points, radii, view, rows)
+
+    in_parallel(work, len(counts))
+    return torch.from_numpy(np.concatenate([rows[begin : begin + count] for begin, count in zip(edges, counts)]))
+
+
+def _pyramid(viewpoint: Viewpoint) -> Float32:
+    """(21,) what `find_visible` asks of a viewpoint."""
+    K, matrix = viewpoint.K.double().numpy(), viewpoint.viewmat.numpy()
+    slopes = [
+        slope
+        for axis, size in ((0, viewpoint.width_px), (1, viewpoint.height_px))
+        for slope in (K[axis, 2] / K[axis, axis], (size - K[axis, 2]) / K[axis, axis])
+    ]
+    lengths = [(1.0 + slope * slope) ** 0.5 for slope in slopes]
+    return np.array((*matrix[:3, :3].ravel(), *matrix[:3, 3], NEAREST_M, *slopes, *lengths), np.float32)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def find_visible(begin: Any, end: Any, means: Any, reach: Any, view: Any, rows: Any) -> Any:
+    """Find the rows in a range whose sphere a view's pyramid may meet.
+
+    Args:
+        begin: first row.
+        end: past the last.
+        means: (N, 3) float32.
+        reach: (N,) float32.
+        view: (21,) float32: rotation by rows, translation; nearest depth; of either axis the low and high slopes of its
+            planes and, of all four, the lengths of their normals follow.
+        rows: (N,) int64 gets them, from `begin` on.
+
+    Returns:
+        How many.
+    """
+    count = 0
+    for row in range(begin, end):
+        x, y, z = means[row, 0], means[row, 1], means[row, 2]
+        depth = view[6] * x + view[7] * y + view[8] * z + view[11]
+        r = reach[row]
+        if not depth + r > view[12]:
+            continue
+        across = view[0] * x + view[1] * y + view[2] * z + view[9]
+        down = view[3] * x + view[4] * y + view[5] * z + view[10]
+        if (
+            across + view[13] * depth > -r * view[17]
+            and view[14] * depth - across > -r * view[18]
+            and down + view[15] * depth > -r * view[19]
+            and view[16] * depth - down > -r * view[20]
+        ):
+            rows[begin + count] = row
+            count += 1
+    return count

@@ -1,1 +1,0 @@
-"""How kernels run: compiled, by vectors, in threads, in memory that is used again."""

@@ -1,1 +1,0 @@
-"""Rendering a trained street: several blocks as one, fast."""

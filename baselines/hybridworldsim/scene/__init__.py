@@ -1,1 +1,0 @@
-"""The static street: nodes of Gaussians whose looks depend on the traversal and the camera, in blocks of 100 m."""

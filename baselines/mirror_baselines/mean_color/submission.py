@@ -1,0 +1,18 @@
+"""What the manifest of a submission says of the method."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror_baselines.mean_color.mean import MOST_PICTURES
+
+METHOD: Final = Method(
+    name="mean_color",
+    version="1",
+    licence="Apache-2.0",
+    trained_on="nothing: the colours of the split's training traversals are averaged",
+)
+APPEARANCE: Final = Appearance(
+    policy="mean", description=f"of at most {MOST_PICTURES} training pictures of the camera in the scene"
+)

@@ -1,0 +1,11 @@
+"""Multi-traversal Gaussian splatting after MTGS (Li et al. 2025): each traversal adds its own spherical harmonics.
+
+A traversal that was not trained on is shown as the source that its viewpoint names, the nearest one for instance.
+"""
+
+from __future__ import annotations
+
+from mirror_baselines.mtgs_style.learner import make
+from mirror_baselines.mtgs_style.settings import BY_HAND, RELEASED, TUNED, MtgsStyle
+
+__all__ = ["BY_HAND", "RELEASED", "TUNED", "MtgsStyle", "make"]

@@ -1,0 +1,86 @@
+"""Colours of MTGS: a traversal has its own higher bands, and a training picture its exposure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import torch
+from torch import Tensor
+from torch.optim import Optimizer
+
+from hybridworldsim.model.settings import Rate
+from hybridworldsim.training.viewpoint import Source, Viewpoint
+from mirror.errors import UsageError
+from mirror_baselines.splatting.look import Finished, Look
+from mirror_baselines.splatting.per_picture import PerPicture
+
+_IDENTITY: Final = torch.eye(3, 4)
+
+
+class TraversalLook(Look):
+    """Spherical harmonics with a part for each traversal: memory grows with their number.
+
+    Args:
+        sh_degree: of colours.
+        sources: whose pictures are trained on.
+        adapters: whether traversals differ in the constant band too.
+        exposure: learning rate of each training picture's 3 x 4 matrix; None: there are none.
+    """
+
+    def __init__(self, sh_degree: int, sources: Sequence[Source], *, adapters: bool, exposure: Rate | None) -> None:
+        super().__init__(sh_degree)
+        names = sorted({source.traversal_id for source in sources})
+        self._traversals = {name: place for place, name in enumerate(names)}
+        self._adapters, self._rate = adapters, exposure
+        self.exposures = PerPicture(sources, _IDENTITY.numel())
+
+    def tables(self, count: int) -> dict[str, Tensor]:
+        """See `Look`."""
+        rest = (self.sh_degree + 1) ** 2 - 1
+        found = {f"shN_{place}": torch.zeros(count, rest, 3) for place in self._traversals.values()}
+        if self._adapters:
+            found |= {f"adapter_{place}": torch.zeros(count, 1, 3) for place in self._traversals.values()}
+        return found
+
+    def bands(self, source: Source, degree: int) -> list[tuple[str, int, int]]:
+        """See `Look`.
+
+        Raises:
+            UsageError: the traversal was not trained on.
+        """
+        place = self._traversals.get(source.traversal_id)
+        if place is None:
+            raise UsageError(
+                f"no appearance of {source.traversal_id}",
+                expected=f"one of the {len(self._traversals)} traversals that were trained on",
+                remedy="render it as seen by the nearest of them",
+            )
+        found = [("sh0", 0, 1)]
+        if degree:
+            found.append((f"shN_{place}", 1, (degree + 1) ** 2))
+        if self._adapters:
+            found.append((f"adapter_{place}", 0, 1))
+        return found
+
+    def optimizers(self) -> list[Optimizer]:
+        """See `Look`."""
+        return [self.exposures.adam]
+
+    def prepare(self, viewpoint: Viewpoint, progress: float) -> None:
+        """See `Look`."""
+        if self._rate is not None:
+            self.exposures.adam.param_groups[0]["lr"] = self._rate.at(progress)
+            self.exposures.meet(viewpoint, _IDENTITY.flatten())
+
+    def learn(self, viewpoint: Viewpoint) -> None:
+        """See `Look`."""
+        self.exposures.learn(viewpoint)
+
+    def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> Finished:
+        """See `Look`; SSIM is of what no matrix has touched."""
+        row = self.exposures.row(viewpoint)
+        if row is None:
+            return Finished(rgb, rgb)
+        matrix = self.exposures.table[row].view(3, 4)
+        return Finished(rgb @ matrix[:, :3].T + matrix[:, 3], rgb)

@@ -1,0 +1,12 @@
+"""The MTGS-style method, as its entry point names it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from hybridworldsim.methods.static import StaticMethod
+from mirror_baselines.mtgs_style.learner import make
+from mirror_baselines.mtgs_style.settings import TUNED
+
+METHOD: Final = StaticMethod("mtgs_style", make, lambda seed: replace(TUNED, seed=seed))

@@ -1,0 +1,158 @@
+"""Explicit Gaussians that learn from pictures; a `hybridworldsim.training.learner.Learner`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.optim import SGD, Optimizer
+
+from hybridworldsim.rasterizer import rasterization
+from hybridworldsim.training.learner import Rendering, StepReport
+from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.state import dumped, load
+from hybridworldsim.training.viewpoint import Viewpoint
+from mirror_baselines.splatting.density import Density
+from mirror_baselines.splatting.look import Finished
+from mirror_baselines.splatting.losses import picture_losses, surface_losses
+from mirror_baselines.splatting.model import Gaussians
+from mirror_baselines.splatting.row_adam import RowAdam
+from mirror_baselines.splatting.settings import Splatting
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A picture with what the optimiser reads.
+
+    Attributes:
+        finished: colours.
+        alpha: (H, W).
+        depth_m: (H, W) expected.
+        rows: (M,) int64 of the tables that may be seen.
+        geometry: these rows of each table of geometry, leaves of which gradients are asked.
+        harmonics: (M, K, 3) of these rows, likewise.
+        meta: of the rasterizer, whose ``gaussian_ids`` are rows of the tables.
+    """
+
+    finished: Finished
+    alpha: Tensor
+    depth_m: Tensor
+    rows: Tensor
+    geometry: dict[str, Tensor]
+    harmonics: Tensor
+    meta: dict[str, Any]
+
+
+class SplattingLearner:
+    """Gaussians, their optimisers, and how their number changes.
+
+    Args:
+        model: what learns, changed in place.
+        settings: how.
+    """
+
+    def __init__(self, model: Gaussians, settings: Splatting) -> None:
+        self.model, self.settings = model, settings
+        self._adams = {name: RowAdam(table) for name, table in model.tables.items()}
+        self._density = Density(settings.densification, settings.seed, len(model))
+        self._steps = 0
+
+    def step(self, picture: TrainingPicture, progress: float) -> StepReport:
+        """Learn from one picture; see `Learner`."""
+        settings, look = self.settings, self.model.look
+        self.model.sh_degree.fill_(min(int(progress / settings.sh_step), settings.sh_degree))
+        for name, adam in self._adams.items():
+            adam.param_groups[0]["lr"] = getattr(settings.rates, name.split("_")[0]).at(progress)
+        look.prepare(picture.viewpoint, progress)
+        drawn = self._draw(picture.viewpoint, learning=True)
+        weights = settings.weights
+        losses = {
+            **picture_losses(drawn.finished, picture, weights),
+            **surface_losses(
+                drawn.depth_m, drawn.alpha, picture, weights, normals=self._steps % weights.normal_every == 0
+            ),
+            **look.losses(drawn.alpha, picture),
+        }
+        total = torch.stack([weight * loss for weight, loss in losses.values() if weight]).sum()
+        self._density.before(drawn.meta)
+        total.backward()
+        self._update(drawn, picture)
+        self._density.after(self.model.tables, self._adams, drawn.meta, progress)
+        self._steps += 1
+        return StepReport({name: float(loss.detach()) for name, (_, loss) in losses.items()}, len(self.model))
+
+    def _update(self, drawn: Drawn, picture: TrainingPicture) -> None:
+        for name, leaf in drawn.geometry.items():
+            if leaf.grad is not None:
+                self._adams[name].update(drawn.rows, leaf.grad)
+        if drawn.harmonics.grad is not None:
+            for name, first, past in self.model.look.bands(picture.viewpoint.source, int(self.model.sh_degree)):
+                self._adams[name].update(drawn.rows, drawn.harmonics.grad, 3 * first, 3 * (past - first))
+        self.model.look.learn(picture.viewpoint)
+
+    @property
+    def reads_depth(self) -> bool:
+        """See `Learner`."""
+        return bool(self.settings.weights.depth or self.settings.weights.normal)
+
+    @torch.no_grad()
+    def render(self, viewpoint: Viewpoint) -> Rendering:
+        """See `Learner`."""
+        drawn = self._draw(viewpoint, learning=False)
+        counts = {"held": len(self.model), "decoded": len(drawn.rows), "drawn": len(drawn.meta["gaussian_ids"])}
+        return Rendering(drawn.finished.rgb, drawn.alpha, drawn.depth_m, counts)
+
+    def _draw(self, viewpoint: Viewpoint, *, learning: bool) -> Drawn:
+        model, settings = self.model, self.settings
+        rows = model.seen(viewpoint)
+        geometry, harmonics = model.geometry(rows), model.harmonics(rows, viewpoint.source)
+        for leaf in (*geometry.values(), harmonics):
+            leaf.requires_grad_(learning)
+        pictures, alphas, meta = rasterization(
+            geometry["means"],
+            geometry["quats"],
+            geometry["scales"].exp(),
+            geometry["opacities"].sigmoid(),
+            harmonics,
+            viewpoint.viewmat[None],
+            viewpoint.K[None],
+            viewpoint.width_px,
+            viewpoint.height_px,
+            near_plane=settings.near_m,
+            sh_degree=int(model.sh_degree),
+            render_mode="RGB+ED",
+            rasterize_mode="antialiased" if settings.antialiased else "classic",
+            absgrad=settings.densification.absolute,
+            nonfinite="cull",
+        )
+        meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
+        alpha = alphas[0, ..., 0]
+        finished = model.look.finish(pictures[0, ..., :3], alpha, viewpoint)
+        return Drawn(finished, alpha, pictures[0, ..., 3], rows, geometry, harmonics, meta)
+
+    def state(self) -> dict[str, Tensor]:
+        """See `Learner`."""
+        moments = self._moments()
+        for one in self._optimizers():
+            moments.state.update(one.state)
+        return {"counters": torch.tensor([self._steps]), **self._density.state(), **dumped(self.model, moments)}
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """See `Learner`."""
+        moments = self._moments()
+        load(self.model, state, moments)
+        for one in self._optimizers():
+            for group in one.param_groups:
+                one.state.update({table: moments.state[table] for table in group["params"] if table in moments.state})
+        self._density.restore(state)
+        (self._steps,) = state["counters"].tolist()
+
+    def _optimizers(self) -> list[Optimizer]:
+        return [*self._adams.values(), *self.model.look.optimizers()]
+
+    def _moments(self) -> Optimizer:
+        """An optimiser of everything that only remembers: gsplat wants one for each table, checkpoints one in all."""
+        return SGD(self.model.parameters(), lr=0.0)

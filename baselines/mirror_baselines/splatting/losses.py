@@ -1,0 +1,71 @@
+"""Losses of a picture that Gaussians drew."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.model.curvature import normal_loss
+from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
+from hybridworldsim.training.picture import TrainingPicture
+from mirror_baselines.splatting.look import Finished
+from mirror_baselines.splatting.settings import Weights
+
+Weighted = dict[str, tuple[float, Tensor]]
+_SEEN = 0.5
+_NEAREST_M, _FARTHEST_M = 0.1, 80.0
+
+
+def picture_losses(finished: Finished, picture: TrainingPicture, weights: Weights) -> Weighted:
+    """Losses of colours by name: weight and value; ``rgb``, the mean square error, is always among them.
+
+    Args:
+        finished: what was drawn.
+        picture: what was taken.
+        weights: of the losses.
+    """
+    scored, taken = picture.scored, picture.rgb
+    share = 1.0 - weights.structure
+    losses: Weighted = {"rgb": (share, colour_loss(finished.rgb, taken, scored))}
+    if weights.pixelwise == "l1":
+        losses["rgb"] = (0.0, losses["rgb"][1].detach())
+        losses["l1"] = (share, _mean((finished.rgb - taken).abs().mean(2), scored))
+    if weights.structure:
+        losses["ssim"] = (weights.structure, structure_loss(finished.plain, taken, scored))
+    return losses
+
+
+def surface_losses(
+    depth_m: Tensor, alpha: Tensor, picture: TrainingPicture, weights: Weights, *, normals: bool
+) -> Weighted:
+    """Losses of depth and of normals, where the dataset has depth.
+
+    Args:
+        depth_m: (H, W) expected.
+        alpha: (H, W).
+        picture: what was taken.
+        weights: of the losses.
+        normals: whether this step has that of normals.
+    """
+    losses: Weighted = {}
+    if picture.depth_m is None or not (weights.depth or weights.normal):
+        return losses
+    stereo = picture.depth_m
+    known = (stereo > 0.0) & picture.scored & (alpha.detach() > _SEEN)
+    if weights.depth:
+        if weights.depth_kind == "share":
+            value = depth_loss(depth_m, stereo, known)
+        else:
+            near = known & (stereo > _NEAREST_M) & (stereo < _FARTHEST_M)
+            found, wanted = depth_m.clamp_min(_NEAREST_M), stereo.clamp_min(_NEAREST_M)
+            error = found - wanted if weights.depth_kind == "metres" else found.reciprocal() - wanted.reciprocal()
+            value = _mean(error.abs(), near)
+        losses["depth"] = (weights.depth, value)
+    if weights.normal and normals:
+        value = normal_loss(depth_m, stereo, known, picture.viewpoint.K)
+        losses["normal"] = (weights.normal * weights.normal_every, value)
+    return losses
+
+
+def _mean(values: Tensor, where: Tensor) -> Tensor:
+    return torch.where(where, values, 0.0).sum() / where.sum().clamp_min(1)

@@ -1,0 +1,71 @@
+"""Numbers that belong to one training picture: a picture is known by its source and its pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from hybridworldsim.training.viewpoint import Source, Viewpoint
+from mirror_baselines.splatting.row_adam import RowAdam
+
+_KEY = 17
+
+
+class PerPicture(nn.Module):
+    """A table with a row a picture, which grows as pictures are met.
+
+    Args:
+        sources: whose pictures there are.
+        size: numbers a picture.
+    """
+
+    def __init__(self, sources: Sequence[Source], size: int) -> None:
+        super().__init__()
+        self._sources = {source: place for place, source in enumerate(sources)}
+        self.table = nn.Parameter(torch.empty(0, size))
+        # Saved like all that rendering needs.
+        self.keys = nn.Parameter(torch.empty(0, _KEY), requires_grad=False)
+        self._rows: dict[bytes, int] = {}
+        self.adam = RowAdam(self.table)
+
+    def row(self, viewpoint: Viewpoint) -> int | None:
+        """That of a picture; None: it was not trained on."""
+        if len(self._rows) != len(self.keys):
+            self._rows = {key.tobytes(): row for row, key in enumerate(self.keys.numpy())}
+        key = self._key(viewpoint)
+        return None if key is None else self._rows.get(key.numpy().tobytes())
+
+    def meet(self, viewpoint: Viewpoint, first: Tensor) -> None:
+        """Give a picture a row unless it has one.
+
+        Args:
+            viewpoint: of the picture.
+            first: (size,) what its row is to be.
+        """
+        key = self._key(viewpoint)
+        if key is None or self.row(viewpoint) is not None:
+            return
+        longer = nn.Parameter(torch.cat([self.table.detach(), first[None]]))
+        moments = self.adam.state.pop(self.table, {})
+        for name in ("exp_avg", "exp_avg_sq"):
+            if name in moments:
+                moments[name] = torch.cat([moments[name], torch.zeros_like(first)[None]])
+        if moments:
+            self.adam.state[longer] = moments
+        self.adam.param_groups[0]["params"] = [longer]
+        self.table = longer
+        self._rows[key.numpy().tobytes()] = len(self.keys)
+        self.keys = nn.Parameter(torch.cat([self.keys, key[None]]), requires_grad=False)
+
+    def learn(self, viewpoint: Viewpoint) -> None:
+        """Take a step on a picture's row."""
+        row = self.row(viewpoint)
+        if row is not None and self.table.grad is not None:
+            self.adam.update(torch.tensor([row]), self.table.grad[row][None])
+        self.table.grad = None
+
+    def _key(self, viewpoint: Viewpoint) -> Tensor | None:
+        place = self._sources.get(viewpoint.source)
+        return None if place is None else torch.cat([torch.tensor([float(place)]), viewpoint.viewmat.flatten()])

@@ -1,0 +1,33 @@
+"""Settings with all learning rates, or all numbers of Gaussians, times something: the cells of the tuning's grid."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, TypeVar
+
+from hybridworldsim.model.settings import Rate
+from mirror_baselines.splatting.settings import Splatting
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_T = TypeVar("_T", bound="DataclassInstance")
+_Settings = TypeVar("_Settings", bound=Splatting)
+
+
+def scaled(settings: _Settings, rates: float, sizes: float) -> _Settings:
+    """Settings with all learning rates and all numbers of Gaussians times something."""
+    seeding, density = settings.seeding, settings.densification
+    return replace(
+        faster(settings, rates),
+        rates=faster(settings.rates, rates),
+        seeding=replace(seeding, most=round(sizes * seeding.most)),
+        densification=replace(density, most=round(sizes * density.most)),
+    )
+
+
+def faster(settings: _T, times: float) -> _T:
+    """A dataclass whose learning rates are times something."""
+    own = {field.name: getattr(settings, field.name) for field in fields(settings)}
+    rates = {name: rate for name, rate in own.items() if isinstance(rate, Rate)}
+    return replace(settings, **{name: Rate(times * rate.first, times * rate.last) for name, rate in rates.items()})

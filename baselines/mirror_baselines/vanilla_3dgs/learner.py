@@ -1,0 +1,20 @@
+"""A learner of vanilla 3DGS."""
+
+from __future__ import annotations
+
+from hybridworldsim.model.seeding import Initial
+from mirror_baselines.splatting.learner import SplattingLearner
+from mirror_baselines.splatting.look import Look
+from mirror_baselines.splatting.model import Gaussians
+from mirror_baselines.splatting.seeding import seeded
+from mirror_baselines.splatting.settings import Splatting
+
+
+def make(initial: Initial, settings: Splatting) -> SplattingLearner:
+    """A model that has seen no picture yet.
+
+    Args:
+        initial: what is known of the block.
+        settings: `RELEASED`, `TUNED` or others.
+    """
+    return SplattingLearner(Gaussians(seeded(initial, settings.seeding), Look(settings.sh_degree)), settings)

@@ -1,0 +1,12 @@
+"""3D Gaussian splatting as published, as its entry point names it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from hybridworldsim.methods.static import StaticMethod
+from mirror_baselines.vanilla_3dgs.learner import make
+from mirror_baselines.vanilla_3dgs.settings import TUNED
+
+METHOD: Final = StaticMethod("vanilla_3dgs", make, lambda seed: replace(TUNED, seed=seed))

@@ -1,0 +1,69 @@
+"""From recorded pictures and masks to the raster in which renders are compared."""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+
+from mirror.arrays import Bool, UInt8
+from mirror.dataset.raster import ImageRaster
+from mirror.protocols.document import Pixels
+from mirror.protocols.views.final_camera import final_camera, full_camera
+from mirror.arrays import Bool, Float32, UInt8
+from mirror.geometry.cameras import Camera
+from mirror.protocols.document import Pixels
+from mirror.protocols.views.final_camera import final_camera, full_camera
+
+_HELD = 64
+
+
+class Raster:
+    """Takes pictures of one lens into the final raster: first undistorted, then scaled down.
+
+    Args:
+        camera: as recorded.
+        pixels: the protocol's.
+    """
+
+    def __init__(self, camera: Camera, pixels: Pixels) -> None:
+        self._pixels = pixels
+        self.final = final_camera(camera, pixels)
+        self._raster = ImageRaster(camera, full_camera(camera, pixels), self.final)
+        self._size = (self.final.width_px, self.final.height_px)
+        self._smaller = self._size != (self._raster.full.width_px, self._raster.full.height_px)
+
+    def picture(self, recorded: UInt8) -> UInt8:
+        """A recorded picture (H, W, 3) in the final raster; black where the lens sees nothing."""
+        return self._raster.image(recorded)
+
+    def excluded(self, recorded: Bool) -> Bool:
+        """A mask (H, W) of recorded pixels that are not scored, in the final raster.
+
+        An undistorted pixel is excluded if any of the recorded ones that it is interpolated from is.
+        """
+        mask = recorded.astype(np.float32)
+        if self._raster.maps is not None:
+            mask = np.asarray(cv2.remap(mask, *self._raster.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        return self._scaled(mask > 0.0)
+
+    @cached_property
+    def unseen(self) -> Bool:
+        """(H, W) True where the lens sees nothing, or a pixel would be interpolated across the recorded border."""
+        return self._scaled(self._raster.outside)
+
+    def _scaled(self, excluded: Bool) -> Bool:
+        if not self._smaller:
+            return excluded
+        if self._pixels.mask_resize == "nearest":
+            return np.asarray(
+                cv2.resize(excluded.astype(np.uint8), self._size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+            )
+        return np.asarray(cv2.resize(excluded.astype(np.float32), self._size, interpolation=cv2.INTER_AREA) > 0.0)
+
+
+@lru_cache(_HELD)
+def raster_of(camera: Camera, pixels: Pixels) -> Raster:
+    """The raster of a lens; a few are held, with their maps."""
+    return Raster(camera, pixels)

@@ -1,0 +1,109 @@
+"""Reads the truth of views: of a dataset's recorded pictures, or of hidden ones that an organiser keeps."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from mirror.arrays import Bool, UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.frames import Frame, FrameSequence, Image
+from mirror.errors import DatasetError
+from mirror.protocols.document import Protocol
+from mirror.protocols.png import RenderError, decode_render
+from mirror.protocols.truth.raster import raster_of
+from mirror.protocols.truth.scored import scored_pixels
+from mirror.protocols.views.view import View
+
+_HELD: Final = 16
+"""Traversals whose frames are held open: training asks for pictures of all in any order."""
+
+
+class TruthSource:
+    """The truth of views, read one by one; only what a view needs.
+
+    Args:
+        dataset: with the recorded pictures.
+        protocol: what is asked.
+        layers: of masks and boxes, by traversal.
+        hidden: folder of an organiser's pictures in the layout of a submission; None: the dataset's own. Moved or
+            edited views have no recorded truth.
+    """
+
+    def __init__(
+        self, dataset: Dataset, protocol: Protocol, layers: dict[str, tuple[str, ...]], hidden: Path | None = None
+    ) -> None:
+        self._dataset, self._protocol, self._layers, self._hidden = dataset, protocol, layers, hidden
+        self._traversals: OrderedDict[str, tuple[FrameSequence, dict[int, int]]] = OrderedDict()
+        self._frame: tuple[str, Frame] | None = None
+
+    def picture(self, view: View) -> UInt8:
+        """The true picture (H, W, 3), RGB, in the view's raster.
+
+        Raises:
+            DatasetError: it is missing or broken.
+        """
+        if self._hidden is not None:
+            try:
+                return decode_render(_read_hidden(self._hidden, view), view.width_px, view.height_px, view.path)
+            except RenderError as error:
+                # Not the submission's fault.
+                raise DatasetError(
+                    f"the true picture is broken ({error.problem})", file=self._hidden / view.path, place="--hidden"
+                ) from error
+        _, image = self.recorded(view)
+        return raster_of(image.camera_model, self._protocol.pixels).picture(image.decode())
+
+    def scored(self, view: View) -> Bool:
+        """The pixels (H, W) that are scored; see `scored_pixels`."""
+        frame, image = self.recorded(view)
+        return scored_pixels(self._protocol, view, frame, image, self._layers.get(view.traversal_id, ()))
+
+    def identity(self, view: View) -> str:
+        """A hash that changes when the true picture does, had without decoding it."""
+        if self._hidden is not None:
+            return hashlib.sha256(_read_hidden(self._hidden, view)).hexdigest()
+        _, image = self.recorded(view)
+        if image.sha256 is not None:
+            return image.sha256.hex()
+        return hashlib.sha256(f"{image.uri} {image.video_pts} {image.byte_length}".encode()).hexdigest()
+
+    def recorded(self, view: View) -> tuple[Frame, Image]:
+        """The frame and the recorded picture that a view was made of.
+
+        Raises:
+            DatasetError: the dataset does not have it.
+        """
+        name = view.traversal_id
+        if name not in self._traversals:
+            own = self._dataset.where(traversal=name)
+            numbers: Sequence[int] = own.table("frames", ["frame_index"]).column(0).to_pylist()
+            self._traversals[name] = own.frames(), {number: at for at, number in enumerate(numbers)}
+            if len(self._traversals) > _HELD:
+                self._traversals.popitem(last=False)
+        self._traversals.move_to_end(name)
+        if self._frame is None or (self._frame[0], self._frame[1].frame_index) != (name, view.frame_index):
+            frames, positions = self._traversals[name]
+            self._frame = name, frames[positions[view.frame_index]]
+        frame = self._frame[1]
+        image = frame.images.get(view.camera)
+        if image is None or image.timestamp_ns != view.timestamp_ns:
+            raise DatasetError(
+                f"no picture of camera {view.camera} at {view.timestamp_ns}",
+                file=self._dataset.root,
+                place=f"frame {view.frame_index} of {view.traversal_id}",
+            )
+        return frame, image
+
+
+def _read_hidden(hidden: Path, view: View) -> bytes:
+    path = hidden / view.path
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise DatasetError(
+            f"cannot be read: {error.strerror}", file=path, expected="the true picture of a moved or edited view"
+        ) from error

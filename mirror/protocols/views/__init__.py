@@ -1,0 +1,8 @@
+"""What a submission is asked for: views, their cameras and edits."""
+
+from __future__ import annotations
+
+from mirror.protocols.views.plan import Plan, plan_views
+from mirror.protocols.views.view import Edit, View
+
+__all__ = ["Edit", "Plan", "View", "plan_views"]

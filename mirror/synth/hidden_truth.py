@@ -1,0 +1,145 @@
+"""True pictures of moved cameras of a synthetic street: what an organiser keeps, and nobody recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError, UsageError
+from mirror.geometry.poses import Poses
+from mirror.metrics.images.psnr import psnr
+from mirror.protocols.png import encode_png
+from mirror.protocols.truth.hidden import HIDDEN, hidden_document
+from mirror.protocols.truth.raster import raster_of
+from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.views.plan import Plan, require_group
+from mirror.protocols.views.view import View
+from mirror.schema.files import write_bytes, write_json
+
+if TYPE_CHECKING:
+    from mirror.synth.fleet.drive import SynthDrive
+    from mirror.synth.render.scene import Instant
+    from mirror.synth.writing.shots import Shots
+
+_LEAST_DB: Final = 28.0
+"""What is rendered again of a recorded picture differs from it by what JPEG loses: 35 dB and more are usual, and
+another street has 20 dB at most."""
+
+
+def write_hidden_truth(
+    dataset: Dataset,
+    plan: Plan,
+    preset: str,
+    seed: int,
+    out: Path,
+    advance: Callable[[int], None] = lambda _: None,
+) -> int:
+    """Render the truth of a plan's views, in the layout of a submission.
+
+    The street is rendered from the true pose of each picture, moved as the view's group says; the vehicle itself moves
+    with its cameras. The picture is then taken into the view's raster by the dataset's calibration, as recorded ones
+    are: what that is off by is part of the truth of both. First a recorded picture of each traversal is rendered where
+    it was taken, and must be what was recorded: so another preset or seed is noticed. ``hidden.json`` says what the
+    pictures are of, and is written last.
+
+    Args:
+        dataset: of recordings that ``mirror synth`` wrote.
+        plan: which views; their groups move cameras and nothing else.
+        preset: that the recordings were made with.
+        seed: that the recordings were made with.
+        out: a new or an empty folder.
+        advance: told of each view.
+
+    Returns:
+        How many pictures were written.
+
+    Raises:
+        UsageError: a group edits vehicles, the folder holds something, or there is no such preset or drive.
+        DatasetError: a picture is not one of the preset and seed, or the folder cannot be written.
+    """
+    if any(group.vehicle_shift_m is not None or group.without_vehicles for group in plan.protocol.groups):
+        raise UsageError(f"protocol {plan.protocol.name} edits vehicles", expected="one that only moves cameras")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
+    table = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
+    drives = {row["traversal_id"]: row["drive_id"] for row in table}
+    truth = TruthSource(dataset, plan.protocol, plan.layers)
+    # Neighbours in time share what stands where.
+    ordered = sorted(plan.views, key=lambda one: (one.traversal_id, one.timestamp_ns, one.group))
+    for view in {one.traversal_id: one for one in reversed(ordered)}.values():
+        _require_recorded(view, truth, preset, seed, drives[view.traversal_id])
+    for view in ordered:
+        _, image = truth.recorded(view)
+        shift_m = require_group(plan.protocol, view.group).ego_shift_m
+        recorded = _rendered(view, shift_m, preset, seed, drives[view.traversal_id])
+        pixels = raster_of(image.camera_model, plan.protocol.pixels).picture(recorded)
+        write_bytes(out / view.path, encode_png(pixels))
+        advance(1)
+    write_json(out / HIDDEN, hidden_document(plan, preset, seed))
+    return len(plan.views)
+
+
+def _require_recorded(view: View, truth: TruthSource, preset: str, seed: int, drive_id: str) -> None:
+    """A picture that is rendered where it was taken is the one that was recorded."""
+    there = truth.recorded(view)[1].decode()
+    again = _rendered(view, 0.0, preset, seed, drive_id)
+    alike = float(psnr(again, there)) if again.shape == there.shape else None
+    if alike is None or alike < _LEAST_DB:
+        sizes = " and ".join(f"{one.shape[1]} x {one.shape[0]} px" for one in (again, there))
+        raise DatasetError(
+            f"drive {drive_id} of preset {preset}, seed {seed}, is not what was recorded "
+            + (f"({sizes})" if alike is None else f"({alike:.1f} dB)"),
+            place=f"camera {view.camera} at {view.timestamp_ns}",
+            expected="the preset and seed that the recordings were made with, and their effects and errors",
+        )
+
+
+def _rendered(view: View, shift_m: float, preset: str, seed: int, drive_id: str) -> UInt8:
+    """What the camera would have recorded so far to its vehicle's left, RGB."""
+    drive, shots = _drive(preset, seed, drive_id)
+    stamps = shots.recorded_ns.get(view.camera, np.empty(0, np.int64))
+    at = np.flatnonzero(stamps == view.timestamp_ns)
+    if not len(at):
+        raise DatasetError(
+            f"drive {drive_id} of preset {preset}, seed {seed}, has no picture at {view.timestamp_ns}",
+            place=f"camera {view.camera}",
+            expected="the preset and seed that the recordings were made with",
+        )
+    true_ns = int(shots.true_ns[view.camera][at[0]])
+    aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, shift_m, 0.0]]))
+    instant = _instant(preset, seed, drive_id, true_ns, shift_m)
+    world_SE3_ego = drive.world_SE3_ego(np.array([true_ns])) @ aside
+    picture = drive.stage.picture(
+        instant,
+        drive.lenses[view.camera],
+        world_SE3_ego @ drive.vehicle.ego_SE3_camera[view.camera],
+        look=drive.looks[view.camera],
+        seed=true_ns % (1 << 31),
+        drops=drive.drops.get(view.camera),
+    )
+    return np.ascontiguousarray(picture.bgr[..., ::-1])
+
+
+@lru_cache(2)
+def _drive(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, Shots]:
+    from mirror.synth.fleet.drives import drive_named
+    from mirror.synth.writing.shots import shots_of
+
+    drive = drive_named(preset, seed, drive_id)
+    drive.prepare()
+    return drive, shots_of(drive, drive.preset.errors)
+
+
+@lru_cache(8)
+def _instant(preset: str, seed: int, drive_id: str, true_ns: int, shift_m: float) -> Instant:
+    """All that there is, with the recording vehicle beside where it was."""
+    drive, _ = _drive(preset, seed, drive_id)
+    stamps = np.array([true_ns])
+    aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, shift_m, 0.0]]))
+    return drive.stage.at(float(drive.seconds(stamps)[0]), drive.world_SE3_ego(stamps) @ aside)

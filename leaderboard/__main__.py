@@ -11,7 +11,7 @@ from typing import Final
 import tyro
 
 from leaderboard.refused import RefusedError
-from mirror.cli.arguments import parsed
+from mirror.command_line import parsed
 from mirror.errors import ExitCode, MirrorError, UsageError
 
 FOLDER: Final = Path(__file__).parent

@@ -10,7 +10,7 @@ from typing import Literal
 
 import tyro
 
-from mirror.cli.arguments import parsed
+from mirror.command_line import parsed
 from mirror.errors import ExitCode, UsageError
 
 

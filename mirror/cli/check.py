@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.cli.arguments import parsed
+from mirror.command_line import parsed
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def main(argv: Sequence[str]) -> int:
     if arguments.quick and arguments.full:
         raise UsageError("--quick and --full at once", expected="one of them, or neither")
 
+    from mirror.dataset.check import Cost, check
     from mirror.progress import progress_bar
 
     cost = Cost.TABLES if arguments.quick else Cost.PICTURES if arguments.full else Cost.FILES

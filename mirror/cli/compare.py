@@ -9,7 +9,7 @@ from pathlib import Path
 
 import tyro
 
-from mirror.cli.arguments import parsed
+from mirror.command_line import parsed
 from mirror.errors import ExitCode
 
 _UNBOUNDED = 1000

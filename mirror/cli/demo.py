@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from mirror.cli.arguments import parsed
+from mirror.command_line import parsed
 from mirror.errors import ExitCode, UsageError
 
 _LEADERBOARD: Final = Path(__file__).parents[2] / "leaderboard"

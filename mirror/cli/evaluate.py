@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.cli.arguments import local_path, parsed
+from mirror.command_line import local_path, parsed
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:

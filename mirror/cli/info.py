@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.cli.arguments import parsed
 from mirror.cli.ingest import reader_options
+from mirror.command_line import parsed
 from mirror.errors import DatasetError, ExitCode
 
 if TYPE_CHECKING:

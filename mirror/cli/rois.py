@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.cli.arguments import parsed
 from mirror.cli.ingest import Cleaning, Trigger, given, reader_options
+from mirror.command_line import parsed
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:

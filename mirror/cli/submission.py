@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from mirror.cli.arguments import parsed_of
+from mirror.command_line import parsed_of
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:

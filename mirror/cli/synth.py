@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from mirror.cli.arguments import parsed
+from mirror.command_line import parsed
 from mirror.errors import ExitCode
 
 

@@ -10,7 +10,7 @@ import tyro
 
 from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.options import Options
-from mirror.cli.arguments import parsed
+from mirror.command_line import parsed
 from mirror.errors import ExitCode, MirrorError
 
 

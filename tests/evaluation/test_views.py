@@ -7,19 +7,12 @@ import pytest
 
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
-from mirror.protocols.document import Frames, Pixels, load_protocol
-from mirror.protocols.truth.raster import Raster
-from mirror.protocols.views import plan_views
-from mirror.protocols.views.final_camera import final_camera
-from mirror.protocols.views.plan import chosen_frames, render_path
-from mirror.protocols.views.view import pose_of
 from mirror.geometry.cameras import Camera, undistorted
-from mirror.geometry.cameras import Camera
 from mirror.geometry.quaternions import matrix_from_quaternion
 from mirror.protocols.document import Frames, Pixels, load_protocol
 from mirror.protocols.truth.raster import Raster
 from mirror.protocols.views import plan_views
-from mirror.protocols.views.final_camera import final_camera, undistorted
+from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.plan import chosen_frames, render_path
 from mirror.protocols.views.view import pose_of
 from tests.evaluation.submissions import SPLIT, small

@@ -9,9 +9,6 @@ import numpy as np
 
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.raster import ImageRaster
-from mirror.protocols.document import Pixels
-from mirror.protocols.views.final_camera import final_camera, full_camera
-from mirror.arrays import Bool, Float32, UInt8
 from mirror.geometry.cameras import Camera
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import final_camera, full_camera

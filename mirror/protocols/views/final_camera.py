@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from mirror.protocols.document import Pixels
 from mirror.geometry.cameras import Camera, undistorted
-import numpy as np
-
-from mirror.arrays import Float64
-from mirror.errors import DatasetError
-from mirror.geometry.cameras import Camera
 from mirror.protocols.document import Pixels
 
 _BORDER_POINTS = 256

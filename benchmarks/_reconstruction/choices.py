@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import ModuleType
 from typing import Any, Final
 
 from hybridworldsim.model.settings import Settings
@@ -15,6 +16,11 @@ AS_TUNED: Final = "as-tuned"
 """Nothing taken back: the tuned settings once more, within the hours of the others."""
 
 
+def name_of(package: ModuleType) -> str:
+    """The name of a baseline: that of its package."""
+    return package.__name__.rpartition(".")[2]
+
+
 def _absolute_errors(settings: Any) -> Any:
     released = Weights()
     colours = {"structure": released.structure, "pixelwise": released.pixelwise}
@@ -22,7 +28,7 @@ def _absolute_errors(settings: Any) -> Any:
 
 
 CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
-    vanilla_3dgs.__name__: {
+    name_of(vanilla_3dgs): {
         AS_TUNED: lambda settings: settings,
         "l1": _absolute_errors,
         "no-depth": lambda settings: replace(settings, weights=replace(settings.weights, depth=0.0)),
@@ -30,7 +36,7 @@ CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
             settings, densification=replace(settings.densification, resets=vanilla_3dgs.RELEASED.densification.resets)
         ),
     },
-    mtgs_style.__name__: {
+    name_of(mtgs_style): {
         AS_TUNED: lambda settings: settings,
         "l1": _absolute_errors,
         "exposure": lambda settings: replace(settings, exposure=mtgs_style.RELEASED.exposure),
@@ -45,7 +51,7 @@ CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
             ),
         ),
     },
-    omnire_style.__name__: {
+    name_of(omnire_style): {
         AS_TUNED: lambda settings: settings,
         "l1": _absolute_errors,
         "degree3": lambda settings: replace(settings, sh_degree=omnire_style.RELEASED.sh_degree),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias
 
 from benchmarks._reconstruction.arguments import Arguments, GroupName
-from benchmarks._reconstruction.choices import choice
+from benchmarks._reconstruction.choices import choice, name_of
 from benchmarks._reconstruction.declared import Declared
 from benchmarks._reconstruction.job import Job
 from benchmarks._reconstruction.methods import AGAIN, OURS, RIVALS, SINGLE, SMALL_EXPOSED, STRUCTURE, entries, trials
@@ -20,7 +20,7 @@ COMPARISON: Final = "comparison"
 TUNING: Final = "tuning"
 """Group of the trials, and folder of theirs."""
 
-_TUNED: Final = tuple(f"{package.__name__}-tuned" for package in RIVALS)
+_TUNED: Final = tuple(f"{name_of(package)}-tuned" for package in RIVALS)
 _MTGS: Final = "mtgs_style-tuned"
 _EXPOSED: Final = choice("mtgs_style", "exposure")
 """The one choice that MTGS-style is better without: each training picture has its exposure, as released."""
@@ -86,8 +86,8 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
     grid = declaration.tuning
     return {
         COMPARISON: whole,
-        "bytes": replace(whole, rows=(*(f"{package.__name__}-bytes" for package in RIVALS), SMALL_EXPOSED)),
-        "released": replace(once, rows=tuple(f"{package.__name__}-released" for package in RIVALS)),
+        "bytes": replace(whole, rows=(*(f"{name_of(package)}-bytes" for package in RIVALS), SMALL_EXPOSED)),
+        "released": replace(once, rows=tuple(f"{name_of(package)}-released" for package in RIVALS)),
         "ablation": replace(
             once,
             rows=(

@@ -9,7 +9,7 @@ from functools import cache, partial
 from itertools import product
 from typing import Any, Final
 
-from benchmarks._reconstruction.choices import CHOICES, OWN, choice
+from benchmarks._reconstruction.choices import CHOICES, OWN, choice, name_of
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.scaled import scaled_street
 from benchmarks._reconstruction.small import as_small
@@ -75,11 +75,11 @@ def entries() -> Mapping[str, Entry]:
         Entry(OURS, _street(_same)),
         Entry(STRUCTURE, _street(_with_structure)),
         *(
-            Entry(f"{package.__name__}-{label}", _explicit(package, settings))
+            Entry(f"{name_of(package)}-{label}", _explicit(package, settings))
             for package in RIVALS
             for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
         ),
-        *(Entry(f"{package.__name__}-bytes", _explicit(package, as_small(package.TUNED))) for package in RIVALS),
+        *(Entry(f"{name_of(package)}-bytes", _explicit(package, as_small(package.TUNED))) for package in RIVALS),
         Entry(SMALL_EXPOSED, _explicit(mtgs_style, _exposed(as_small(mtgs_style.TUNED)))),
         *(Entry(name, _street(change)) for name, change in _ABLATIONS.items()),
         Entry("two-blocks", replace(_street(_same), block_m=_TWO_BLOCKS_M)),
@@ -114,11 +114,11 @@ def _trials() -> Iterator[Entry]:
     for name, change in OWN.items():
         yield Entry(choice(OURS, name), _street(change))
     for package in RIVALS:
-        for rates, sizes in (*cells, *WIDER[package.__name__]):
+        for rates, sizes in (*cells, *WIDER[name_of(package)]):
             settings = scaled(package.BY_HAND, rates, sizes)
-            yield Entry(trial(package.__name__, rates, sizes), _explicit(package, settings))
-        for name, change in CHOICES[package.__name__].items():
-            yield Entry(choice(package.__name__, name), _explicit(package, change(package.TUNED)))
+            yield Entry(trial(name_of(package), rates, sizes), _explicit(package, settings))
+        for name, change in CHOICES[name_of(package)].items():
+            yield Entry(choice(name_of(package), name), _explicit(package, change(package.TUNED)))
 
 
 def _as_many_bytes(settings: Settings) -> Refinement:
@@ -132,7 +132,7 @@ def _with_structure(settings: Settings) -> Settings:
 
 
 def _exposed(settings: Any) -> Any:
-    return CHOICES[mtgs_style.__name__]["exposure"](settings)
+    return CHOICES[name_of(mtgs_style)]["exposure"](settings)
 
 
 def _same(settings: Settings) -> Settings:
@@ -153,5 +153,5 @@ def _street(change: Callable[[Settings], Settings]) -> StaticMethod:
 
 def _explicit(package: Any, settings: Any) -> StaticMethod:
     return StaticMethod(
-        package.__name__, package.make, lambda seed: replace(settings, seed=seed), sky=package is omnire_style
+        name_of(package), package.make, lambda seed: replace(settings, seed=seed), sky=package is omnire_style
     )

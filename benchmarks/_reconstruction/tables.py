@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t
 
-from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, OWN, choice
+from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, OWN, choice, name_of
 from benchmarks._reconstruction.declared import Tuning
 from benchmarks._reconstruction.job import OUTCOMES, Job, read_outcome
 from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, entries, trial
@@ -121,7 +121,7 @@ def differences(found: Sequence[Outcome], ours: str, rows: Iterable[str], names:
 
 def tuned(found: Sequence[Outcome], grid: Tuning) -> str:
     """Markdown: of each cell of the grid and method training PSNR and PSNR*; the best sum of a method is bold."""
-    methods = [OURS, *(package.__name__ for package in RIVALS)]
+    methods = [OURS, *(name_of(package) for package in RIVALS)]
     cells = [(rates, sizes) for rates in grid.rates for sizes in grid.sizes]
     cells += dict.fromkeys(cell for wider in WIDER.values() for cell in wider)
     known = {one.job.entry: (one.figures["train PSNR"], one.figures["novel PSNR*"]) for one in found}

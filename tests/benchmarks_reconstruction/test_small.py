@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks._reconstruction.choices import name_of
 from benchmarks._reconstruction.methods import RIVALS
 from benchmarks._reconstruction.small import as_small, numbers_of
 from hybridworldsim.model.seeding import Initial, street_of
@@ -43,7 +44,7 @@ def test_numbers_of_our_model(initial: Initial) -> None:
     assert numbers_of(full) == numbers(street) - numbers(street.appearance)
 
 
-@pytest.mark.parametrize("package", RIVALS, ids=lambda package: package.__name__)
+@pytest.mark.parametrize("package", RIVALS, ids=lambda package: name_of(package))
 def test_rivals_come_to_our_bytes(package: Any, initial: Initial) -> None:
     settings = as_small(package.TUNED)
     counts, sizes = [], []

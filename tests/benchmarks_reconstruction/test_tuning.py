@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, OWN, choice
+from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, OWN, choice, name_of
 from benchmarks._reconstruction.declared import declared
 from benchmarks._reconstruction.job import Job
 from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, trial, trials
@@ -19,7 +19,7 @@ from mirror_baselines import mtgs_style, omnire_style
 from mirror_baselines.splatting.scaled import scaled
 
 GRID = declared().tuning
-METHODS = ("ours", *(package.__name__ for package in RIVALS))
+METHODS = ("ours", *(name_of(package) for package in RIVALS))
 
 
 def test_every_method_tries_every_cell_and_rivals_what_they_were_released_with() -> None:
@@ -55,13 +55,13 @@ def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
 
 def test_ours_has_no_more_trials_than_any_rival() -> None:
     count = {name: sum(row.startswith(f"{name}+") for row in trials()) for name in METHODS}
-    assert all(count["ours"] <= count[package.__name__] for package in RIVALS)
+    assert all(count["ours"] <= count[name_of(package)] for package in RIVALS)
 
 
 @pytest.mark.parametrize("package", RIVALS)
 def test_a_choice_takes_back_what_was_released_and_nothing_else(package: ModuleType) -> None:
     tuned_ones, released = (flat(asdict(settings)) for settings in (package.TUNED, package.RELEASED))
-    for name, change in CHOICES[package.__name__].items():
+    for name, change in CHOICES[name_of(package)].items():
         changed = flat(asdict(change(package.TUNED)))
         # A rate that there is not is one name where it was two.
         differing = {key for key in changed.keys() | tuned_ones.keys() if changed.get(key) != tuned_ones.get(key)}

@@ -31,10 +31,10 @@ from mirror.metrics.boxes.raster import polygon_mask
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.png import encode_png
-from mirror.protocols.truth import synthetic
 from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, hidden_document
 from mirror.protocols.views import View, plan_views
 from mirror.schema.files import read_json, write_json
+from mirror.synth import hidden_truth as synthetic
 from mirror.synth.hidden_truth import write_hidden_truth
 from tests.evaluation.submissions import SPLIT, small, write_renders
 

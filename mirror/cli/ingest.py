@@ -54,6 +54,8 @@ class Cleaning:
     """What noise alone may do (5)."""
     backward_time: Literal["sort", "refuse"] | None = None
     """What to do with time that runs backward (sort)."""
+    max_bad_rows: float | None = None
+    """A drive of which a larger share of rows makes no pose is refused (0.01)."""
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,7 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
         "images": report.images,
         "bytes": report.bytes,
         "linked": report.linked,
+        "images_without_pose": report.without_pose,
         "failures": [{"recording": str(path), **error.to_dict()} for path, error in report.failures],
     }
 
@@ -219,6 +222,10 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
         )
     if report.drives:
         console.print(table)
+    for drive_id, drive in sorted(report.drives.items()):
+        if drive.cleaning.bad_rows:
+            counts = ", ".join(f"{reason} {count}" for reason, count in drive.cleaning.bad_rows.items())
+            console.print(f"{drive_id}: rows that make no pose were dropped: {counts}", highlight=False, markup=False)
     if report.unchanged:
         console.print(f"{len(report.unchanged)} drives unchanged, nothing to do for them")
     for path, error in report.failures:
@@ -239,4 +246,9 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
     console.print(
         f"{done} traversals, {report.images:,} pictures ({report.bytes / 1e6:,.1f} MB, {report.linked:,} as hard links)"
     )
+    if report.without_pose:
+        console.print(
+            f"{report.without_pose:,} images were left out: they were taken in gaps of the poses over --max-gap,"
+            " or where the track broke off"
+        )
     console.print(f"dataset: {out}")

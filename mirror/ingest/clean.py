@@ -1,6 +1,7 @@
 """Cleaning of recorded fixes before the trigger sees them; everything that is removed is counted.
 
-In one pass, in time order:
+Rows that make no pose are no longer in the track (`mirror.recordings.bad_rows`): they are only counted. In one pass, in
+time order:
 
 - fixes that are not finite or off the globe are dropped (``invalid``);
 - of equal stamps the first stays (``duplicate_time``); a fix earlier than one before it is sorted in, or the drive is
@@ -34,6 +35,8 @@ _AGREEING = 3
 # The fate of a fix. What is kept comes first, so that one comparison tells: KEPT, or kept as the start of a new track.
 KEPT, RESTART, _INVALID, _DUPLICATE, _REPEATED, _OUTLIER = range(6)
 _SCALE_REFRESH_DEG = 0.005
+# Farther from the origin of a local metric frame no vehicle can be.
+LOCAL_LIMIT_M = 1e9
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,8 @@ def clean(track: Track, options: CleaningOptions, *, min_step_m: float = 0.5) ->
     if not len(stamps) == len(first) == len(second):
         raise RecordingError(f"{len(stamps)} stamps but {len(first)} and {len(second)} coordinates", file=track.file)
     if not len(stamps):
+        if track.bad is not None:
+            raise track.bad.first
         raise RecordingError("no pose at all", file=track.file, expected="at least one pose")
 
     order: Int64 | None = None
@@ -117,9 +122,11 @@ def clean(track: Track, options: CleaningOptions, *, min_step_m: float = 0.5) ->
     )
     counts = [int(count) for count in _count(fate)]
     report = CleaningReport(
-        poses=len(stamps),
+        poses=len(stamps) + (len(track.bad) if track.bad else 0),
         kept=counts[KEPT] + counts[RESTART],
+        bad_rows=track.bad.counts() if track.bad else {},
         invalid=counts[_INVALID],
+        missing=int(np.count_nonzero(np.isnan(first) | np.isnan(second))),
         backward_time=backward,
         duplicate_time=counts[_DUPLICATE],
         repeated=counts[_REPEATED],
@@ -166,7 +173,7 @@ def _backward(stamps: Int64) -> tuple[int, int]:
 def _usable(first: float, second: float, geodetic: bool) -> bool:
     if geodetic:
         return abs(first) <= 180.0 and abs(second) <= 90.0
-    return abs(first) < 1e9 and abs(second) < 1e9
+    return abs(first) < LOCAL_LIMIT_M and abs(second) < LOCAL_LIMIT_M
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -14,7 +14,7 @@ from mirror.errors import RecordingError
 from mirror.ingest.judge import JudgedDrive
 from mirror.ingest.replace import publish, sealing_folder
 from mirror.ingest.tables import pass_table
-from mirror.ingest.traversal import traversal_id
+from mirror.ingest.traversal import images_without_pose, traversal_id
 from mirror.ingest.weather import weather_from_traversals
 from mirror.recordings.protocol import Recording
 from mirror.schema.documents import DriveDocument, Rig, RigCamera
@@ -108,6 +108,7 @@ def seal_drive(
         start_ns=drive.start_ns,
         end_ns=drive.end_ns,
         cleaning=drive.cleaning,
+        images_without_pose=sum(images_without_pose(drive, number) for number in drive.slices),
     )
     weather = weather_from_traversals(layout, drive, names, weather_plugin) if weather_plugin else {}
     ledger = encode_table(pass_table(drive, names, weather, weather_plugin), PASSES)

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
-from mirror.ingest.clean import RESTART, CleanTrack, clean
+from mirror.ingest.clean import RESTART, CleanTrack
 from mirror.ingest.rois import refuse_swapped
 from mirror.ingest.trigger import Pass, Trigger
+from mirror.ingest.usable import clean_usable
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.protocol import DriveInfo, ImageStream, Recording, Track
 from mirror.schema.documents import CleaningOptions, CleaningReport, Roi, Source
@@ -37,6 +38,7 @@ class PoseSlice:
         height_m: (N,) or None.
         rotation: (N, 4) as recorded, or None.
         sigma_m: (N,) or None.
+        unknown: (N,) whether the motion from the pose before is not known: a gap over ``max_gap_s``, or a new track.
     """
 
     timestamp_ns: Int64
@@ -45,6 +47,14 @@ class PoseSlice:
     height_m: Float64 | None
     rotation: Float64 | None
     sigma_m: Float64 | None
+    unknown: Bool
+
+    def poses_known(self, stamps_ns: Int64) -> Bool:
+        """At which of (M,) stamps the vehicle's pose is known: at those of poses, and between poses with no gap."""
+        after = np.searchsorted(self.timestamp_ns, stamps_ns, side="left")
+        inside = (stamps_ns >= self.timestamp_ns[0]) & (stamps_ns <= self.timestamp_ns[-1])
+        after = np.minimum(after, len(self.timestamp_ns) - 1)
+        return inside & ((self.timestamp_ns[after] == stamps_ns) | ~self.unknown[after])
 
 
 class DriveContent:
@@ -154,18 +164,16 @@ def judge_drive(
     """
     with reader_errors(path):
         info = recording.info
-        track = recording.track()
-    cleaned, report = clean(track, cleaning, min_step_m=trigger.options.min_step_m)
+        recorded = recording.track()
+    track, cleaned, report = clean_usable(recorded, cleaning, trigger.options, is_clip=info.is_clip)
     kept = cleaned.kept()
     if cleaned.geodetic:
         middle = kept[len(kept) // 2]
         refuse_swapped(rois, float(cleaned.first[middle]), float(cleaned.second[middle]))
     passes = trigger.passes(cleaned, frame=info.frame, is_clip=info.is_clip)
-    max_gap_ns = np.iinfo(np.int64).max if info.is_clip else round(trigger.options.max_gap_s * 1e9)
+    max_gap_ns = round(trigger.options.max_gap_s * 1e9)
     slices = {
-        number: _slice(track, cleaned, kept, one.entry_ns, one.exit_ns, max_gap_ns)
-        for number, one in enumerate(passes)
-        if one.accepted
+        number: _slice(track, cleaned, kept, one, max_gap_ns) for number, one in enumerate(passes) if one.accepted
     }
     return JudgedDrive(
         path=path,
@@ -180,8 +188,9 @@ def judge_drive(
     )
 
 
-def _slice(track: Track, cleaned: CleanTrack, kept: Int64, entry_ns: int, exit_ns: int, max_gap_ns: int) -> PoseSlice:
+def _slice(track: Track, cleaned: CleanTrack, kept: Int64, one: Pass, max_gap_ns: int) -> PoseSlice:
     """The poses of a pass with its margins: at least the fix before and after it, unless there is a gap."""
+    entry_ns, exit_ns = one.entry_ns, one.exit_ns
     stamps = cleaned.timestamp_ns[kept]
     low = int(np.searchsorted(stamps, entry_ns - POSE_MARGIN_NS, side="left"))
     high = int(np.searchsorted(stamps, exit_ns + POSE_MARGIN_NS, side="right"))
@@ -189,9 +198,10 @@ def _slice(track: Track, cleaned: CleanTrack, kept: Int64, entry_ns: int, exit_n
     after = min(int(np.searchsorted(stamps, exit_ns, side="left")), len(stamps) - 1)
     low, high = min(low, before), max(high, after + 1)
     # A margin never reaches across a gap or a restart: what was driven there is not known.
-    broken = np.diff(stamps[low:high]) > max_gap_ns
-    broken |= cleaned.fate[kept[low + 1 : high]] == RESTART
-    cuts = low + 1 + np.flatnonzero(broken)
+    start = low
+    unknown = np.diff(stamps[low:high], prepend=stamps[low]) > max_gap_ns
+    unknown |= cleaned.fate[kept[low:high]] == RESTART
+    cuts = low + 1 + np.flatnonzero(unknown[1:])
     inside_low = int(np.searchsorted(stamps, entry_ns, side="left"))
     inside_high = int(np.searchsorted(stamps, exit_ns, side="right"))
     low = max([low, *cuts[cuts <= inside_low].tolist()])
@@ -205,4 +215,5 @@ def _slice(track: Track, cleaned: CleanTrack, kept: Int64, entry_ns: int, exit_n
         height_m=None if track.height_m is None else track.height_m[rows],
         rotation=None if track.rotation is None else track.rotation[rows],
         sigma_m=None if track.sigma_m is None else track.sigma_m[rows],
+        unknown=unknown[low - start : high - start],
     )

@@ -18,11 +18,12 @@ import numpy as np
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import MirrorError, RecordingError, UsageError
-from mirror.ingest.clean import CleanTrack, clean
+from mirror.ingest.clean import CleanTrack
 from mirror.ingest.metric import scales
 from mirror.ingest.request import IngestOptions, thresholds
 from mirror.ingest.trigger import Trigger
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.ingest.usable import clean_usable
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 
@@ -105,7 +106,7 @@ def propose_rois(
         try:
             recording = open_recording(path, reader=options.reader, options=options.reader_options)
             info = recording.info
-            track, _ = clean(recording.track(), cleaning, min_step_m=trigger_options.min_step_m)
+            _, track, _ = clean_usable(recording.track(), cleaning, trigger_options, is_clip=info.is_clip)
         except RecordingError as error:
             return path, error
         finally:

@@ -96,6 +96,11 @@ class IngestReport:
         return sum(one.images for one in self.traversals if not one.reused)
 
     @property
+    def without_pose(self) -> int:
+        """Images within the traversals that were left out, as they were taken in a gap of the poses."""
+        return sum(one.without_pose for one in self.traversals)
+
+    @property
     def bytes(self) -> int:
         """Their size."""
         return sum(one.bytes for one in self.traversals if not one.reused)

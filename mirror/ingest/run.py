@@ -312,7 +312,7 @@ def _write_all(
             with reader_errors(drive.path):
                 refuse_other_rig(run.layout, drive, rigs)
             for number in drive.slices:
-                pictures = selected_pictures(drive, drive.passes[number]).values()
+                pictures = selected_pictures(drive, number).values()
                 total += sum(len(indices) for _, indices, _ in pictures)
         except MirrorError as error:
             run.fail(drive.path, error)

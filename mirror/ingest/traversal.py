@@ -20,6 +20,7 @@ from mirror.ingest.judge import JudgedDrive
 from mirror.ingest.pictures import Placed, Transfer, place_pictures, refer_to_pictures
 from mirror.ingest.tables import assign_frames, pose_table
 from mirror.ingest.trigger import Pass
+from mirror.recordings.calibration import require_covariance
 from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.schema.documents import Pictures, Roi, is_identifier
 from mirror.schema.files import conform, encode_table, write_bytes
@@ -49,6 +50,7 @@ class Written:
         bytes: of the pictures.
         linked: pictures that are hard links.
         reused: it was complete already, and nothing was done.
+        without_pose: images exposed within the pass that were left out, as they were taken in a gap of the poses.
     """
 
     traversal_id: str
@@ -56,6 +58,7 @@ class Written:
     bytes: int
     linked: int
     reused: bool
+    without_pose: int = 0
 
 
 def traversal_id(drive_id: str, one: Pass) -> str:
@@ -101,7 +104,8 @@ def write_traversal(
     if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
         pictures = manifest.pictures or Pictures(count=0, bytes=0)
         advance(pictures.count)
-        return Written(name, pictures.count, pictures.bytes, 0, reused=True)
+        without_pose = images_without_pose(drive, number)
+        return Written(name, pictures.count, pictures.bytes, 0, reused=True, without_pose=without_pose)
     shutil.rmtree(layout.traversal(name), ignore_errors=True)
     try:
         return _write(layout, name, drive, number, roi, derived_from, options, threads, advance)
@@ -122,7 +126,7 @@ def _write(
     advance: Callable[[int], None],
 ) -> Written:
     one, folder = drive.passes[number], layout.recorded(name)
-    streams = selected_pictures(drive, one)
+    streams = selected_pictures(drive, number)
     _write_boxes(layout, name, drive, one, derived_from)
 
     def place(stream: ImageStream, indices: Int64, stamps: Int64, folder: Path) -> Placed:
@@ -154,15 +158,48 @@ def _write(
     count = sum(len(one_camera.names) for one_camera in placed.values())
     total = sum(sum(one_camera.sizes) for one_camera in placed.values())
     seal(folder, files, derived_from=derived_from, pictures=Pictures(count=count, bytes=total))
-    return Written(name, count, total, sum(one_camera.linked for one_camera in placed.values()), reused=False)
+    linked = sum(one_camera.linked for one_camera in placed.values())
+    return Written(name, count, total, linked, reused=False, without_pose=images_without_pose(drive, number))
 
 
-def selected_pictures(drive: JudgedDrive, one: Pass) -> dict[str, tuple[ImageStream, Int64, Int64]]:
-    """By camera, in order of name: its stream, the indices of the pictures exposed within the pass, and their stamps.
+def selected_pictures(drive: JudgedDrive, number: int) -> dict[str, tuple[ImageStream, Int64, Int64]]:
+    """By camera, in order of name: its stream, the indices of the images to take, and their stamps.
+
+    Taken are the images exposed within the pass at an instant at which the vehicle's pose is known
+    (`PoseSlice.poses_known`).
+
+    Args:
+        drive: judged.
+        number: of the accepted pass in ``drive.passes``.
 
     Raises:
         RecordingError: stamps repeat or run backward, or a camera's stamps and the poses do not overlap at all.
     """
+    chosen: dict[str, tuple[ImageStream, Int64, Int64]] = {}
+    for camera, (stream, inside, stamps) in _exposed_within(drive, drive.passes[number]).items():
+        known = drive.slices[number].poses_known(stamps)
+        if known.any():
+            chosen[camera] = (stream, inside[known], stamps[known])
+    return chosen
+
+
+def images_without_pose(drive: JudgedDrive, number: int) -> int:
+    """How many images of all cameras are exposed within an accepted pass, but in a gap of the poses.
+
+    Args:
+        drive: judged.
+        number: of the accepted pass in ``drive.passes``.
+
+    Raises:
+        RecordingError: as `selected_pictures`.
+    """
+    poses = drive.slices[number]
+    exposed = _exposed_within(drive, drive.passes[number]).values()
+    return sum(int(np.count_nonzero(~poses.poses_known(stamps))) for _, _, stamps in exposed)
+
+
+def _exposed_within(drive: JudgedDrive, one: Pass) -> dict[str, tuple[ImageStream, Int64, Int64]]:
+    """By camera, in order of name: its stream, the indices of the images exposed within a pass, and their stamps."""
     chosen: dict[str, tuple[ImageStream, Int64, Int64]] = {}
     for camera, stream in sorted(drive.content.images().items()):
         if not is_identifier(camera):
@@ -242,10 +279,26 @@ def _calibration_table(drive: JudgedDrive) -> pa.Table:
     if not rows.num_rows:
         return CALIBRATIONS.schema.empty_table()
     rows = conform(rows, CALIBRATIONS, file=drive.path)
+    _require_covariances(rows, drive)
     plain = {name: rows.column(name).cast(pa.string()) for name in ("camera", "stage")}
     keys = pa.table({**plain, "valid_from_ns": rows.column("valid_from_ns")})
     order = pc.sort_indices(keys, [(key, "ascending") for key in CALIBRATIONS.sorted_by])
     return rows.take(order).combine_chunks()
+
+
+def _require_covariances(rows: pa.Table, drive: JudgedDrive) -> None:
+    for row, values in enumerate(rows.column("covariance").to_pylist()):
+        try:
+            if values is not None:
+                require_covariance(np.array(values, np.float64))
+        except ValueError as error:
+            raise RecordingError(
+                str(error),
+                file=drive.path,
+                place=f"calibration {row}, camera {rows.column('camera')[row].as_py()}",
+                expected="6x6 numbers, row-major, symmetric and positive semi-definite",
+                remedy="correct the covariance, or leave it out",
+            ) from error
 
 
 def _write_boxes(layout: Layout, name: str, drive: JudgedDrive, one: Pass, derived_from: dict[str, str]) -> None:

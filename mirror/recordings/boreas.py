@@ -76,7 +76,7 @@ class BoreasRecording:
     @cached_property
     def _rows(self) -> Rows:
         types = {"GPSTime": pa.string(), **{name: pa.float64() for name in _COLUMNS[1:]}}
-        return read_rows([self.poses], types=types, columns=_COLUMNS)
+        return read_rows([self.poses], types=types, columns=_COLUMNS, tolerant=True)
 
     @property
     def _is_utm(self) -> bool:
@@ -118,20 +118,22 @@ class BoreasRecording:
         rotation = self._rotation()
         easting, northing, height = (rows.floats(name) for name in ("easting", "northing", "altitude"))
         if self._is_utm:
-            return track_from_utm(
+            track = track_from_utm(
                 stamps, easting, northing, height, rotation, zone=_UTM_ZONE, north=True, file=self.poses
             )
-        return Track(stamps, x_m=easting, y_m=northing, height_m=height, rotation=rotation, file=self.poses)
+        else:
+            track = Track(stamps, x_m=easting, y_m=northing, height_m=height, rotation=rotation, file=self.poses)
+        return rows.without_bad(track)
 
     def _rotation(self) -> Float64:
         rows = self._rows
         turns = []
         for axis, name in enumerate(("roll", "pitch", "heading")):
             angle = rows.floats(name)
-            rows.refuse(
-                ~np.isfinite(angle), name, "no angle", expected="radians", remedy="remove the row from the pose file"
-            )
-            turns.append(quaternion_exp(np.outer(-angle, np.eye(3)[axis])))
+            bad = ~np.isfinite(angle)
+            remedy = "remove the row from the pose file"
+            rows.refuse(bad, name, "no angle", expected="radians", remedy=remedy, reason="rotation")
+            turns.append(quaternion_exp(np.outer(np.where(bad, 0.0, -angle), np.eye(3)[axis])))
         roll, pitch, heading = turns
         grid_from_camera = quaternion_multiply(roll, quaternion_multiply(pitch, heading))
         return quaternion_multiply(grid_from_camera, quaternion_inverse(FLU_FROM_CAMERA))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import pyarrow as pa
 from pydantic import Field, ValidationError, model_validator
 
+from mirror.arrays import Float64
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.quaternions import quaternion_normalise
@@ -22,6 +23,7 @@ STAGES: tuple[Stage, ...] = ("factory", "online", "refined")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pixels = Annotated[int, Field(gt=0, lt=2**31)]
 Nanoseconds = Annotated[int, Field(gt=-(2**63), lt=2**63)]
+COVARIANCE_TOLERANCE: Final = 1e-3
 SE3 = Annotated[tuple[Finite, ...], Field(min_length=7, max_length=7)]
 
 
@@ -44,7 +46,8 @@ class Calibration(Document):
         time_offset_ns: what was added to the camera's own stamps.
         shutter_direction: in which direction rows or columns are exposed one after the other.
         readout_ns: from the first row's to the last row's start of exposure.
-        covariance: 6x6 row-major, of the mounting: rotation (rad), then translation (m).
+        covariance: 6x6 row-major, of the mounting: rotation (rad), then translation (m); symmetric and positive
+            semi-definite within `COVARIANCE_TOLERANCE` of its correlations.
         method: how it was obtained.
     """
 
@@ -84,9 +87,41 @@ class Calibration(Document):
         length = float(np.linalg.norm(self.ego_SE3_camera[:4]))
         if abs(length - 1.0) > UNIT_TOLERANCE:
             raise ValueError(f"the quaternion of ego_SE3_camera has length {length:.4g}, not 1")
+        if self.covariance is not None:
+            require_covariance(np.array(self.covariance))
         if self.valid_from_ns is not None and self.valid_to_ns is not None and self.valid_from_ns > self.valid_to_ns:
             raise ValueError("valid_from_ns lies after valid_to_ns")
         return self
+
+
+def require_covariance(covariance: Float64) -> None:
+    """Refuse 36 values, row-major, that are no covariance, up to what rounding to four digits may do.
+
+    Raises:
+        ValueError: it is not finite, or its correlations (covariances over standard deviations) are not symmetric or
+            not positive semi-definite within `COVARIANCE_TOLERANCE`.
+    """
+    if covariance.size != 36:
+        raise ValueError(f"the covariance has {covariance.size} values, not 36")
+    covariance = covariance.reshape(6, 6)
+    if not np.isfinite(covariance).all():
+        raise ValueError("the covariance is not finite")
+    variance = np.diag(covariance)
+    if (variance < 0).any():
+        axis = int(np.argmax(variance < 0))
+        raise ValueError(f"the covariance has the variance {variance[axis]:.4g} at row {axis}")
+    sigma = np.sqrt(variance)
+    if (covariance[(sigma == 0), :] != 0).any() or (covariance[:, (sigma == 0)] != 0).any():
+        raise ValueError("the covariance is not positive semi-definite: a row without variance has covariances")
+    with np.errstate(over="ignore"):
+        unit = np.where(sigma > 0, sigma, 1.0)
+        correlation = covariance / unit[:, None] / unit
+    off = np.abs(correlation - correlation.T).max()
+    if not off <= COVARIANCE_TOLERANCE:
+        raise ValueError(f"the covariance is not symmetric: correlations differ by {off:.4g}")
+    least = float(np.linalg.eigvalsh((correlation + correlation.T) / 2).min())
+    if not least >= -COVARIANCE_TOLERANCE:
+        raise ValueError(f"the covariance is not positive semi-definite: its correlations have eigenvalue {least:.4g}")
 
 
 def checked_calibration(file: Path, camera: str, **values: Any) -> Calibration:

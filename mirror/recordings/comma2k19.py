@@ -13,26 +13,26 @@ the segment of the tests:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
-from mirror.arrays import AnyArray, Float64, Int64
+from mirror.arrays import AnyArray, Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, quaternion_normalise
+from mirror.recordings.bad_rows import RowFaults
 from mirror.recordings.calibration import Calibration, Stage, calibration_table
 from mirror.recordings.paths import identifier, natural_key
-from mirror.recordings.placing import FLU_FROM_CAMERA, FLU_FROM_FRD, UNIT_TOLERANCE, track_from_ecef
+from mirror.recordings.placing import FLU_FROM_CAMERA, FLU_FROM_FRD, no_rotations, track_from_ecef
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.tabular import unreadable
-from mirror.recordings.time import unix_from_gps_week
+from mirror.recordings.time import WEEK_S, unix_from_gps_week
 from mirror.recordings.video import VideoStream
 
 # The dataset's two cars, by the id of the device in them.
@@ -41,6 +41,8 @@ _CAMERA: Final = "front"
 _FOCAL_PX: Final = 910.0
 _RASTER_PX: Final = (1164, 874)
 _ARRAYS: Final = ("frame_gps_times", "frame_positions", "frame_orientations")
+# In the year 2171.
+_LAST_WEEK: Final = 10_000
 
 
 class Comma2k19Reader:
@@ -119,16 +121,42 @@ class Comma2k19Recording:
         return [_load(segment) for segment in self.segments]
 
     @cached_property
+    def _no_stamps(self) -> list[Bool]:
+        return [~_are_stamps(arrays["frame_gps_times"]) for arrays in self._arrays]
+
+    @cached_property
     def _stamps(self) -> list[Int64]:
-        return [unix_from_gps_week(a["frame_gps_times"][:, 0], a["frame_gps_times"][:, 1]) for a in self._arrays]
+        """Of each segment and row; of rows without a stamp, any."""
+        times = [np.where(bad[:, None], 0.0, a["frame_gps_times"]) for a, bad in zip(self._arrays, self._no_stamps)]
+        return [unix_from_gps_week(both[:, 0], both[:, 1]) for both in times]
 
     def track(self) -> Track:
         """The camera's poses of all segments, turned to x forward, y left, z up."""
-        position, orientation = (np.concatenate([arrays[name] for arrays in self._arrays]) for name in _ARRAYS[1:])
-        rotation = quaternion_multiply(quaternion_normalise(orientation), quaternion_inverse(FLU_FROM_FRD))
-        return track_from_ecef(
-            np.concatenate(self._stamps), position, rotation, file=self.segments[0] / "global_pose" / _ARRAYS[1]
-        )
+        times, position, orientation = (np.concatenate([arrays[name] for arrays in self._arrays]) for name in _ARRAYS)
+        bad = no_rotations(orientation)
+        faults = RowFaults(len(times))
+        faults.add(np.concatenate(self._no_stamps), "time", self._error(times, 0, "a GPS week and seconds"))
+        faults.add(bad, "rotation", self._error(orientation, 2, "a unit quaternion, scalar first"))
+        unit = quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), orientation))
+        rotation = quaternion_multiply(unit, quaternion_inverse(FLU_FROM_FRD))
+        file = self.segments[0] / "global_pose" / _ARRAYS[1]
+        return faults.drop_from(track_from_ecef(np.concatenate(self._stamps), position, rotation, file=file))
+
+    def _error(self, values: Float64, array: int, expected: str) -> Callable[[int], RecordingError]:
+        """The error of a row of all segments."""
+        starts = np.concatenate([[0], np.cumsum([len(stamps) for stamps in self._stamps])])
+
+        def error(row: int) -> RecordingError:
+            segment = int(np.searchsorted(starts, row, side="right")) - 1
+            return RecordingError(
+                f"{values[row].tolist()} is not usable",
+                file=self.segments[segment] / "global_pose" / _ARRAYS[array],
+                place=f"row {row - starts[segment]}",
+                expected=expected,
+                remedy="leave the segment out: move its folder elsewhere",
+            )
+
+        return error
 
     def calibrations(self) -> pa.Table:
         """The device's nominal camera; the ego frame is the camera turned, so it does not move."""
@@ -156,8 +184,9 @@ class Comma2k19Recording:
             return {}
         parts = []
         for index, file in self._videos.items():
-            stamps = self._stamps[index]
-            parts.append(VideoStream(_CAMERA, stamps, stamps, file, np.arange(len(stamps))))
+            frames = np.flatnonzero(~self._no_stamps[index])
+            stamps = self._stamps[index][frames]
+            parts.append(VideoStream(_CAMERA, stamps, stamps, file, frames))
         return {_CAMERA: _Segments(tuple(parts))}
 
     def boxes(self) -> None:
@@ -208,20 +237,10 @@ def _load(segment: Path) -> dict[str, Float64]:
     lengths = {name: len(array) for name, array in arrays.items()}
     if len(set(lengths.values())) > 1:
         raise RecordingError(f"arrays of different lengths {lengths}", file=segment, expected="one row a frame in each")
-    stamps, _, orientation = arrays.values()
-    _refuse(~np.isfinite(stamps).all(axis=1), segment, _ARRAYS[0], "a GPS week and seconds", stamps)
-    off = ~(np.abs(np.linalg.norm(orientation, axis=1) - 1.0) <= UNIT_TOLERANCE)
-    _refuse(off, segment, _ARRAYS[2], "a unit quaternion, scalar first", orientation)
     return arrays
 
 
-def _refuse(bad: npt.ArrayLike, segment: Path, name: str, expected: str, values: Float64) -> None:
-    if np.any(bad):
-        row = int(np.argmax(bad))
-        raise RecordingError(
-            f"{values[row].tolist()} is not usable",
-            file=segment / "global_pose" / name,
-            place=f"row {row}",
-            expected=expected,
-            remedy="leave the segment out: move its folder elsewhere",
-        )
+def _are_stamps(week_and_seconds: Float64) -> Bool:
+    """Which (N,) of (N, 2) are a GPS week, not rolled over, and seconds of it."""
+    week, seconds = week_and_seconds.T
+    return (week >= 0) & (week <= _LAST_WEEK) & (seconds >= 0) & (seconds <= WEEK_S)

@@ -13,10 +13,9 @@ A scene folder holds ``scene_*.json``, which names all other files. Facts of the
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -27,11 +26,14 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry.poses import Poses
+from mirror.geometry.quaternions import quaternion_normalise
+from mirror.recordings.bad_rows import RowFaults
 from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
+from mirror.recordings.dgp_datum import Datum, read_datum, read_json, read_pose
 from mirror.recordings.paths import identifier, inside
+from mirror.recordings.placing import no_rotations
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
-from mirror.recordings.tabular import unreadable
 from mirror.schema.tables import BOXES
 
 _BOXES_3D: Final = "1"
@@ -65,18 +67,6 @@ class DgpReader:
 
 
 @dataclass(frozen=True)
-class _Datum:
-    """One picture or point cloud."""
-
-    sensor: str
-    kind: str
-    timestamp_ns: int
-    pose: Poses
-    calibration: str
-    content: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
 class DgpRecording:
     """A scene: cameras, poses, boxes."""
 
@@ -85,22 +75,28 @@ class DgpRecording:
 
     @cached_property
     def _scene(self) -> dict[str, Any]:
-        return _read_json(self.scene_file)
+        return read_json(self.scene_file)
 
     @cached_property
-    def _data(self) -> list[_Datum]:
+    def _all_data(self) -> list[Datum]:
         try:
             calibration = {
                 key: sample["calibration_key"] for sample in self._scene["samples"] for key in sample["datum_keys"]
             }
-            data = [_datum(entry, calibration) for entry in self._scene["data"]]
+            data = [read_datum(entry, calibration) for entry in self._scene["data"]]
         except (KeyError, TypeError, ValueError, UsageError) as error:
             raise RecordingError(
                 f"not a DGP scene ({type(error).__name__}: {error})", file=self.scene_file, expected="samples and data"
             ) from error
-        if not any(datum.kind == "image" for datum in data):
+        if not any(datum.kind == "image" and datum.timestamp_ns is not None for datum in data):
             raise RecordingError("no pictures", file=self.scene_file, expected="at least one image among the data")
-        return sorted(data, key=lambda datum: (datum.timestamp_ns, datum.sensor))
+        return data
+
+    @cached_property
+    def _data(self) -> list[Datum]:
+        """All data that have a stamp, in order of time."""
+        dated = [datum for datum in self._all_data if datum.timestamp_ns is not None]
+        return sorted(dated, key=lambda datum: (datum.timestamp_ns or 0, datum.sensor))
 
     @cached_property
     def _cameras(self) -> list[str]:
@@ -112,7 +108,7 @@ class DgpRecording:
         for key, entry in self._calibration_files.items():
             for name, extrinsic in zip(entry["names"], entry["extrinsics"]):
                 try:
-                    found[key, name] = _pose(extrinsic)
+                    found[key, name] = read_pose(extrinsic)
                 except (KeyError, TypeError, ValueError, UsageError) as error:
                     raise RecordingError(
                         f"no pose ({type(error).__name__}: {error})",
@@ -128,7 +124,7 @@ class DgpRecording:
         files = {}
         for key in keys:
             file = inside(self.path, f"calibration/{key}.json", file=self.scene_file, place="calibration_key")
-            files[key] = _read_json(file)
+            files[key] = read_json(file)
             lengths = {len(files[key].get(name, ())) for name in ("names", "extrinsics", "intrinsics")}
             if len(lengths) != 1 or lengths == {0}:
                 raise RecordingError(
@@ -176,26 +172,67 @@ class DgpRecording:
             )
         return self._extrinsics[key, sensor]
 
-    def _vehicle_pose(self, datum: _Datum) -> Poses:
-        return datum.pose @ self._extrinsic(datum.calibration, datum.sensor).inverse()
-
     def track(self) -> Track:
         """The vehicle's poses at the stamps of the point clouds and of the reference camera.
 
         The other cameras' poses at one stamp differ from the reference camera's by up to 10 mm: their exposures are a
         millisecond apart, which the stamps do not say.
         """
-        used = [datum for datum in self._data if datum.kind != "image" or datum.sensor == self._cameras[0]]
-        poses = [self._vehicle_pose(datum) for datum in used]
-        position = np.concatenate([pose.translation for pose in poses])
-        return Track(
-            np.array([datum.timestamp_ns for datum in used], np.int64),
-            x_m=position[:, 0],
-            y_m=position[:, 1],
-            height_m=position[:, 2],
-            rotation=np.concatenate([pose.rotation for pose in poses]),
-            file=self.scene_file,
+        used = [datum for datum in self._data if self._is_used(datum)]
+        quaternion = np.array([datum.rotation for datum in used])
+        bad = no_rotations(quaternion)
+        torn = [
+            (0, self._error(f"datum {number}", f"{datum.stamp!r} is no date and time", "ISO 8601"))
+            for number, datum in enumerate(self._all_data)
+            if datum.timestamp_ns is None
+        ]
+        faults = RowFaults(len(used), torn, reason="time")
+        faults.add(
+            bad,
+            "rotation",
+            lambda row: self._error(
+                f"{used[row].sensor} at {used[row].timestamp_ns} ns",
+                f"{quaternion[row].tolist()} is no rotation",
+                "a unit quaternion, qw qx qy qz",
+            ),
         )
+        translation = np.array([datum.translation for datum in used])
+        nowhere = ~np.isfinite(translation).all(axis=1)
+        faults.add(
+            nowhere,
+            "number",
+            lambda row: self._error(
+                f"{used[row].sensor} at {used[row].timestamp_ns} ns",
+                f"the translation {translation[row].tolist()} is not finite",
+                "metres x y z",
+            ),
+        )
+        world_SE3_sensor = Poses(
+            quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), quaternion)),
+            np.where(nowhere[:, None], 0.0, translation),
+        )
+        poses = [
+            world_SE3_sensor[row : row + 1] @ self._extrinsic(datum.calibration, datum.sensor).inverse()
+            for row, datum in enumerate(used)
+        ]
+        position = np.concatenate([pose.translation for pose in poses])
+        return faults.drop_from(
+            Track(
+                np.array([datum.timestamp_ns for datum in used], np.int64),
+                x_m=position[:, 0],
+                y_m=position[:, 1],
+                height_m=position[:, 2],
+                rotation=np.concatenate([pose.rotation for pose in poses]),
+                file=self.scene_file,
+            )
+        )
+
+    def _is_used(self, datum: Datum) -> bool:
+        return datum.kind != "image" or datum.sensor == self._cameras[0]
+
+    def _error(self, place: str, problem: str, expected: str) -> RecordingError:
+        remedy = "correct the scene file, or take the datum out of it"
+        return RecordingError(problem, file=self.scene_file, place=place, expected=expected, remedy=remedy)
 
     def calibrations(self) -> pa.Table:
         """One factory row a camera, of each calibration that the scene uses."""
@@ -248,7 +285,7 @@ class DgpRecording:
         return streams
 
     @property
-    def _box_files(self) -> list[tuple[_Datum, str]]:
+    def _box_files(self) -> list[tuple[Datum, str]]:
         clouds = [datum for datum in self._data if datum.kind == "point_cloud"]
         return [(datum, datum.content["annotations"][_BOXES_3D]) for datum in clouds if _has_boxes(datum)]
 
@@ -262,16 +299,16 @@ class DgpRecording:
         if not self._box_files or not self._ontology_keys:
             return None
         ontology = self._ontology_keys[0]
-        items = _read_json(self._inside(f"ontology/{ontology}.json"))["items"]
+        items = read_json(self._inside(f"ontology/{ontology}.json"))["items"]
         categories = {item["id"]: item["name"] for item in items}
         rows: list[dict[str, Any]] = []
         for datum, name in self._box_files:
             vehicle_SE3_sensor = self._extrinsic(datum.calibration, datum.sensor)
             file = self._inside(name)
-            for index, annotation in enumerate(_read_json(file)["annotations"]):
+            for index, annotation in enumerate(read_json(file)["annotations"]):
                 try:
                     box = annotation["box"]
-                    pose = vehicle_SE3_sensor @ _pose(box["pose"])
+                    pose = vehicle_SE3_sensor @ read_pose(box["pose"])
                     rows.append(
                         {
                             "timestamp_ns": datum.timestamp_ns,
@@ -293,36 +330,8 @@ class DgpRecording:
         return pa.Table.from_pylist(rows, schema=BOXES.schema)
 
 
-def _has_boxes(datum: _Datum) -> bool:
+def _has_boxes(datum: Datum) -> bool:
     return _BOXES_3D in (datum.content.get("annotations") or {})
-
-
-def _datum(entry: Mapping[str, Any], calibration: Mapping[str, str]) -> _Datum:
-    kind, content = next(iter(entry["datum"].items()))
-    identity = entry["id"]
-    return _Datum(
-        sensor=identity["name"],
-        kind=kind,
-        timestamp_ns=_stamp_ns(identity["timestamp"]),
-        pose=_pose(content["pose"]),
-        calibration=calibration[entry["key"]],
-        content=content,
-    )
-
-
-def _stamp_ns(text: str) -> int:
-    moment = datetime.fromisoformat(text)
-    microseconds = (moment - _EPOCH) // timedelta(microseconds=1)
-    return microseconds * (100 if moment.year > _LAST_YEAR else 1_000)
-
-
-def _pose(entry: Mapping[str, Any]) -> Poses:
-    rotation, translation = entry["rotation"], entry["translation"]
-    # Protocol buffers written as JSON may leave zeros out.
-    return Poses(
-        np.array([[rotation.get(f"q{axis}", 0.0) for axis in "wxyz"]]),
-        np.array([[translation.get(axis, 0.0) for axis in "xyz"]]),
-    )
 
 
 def _camera_model(intrinsics: Mapping[str, Any], file: Path, camera: str) -> tuple[Any, tuple[float, ...]]:
@@ -342,13 +351,3 @@ def _camera_model(intrinsics: Mapping[str, Any], file: Path, camera: str) -> tup
             expected="pinhole, Brown-Conrady, rational or fisheye (k1 to k4), without skew",
         )
     return model, tuple(float(intrinsics.get(name, 0.0)) for name in names)
-
-
-def _read_json(file: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(file.read_bytes())
-    except (OSError, ValueError) as error:
-        raise unreadable(file, error) from error
-    if not isinstance(found, dict):
-        raise RecordingError("not a JSON object", file=file, expected="a DGP document")
-    return found

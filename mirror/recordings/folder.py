@@ -134,11 +134,17 @@ class FolderRecording:
     @cached_property
     def _poses(self) -> Rows:
         types = {name: pa.float64() for name in _NUMBERS}
-        return read_rows(self._pose_files, types={**types, "timestamp": pa.string(), "timestamp_ns": pa.string()})
+        types |= {"timestamp": pa.string(), "timestamp_ns": pa.string()}
+        return read_rows(self._pose_files, types=types, tolerant=True)
 
     def track(self) -> Track:
         """All poses of all files, in Unix time, on WGS 84 or in the recording's local frame, of the ego."""
-        rows, document = self._poses, self.document
+        track = self._ego_track(self._poses)
+        return self._poses.without_bad(track)
+
+    def _ego_track(self, rows: Rows) -> Track:
+        """One pose for each row, bad ones included."""
+        document = self.document
         if "timestamp_ns" in rows:
             stamps = rows.stamps("timestamp_ns", "unix_ns")
         else:
@@ -185,14 +191,16 @@ class FolderRecording:
         angles = []
         for name in _ANGLES:
             angle = rows.floats(name) if name in rows or name == "heading_deg" else np.zeros(len(rows))
+            bad = ~np.isfinite(angle)
             rows.refuse(
-                ~np.isfinite(angle),
+                bad,
                 name,
                 "no angle",
                 expected="degrees",
                 remedy="remove the row, or leave the orientation columns out of the whole drive",
+                reason="rotation",
             )
-            angles.append(angle)
+            angles.append(np.where(bad, 0.0, angle))
         return quaternion_from_heading_pitch_roll(*angles), True
 
     def calibrations(self) -> pa.Table:

@@ -11,13 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mirror.arrays import Int64
+from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
 from mirror.recordings.calibration import calibration_table
 from mirror.recordings.paths import identifier, list_folder, natural_key
@@ -27,6 +27,7 @@ from mirror.recordings.stamps import has_offset, parse_stamps, require_zone
 from mirror.recordings.tabular import Rows, header, read_rows
 from mirror.recordings.time import TIME_BASES
 from mirror.recordings.weather import weather_label
+from mirror.schema.documents import is_identifier
 
 _TABLES: Final = (".csv", ".tsv")
 _NOTES: Final = ("", ".md", ".txt")
@@ -36,6 +37,7 @@ _OPTIONS: Final = (
     "date_format",
     "time_unit",
     "delimiter",
+    "frame",
     "drive_id",
     "vehicle_id",
     "vehicle_type",
@@ -49,14 +51,19 @@ _USUAL: Final = {
     "date": ("date", "day"),
     "lon": ("longitude_deg", "longitude", "lon_deg", "lon", "long", "lng", "gps_lon", "gps_longitude"),
     "lat": ("latitude_deg", "latitude", "lat_deg", "lat", "gps_lat", "gps_latitude"),
+    "x": ("x_m", "x"),
+    "y": ("y_m", "y"),
+    "z": ("z_m", "z"),
     "height": ("height_m", "height", "altitude_m", "altitude", "alt", "elevation", "ele", "gps_alt"),
     "sigma": ("sigma_m", "sigma", "horizontal_accuracy", "hacc", "accuracy"),
     "weather": ("weather",),
     "vehicle": ("vehicle_id", "vehicle"),
 }
-_REQUIRED: Final = ("time", "lon", "lat")
+_GEODETIC: Final = ("lon", "lat", "height")
+_LOCAL: Final = ("x", "y", "z")
 # 1973, in seconds. Seconds since 1970 reach 1e11 in the year 5138; milliseconds pass it in 1973.
 _SMALLEST_UNIX: Final = 1e8
+_NUMBER: Final = r"^\s*[+-]?[0-9]+(\.[0-9]*)?\s*$"
 _UNIT_BY_MAGNITUDE: Final = ((1e11, "unix_s"), (1e14, "unix_ms"), (1e17, "unix_us"), (np.inf, "unix_ns"))
 
 
@@ -64,7 +71,7 @@ class CsvReader:
     """A GPS table."""
 
     name = "csv"
-    expects = "a .csv or .tsv file with time, latitude and longitude, or a folder of nothing but such files"
+    expects = "a .csv or .tsv file with time and position, or a folder of nothing but such files"
 
     def recognises(self, path: Path) -> bool:
         """A file by its suffix; a folder if it holds only tables, by the header of the first."""
@@ -76,11 +83,18 @@ class CsvReader:
         if not tables or others or any(child.is_dir() for child in children):
             return False
         usual = _usual_columns(header(tables[0])[0])
-        return all(usual.get(role) for role in _REQUIRED)
+        return "time" in usual and any({*axes[:2]} <= usual.keys() for axes in (_GEODETIC, _LOCAL))
 
     def open(self, path: Path, options: Mapping[str, str]) -> CsvRecording:
         """Open a table, or a folder of tables; the options are described in docs/recordings.md."""
         refuse_options(options, _OPTIONS, path)
+        if "frame" in options and not is_identifier(options["frame"]):
+            raise RecordingError(
+                f"{options['frame']!r} names no frame",
+                file=path,
+                place="option frame",
+                expected="letters, digits, _ and -",
+            )
         if path.is_file():
             files = [path]
         else:
@@ -100,13 +114,26 @@ class CsvRecording:
     tables: tuple[Path, ...]
     options: Mapping[str, str]
 
+    @property
+    def _axes(self) -> tuple[str, ...]:
+        """The roles of the columns that make a position."""
+        return _LOCAL if "frame" in self.options else _GEODETIC
+
     @cached_property
     def _columns(self) -> dict[str, tuple[str, ...]]:
         """Column names by role; ``time`` may be several, joined by a blank."""
         names, _ = header(self.tables[0], self.options.get("delimiter"))
         columns = _usual_columns(names)
         columns |= _stated_columns(self.options.get("columns", ""), names, self.tables[0])
-        missing = [role for role in _REQUIRED if len(columns.get(role, ())) == 0]
+        missing = [role for role in ("time", *self._axes[:2]) if role not in columns]
+        if missing and "frame" not in self.options and {"x", "y"} <= columns.keys():
+            raise RecordingError(
+                f"positions in metres ({', '.join(columns[role][0] for role in ('x', 'y'))}), and no frame is named",
+                file=self.tables[0],
+                place="header",
+                expected="longitude and latitude, or the name of the local metric frame that x and y are in",
+                remedy="name the frame, the same for all drives in it: --option frame=<name>",
+            )
         if missing:
             raise RecordingError(
                 f"no column is known as {' or '.join(missing)}",
@@ -120,62 +147,77 @@ class CsvRecording:
     @cached_property
     def _rows(self) -> Rows:
         _, delimiter = header(self.tables[0], self.options.get("delimiter"))
-        columns = self._columns
-        numbers = {columns[role][0]: pa.float64() for role in ("lon", "lat", "height", "sigma") if role in columns}
+        roles = {"time", *self._axes, "sigma", "weather", "vehicle"}
+        columns = {role: names for role, names in self._columns.items() if role in roles}
+        numbers = {columns[role][0]: pa.float64() for role in (*self._axes, "sigma") if role in columns}
         words = {columns[role][0]: pa.string() for role in ("weather", "vehicle") if role in columns}
         stamps = {name: pa.string() for name in columns["time"]}
         used = list(dict.fromkeys(name for names in columns.values() for name in names))
-        return read_rows(self.tables, types={**words, **numbers, **stamps}, columns=used, delimiter=delimiter)
+        types = {**words, **numbers, **stamps}
+        return read_rows(self.tables, types=types, columns=used, delimiter=delimiter, tolerant=True)
 
     @cached_property
     def _stamps(self) -> tuple[Int64, str]:
         """Unix nanoseconds, and the time base in words."""
         rows, names = self._rows, self._columns["time"]
-        parts = [rows.column(name) for name in names]
+        parts = [pc.fill_null(rows.column(name), "") for name in names]
         text = parts[0] if len(parts) == 1 else pc.binary_join_element_wise(*parts, " ")
         shown = "+".join(names)
-        empty = np.asarray(pc.is_null(text))
-        rows.refuse(empty, shown, "missing", expected="a stamp in every row", remedy="remove the row")
-        numeric = np.asarray(pc.match_substring_regex(text, r"^\s*[+-]?[0-9]+(\.[0-9]*)?\s*$"))
-        if len(names) == 1 and numeric[0]:
+        # What most rows are decides; the others are bad.
+        numeric = np.asarray(pc.match_substring_regex(text, _NUMBER))
+        if len(names) == 1 and 0 < np.count_nonzero(pc.not_equal(text, "")) <= 2 * np.count_nonzero(numeric):
             if "tz" in self.options:
                 require_zone(self.options["tz"])
-            base = self._time_base(names[0], text)
+            base = self._time_base(names[0], text.filter(pa.array(numeric)), numeric)
             stamps, words = rows.stamps(names[0], base), TIME_BASES[base].words
         else:
             tz = self.options.get("tz")
             stamps = parse_stamps(rows, shown, text, tz=tz, date_format=self.options.get("date_format"))
-            stated = has_offset(text)
+            stated = has_offset(text)[rows.good]
             local = "date and time," if not stated.any() else "date and time with UTC offset, or else"
             words = "date and time with UTC offset" if stated.all() else f"{local} local in {tz}"
         self._require_sequence(stamps)
         return stamps, words
 
-    def _time_base(self, name: str, text: pa.ChunkedArray) -> str:
+    def _time_base(self, name: str, numbers: pa.ChunkedArray, numeric: Bool) -> str:
+        """The base of a column of numbers; where their size decides it, rows of another size are bad."""
         unit = self.options.get("time_unit")
         if unit is None and "_" in name and name.rpartition("_")[2].lower() in _LONG_UNITS:
             unit = name.rpartition("_")[2].lower()
         if unit is not None:
             return unit if unit in TIME_BASES else f"unix_{unit}"
-        first = abs(float(text[0].as_py()))
-        if first < _SMALLEST_UNIX:
+        sizes = np.abs(np.asarray(pc.utf8_trim_whitespace(numbers).cast(pa.float64())))
+        middle = float(np.median(sizes))
+        text = self._rows.column(name)
+
+        def problem(row: int) -> str:
+            return f"{text[row].as_py()} is no time since 1970 in any unit"
+
+        expected = "seconds, milliseconds, microseconds or nanoseconds since 1970"
+        if middle < _SMALLEST_UNIX:
             raise self._rows.error(
-                0,
+                int(np.argmax(numeric)),
                 name,
-                f"{text[0].as_py()} is no time since 1970 in any unit",
-                expected="seconds, milliseconds, microseconds or nanoseconds since 1970",
+                problem(int(np.argmax(numeric))),
+                expected=expected,
                 remedy="convert the logger's own clock to Unix time, or state the unit: --option time_unit=s",
             )
-        return next(base for limit, base in _UNIT_BY_MAGNITUDE if first < limit)
+        small: Bool = np.zeros(len(text), np.bool_)
+        small[numeric] = sizes < _SMALLEST_UNIX
+        self._rows.refuse(small, name, problem, expected=expected, remedy="correct or remove the row", reason="time")
+        return next(base for limit, base in _UNIT_BY_MAGNITUDE if middle < limit)
 
     def _require_sequence(self, stamps: Int64) -> None:
-        starts = stamps[list(self._rows.starts)]
-        late = np.diff(starts) < 0
+        rows = self._rows
+        ends = (*rows.starts[1:], len(rows))
+        first = [stamps[low:high][rows.good[low:high]][:1] for low, high in zip(rows.starts, ends)]
+        dated = [index for index, found in enumerate(first) if len(found)]
+        late = np.diff([int(first[index][0]) for index in dated]) < 0
         if late.any():
-            index = int(np.argmax(late))
+            before, after = (dated[int(np.argmax(late)) + step] for step in (0, 1))
             raise RecordingError(
-                f"starts before {self.tables[index].name} does",
-                file=self.tables[index + 1],
+                f"starts before {self.tables[before].name} does",
+                file=self.tables[after],
                 expected="consecutive files of one drive, in the order of their names",
                 remedy="give the files one by one, if each is a drive of its own",
             )
@@ -190,6 +232,7 @@ class CsvRecording:
             vehicle_id=identifier(self.options.get("vehicle_id") or self._vehicle()),
             vehicle_type=self.options.get("vehicle_type", "unknown"),
             time_base=self._stamps[1],
+            frame=self.options.get("frame"),
             weather=self._weather(),
         )
 
@@ -224,20 +267,13 @@ class CsvRecording:
         return [(file.name, file) for file in sorted(self.tables)]
 
     def track(self) -> Track:
-        """All fixes; a height is taken to be above the ellipsoid."""
-        found = {
-            role: self._rows.floats(self._columns[role][0])
-            for role in ("lon", "lat", "height", "sigma")
-            if role in self._columns
-        }
-        return Track(
-            self._stamps[0],
-            longitude_deg=found["lon"],
-            latitude_deg=found["lat"],
-            height_m=found.get("height"),
-            sigma_m=found.get("sigma"),
-            file=self.tables[0],
-        )
+        """All fixes; a height is taken to be above the ellipsoid, or z of the local frame."""
+        stamps = self._stamps[0]
+        roles = (*self._axes, "sigma")
+        found = [self._rows.floats(self._columns[role][0]) if role in self._columns else None for role in roles]
+        names = ("x_m", "y_m") if "frame" in self.options else ("longitude_deg", "latitude_deg")
+        columns: dict[str, Any] = dict(zip((*names, "height_m", "sigma_m"), found))
+        return self._rows.without_bad(Track(stamps, **columns, file=self.tables[0]))
 
     def calibrations(self) -> pa.Table:
         """None, as a table without rows."""

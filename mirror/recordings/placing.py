@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.geodesy import (
     ecef_R_enu,
@@ -35,28 +36,34 @@ FLU_FROM_CAMERA = np.array([0.5, -0.5, 0.5, -0.5])
 UNIT_TOLERANCE = 1e-2
 
 
+def no_rotations(quaternion: Float64) -> Bool:
+    """Which (N,) of (N, 4) quaternions are NaN, zero, or off unit length by over `UNIT_TOLERANCE`."""
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(quaternion, axis=1)
+    return ~(np.abs(length - 1.0) <= UNIT_TOLERANCE)
+
+
 def checked_quaternions(quaternion: Float64, rows: Rows, column: str) -> Float64:
-    """Unit quaternions of a table, canonical.
+    """Unit quaternions of a table, canonical; the identity in rows that are marked as bad.
 
     Args:
         quaternion: (N, 4) scalar first, as read.
-        rows: the table, for the messages.
+        rows: the table.
         column: its first column.
 
     Raises:
-        RecordingError: one is NaN, zero, or off unit length by over 1 %; its row is named.
+        RecordingError: one is NaN, zero, or off unit length by over 1 %, and bad rows are not marked; its row is named.
     """
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(quaternion, axis=1)
-    bad = ~(np.abs(length - 1.0) <= UNIT_TOLERANCE)
+    bad = no_rotations(quaternion)
     rows.refuse(
         bad,
         column,
-        f"{quaternion[int(np.argmax(bad))].tolist()} is no rotation",
+        lambda row: f"{quaternion[row].tolist()} is no rotation",
         expected="a unit quaternion, scalar first",
         remedy="remove the row, or leave the orientation columns out of the whole drive",
+        reason="rotation",
     )
-    return quaternion_normalise(quaternion)
+    return quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), quaternion))
 
 
 def track_from_utm(
@@ -164,7 +171,7 @@ def _ecef_from_enu(longitude_deg: Float64, latitude_deg: Float64) -> Float64:
     return quaternion_from_matrix(ecef_R_enu(np.nan_to_num(longitude_deg), np.nan_to_num(latitude_deg)))
 
 
-def _moved(body: Track, rotation: Float64, height_m: Float64 | None, **position: Float64) -> Track:
+def _moved(body: Track, rotation: Float64, height_m: Float64 | None, **position: Any) -> Track:
     return Track(
         body.timestamp_ns,
         height_m=height_m,

@@ -18,6 +18,7 @@ import pyarrow as pa
 
 from mirror.arrays import Float64, Int64, UInt8
 from mirror.errors import RecordingError
+from mirror.recordings.bad_rows import BadRows
 
 ENTRY_POINT_GROUP = "mirror.recordings"
 
@@ -69,6 +70,7 @@ class Track:
             (local frame: ``frame_SE3_ego``), or None where the source has no orientation.
         sigma_m: (N,) horizontal 1-sigma of each fix, or None.
         file: the file the poses came from, for messages.
+        bad: rows of the recording that make no pose and are therefore not among the N, or None.
     """
 
     timestamp_ns: Int64
@@ -80,6 +82,7 @@ class Track:
     rotation: Float64 | None = None
     sigma_m: Float64 | None = None
     file: Path | None = None
+    bad: BadRows | None = None
 
     def __len__(self) -> int:
         return len(self.timestamp_ns)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -21,6 +23,7 @@ _STAMP: Final = (
     r" *(?P<zone>Z|UTC|[+-][0-9]{2}(?::?[0-9]{2})?)?$"
 )
 _PARTS: Final = {"YYYY": "year", "MM": "month", "DD": "day"}
+_ORDERS: Final = {"the day first": ("c", "b", "a"), "the month first": ("c", "a", "b")}
 _EXPECTED: Final = "a date and time such as 2021-08-05T17:34:46.438+00:00, 08/05/2021 17:34:46 or 05/08/2021 17:34:46"
 
 
@@ -28,7 +31,8 @@ def parse_stamps(rows: Rows, column: str, text: pa.ChunkedArray, *, tz: str | No
     """Unix nanoseconds of dates and times.
 
     A stamp with an offset (``Z``, ``+02:00``) says its own zone; one without is local time in ``tz``. Whether ``04/05``
-    is in April or in May is decided by a row that can be read only one way; a drive with no such row is refused.
+    is in April or in May is decided by the rows that can be read only one way: by the greater number of them, and the
+    others are bad. A drive with no such row is refused.
 
     Args:
         rows: the table, for the messages.
@@ -38,35 +42,59 @@ def parse_stamps(rows: Rows, column: str, text: pa.ChunkedArray, *, tz: str | No
         date_format: order and separators of the date, in the letters of `FORMATS`; None: decided by the rows.
 
     Returns:
-        (N,) Unix time, UTC.
+        (N,) Unix time, UTC; of rows that are marked as bad, any.
 
     Raises:
-        RecordingError: a stamp does not exist or is ambiguous; the row is named, with the remedy.
+        RecordingError: the zone or the order is not known; or a stamp does not exist or is ambiguous, where bad rows
+            are not marked. The row is named, with the remedy.
     """
+    text = pc.fill_null(text, "")
+    remedy = "correct or remove the row"
+    if date_format is None:
+        remedy += ", or state the format: --option date_format=MM/DD/YYYY"
+
+    def refuse(wrong: Bool, problem: Callable[[str], str]) -> None:
+        rows.refuse(
+            wrong, column, lambda row: problem(text[row].as_py()), expected=_EXPECTED, remedy=remedy, reason="time"
+        )
+
     found = pc.extract_regex(pc.utf8_trim_whitespace(text), _STAMP)
-    wrong = np.asarray(pc.is_null(found))
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise _wrong(rows, row, column, f"{text[row].as_py()!r} is no date and time")
-    found = found.combine_chunks() if isinstance(found, pa.ChunkedArray) else found
-    parts = {field.name: found.field(index) for index, field in enumerate(found.type)}
+    bad = np.asarray(pc.is_null(found))
+    refuse(bad, lambda stamp: f"{stamp!r} is no date and time")
+    if bad.all():
+        return np.zeros(len(bad), np.int64)
+    parts = {name: pc.fill_null(pc.struct_field(found, name), "") for name in found.type.names}
     date = {name: _number(parts[name]) for name in "abc"}
-    order = _order_given(date_format) if date_format else _order(rows, column, text, parts, date)
+    if date_format:
+        order = _order_given(date_format)
+    else:
+        order, odd, other = _order(rows, column, text, parts, date, ~bad)
+        refuse(odd & ~bad, other)
+        bad = bad | odd
     year, month, day = (date[letter] for letter in order)
     hour, minute, second = (_number(parts[name]) for name in ("hour", "minute", "second"))
-    months = (np.clip(year, 1, 9999) - 1970) * 12 + np.clip(month, 1, 12) - 1
-    first = months.astype("datetime64[M]").astype("datetime64[D]")
-    length = ((months + 1).astype("datetime64[M]").astype("datetime64[D]") - first).astype(np.int64)
     # Years that nanoseconds since 1970 can count.
-    bad = (year < 1678) | (year > 2261) | (month < 1) | (month > 12) | (day < 1) | (day > length)
-    bad |= (hour > 23) | (minute > 59) | (second > 59)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise _wrong(rows, row, column, f"{text[row].as_py()!r} does not exist")
-    days = first.astype(np.int64) + day - 1
+    wrong = ~_exists(year, month, day) | (year < 1678) | (year > 2261) | (hour > 23) | (minute > 59) | (second > 59)
+    refuse(wrong & ~bad, lambda stamp: f"{stamp!r} does not exist")
+    bad = bad | wrong
+    days = _first_day(year, month).astype(np.int64) + day - 1
     local = ((days * 24 + hour) * 60 + minute) * 60 + second
     fraction = _number(pc.utf8_rpad(parts["fraction"], 9, "0"))
-    return _to_utc(rows, column, text, local * SECOND_NS + fraction, parts["zone"], tz)
+    local_ns = np.where(bad, 0, local) * SECOND_NS + np.where(bad, 0, fraction)
+    return _to_utc(rows, column, text, local_ns, parts["zone"], tz, ~bad)
+
+
+def _first_day(year: Int64, month: Int64) -> npt.NDArray[np.datetime64]:
+    months = (np.clip(year, 1, 9999) - 1970) * 12 + np.clip(month, 1, 12) - 1
+    return months.astype("datetime64[M]").astype("datetime64[D]")
+
+
+def _exists(year: Int64, month: Int64, day: Int64) -> Bool:
+    """Which (N,) dates the calendar has."""
+    december = month == 12
+    following = _first_day(year + december, np.where(december, 1, month + 1))
+    length = (following - _first_day(year, month)).astype(np.int64)
+    return (year >= 1) & (year <= 9998) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= length)
 
 
 def _order_given(date_format: str) -> tuple[str, str, str]:
@@ -81,43 +109,55 @@ def _order_given(date_format: str) -> tuple[str, str, str]:
 
 
 def _order(
-    rows: Rows, column: str, text: pa.ChunkedArray, parts: dict[str, pa.Array], date: dict[str, Int64]
-) -> tuple[str, str, str]:
+    rows: Rows, column: str, text: pa.ChunkedArray, parts: dict[str, pa.Array], date: dict[str, Int64], good: Bool
+) -> tuple[tuple[str, str, str], Bool, Callable[[str], str]]:
+    """The order of the ``good`` rows' dates, the rows that are of another, and what is wrong with such a one."""
+
+    def no_date(stamp: str) -> str:
+        return f"{stamp!r} is no date of this drive's format"
+
     year_first = np.asarray(pc.greater_equal(pc.utf8_length(parts["a"]), 3))
-    if year_first.all():
-        return "a", "b", "c"
-    impossible = year_first | ((date["a"] > 12) & (date["b"] > 12)) | (np.maximum(date["a"], date["b"]) > 31)
-    impossible |= np.asarray(pc.not_equal(pc.utf8_length(parts["c"]), 4))
-    if impossible.any():
-        row = int(np.argmax(impossible))
-        raise _wrong(rows, row, column, f"{text[row].as_py()!r} is no date of this drive's format")
-    day_first, month_first = date["a"] > 12, date["b"] > 12
-    if day_first.any() and month_first.any():
-        row, other = int(np.argmax(day_first)), int(np.argmax(month_first))
-        file, place = rows.locate(other)
-        raise _wrong(
-            rows,
+    if 2 * np.count_nonzero(year_first & good) > np.count_nonzero(good):
+        return ("a", "b", "c"), ~year_first, no_date
+    possible = ~year_first & np.asarray(pc.equal(pc.utf8_length(parts["c"]), 4)) & good
+    reads = {name: possible & _exists(*(date[letter] for letter in order)) for name, order in _ORDERS.items()}
+    neither = ~(reads["the day first"] | reads["the month first"])
+    day_only = reads["the day first"] & ~reads["the month first"]
+    month_only = reads["the month first"] & ~reads["the day first"]
+    if not (day_only.any() or month_only.any()):
+        if neither[good].all():
+            return _ORDERS["the day first"], neither, no_date
+        row = int(np.argmax(~neither))
+        raise rows.error(
             row,
             column,
-            f"{text[row].as_py()!r} puts the day first, {text[other].as_py()!r} ({file.name}, {place}) the month",
-        )
-    if not (day_first.any() or month_first.any()):
-        raise rows.error(
-            0,
-            column,
-            f"{text[0].as_py()!r} may be month first or day first, and no row of the drive decides it",
+            f"{text[row].as_py()!r} may be month first or day first, and no row of the drive decides it",
             expected="one format",
             remedy="say which: --option date_format=MM/DD/YYYY or --option date_format=DD/MM/YYYY",
         )
-    return ("c", "b", "a") if day_first.any() else ("c", "a", "b")
+    day_first = bool(np.count_nonzero(day_only) > np.count_nonzero(month_only))
+    words, other_words = ("the day first", "the month first") if day_first else ("the month first", "the day first")
+    ours, others = (day_only, month_only) if day_first else (month_only, day_only)
+    witness = int(np.argmax(ours))
+    file, place = rows.locate(witness)
+
+    def problem(stamp: str) -> str:
+        if stamp not in contrary:
+            return no_date(stamp)
+        return f"{stamp!r} puts {other_words}, {text[witness].as_py()!r} ({file.name}, {place}) {words.split()[1]}"
+
+    contrary = set(pc.unique(pc.filter(text, pa.array(others))).to_pylist())
+    return _ORDERS[words], neither | others, problem
 
 
-def _to_utc(rows: Rows, column: str, text: pa.ChunkedArray, local_ns: Int64, zone: pa.Array, tz: str | None) -> Int64:
+def _to_utc(
+    rows: Rows, column: str, text: pa.ChunkedArray, local_ns: Int64, zone: pa.Array, tz: str | None, good: Bool
+) -> Int64:
     if tz is not None:
         require_zone(tz)
     stated = np.asarray(pc.greater(pc.utf8_length(zone), 0))
     out = local_ns - _offset_ns(zone) if stated.any() else local_ns
-    naive = ~stated
+    naive = ~stated & good
     if not naive.any():
         return out
     if tz is None:
@@ -142,6 +182,7 @@ def _to_utc(rows: Rows, column: str, text: pa.ChunkedArray, local_ns: Int64, zon
         f"a local time that {tz} has twice or not at all: its clocks were changed then",
         expected="stamps that name one instant",
         remedy="give stamps with an offset, or the zone the logger kept all the time, e.g. --tz Etc/GMT-1",
+        reason="time",
     )
     out[naive] = early
     return out
@@ -177,13 +218,3 @@ def _offset_ns(zone: pa.Array) -> Int64:
 def _number(text: pa.Array) -> Int64:
     """Digits as int64; no digits are 0."""
     return np.asarray(pc.if_else(pc.equal(text, ""), "0", text).cast(pa.int64()))
-
-
-def _wrong(rows: Rows, row: int, column: str, problem: str) -> RecordingError:
-    return rows.error(
-        row,
-        column,
-        problem,
-        expected=_EXPECTED,
-        remedy="correct or remove the row, or state the format: --option date_format=MM/DD/YYYY",
-    )

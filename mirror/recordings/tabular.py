@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
+from mirror.recordings.bad_rows import Reason, RowFaults
+from mirror.recordings.protocol import Track
 from mirror.recordings.time import StampError, to_unix_ns
 
 
@@ -23,11 +27,15 @@ class Rows:
         table: all rows.
         files: the files, in order.
         starts: the row at which each file starts.
+        torn: of each file, the lines that are left out because they have too few or too many cells.
+        faults: where bad rows are marked; None: the first of them is an error.
     """
 
     table: pa.Table
     files: tuple[Path, ...]
     starts: tuple[int, ...]
+    torn: tuple[tuple[int, ...], ...] = ()
+    faults: RowFaults | None = None
 
     def __len__(self) -> int:
         return int(self.table.num_rows)
@@ -39,52 +47,110 @@ class Rows:
         """The file of a row, and where in it: a line of a CSV file (the header is line 1), a row of Parquet."""
         index = bisect_right(self.starts, row) - 1
         file, within = self.files[index], row - self.starts[index]
-        return file, f"row {within}" if file.suffix == ".parquet" else f"line {within + 2}"
+        if file.suffix == ".parquet":
+            return file, f"row {within}"
+        line = within + 2
+        for torn in self.torn[index] if self.torn else ():
+            line += torn <= line
+        return file, f"line {line}"
 
     def error(self, row: int, column: str, problem: str, *, expected: str, remedy: str) -> RecordingError:
         """The error for one value."""
         file, place = self.locate(row)
         return RecordingError(problem, file=file, place=f"{place}, column {column}", expected=expected, remedy=remedy)
 
-    def refuse(self, bad: Bool, column: str, problem: str, *, expected: str, remedy: str) -> None:
-        """Raise for the first bad row.
+    def refuse(
+        self,
+        bad: Bool,
+        column: str,
+        problem: str | Callable[[int], str],
+        *,
+        expected: str,
+        remedy: str,
+        reason: Reason = "number",
+    ) -> None:
+        """Mark bad rows, or raise for the first of them where none is to be marked.
+
+        Args:
+            bad: (N,) the bad rows.
+            column: where the values stand.
+            problem: what is wrong, or what is wrong with a given row.
+            expected: what would have been right.
+            remedy: what the user can do.
+            reason: by which the rows are counted.
 
         Raises:
-            RecordingError: a row is bad.
+            RecordingError: a row is bad, and the table is one in which every row is needed.
         """
-        if bad.any():
-            raise self.error(int(np.argmax(bad)), column, problem, expected=expected, remedy=remedy)
+
+        def error(row: int) -> RecordingError:
+            words = problem if isinstance(problem, str) else problem(row)
+            return self.error(row, column, words, expected=expected, remedy=remedy)
+
+        if self.faults is not None:
+            self.faults.add(bad, reason, error)
+        elif bad.any():
+            raise error(int(np.argmax(bad)))
 
     def floats(self, column: str) -> Float64:
-        """A column as float64 (N,); missing values are NaN.
+        """A column as float64 (N,); missing values are NaN, and so are those that are marked as bad.
 
         Raises:
-            RecordingError: there is no such column, or it holds no numbers.
+            RecordingError: there is no such column, or it holds what is no number.
         """
         values = self.column(column)
         try:
             return np.array(values.cast(pa.float64()), dtype=np.float64)
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
-            raise RecordingError(
-                f"no column of numbers ({error})", file=self.files[0], place=f"column {column}", expected="numbers"
-            ) from error
+            if self.faults is None or not pa.types.is_string(values.type):
+                raise RecordingError(
+                    f"no column of numbers ({error})", file=self.files[0], place=f"column {column}", expected="numbers"
+                ) from error
+        text = values.to_pylist()
+        numbers = np.array([_number(cell) for cell in text])
+        bad = np.isnan(numbers) & np.array([cell is not None and cell.strip().lower() != "nan" for cell in text])
+        self.refuse(
+            bad,
+            column,
+            lambda row: f"{text[row]!r:.80} is no number",
+            expected="a number, or nothing",
+            remedy="correct or remove the row",
+        )
+        return numbers
 
     def stamps(self, column: str, base: str) -> Int64:
-        """A column of numbers in a time base, as Unix nanoseconds (N,).
+        """A column of numbers in a time base, as Unix nanoseconds (N,); those that are marked as bad are any.
 
         Raises:
             RecordingError: there is no such column, or a value is no stamp of that base.
         """
-        try:
-            return to_unix_ns(self.column(column), base)
-        except StampError as error:
-            raise self.error(
-                error.row,
-                column,
-                error.problem,
-                expected=f"a number in the time base {base}",
-                remedy="correct the value, or the time base that the recording declares",
-            ) from error
+        values = self.column(column)
+        marked = np.zeros(len(self), np.bool_)
+        while True:
+            try:
+                return to_unix_ns(values, base)
+            except StampError as error:
+                self.refuse(
+                    error.bad,
+                    column,
+                    error.problem,
+                    expected=f"a number in the time base {base}",
+                    remedy="correct the value, or the time base that the recording declares",
+                    reason="time",
+                )
+                marked |= error.bad
+                if marked.all():
+                    return np.zeros(len(self), np.int64)
+                values = pc.if_else(pa.array(~marked), values, values[int(np.argmin(marked))])
+
+    @property
+    def good(self) -> Bool:
+        """(N,) rows that are not marked as bad."""
+        return np.ones(len(self), np.bool_) if self.faults is None else self.faults.good
+
+    def without_bad(self, track: Track) -> Track:
+        """A track of one pose for each row, without the rows that were marked as bad."""
+        return track if self.faults is None else self.faults.drop_from(track)
 
     def column(self, name: str) -> pa.ChunkedArray:
         """A column as read.
@@ -108,6 +174,7 @@ def read_rows(
     types: Mapping[str, pa.DataType],
     columns: Sequence[str] | None = None,
     delimiter: str = ",",
+    tolerant: bool = False,
 ) -> Rows:
     """Read files of one kind as one table.
 
@@ -116,13 +183,17 @@ def read_rows(
         types: how to read columns of a CSV file, where not by their looks.
         columns: only these; all of them must be there.
         delimiter: of CSV files.
+        tolerant: the table is one of poses: bad rows are marked, not refused.
 
     Raises:
         RecordingError: a file is missing, broken or empty, or its columns are not those of the first.
     """
     tables: list[pa.Table] = []
+    torn: list[dict[int, int]] = []
     for file in files:
-        table = _read(file, types, columns, delimiter)
+        lines: dict[int, int] = {}
+        table = _read(file, types, columns, delimiter, lines if tolerant else None)
+        torn.append(lines)
         if tables and table.column_names != tables[0].column_names:
             odd = sorted(set(table.column_names) ^ set(tables[0].column_names)) or table.column_names
             raise RecordingError(
@@ -134,10 +205,49 @@ def read_rows(
     lengths = [table.num_rows for table in tables]
     if not sum(lengths):
         raise RecordingError("no rows", file=files[0], expected="at least one row", remedy="leave the recording out")
-    starts = np.concatenate(([0], np.cumsum(lengths)[:-1]))
-    # Two files may look like whole numbers here and like decimals there.
+    starts = [int(start) for start in np.concatenate(([0], np.cumsum(lengths)[:-1]))]
+    # Two files may look like whole numbers here and like decimals there; a cell that is no number makes text of both.
+    names = {name: {table.schema.field(name).type for table in tables} for name in tables[0].column_names}
+    mixed = [name for name, kinds in names.items() if len(kinds) > 1 and pa.string() in kinds]
+    tables = [_as_text(table, mixed) for table in tables]
     table = pa.concat_tables(tables, promote_options="permissive")
-    return Rows(table, tuple(files), tuple(int(start) for start in starts))
+    faults = None
+    if tolerant:
+        width = len(header(files[0], delimiter)[0]) if files[0].suffix != ".parquet" else 0
+        faults = RowFaults(
+            table.num_rows,
+            [
+                (start + line - 2 - number, _torn_line(file, line, cells, width))
+                for file, start, lines in zip(files, starts, torn)
+                for number, (line, cells) in enumerate(sorted(lines.items()))
+            ],
+        )
+    return Rows(table, tuple(files), tuple(starts), tuple(tuple(sorted(lines)) for lines in torn), faults)
+
+
+def _as_text(table: pa.Table, columns: Sequence[str]) -> pa.Table:
+    for name in columns:
+        index = table.column_names.index(name)
+        table = table.set_column(index, name, table.column(name).cast(pa.string()))
+    return table
+
+
+def _torn_line(file: Path, line: int, cells: int, width: int) -> RecordingError:
+    return RecordingError(
+        f"{cells} cells",
+        file=file,
+        place=f"line {line}",
+        expected=f"{width} cells, as in the header",
+        remedy="correct or remove the line",
+    )
+
+
+def _number(cell: str | None) -> float:
+    """A cell's number; NaN where there is none."""
+    try:
+        return float(cell) if cell is not None and "_" not in cell else np.nan
+    except ValueError:
+        return np.nan
 
 
 def header(file: Path, delimiter: str | None = None) -> tuple[list[str], str]:
@@ -164,14 +274,20 @@ def unreadable(file: Path, error: Exception) -> RecordingError:
     return RecordingError(reason, file=file, expected=kind, remedy="copy the file again from the vehicle or archive")
 
 
-def _read(file: Path, types: Mapping[str, pa.DataType], columns: Sequence[str] | None, delimiter: str) -> pa.Table:
+def _read(
+    file: Path,
+    types: Mapping[str, pa.DataType],
+    columns: Sequence[str] | None,
+    delimiter: str,
+    torn: dict[int, int] | None,
+) -> pa.Table:
     try:
         if file.suffix == ".parquet":
             import pyarrow.parquet as pq
 
             table = pq.ParquetFile(file).read(use_threads=False)
         else:
-            table = _read_csv(file, types, delimiter)
+            table = _read_csv(file, types, delimiter, torn)
     except (pa.ArrowInvalid, OSError) as error:
         raise unreadable(file, error) from error
     if columns is None:
@@ -187,20 +303,33 @@ def _read(file: Path, types: Mapping[str, pa.DataType], columns: Sequence[str] |
     return table.select(list(columns))
 
 
-def _read_csv(file: Path, types: Mapping[str, pa.DataType], delimiter: str) -> pa.Table:
+def _read_csv(file: Path, types: Mapping[str, pa.DataType], delimiter: str, torn: dict[int, int] | None) -> pa.Table:
     from pyarrow import csv
 
-    parse = csv.ParseOptions(delimiter=delimiter)
-    convert = csv.ConvertOptions(column_types=dict(types), strings_can_be_null=True)
     names = [name.strip() for name in header(file, delimiter)[0]]
-    reading = {"column_names": names, "skip_rows": 1}
-    try:
-        return csv.read_csv(file, read_options=csv.ReadOptions(**reading), parse_options=parse, convert_options=convert)
-    except pa.ArrowInvalid:
-        # Only one thread counts rows: read again for an error that names the line.
+
+    def read(*, threads: bool, types: Mapping[str, pa.DataType], **parsing: Any) -> pa.Table:
         return csv.read_csv(
             file,
-            read_options=csv.ReadOptions(use_threads=False, **reading),
-            parse_options=parse,
-            convert_options=convert,
+            read_options=csv.ReadOptions(use_threads=threads, column_names=names, skip_rows=1),
+            parse_options=csv.ParseOptions(delimiter=delimiter, **parsing),
+            convert_options=csv.ConvertOptions(column_types=dict(types), strings_can_be_null=True),
         )
+
+    try:
+        return read(threads=True, types=types)
+    except pa.ArrowInvalid:
+        if torn is None:
+            # Only one thread counts rows: read again for an error that names the line.
+            return read(threads=False, types=types)
+
+    def leave_out(row: csv.InvalidRow) -> str:
+        torn[row.number] = row.actual_columns
+        return "skip"
+
+    # Slower, and only for a file with bad rows: every cell as it stands, lines with other numbers of cells left out.
+    table = read(threads=False, types=dict.fromkeys(types, pa.binary()), invalid_row_handler=leave_out)
+    for name in types.keys() & set(table.column_names):
+        cells = [None if cell is None else cell.decode(errors="replace") for cell in table.column(name).to_pylist()]
+        table = table.set_column(table.column_names.index(name), name, pa.chunked_array([pa.array(cells, pa.string())]))
+    return table

@@ -99,15 +99,16 @@ def ns_from_seconds(seconds: Float64) -> Int64:
 
 
 class StampError(ValueError):
-    """A value that is no stamp of its time base.
+    """Values that are no stamps of their time base.
 
     Args:
-        row: its row.
-        problem: what is wrong with it.
+        bad: (N,) their rows; others may be wrong in another way.
+        problem: what is wrong with the first of them.
     """
 
-    def __init__(self, row: int, problem: str) -> None:
-        self.row = row
+    def __init__(self, bad: Bool, problem: str) -> None:
+        self.bad = bad
+        self.row = int(np.argmax(bad))
         self.problem = problem
         super().__init__(problem)
 
@@ -170,4 +171,4 @@ def _floating(values: Float64, kind: TimeBase) -> Int64:
 def _first(bad: Bool, problem: str, values: pa.ChunkedArray | AnyArray | None = None) -> None:
     if bad.any():
         row = int(np.argmax(bad))
-        raise StampError(row, f"{values[row]} is {problem}" if values is not None else problem)
+        raise StampError(bad, f"{values[row]} is {problem}" if values is not None else problem)

@@ -98,12 +98,14 @@ class CleaningOptions(Document):
             steps, plus ``noise_m``, is an outlier.
         noise_m: what noise alone may add to that deviation.
         backward_time: `sort` the stamps, or `refuse` the drive.
+        max_bad_rows: the largest share of rows that may make no pose; a drive with more of them is refused.
     """
 
     max_speed_mps: float = Field(default=70.0, gt=0)
     max_acceleration_mps2: float = Field(default=12.0, gt=0)
     noise_m: float = Field(default=5.0, ge=0)
     backward_time: Literal["sort", "refuse"] = "sort"
+    max_bad_rows: float = Field(default=0.01, ge=0, le=1)
 
 
 class CleaningReport(Document):
@@ -112,7 +114,10 @@ class CleaningReport(Document):
     Attributes:
         poses: fixes read.
         kept: fixes left.
-        invalid: not finite, or off the globe.
+        bad_rows: rows that make no pose, by reason: `cells` (too few or too many in a line), `number` (a cell that is
+            none), `time` (no stamp), `rotation` (off unit length, or not finite), `sigma` (negative or infinite).
+        invalid: without a position, or with one that is not finite or off the globe.
+        missing: those of the invalid ones that have no position at all.
         backward_time: fixes that were earlier than one before them (sorted).
         duplicate_time: fixes with the stamp of the one before.
         repeated: fixes at the very place of the one before, collapsed to the first: the receiver was frozen.
@@ -122,7 +127,9 @@ class CleaningReport(Document):
 
     poses: int
     kept: int
+    bad_rows: dict[str, int] = Field(default_factory=dict)
     invalid: int
+    missing: int = 0
     backward_time: int
     duplicate_time: int
     repeated: int
@@ -229,6 +236,7 @@ class DriveDocument(Document):
         start_ns: first cleaned pose.
         end_ns: last cleaned pose.
         cleaning: what cleaning did.
+        images_without_pose: images within accepted passes that were left out, as they were taken in a gap of the poses.
     """
 
     schema_version: str = SCHEMA_VERSION
@@ -247,6 +255,7 @@ class DriveDocument(Document):
     start_ns: int
     end_ns: int
     cleaning: CleaningReport
+    images_without_pose: int = 0
 
 
 class FileEntry(Document):

@@ -290,7 +290,10 @@ DAMAGE = {
         "poses.csv",
     ),
     "id that is a path": (lambda d: _rewrite(d, drive_id="../up"), "drive_id"),
-    "text for a number": (lambda d: _edit_poses(d, 4, "{0},east,{2},{3},{4}"), "poses.csv"),
+    "text for a number": (
+        lambda d: [_edit_poses(d, row, "{0},east,{2},{3},{4}") for row in range(4, 14)],
+        "10 of 301 rows make no pose (number 10), more than 1.00%",
+    ),
 }
 
 

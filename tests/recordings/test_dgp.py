@@ -21,6 +21,7 @@ from mirror.recordings.dgp import DgpReader
 from mirror.recordings.registry import open_recording
 from mirror.schema.files import conform
 from mirror.schema.tables import BOXES, CALIBRATIONS
+from tests.recordings.usable import usable_track
 
 CAMERAS = ("CAMERA_01", "CAMERA_05", "CAMERA_06", "CAMERA_07", "CAMERA_08", "CAMERA_09")
 COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
@@ -196,7 +197,7 @@ def test_a_scene_without_point_clouds_has_no_boxes(copy: Callable[..., Path]) ->
         (lambda d: d["samples"][0].update(calibration_key="../secret"), "leads out of the recording"),
         (lambda d: d["samples"][0].update(calibration_key="gone"), "missing"),
         (lambda d: d.pop("samples"), "not a DGP scene"),
-        (lambda d: d["data"][1]["id"].update(timestamp="noon"), "not a DGP scene"),
+        (lambda d: d["data"][1]["id"].update(timestamp="noon"), "'noon' is no date and time"),
         (lambda d: d["data"][1]["datum"]["image"]["pose"]["rotation"].update(qw=0, qx=0, qy=0, qz=0), "no rotation"),
         (lambda d: d["data"][1]["datum"]["image"]["pose"]["translation"].update(x=float("nan")), "not finite"),
         (lambda d: d.update(data=[]), "no pictures"),
@@ -209,7 +210,7 @@ def test_broken_scenes_are_refused(
     recording = open_recording(copy(change))
     with pytest.raises(RecordingError, match=problem) as caught:
         recording.files()
-        recording.track()
+        usable_track(recording)
         recording.images()
         recording.calibrations()
     assert caught.value.file is not None

@@ -14,6 +14,7 @@ from mirror.recordings.gps_csv import CsvReader, CsvRecording
 from mirror.recordings.protocol import Recording
 from mirror.recordings.registry import open_recording
 from tests.recordings.layout import POSES, write_recording
+from tests.recordings.usable import usable_track
 
 PLAIN = "timestamp,lat,lon\n1628184886,43.78,-79.46\n1628184887,43.79,-79.45\n"
 LOCAL = "Date,Time,LAT,LON,ALT,Weather\n"
@@ -28,8 +29,7 @@ def write(file: Path, text: str) -> Path:
 def refusal(path: Path, options: Mapping[str, str] | None = None) -> RecordingError:
     with pytest.raises(RecordingError) as caught:
         recording = CsvReader().open(path, options or {})
-        _ = recording.info
-        recording.track()
+        usable_track(recording)
     return caught.value
 
 
@@ -187,8 +187,8 @@ def test_weather_is_the_commonest_word(tmp_path: Path) -> None:
         (PLAIN.replace("1628184886", "12"), {}, "no time since 1970 in any unit"),
         (PLAIN.replace("1628184887", "later"), {}, "line 3, column timestamp"),
         (PLAIN.replace("1628184887", ""), {}, "line 3, column timestamp: missing"),
-        (PLAIN.replace("43.79", "north"), {}, "Row #3"),
-        (PLAIN + "1628184888,43.8\n", {}, "Expected 3 columns, got 2"),
+        (PLAIN.replace("43.79", "north"), {}, "line 3, column lat: 'north' is no number"),
+        (PLAIN + "1628184888,43.8\n", {}, "line 4: 2 cells; 1 of 3 rows make no pose (cells 1)"),
         (PLAIN.replace("162818488", "2021-08-05 17:34:4"), {}, "--tz"),
         ("timestamp,lat,lon\n", {}, "no rows"),
         ("", {}, "empty"),

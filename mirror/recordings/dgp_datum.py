@@ -1,0 +1,117 @@
+"""The data of a DGP scene: its JSON, its stamps and its poses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from mirror.errors import RecordingError
+from mirror.geometry.poses import Poses
+from mirror.recordings.placing import no_rotations
+from mirror.recordings.tabular import unreadable
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_LAST_YEAR: Final = 2200
+
+
+@dataclass(frozen=True)
+class Datum:
+    """One image or point cloud.
+
+    Attributes:
+        sensor: the sensor's name.
+        kind: ``image``, ``point_cloud`` ...
+        stamp: the text of its stamp.
+        timestamp_ns: Unix time; None: the text is no date and time.
+        rotation: ``world_SE3_sensor`` as written, not checked.
+        translation: likewise.
+        calibration: key of its calibration.
+        content: what its kind says of it.
+    """
+
+    sensor: str
+    kind: str
+    stamp: str
+    timestamp_ns: int | None
+    rotation: tuple[float, ...]
+    translation: tuple[float, ...]
+    calibration: str
+    content: Mapping[str, Any]
+
+
+def read_datum(entry: Mapping[str, Any], calibration: Mapping[str, str]) -> Datum:
+    """One entry of a scene's data.
+
+    Args:
+        entry: the entry.
+        calibration: key of the calibration of each datum, by its key.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is none.
+    """
+    kind, content = next(iter(entry["datum"].items()))
+    identity = entry["id"]
+    rotation, translation = _components(content["pose"])
+    stamp = str(identity["timestamp"])
+    return Datum(
+        sensor=identity["name"],
+        kind=kind,
+        stamp=stamp,
+        timestamp_ns=_stamp_ns(stamp),
+        rotation=rotation,
+        translation=translation,
+        calibration=calibration[entry["key"]],
+        content=content,
+    )
+
+
+def read_pose(entry: Mapping[str, Any]) -> Poses:
+    """One pose that the scene cannot do without.
+
+    Raises:
+        KeyError, TypeError: it is none.
+        ValueError: its quaternion is off unit length: a component that is not zero may be missing.
+    """
+    rotation, translation = (np.array([values]) for values in _components(entry))
+    if no_rotations(rotation)[0]:
+        raise ValueError(f"{rotation[0].tolist()} is no rotation")
+    return Poses(rotation, translation)
+
+
+def _stamp_ns(text: str) -> int | None:
+    try:
+        moment = datetime.fromisoformat(text)
+        microseconds = (moment - _EPOCH) // timedelta(microseconds=1)
+    except (TypeError, ValueError):
+        return None
+    return microseconds * (100 if moment.year > _LAST_YEAR else 1_000)
+
+
+def _components(entry: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    rotation, translation = entry["rotation"], entry["translation"]
+    # Protocol buffers written as JSON may leave zeros out.
+    return (
+        tuple(float(rotation.get(f"q{axis}", 0.0)) for axis in "wxyz"),
+        tuple(float(translation.get(axis, 0.0)) for axis in "xyz"),
+    )
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    """A file that holds one JSON object.
+
+    Raises:
+        RecordingError: it does not.
+    """
+    try:
+        found = json.loads(file.read_bytes())
+    except (OSError, ValueError) as error:
+        raise unreadable(file, error) from error
+    if not isinstance(found, dict):
+        raise RecordingError("not a JSON object", file=file, expected="a DGP document")
+    return found

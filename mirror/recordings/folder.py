@@ -154,7 +154,7 @@ class FolderRecording:
         across, along = rows.floats(first), rows.floats(second)
         up = rows.floats(third) if third in rows or kind == "ecef" else None
         rotation, level = self._orientation(rows)
-        sigma = rows.floats("sigma_m") if "sigma_m" in rows else None
+        sigma = rows.sigmas("sigma_m") if "sigma_m" in rows else None
         file = self._pose_files[0]
         if kind == "utm":
             track = track_from_utm(

@@ -269,10 +269,14 @@ class CsvRecording:
     def track(self) -> Track:
         """All fixes; a height is taken to be above the ellipsoid, or z of the local frame."""
         stamps = self._stamps[0]
-        roles = (*self._axes, "sigma")
-        found = [self._rows.floats(self._columns[role][0]) if role in self._columns else None for role in roles]
         names = ("x_m", "y_m") if "frame" in self.options else ("longitude_deg", "latitude_deg")
-        columns: dict[str, Any] = dict(zip((*names, "height_m", "sigma_m"), found))
+        columns: dict[str, Any] = {
+            name: self._rows.floats(self._columns[role][0])
+            for name, role in zip((*names, "height_m"), self._axes)
+            if role in self._columns
+        }
+        if "sigma" in self._columns:
+            columns["sigma_m"] = self._rows.sigmas(self._columns["sigma"][0])
         return self._rows.without_bad(Track(stamps, **columns, file=self.tables[0]))
 
     def calibrations(self) -> pa.Table:

@@ -118,6 +118,23 @@ class Rows:
         )
         return numbers
 
+    def sigmas(self, column: str) -> Float64:
+        """A column of standard deviations (N,); missing ones are NaN.
+
+        Raises:
+            RecordingError: as `floats`; or one is negative or infinite.
+        """
+        sigma = self.floats(column)
+        self.refuse(
+            (sigma < 0) | np.isinf(sigma),
+            column,
+            lambda row: f"{sigma[row]} is no standard deviation",
+            expected="metres, or nothing",
+            remedy="correct or remove the row",
+            reason="sigma",
+        )
+        return sigma
+
     def stamps(self, column: str, base: str) -> Int64:
         """A column of numbers in a time base, as Unix nanoseconds (N,); those that are marked as bad are any.
 

@@ -13,7 +13,7 @@ from mirror.errors import RecordingError
 from mirror.recordings.gps_csv import CsvReader, CsvRecording
 from mirror.recordings.protocol import Recording
 from mirror.recordings.registry import open_recording
-from tests.recordings.layout import POSES, write_recording
+from tests.recordings.layout import POSES, POSES_ONLY, START_NS, write_recording
 from tests.recordings.usable import usable_track
 
 PLAIN = "timestamp,lat,lon\n1628184886,43.78,-79.46\n1628184887,43.79,-79.45\n"
@@ -226,3 +226,40 @@ def test_the_time_base_says_which_zone_counted(stamp: str, zone: str, tmp_path: 
     expected = "date and time with UTC offset" if zone else "date and time, local in Europe/Berlin"
     assert open_recording(file, options={"tz": "Europe/Berlin"}).info.time_base == expected
     assert "unknown time zone 'Mars/X'" in refusal(file, {"tz": "Mars/X"}).problem
+
+
+@pytest.mark.parametrize("names", ["x_m,y_m,z_m", "X,Y,Z"])
+def test_a_local_frame_is_read_as_the_folder_layout_reads_it(names: str, tmp_path: Path) -> None:
+    rows = [(START_NS + index * 100_000_000, 1e5 + 0.1 * index, -3.25, 0.5 * index) for index in range(5)]
+    lines = "".join(",".join(map(repr, row)) + "\n" for row in rows)
+    changes = {**POSES_ONLY, "frame": {"kind": "local", "name": "yard"}}
+    folder = write_recording(tmp_path / "drive", poses="timestamp_ns,x_m,y_m,z_m\n" + lines, **changes)
+    file = write(tmp_path / "drive.csv", f"timestamp_ns,{names}\n" + lines)
+    expected, found = open_recording(folder), open_recording(file, options={"frame": "yard"})
+    assert found.info.frame == expected.info.frame == "yard"
+    for name in ("timestamp_ns", "x_m", "y_m", "height_m"):
+        np.testing.assert_array_equal(getattr(found.track(), name), getattr(expected.track(), name))
+    assert found.track().longitude_deg is None
+    np.testing.assert_array_equal(found.track().x_m, [row[1] for row in rows])
+
+
+def test_a_folder_of_local_tables_is_recognised(tmp_path: Path) -> None:
+    write(tmp_path / "drive" / "a.csv", "timestamp_ns,x_m,y_m\n1628184886000000000,1,2\n")
+    assert CsvReader().recognises(tmp_path / "drive")
+    error = refusal(tmp_path / "drive")
+    assert error.remedy is not None and "--option frame=<name>" in error.remedy
+    assert "--option frame" not in str(refusal(tmp_path / "drive", {"frame": "../yard"}).remedy)
+    stated = refusal(write(tmp_path / "b.csv", PLAIN), {"frame": "yard"})
+    assert "no column is known as x or y" in stated.problem
+    east = write(tmp_path / "c.csv", "timestamp_ns,east,north\n1628184886000000000,1,2\n")
+    track = open_recording(east, options={"frame": "yard", "columns": "x=east,y=north"}).track()
+    assert track.x_m is not None and track.y_m is not None
+    assert (track.x_m[0], track.y_m[0], track.height_m) == (1.0, 2.0, None)
+
+
+def test_a_stamp_of_another_size_is_a_bad_row(tmp_path: Path) -> None:
+    lines = [f"{1628184886 + row},43.78,{-79.46 + row * 1e-4}" for row in range(200)]
+    lines[0] = "0" + lines[0][10:]
+    recording = open_recording(write(tmp_path / "drive.csv", "timestamp,lat,lon\n" + "\n".join(lines) + "\n"))
+    track = usable_track(recording)
+    assert (len(track), track.timestamp_ns[0]) == (199, 1_628_184_887_000_000_000)

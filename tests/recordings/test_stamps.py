@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
+from mirror.recordings.bad_rows import RowFaults
 from mirror.recordings.stamps import parse_stamps
 from mirror.recordings.tabular import Rows
 
@@ -67,6 +68,17 @@ def test_an_undecided_order_is_asked_for() -> None:
     assert "month first or day first" in message
     assert "date_format=MM/DD/YYYY" in message
     assert parse("04/05/2021 00:00", date_format="DD/MM/YYYY") == parse("2021-05-04T00:00Z")
+
+
+def test_a_date_that_no_order_reads_decides_nothing() -> None:
+    """As the clock of a published set wrote them: they are bad, and name no order of day and month."""
+    for wrong in ("90/02/2032 00:00:00", "30/00/2001 00:00:00", "03/00/2000 00:00:00", "02/00/2090 00:00:00"):
+        table = pa.table({"when": ["04/05/2021 00:00:00", wrong, "04/22/2021 00:00:00"]})
+        faults = RowFaults(3)
+        rows = Rows(table, (Path("drive.csv"),), (0,), (), faults)
+        stamps = parse_stamps(rows, "when", table.column("when"), tz="UTC", date_format=None)
+        assert faults.good.tolist() == [True, False, True]
+        assert stamps[[0, 2]].tolist() == parse("2021-04-05T00:00:00Z", "2021-04-22T00:00:00Z").tolist()
 
 
 def test_rows_that_contradict_each_other_are_refused() -> None:

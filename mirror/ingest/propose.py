@@ -22,8 +22,8 @@ from mirror.ingest.clean import CleanTrack
 from mirror.ingest.metric import scales
 from mirror.ingest.request import IngestOptions, thresholds
 from mirror.ingest.trigger import Trigger
-from mirror.progress import NullProgress, ProgressReporter
 from mirror.ingest.usable import clean_usable
+from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any, Final, Literal, TypeAlias, cast, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from mirror.arrays import AnyArray, Bool, Float64
 from mirror.errors import UsageError
 from mirror.metrics.boxes.raster import polygon_mask
+from mirror.metrics.inputs import Numbers, as_numbers
 from mirror.metrics.score import EMPTY_MASK, Score
 
 HullVariant: TypeAlias = Literal["mask_hull", "box_box", "ceiling_normalised"]
@@ -48,7 +48,7 @@ class RegionIou(Score):
         return RegionIou, (float(self), self.reason, self.intersection_px, self.union_px, self.ceiling)
 
 
-def mask_iou(first: npt.ArrayLike, second: npt.ArrayLike, *, valid: npt.ArrayLike | None = None) -> RegionIou:
+def mask_iou(first: Numbers, second: Numbers, *, valid: Numbers | None = None) -> RegionIou:
     """Intersection over union of two masks.
 
     Two empty masks, or a ``valid`` that holds no pixel, have no IoU: NaN and the reason. One empty mask beside one that
@@ -80,7 +80,7 @@ def mask_iou(first: npt.ArrayLike, second: npt.ArrayLike, *, valid: npt.ArrayLik
     return RegionIou(intersection / union, reason, intersection, union)
 
 
-def box_iou_2d(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
+def box_iou_2d(first: Numbers, second: Numbers) -> Float64:
     """Intersection over union of boxes along the picture's axes.
 
     Args:
@@ -109,12 +109,12 @@ def box_iou_2d(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
 
 
 def hull_iou(
-    mask: npt.ArrayLike,
-    hull_px: npt.ArrayLike,
+    mask: Numbers,
+    hull_px: Numbers,
     *,
     variant: HullVariant = "mask_hull",
-    valid: npt.ArrayLike | None = None,
-    silhouette: npt.ArrayLike | None = None,
+    valid: Numbers | None = None,
+    silhouette: Numbers | None = None,
 ) -> RegionIou:
     """How well a mask agrees with a projected 3D box: the editing accuracy, in three variants.
 
@@ -161,13 +161,13 @@ def hull_iou(
     return _normalised(found, target, silhouette)
 
 
-def as_mask(mask: npt.ArrayLike, what: str) -> Bool:
+def as_mask(mask: Numbers, what: str) -> Bool:
     """A mask (H, W), checked: bool, or integers of which all but 0 are in.
 
     Raises:
         UsageError: it is not two-dimensional, or not bool or integer.
     """
-    given = np.asarray(mask)
+    given = as_numbers(mask, what)
     if given.ndim != 2 or not (given.dtype == np.bool_ or np.issubdtype(given.dtype, np.integer)):
         raise UsageError(
             f"{what} of shape {given.shape} and type {given.dtype}",
@@ -177,7 +177,7 @@ def as_mask(mask: npt.ArrayLike, what: str) -> Bool:
     return given.astype(np.bool_, copy=False)
 
 
-def _normalised(found: Bool, target: Bool, silhouette: npt.ArrayLike | None) -> RegionIou:
+def _normalised(found: Bool, target: Bool, silhouette: Numbers | None) -> RegionIou:
     rectangle = _rectangle(target)
     ideal = target
     if silhouette is not None:
@@ -198,8 +198,8 @@ def _rectangle(mask: Bool) -> Bool:
     return filled
 
 
-def _boxes(boxes: npt.ArrayLike, what: str) -> Float64:
-    given = np.asarray(boxes, dtype=np.float64)
+def _boxes(boxes: Numbers, what: str) -> Float64:
+    given = as_numbers(boxes, what, np.float64)
     if given.ndim == 0 or given.shape[-1] != 4:
         raise UsageError(f"{what} of shape {given.shape}", expected="(..., 4): u_min v_min u_max v_max")
     # NaN is a box that is not visible.

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.geometry.boxes import sizes
 from mirror.geometry.poses import Poses
+from mirror.metrics.inputs import Numbers, as_numbers
 
 
-def box_iou_3d(first: Poses, first_lwh_m: npt.ArrayLike, second: Poses, second_lwh_m: npt.ArrayLike) -> Float64:
+def box_iou_3d(first: Poses, first_lwh_m: Numbers, second: Poses, second_lwh_m: Numbers) -> Float64:
     """Intersection over union of the volumes of pairs of boxes.
 
     Boxes whose z axes agree, whatever the frame they share, overlap in a prism: its base is integrated along the sides
@@ -39,16 +39,16 @@ def box_iou_3d(first: Poses, first_lwh_m: npt.ArrayLike, second: Poses, second_l
     intersection, union = overlaps(
         first.rotation,
         first.translation,
-        np.ascontiguousarray(sizes(first, first_lwh_m)),
+        np.ascontiguousarray(sizes(first, as_numbers(first_lwh_m, "first sizes", np.float64))),
         second.rotation,
         second.translation,
-        np.ascontiguousarray(sizes(second, second_lwh_m)),
+        np.ascontiguousarray(sizes(second, as_numbers(second_lwh_m, "second sizes", np.float64))),
     )
     with np.errstate(invalid="ignore"):
         return np.asarray(intersection / union)
 
 
-def box_iou_3d_matrix(first: Poses, first_lwh_m: npt.ArrayLike, second: Poses, second_lwh_m: npt.ArrayLike) -> Float64:
+def box_iou_3d_matrix(first: Poses, first_lwh_m: Numbers, second: Poses, second_lwh_m: Numbers) -> Float64:
     """`box_iou_3d` of each of N boxes with each of M.
 
     Args:
@@ -63,6 +63,9 @@ def box_iou_3d_matrix(first: Poses, first_lwh_m: npt.ArrayLike, second: Poses, s
     Raises:
         UsageError: there are not as many sizes as poses, or a size is negative or not finite; its row is named.
     """
-    lwh, lwh2 = sizes(first, first_lwh_m), sizes(second, second_lwh_m)
+    lwh, lwh2 = (
+        sizes(first, as_numbers(first_lwh_m, "first sizes", np.float64)),
+        sizes(second, as_numbers(second_lwh_m, "second sizes", np.float64)),
+    )
     row, column = (index.ravel() for index in np.indices((len(first), len(second))))
     return box_iou_3d(first[row], lwh[row], second[column], lwh2[column]).reshape(len(first), len(second))

@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from mirror.arrays import Float64
 from mirror.metrics.boxes.raster import as_polygon
+from mirror.metrics.inputs import Numbers
 
 
-def clip_to_picture(polygon_px: npt.ArrayLike, width_px: int, height_px: int) -> Float64:
+def clip_to_picture(polygon_px: Numbers, width_px: int, height_px: int) -> Float64:
     """The part of a convex polygon within a picture (Sutherland and Hodgman, Comm. ACM 17(1), 1974).
 
     Args:
@@ -43,7 +43,7 @@ def clip_to_picture(polygon_px: npt.ArrayLike, width_px: int, height_px: int) ->
     return polygon
 
 
-def polygon_area(polygon_px: npt.ArrayLike) -> float:
+def polygon_area(polygon_px: Numbers) -> float:
     """The area that a simple polygon encloses (shoelace, about its first corner), in square pixels.
 
     Raises:
@@ -56,7 +56,7 @@ def polygon_area(polygon_px: npt.ArrayLike) -> float:
     return float(abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2.0)
 
 
-def visible_share(polygon_px: npt.ArrayLike, width_px: int, height_px: int) -> float:
+def visible_share(polygon_px: Numbers, width_px: int, height_px: int) -> float:
     """The share of a convex polygon's area that lies within a picture; NaN for a polygon without area.
 
     Raises:

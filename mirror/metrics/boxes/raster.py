@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from mirror.arrays import Bool, Float64
 from mirror.errors import UsageError
+from mirror.metrics.inputs import Numbers, as_numbers
 
 
-def polygon_mask(polygon_px: npt.ArrayLike, width_px: int, height_px: int) -> Bool:
+def polygon_mask(polygon_px: Numbers, width_px: int, height_px: int) -> Bool:
     """The pixels whose centres a polygon holds.
 
     The pixel in column ``c`` and row ``r`` has its centre at ``(c + 0.5, r + 0.5)``. Centres on an upper or left side
@@ -41,13 +41,13 @@ def polygon_mask(polygon_px: npt.ArrayLike, width_px: int, height_px: int) -> Bo
     return mask
 
 
-def as_polygon(polygon_px: npt.ArrayLike) -> Float64:
+def as_polygon(polygon_px: Numbers) -> Float64:
     """A polygon's corners (K, 2), checked.
 
     Raises:
         UsageError: the shape is another, or a corner is not finite; its row is named.
     """
-    polygon = np.asarray(polygon_px, dtype=np.float64)
+    polygon = as_numbers(polygon_px, "polygon", np.float64)
     if polygon.size == 0:
         return polygon.reshape(0, 2)
     if polygon.ndim != 2 or polygon.shape[1] != 2:

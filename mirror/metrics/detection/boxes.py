@@ -7,13 +7,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from mirror.arrays import AnyArray, Bool, Float64
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import matrix_from_quaternion
 from mirror.metrics.detection.config import DetectionConfig
+from mirror.metrics.inputs import Numbers, as_numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,8 @@ class DetectionBoxes:
         }
         for part in fields(self):
             shape = shapes.get(part.name)
-            values = np.asarray(getattr(self, part.name), dtype=None if shape is None else np.float64)
+            given = getattr(self, part.name)
+            values = np.asarray(given) if shape is None else as_numbers(given, part.name, np.float64)
             if shape is not None and values.size == 0:
                 values = values.reshape(shape if count == 0 else values.shape)
             if values.shape != (shape or (count,)):
@@ -73,11 +74,11 @@ class DetectionBoxes:
         sample: AnyArray | Sequence[Any],
         category: AnyArray | Sequence[str],
         poses: Poses,
-        lwh_m: npt.ArrayLike,
+        lwh_m: Numbers,
         *,
-        velocity_mps: npt.ArrayLike | None = None,
+        velocity_mps: Numbers | None = None,
         attribute: AnyArray | Sequence[str] | None = None,
-        score: npt.ArrayLike | None = None,
+        score: Numbers | None = None,
     ) -> DetectionBoxes:
         """Boxes by their poses; what is not given is not known.
 
@@ -98,11 +99,11 @@ class DetectionBoxes:
             np.asarray(sample),
             np.asarray(category),
             poses.translation,
-            np.asarray(lwh_m, dtype=np.float64),
+            as_numbers(lwh_m, "lwh_m", np.float64),
             np.arctan2(forward[:, 1], forward[:, 0]),
-            np.asarray(np.full((len(poses), 2), np.nan) if velocity_mps is None else velocity_mps, dtype=np.float64),
+            np.full((len(poses), 2), np.nan) if velocity_mps is None else as_numbers(velocity_mps, "velocity_mps"),
             np.full(len(poses), "") if attribute is None else np.asarray(attribute),
-            np.asarray(np.zeros(len(poses)) if score is None else score, dtype=np.float64),
+            np.zeros(len(poses)) if score is None else as_numbers(score, "score"),
         )
 
     def __len__(self) -> int:
@@ -117,7 +118,7 @@ class DetectionBoxes:
         return cls(*(np.concatenate([getattr(one, part.name) for one in parts]) for part in fields(cls)))
 
 
-def in_range(boxes: DetectionBoxes, ego_xy_m: npt.ArrayLike, config: DetectionConfig) -> Bool:
+def in_range(boxes: DetectionBoxes, ego_xy_m: Numbers, config: DetectionConfig) -> Bool:
     """Which boxes are judged: those nearer to the ego vehicle than their class's range.
 
     Apply it to true and predicted boxes alike. The development kit also leaves out true boxes without a lidar or radar
@@ -134,7 +135,7 @@ def in_range(boxes: DetectionBoxes, ego_xy_m: npt.ArrayLike, config: DetectionCo
     Raises:
         UsageError: a category has no range; its row is named.
     """
-    away = boxes.centre_m[:, :2] - np.asarray(ego_xy_m, dtype=np.float64)
+    away = boxes.centre_m[:, :2] - as_numbers(ego_xy_m, "ego_xy_m", np.float64)
     limit = np.array(list(config.class_range.values()), dtype=np.float64)[category_codes(boxes, config)]
     return np.asarray(np.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2) < limit)
 

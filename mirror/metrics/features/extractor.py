@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from mirror.arrays import AnyArray, Float32, UInt8
+from mirror.arrays import Float32, UInt8
 from mirror.errors import UsageError
 from mirror.metrics.features.cache import FeatureCache, feature_key
+from mirror.metrics.inputs import Pixels, as_array
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -37,7 +38,7 @@ class Extractor(Protocol):
         """(n, d) features of a batch."""
 
 
-def extract(extractor: Extractor, items: Iterable[AnyArray], cache: FeatureCache | None = None) -> Float32:
+def extract(extractor: Extractor, items: Iterable[Pixels], cache: FeatureCache | None = None) -> Float32:
     """Features of pictures or clips, in their order.
 
     Args:
@@ -80,13 +81,13 @@ def extract(extractor: Extractor, items: Iterable[AnyArray], cache: FeatureCache
     return np.stack([feature for feature in features if feature is not None])
 
 
-def to_bytes(pixels: AnyArray) -> UInt8:
+def to_bytes(pixels: Pixels) -> UInt8:
     """Pixels as uint8; floats from 0 to 1 are rounded, not truncated: that would take half a grey level off all.
 
     Raises:
         UsageError: another type, not finite, or outside of 0 to 1.
     """
-    pixels = np.asarray(pixels)
+    pixels = as_array(pixels, "pixels")
     if pixels.dtype == np.uint8:
         return pixels
     if pixels.dtype.kind != "f":

@@ -14,6 +14,7 @@ from mirror.metrics.features.cache import FeatureCache
 from mirror.metrics.features.extractor import checked_name, extract
 from mirror.metrics.features.frechet import FrechetDistance, frechet_distance
 from mirror.metrics.features.kid import KernelDistance, kid
+from mirror.metrics.inputs import Layout, Pixels, images_of
 from mirror.weights.load import load_state_dict
 from mirror.weights.resolve import ResolvedWeights, WeightResolver
 
@@ -127,26 +128,30 @@ def load_inception(mode: FidResize = "clean", resolver: WeightResolver | None = 
 
 
 def fid(
-    renders: Iterable[AnyArray],
-    truth: Iterable[AnyArray],
+    renders: Iterable[Pixels],
+    truth: Iterable[Pixels],
     network: InceptionFeatures,
     *,
     cache: FeatureCache | None = None,
     seed: int = 0,
+    layout: Layout | None = None,
 ) -> Fid:
     """Distance of renders from photographs.
 
     Args:
-        renders: pictures (h, w, 3) of any size, uint8 or floats from 0 to 1; taken one by one.
+        renders: images (h, w, 3) of any size, or images or batches as ``layout`` says; arrays or torch tensors on the
+            CPU, uint8 or floats from 0 to 1; taken one by one.
         truth: likewise.
         network: of `load_inception`.
         cache: of features; truth is computed once for all methods.
         seed: of the kernel distance's subsets.
+        layout: of every item, as of `mirror.metrics.images.psnr.psnr`.
 
     Raises:
         UsageError: fewer than 2 pictures on a side, or pictures that do not fit.
     """
-    return fid_of_features(extract(network, renders, cache), extract(network, truth, cache), network, seed=seed)
+    first = extract(network, images_of(renders, "render", layout), cache)
+    return fid_of_features(first, extract(network, images_of(truth, "truth", layout), cache), network, seed=seed)
 
 
 def fid_of_features(renders: AnyArray, truth: AnyArray, network: InceptionFeatures, *, seed: int = 0) -> Fid:

@@ -14,6 +14,7 @@ from mirror.errors import UsageError
 from mirror.metrics.features.cache import FeatureCache
 from mirror.metrics.features.extractor import checked_name, extract
 from mirror.metrics.features.frechet import FrechetDistance, frechet_distance
+from mirror.metrics.inputs import Pixels, as_array, channels_last
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.load import load_state_dict
 from mirror.weights.resolve import ResolvedWeights, WeightResolver
@@ -179,28 +180,31 @@ def _scripted(path: Path) -> Callable[[Tensor], Tensor]:
 
 
 def fvd(
-    renders: Iterable[AnyArray],
-    truth: Iterable[AnyArray],
+    renders: Iterable[Pixels],
+    truth: Iterable[Pixels],
     network: VideoFeatures,
     *,
     ddof: int = 1,
     cache: FeatureCache | None = None,
+    layout: Literal["nhwc", "nchw"] = "nhwc",
 ) -> Fvd:
     """Distance of rendered clips from recorded ones.
 
     Args:
-        renders: clips (frames, h, w, 3), uint8 or floats from 0 to 1, all with as many frames; taken one by one.
+        renders: clips (frames, h, w, 3), or as ``layout`` says; arrays or torch tensors on the CPU, uint8 or floats
+            from 0 to 1, all with as many frames; taken one by one.
         truth: likewise.
         network: of `load_i3d`.
         ddof: 1 as VideoGPT and common_metrics, 0 as StyleGAN-V and cd-fvd: at 100 clips 1 % less.
         cache: of features.
+        layout: of a clip, whose frames are n: ``nhwc`` or ``nchw``.
 
     Raises:
         UsageError: fewer than 2 clips on a side, clips too short or of different lengths.
     """
     network.frames = None
-    first = extract(network, _checked(renders, network), cache)
-    second = extract(network, _checked(truth, network), cache)
+    first = extract(network, _checked(renders, "render", network, layout), cache)
+    second = extract(network, _checked(truth, "truth", network, layout), cache)
     distance = frechet_distance(first, second, ddof=ddof)
     warning = None
     if min(distance.n) < _ENOUGH:
@@ -210,8 +214,11 @@ def fvd(
     return Fvd(network.name, distance, network.crop, network.frames or 0, network.weights, warning)
 
 
-def _checked(clips: Iterable[AnyArray], network: VideoFeatures) -> Iterable[AnyArray]:
-    """The clips; their length is checked even where their features are cached."""
+def _checked(
+    clips: Iterable[Pixels], what: str, network: VideoFeatures, layout: Literal["nhwc", "nchw"]
+) -> Iterable[AnyArray]:
+    """The clips (frames, h, w, 3); their length is checked even where their features are cached."""
     for clip in clips:
-        network.check(np.asarray(clip))
-        yield clip
+        arranged = as_array(clip, what) if layout == "nhwc" else channels_last(clip, what, layout)
+        network.check(arranged)
+        yield arranged

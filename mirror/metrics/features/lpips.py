@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
-from mirror.arrays import AnyArray, Bool
 from mirror.errors import UsageError
+from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, as_images, as_masks, of_layout
 from mirror.metrics.score import Score
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.load import load_state_dict
@@ -44,31 +44,76 @@ def load_lpips(net: LpipsNet = "alex", resolver: WeightResolver | None = None) -
     return PerceptualDistance(f"lpips-{net}", filled(trunk, trunk_state, unused=("classifier.",)), heads, files)
 
 
+@overload
 def lpips(
-    render: AnyArray,
-    truth: AnyArray,
+    render: Pixels,
+    truth: Pixels,
     network: PerceptualDistance,
     *,
-    mask: Bool | None = None,
+    mask: Pixels | None = None,
     masked: Masked = "map",
-) -> Score:
+    layout: ImageLayout | None = None,
+) -> Score: ...
+@overload
+def lpips(
+    render: Pixels,
+    truth: Pixels,
+    network: PerceptualDistance,
+    *,
+    mask: Pixels | None = None,
+    masked: Masked = "map",
+    layout: BatchLayout,
+) -> list[Score]: ...
+def lpips(
+    render: Pixels,
+    truth: Pixels,
+    network: PerceptualDistance,
+    *,
+    mask: Pixels | None = None,
+    masked: Masked = "map",
+    layout: Layout | None = None,
+) -> Score | list[Score]:
     """LPIPS of a render.
 
     For many renders of one truth call the network itself: ``network(renders, truth)``.
 
     Args:
-        render: (h, w, 3), uint8 or floats from 0 to 1.
-        truth: (h, w, 3).
+        render: (h, w, 3), or as ``layout`` says; an array or a torch tensor on the CPU, uint8 or floats from 0 to 1.
+        truth: of the same shape.
         network: of `load_lpips`.
-        mask: (h, w), true where pixels count.
+        mask: (h, w) bool, true where pixels count; of a batch also (n, h, w).
         masked: ``map`` or ``zero-fill``, see `PerceptualDistance`.
+        layout: as of `mirror.metrics.images.psnr.psnr`.
+
+    Returns:
+        The distance; of a batch a list, one an image.
 
     Raises:
         UsageError: another network than LPIPS's, or pictures that do not fit.
     """
     if not network.name.startswith("lpips-"):
         raise UsageError(f"{network.name} is not LPIPS", remedy="call the network itself, and its figures by its name")
-    return network([render], truth, mask, masked)[0]
+    return pair_distances(network, render, truth, mask, masked, layout)
+
+
+def pair_distances(
+    network: PerceptualDistance,
+    render: Pixels,
+    truth: Pixels,
+    mask: Pixels | None,
+    masked: Masked,
+    layout: Layout | None,
+) -> Any:
+    """Distance of one render, or the list of those of a batch, from as many truths.
+
+    Raises:
+        UsageError: images or masks do not fit.
+    """
+    renders, truths = as_images(render, "render", layout), as_images(truth, "truth", layout)
+    if len(renders) != len(truths):
+        raise UsageError(f"{len(renders)} renders and {len(truths)} truths", expected="as many of both")
+    masks = as_masks(mask, layout, len(renders))
+    return of_layout([network([one], other, own, masked)[0] for one, other, own in zip(renders, truths, masks)], layout)
 
 
 def lpips_trunk(net: LpipsNet) -> Trunk:

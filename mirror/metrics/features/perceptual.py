@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from mirror.arrays import AnyArray, Bool, Float32
 from mirror.errors import UsageError
+from mirror.metrics.inputs import ImageLayout, Pixels, as_array, as_image
 from mirror.metrics.networks.state import load_strictly
 from mirror.metrics.networks.trunk import Trunk
 from mirror.metrics.score import EMPTY_MASK, Score
@@ -66,17 +67,25 @@ class PerceptualDistance:
         self._heads = [head.detach().reshape(1, -1, 1, 1).clone() for head in heads]
 
     def __call__(
-        self, renders: Sequence[AnyArray], truth: AnyArray, mask: Bool | None = None, masked: Masked = "map"
+        self,
+        renders: Sequence[Pixels],
+        truth: Pixels,
+        mask: Pixels | None = None,
+        masked: Masked = "map",
+        *,
+        layout: ImageLayout | None = None,
     ) -> list[Score]:
         """Distance of every render from one truth, whose features are computed once for all.
 
         Args:
-            renders: pictures (h, w, 3): uint8, or floats from 0 to 1.
-            truth: (h, w, 3).
+            renders: images (h, w, 3), or as ``layout`` says; arrays or torch tensors on the CPU: uint8, or floats from
+                0 to 1.
+            truth: of the same shape.
             mask: (h, w), true where pixels count; None: everywhere.
             masked: ``map``: the mean of the distance map over the mask, with the caveat that features see beyond it;
                 ``zero-fill``: both pictures black outside of it and the mean over the whole frame, as MTGS has it: its
                 value shrinks with the mask.
+            layout: ``hwc`` or ``chw``; None: arrays (h, w, 3).
 
         Returns:
             One score each; NaN with a reason where the mask is empty.
@@ -86,16 +95,17 @@ class PerceptualDistance:
         """
         if masked not in ("map", "zero-fill"):
             raise UsageError(f"masked is {masked!r}", expected="'map' or 'zero-fill'")
-        pictures = [np.asarray(picture) for picture in (truth, *renders)]
-        self._check(pictures, mask)
-        if mask is not None and not mask.any():
+        pictures = [as_image(truth, "truth", layout), *(as_image(render, "render", layout) for render in renders)]
+        counted = None if mask is None else as_array(mask, "mask")
+        self._check(pictures, counted)
+        if counted is not None and not counted.any():
             return [EMPTY_MASK] * len(renders)
         different = [at for at, picture in enumerate(pictures[1:]) if not _equal(picture, pictures[0])]
         scores = [Score(0.0)] * len(renders)
         self.skipped += len(renders) - len(different)
         if different:
             chosen = [self._to_unit(pictures[at]) for at in (0, *(at + 1 for at in different))]
-            values = self._distances(np.stack(chosen), mask, masked)
+            values = self._distances(np.stack(chosen), counted, masked)
             self.compared += len(different)
             for at, value in zip(different, values):
                 scores[at] = Score(value)

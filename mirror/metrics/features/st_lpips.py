@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, overload
 
-from mirror.arrays import AnyArray, Bool
 from mirror.errors import UsageError
-from mirror.metrics.features.lpips import lpips_heads
+from mirror.metrics.features.lpips import lpips_heads, pair_distances
+from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels
 from mirror.metrics.score import Score
 from mirror.weights.load import load_state_dict
 from mirror.weights.resolve import WeightResolver
@@ -36,9 +36,35 @@ def load_st_lpips(net: StLpipsNet = "alex", resolver: WeightResolver | None = No
     return PerceptualDistance(f"st_lpips-{net}", filled(trunk, layers), lpips_heads(heads, len(trunk.channels)), [file])
 
 
+@overload
 def st_lpips(
-    render: AnyArray, truth: AnyArray, network: PerceptualDistance, *, mask: Bool | None = None, masked: Masked = "map"
-) -> Score:
+    render: Pixels,
+    truth: Pixels,
+    network: PerceptualDistance,
+    *,
+    mask: Pixels | None = None,
+    masked: Masked = "map",
+    layout: ImageLayout | None = None,
+) -> Score: ...
+@overload
+def st_lpips(
+    render: Pixels,
+    truth: Pixels,
+    network: PerceptualDistance,
+    *,
+    mask: Pixels | None = None,
+    masked: Masked = "map",
+    layout: BatchLayout,
+) -> list[Score]: ...
+def st_lpips(
+    render: Pixels,
+    truth: Pixels,
+    network: PerceptualDistance,
+    *,
+    mask: Pixels | None = None,
+    masked: Masked = "map",
+    layout: Layout | None = None,
+) -> Score | list[Score]:
     """ST-LPIPS of a render; arguments as those of `mirror.metrics.features.lpips.lpips`.
 
     Raises:
@@ -46,7 +72,7 @@ def st_lpips(
     """
     if not network.name.startswith("st_lpips-"):
         raise UsageError(f"{network.name} is not ST-LPIPS", remedy="load it with load_st_lpips")
-    return network([render], truth, mask, masked)[0]
+    return pair_distances(network, render, truth, mask, masked, layout)
 
 
 def st_lpips_trunk(net: StLpipsNet) -> Trunk:

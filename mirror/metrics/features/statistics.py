@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.arrays import AnyArray, Float64
 from mirror.errors import UsageError
+from mirror.metrics.inputs import as_numbers
 
 _BLOCK = 1024
 _PENDING = 2048
@@ -99,8 +100,8 @@ class FeatureStatistics:
         Raises:
             UsageError: shapes do not fit, a value is not finite, or the covariance is not symmetric.
         """
-        mean = np.asarray(mean, np.float64)
-        covariance = np.asarray(covariance, np.float64)
+        mean = as_numbers(mean, "mean", np.float64)
+        covariance = as_numbers(covariance, "covariance", np.float64)
         if mean.ndim != 1 or covariance.shape != (mean.size, mean.size):
             raise UsageError(
                 f"a mean of shape {mean.shape} and a covariance of shape {covariance.shape}", expected="(d,) and (d, d)"
@@ -220,7 +221,7 @@ def checked_features(features: AnyArray) -> Float64:
     Raises:
         UsageError: another shape, empty, or a value that is not finite.
     """
-    values = np.asarray(features)
+    values = as_numbers(features, "features")
     if values.ndim != 2 or 0 in values.shape or values.dtype.kind not in "fiu":
         raise UsageError(f"features of shape {values.shape} and type {values.dtype}", expected="(n, d) real, n, d >= 1")
     values = values.astype(np.float64, copy=False)

@@ -16,10 +16,10 @@ from statistics import NormalDist
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from mirror.arrays import AnyArray, Float64, Int64
 from mirror.errors import UsageError
+from mirror.metrics.inputs import Numbers, as_numbers
 
 Method: TypeAlias = Literal["bca", "percentile"]
 
@@ -68,7 +68,7 @@ class Difference:
     p_value: float
 
 
-def frame_blocks(sequences: Sequence[object], frames: npt.ArrayLike, length: int) -> Int64:
+def frame_blocks(sequences: Sequence[object], frames: Numbers, length: int) -> Int64:
     """Number blocks of consecutive frames; all images of a frame are in one block.
 
     Args:
@@ -100,8 +100,8 @@ def frame_blocks(sequences: Sequence[object], frames: npt.ArrayLike, length: int
 
 
 def mean_interval(
-    scores: npt.ArrayLike,
-    blocks: npt.ArrayLike,
+    scores: Numbers,
+    blocks: Numbers,
     *,
     method: Method = "bca",
     confidence: float = CONFIDENCE,
@@ -142,9 +142,9 @@ def mean_interval(
 
 
 def paired_difference(
-    first: npt.ArrayLike,
-    second: npt.ArrayLike,
-    blocks: npt.ArrayLike,
+    first: Numbers,
+    second: Numbers,
+    blocks: Numbers,
     *,
     method: Method = "bca",
     confidence: float = CONFIDENCE,
@@ -168,7 +168,7 @@ def paired_difference(
     Raises:
         UsageError: as of `mean_interval`.
     """
-    first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    first, second = as_numbers(first, "first scores", np.float64), as_numbers(second, "second scores", np.float64)
     if first.shape != second.shape:
         raise UsageError(f"scores {first.shape} and {second.shape}", expected="scores of the same images")
     with np.errstate(invalid="ignore"):
@@ -178,14 +178,14 @@ def paired_difference(
     if interval.reason is not None:
         return Difference(interval, math.nan)
     finite = np.isfinite(difference)
-    sums, _ = _block_sums(difference[finite], np.asarray(blocks)[finite])
+    sums, _ = _block_sums(difference[finite], as_numbers(blocks, "blocks")[finite])
     return Difference(interval, _sign_flip_p_value(sums, resamples, np.random.default_rng(seed)))
 
 
 def _checked(
-    scores: npt.ArrayLike, blocks: npt.ArrayLike, method: str, confidence: float, resamples: int
+    scores: Numbers, blocks: Numbers, method: str, confidence: float, resamples: int
 ) -> tuple[Float64, AnyArray]:
-    scores, blocks = np.asarray(scores, np.float64), np.asarray(blocks)
+    scores, blocks = as_numbers(scores, "scores", np.float64), as_numbers(blocks, "blocks")
     if scores.ndim != 1 or blocks.shape != scores.shape or (blocks.size and blocks.dtype.kind not in "iu"):
         raise UsageError(
             f"scores {scores.shape}, blocks {blocks.shape} of {blocks.dtype}", expected="an integer for each score"

@@ -15,14 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, overload
 
 import numpy as np
 
-from mirror.arrays import AnyArray, Bool, Float64, Int64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
-from mirror.metrics.images.pairs import as_pair
+from mirror.metrics.images.pairs import Pair, as_pair, as_pairs
 from mirror.metrics.images.psnr import psnr
+from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, as_array, as_image, of_layout
 from mirror.metrics.score import Score
 
 ITERATIONS: Final = 5
@@ -71,33 +72,63 @@ class CorrectedPsnr:
         return self.rank == self.terms
 
 
+@overload
 def psnr_cc(
-    render: AnyArray,
-    truth: AnyArray,
+    render: Pixels,
+    truth: Pixels,
     *,
-    mask: AnyArray | None = None,
+    mask: Pixels | None = None,
     data_range: float | None = None,
     iterations: int = ITERATIONS,
-) -> CorrectedPsnr:
+    layout: ImageLayout | None = None,
+) -> CorrectedPsnr: ...
+@overload
+def psnr_cc(
+    render: Pixels,
+    truth: Pixels,
+    *,
+    mask: Pixels | None = None,
+    data_range: float | None = None,
+    iterations: int = ITERATIONS,
+    layout: BatchLayout,
+) -> list[CorrectedPsnr]: ...
+def psnr_cc(
+    render: Pixels,
+    truth: Pixels,
+    *,
+    mask: Pixels | None = None,
+    data_range: float | None = None,
+    iterations: int = ITERATIONS,
+    layout: Layout | None = None,
+) -> CorrectedPsnr | list[CorrectedPsnr]:
     """PSNR of an image after its colours were warped to the photograph's.
 
     Args:
-        render: (H, W, C), RGB as a rule; uint8, uint16, float32 or float64.
+        render: (H, W, C), RGB as a rule, or as ``layout`` says; an array or a torch tensor on the CPU, of uint8,
+            uint16, float32 or float64.
         truth: of the same shape and type.
-        mask: (H, W) bool, true where pixels count. The others take part in neither fit nor score.
+        mask: (H, W) bool, true where pixels count; of a batch also (N, H, W). The others take part in neither fit nor
+            score.
         data_range: what separates black from white; None: 255 or 65535. Floats need it.
         iterations: number of fits; MTGS has 5.
+        layout: ``hw``, ``hwc`` or ``chw`` of an image, ``nhw``, ``nhwc`` or ``nchw`` of a batch; None: (H, W), or
+            arrays (H, W, C). Tensors of more axes need it.
 
     Returns:
-        dB and the rank of the fits. Infinite for equal pictures, and where the warp meets the photograph to rounding,
-        1e-9 of the range at every pixel: what is left then is the fit's own noise, which no mean should contain.
+        dB and the rank of the fits; of a batch a list, one an image. Infinite for equal pictures, and where the warp
+        meets the photograph to rounding, 1e-9 of the range at every pixel: what is left then is the fit's own noise,
+        which no mean should contain.
 
     Raises:
         UsageError: as of `correct_colours`.
     """
-    correction = correct_colours(render, truth, mask=mask, data_range=data_range, iterations=iterations)
-    pair = as_pair(render, truth, mask, data_range)
-    target = pair.selected(pair.truth) / pair.data_range
+    pairs = as_pairs(render, truth, mask, data_range, layout)
+    return of_layout([_corrected_psnr(pair, iterations) for pair in pairs], layout)
+
+
+def _corrected_psnr(pair: Pair, iterations: int) -> CorrectedPsnr:
+    correction = _correct(pair, iterations)
+    target = pair.selected(pair.truth).astype(np.float64) / pair.data_range
     equal = np.array_equal(pair.selected(pair.render), pair.selected(pair.truth))
     if equal or float(np.abs(correction.colours - target).max()) <= _ROUNDING:
         score = Score(math.inf)
@@ -107,12 +138,13 @@ def psnr_cc(
 
 
 def correct_colours(
-    render: AnyArray,
-    truth: AnyArray,
+    render: Pixels,
+    truth: Pixels,
     *,
-    mask: AnyArray | None = None,
+    mask: Pixels | None = None,
     data_range: float | None = None,
     iterations: int = ITERATIONS,
+    layout: ImageLayout | None = None,
 ) -> Correction:
     """Warp a render's colours to its photograph's.
 
@@ -122,6 +154,7 @@ def correct_colours(
         mask: as of `psnr_cc`.
         data_range: as of `psnr_cc`.
         iterations: as of `psnr_cc`.
+        layout: of the images.
 
     Returns:
         The warped colours, clipped to the data range, and the ranks.
@@ -130,7 +163,11 @@ def correct_colours(
         UsageError: the pictures cannot be compared (`as_pair`), a selected pixel is NaN or infinite, the mask selects
             none, or there is no iteration.
     """
-    pair = as_pair(render, truth, mask, data_range)
+    images = as_image(render, "render", layout), as_image(truth, "truth", layout)
+    return _correct(as_pair(*images, None if mask is None else as_array(mask, "mask"), data_range), iterations)
+
+
+def _correct(pair: Pair, iterations: int) -> Correction:
     if pair.empty:
         raise UsageError("the mask selects no pixel to fit colours to", expected="at least one")
     if iterations < 1:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.arrays import AnyArray, Bool
 from mirror.errors import UsageError
+from mirror.metrics.inputs import Layout, Pixels, as_images, as_masks
 
 _DTYPES: Final = ("uint8", "uint16", "float32", "float64")
 _LEAST, _MOST = 1e-60, 1e60
@@ -57,6 +58,21 @@ class Pair:
                     expected="finite pixels",
                     remedy="repair the picture or leave the pixels out with a mask",
                 )
+
+
+def as_pairs(
+    render: Pixels, truth: Pixels, mask: Pixels | None, data_range: float | None, layout: Layout | None
+) -> list[Pair]:
+    """The pair of an image, or the pairs of a batch: `as_pair` of what `mirror.metrics.inputs` takes.
+
+    Raises:
+        UsageError: neither arrays nor tensors on the CPU, another layout, or as of `as_pair`.
+    """
+    renders, truths = as_images(render, "render", layout), as_images(truth, "truth", layout)
+    if len(renders) != len(truths):
+        raise UsageError(f"{len(renders)} renders and {len(truths)} truths", expected="as many of both")
+    masks = as_masks(mask, layout, len(renders))
+    return [as_pair(*images, data_range) for images in zip(renders, truths, masks)]
 
 
 def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range: float | None) -> Pair:

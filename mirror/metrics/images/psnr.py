@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, overload
 
 import cv2
 import numpy as np
@@ -16,29 +16,60 @@ import numpy as np
 from mirror.arrays import AnyArray
 from mirror.errors import UsageError
 from mirror.metrics.images.aggregate import Summary, summarise
-from mirror.metrics.images.pairs import Pair, as_pair
+from mirror.metrics.images.pairs import Pair, as_pairs
+from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
 
 _BLOCK: Final = 1 << 16
 
 
-def psnr(render: AnyArray, truth: AnyArray, *, mask: AnyArray | None = None, data_range: float | None = None) -> Score:
+@overload
+def psnr(
+    render: Pixels,
+    truth: Pixels,
+    *,
+    mask: Pixels | None = None,
+    data_range: float | None = None,
+    layout: ImageLayout | None = None,
+) -> Score: ...
+@overload
+def psnr(
+    render: Pixels,
+    truth: Pixels,
+    *,
+    mask: Pixels | None = None,
+    data_range: float | None = None,
+    layout: BatchLayout,
+) -> list[Score]: ...
+def psnr(
+    render: Pixels,
+    truth: Pixels,
+    *,
+    mask: Pixels | None = None,
+    data_range: float | None = None,
+    layout: Layout | None = None,
+) -> Score | list[Score]:
     """PSNR of an image in dB.
 
     Args:
-        render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.
+        render: (H, W) or (H, W, C), or as ``layout`` says; an array or a torch tensor on the CPU, of uint8, uint16,
+            float32 or float64.
         truth: of the same shape and type.
-        mask: (H, W) bool, true where pixels count. They are selected: nothing is filled with zeros.
+        mask: (H, W) bool, true where pixels count; of a batch also (N, H, W). They are selected: nothing is filled with
+            zeros.
         data_range: what separates black from white; None: 255 or 65535. Floats need it.
+        layout: ``hw``, ``hwc`` or ``chw`` of an image, ``nhw``, ``nhwc`` or ``nchw`` of a batch; None: (H, W), or
+            arrays (H, W, C). Tensors of more axes need it.
 
     Returns:
-        dB; infinite for equal pictures, NaN with a reason for an empty mask. Float pictures that differ by less than
-        1e-154 of the range count as equal.
+        dB; of a batch a list, one an image. Infinite for equal pictures, NaN with a reason for an empty mask. Float
+        pictures that differ by less than 1e-154 of the range count as equal.
 
     Raises:
         UsageError: the pictures cannot be compared (`as_pair`), or a selected pixel is NaN or infinite.
     """
-    return _decibels(*_relative_squares(as_pair(render, truth, mask, data_range)))
+    pairs = as_pairs(render, truth, mask, data_range, layout)
+    return of_layout([_decibels(*_relative_squares(pair)) for pair in pairs], layout)
 
 
 @dataclass(frozen=True)
@@ -68,13 +99,24 @@ class Psnr:
         self._squares: list[float] = []
         self._count = 0
 
-    def update(self, render: AnyArray, truth: AnyArray, mask: AnyArray | None = None) -> Score:
-        """Add an image; arguments, result and errors as of `psnr`."""
-        squares, count = _relative_squares(as_pair(render, truth, mask, self.data_range))
-        self.scores.append(_decibels(squares, count))
-        self._squares.append(squares)
-        self._count += count
-        return self.scores[-1]
+    @overload
+    def update(
+        self, render: Pixels, truth: Pixels, mask: Pixels | None = None, *, layout: ImageLayout | None = None
+    ) -> Score: ...
+    @overload
+    def update(
+        self, render: Pixels, truth: Pixels, mask: Pixels | None = None, *, layout: BatchLayout
+    ) -> list[Score]: ...
+    def update(
+        self, render: Pixels, truth: Pixels, mask: Pixels | None = None, *, layout: Layout | None = None
+    ) -> Score | list[Score]:
+        """Add an image or a batch; arguments, result and errors as of `psnr`."""
+        parts = [_relative_squares(pair) for pair in as_pairs(render, truth, mask, self.data_range, layout)]
+        scores = [_decibels(*part) for part in parts]
+        self.scores.extend(scores)
+        self._squares.extend(squares for squares, _ in parts)
+        self._count += sum(count for _, count in parts)
+        return of_layout(scores, layout)
 
     def merge(self, other: Psnr) -> None:
         """Add what another accumulator has.

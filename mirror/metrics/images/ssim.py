@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Final, Literal, NoReturn, TypeAlias
+from typing import Final, Literal, NoReturn, TypeAlias, overload
 
 import cv2
 import numpy as np
@@ -17,8 +17,9 @@ import numpy as np
 from mirror.arrays import AnyArray, Bool
 from mirror.errors import UsageError
 from mirror.metrics.images.aggregate import Summary, summarise
-from mirror.metrics.images.pairs import Pair, as_pair
+from mirror.metrics.images.pairs import Pair, as_pair, as_pairs
 from mirror.metrics.images.ssim_map import Precision, SsimSettings, map_tiles
+from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, as_image, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
 
 MaskMode: TypeAlias = Literal["map", "erode", "normalised"]
@@ -37,46 +38,77 @@ _NO_WINDOW: Final = "no selected pixel has its whole window in the picture"
 _NO_WHOLE_WINDOW: Final = "no selected pixel has its whole window in the mask"
 
 
+@overload
 def ssim(
-    render: AnyArray,
-    truth: AnyArray,
+    render: Pixels,
+    truth: Pixels,
     *,
-    mask: AnyArray | None = None,
+    mask: Pixels | None = None,
     preset: str | SsimSettings = "gaussian11",
     mask_mode: MaskMode = "map",
     data_range: float | None = None,
     precision: Precision = "float64",
-) -> Score:
+    layout: ImageLayout | None = None,
+) -> Score: ...
+@overload
+def ssim(
+    render: Pixels,
+    truth: Pixels,
+    *,
+    mask: Pixels | None = None,
+    preset: str | SsimSettings = "gaussian11",
+    mask_mode: MaskMode = "map",
+    data_range: float | None = None,
+    precision: Precision = "float64",
+    layout: BatchLayout,
+) -> list[Score]: ...
+def ssim(
+    render: Pixels,
+    truth: Pixels,
+    *,
+    mask: Pixels | None = None,
+    preset: str | SsimSettings = "gaussian11",
+    mask_mode: MaskMode = "map",
+    data_range: float | None = None,
+    precision: Precision = "float64",
+    layout: Layout | None = None,
+) -> Score | list[Score]:
     """SSIM of an image: the mean of its map over selected pixels and channels.
 
     Args:
-        render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.
+        render: (H, W) or (H, W, C), or as ``layout`` says; an array or a torch tensor on the CPU, of uint8, uint16,
+            float32 or float64.
         truth: of the same shape and type.
-        mask: (H, W) bool, true where pixels count.
+        mask: (H, W) bool, true where pixels count; of a batch also (N, H, W).
         preset: a name in `PRESETS`, or settings of your own.
         mask_mode: ``map`` averages the map over the mask; windows see the pixels beside it. ``erode`` averages only
             where the whole window is in the mask. ``normalised`` leaves pixels outside the mask out of every window
             and weighs the others up.
         data_range: what separates black from white; None: 255 or 65535. Floats need it.
         precision: ``float32`` takes two thirds of the time; the map is then right to 2e-4.
+        layout: ``hw``, ``hwc`` or ``chw`` of an image, ``nhw``, ``nhwc`` or ``nchw`` of a batch; None: (H, W), or
+            arrays (H, W, C). Tensors of more axes need it.
 
     Returns:
-        At most 1, and 1 for equal pictures; NaN with a reason where no pixel is left.
+        At most 1, and 1 for equal pictures; NaN with a reason where no pixel is left. Of a batch a list, one score an
+        image.
 
     Raises:
         UsageError: the pictures cannot be compared (`as_pair`), they are smaller than the window and the border is
             ``valid``, a name is unknown, or windows reach a pixel that is NaN or infinite.
     """
-    return _ssim(as_pair(render, truth, mask, data_range), _settings(preset), mask_mode, precision)
+    settings, pairs = _settings(preset), as_pairs(render, truth, mask, data_range, layout)
+    return of_layout([_ssim(pair, settings, mask_mode, precision) for pair in pairs], layout)
 
 
 def ssim_map(
-    render: AnyArray,
-    truth: AnyArray,
+    render: Pixels,
+    truth: Pixels,
     *,
     preset: str | SsimSettings = "gaussian11",
     data_range: float | None = None,
     precision: Precision = "float64",
+    layout: ImageLayout | None = None,
 ) -> AnyArray:
     """The map of which `ssim` is the mean.
 
@@ -86,6 +118,7 @@ def ssim_map(
         preset: as of `ssim`.
         data_range: as of `ssim`.
         precision: as of `ssim`; the map's type.
+        layout: of the images; that of the map does not follow it.
 
     Returns:
         (H, W, C), or (H, W) for pictures of that shape; NaN where the window leaves the picture and the border is
@@ -94,7 +127,8 @@ def ssim_map(
     Raises:
         UsageError: as of `ssim`.
     """
-    settings, pair = _settings(preset), as_pair(render, truth, None, data_range)
+    images = as_image(render, "render", layout), as_image(truth, "truth", layout)
+    settings, pair = _settings(preset), as_pair(*images, None, data_range)
     part = _part(pair, settings)
     found = np.full(pair.render.shape, np.nan, precision)
     inside = found[part.rows, part.columns]
@@ -104,7 +138,7 @@ def ssim_map(
         start += len(tile)
     if np.isnan(inside).any():
         _refuse(pair, None)
-    return found.reshape(render.shape)
+    return found.reshape(images[0].shape)
 
 
 class Ssim:
@@ -128,11 +162,22 @@ class Ssim:
         self.mask_mode, self.data_range, self.precision = mask_mode, data_range, precision
         self.scores: list[Score] = []
 
-    def update(self, render: AnyArray, truth: AnyArray, mask: AnyArray | None = None) -> Score:
-        """Add an image; arguments, result and errors as of `ssim`."""
-        pair = as_pair(render, truth, mask, self.data_range)
-        self.scores.append(_ssim(pair, self.settings, self.mask_mode, self.precision))
-        return self.scores[-1]
+    @overload
+    def update(
+        self, render: Pixels, truth: Pixels, mask: Pixels | None = None, *, layout: ImageLayout | None = None
+    ) -> Score: ...
+    @overload
+    def update(
+        self, render: Pixels, truth: Pixels, mask: Pixels | None = None, *, layout: BatchLayout
+    ) -> list[Score]: ...
+    def update(
+        self, render: Pixels, truth: Pixels, mask: Pixels | None = None, *, layout: Layout | None = None
+    ) -> Score | list[Score]:
+        """Add an image or a batch; arguments, result and errors as of `ssim`."""
+        pairs = as_pairs(render, truth, mask, self.data_range, layout)
+        scores = [_ssim(pair, self.settings, self.mask_mode, self.precision) for pair in pairs]
+        self.scores.extend(scores)
+        return of_layout(scores, layout)
 
     def merge(self, other: Ssim) -> None:
         """Add what another accumulator has.

@@ -150,3 +150,12 @@ def test_pictures_of_few_colours(seed, colours, spread):
     expected = corrected_by_lstsq(render / 255, truth / 255, iterations=1)[0]
     found = correct_colours(render, truth, iterations=1).colours
     np.testing.assert_allclose(found, expected, atol=1e-7)
+
+
+def test_floats_of_either_size_are_the_same_picture() -> None:
+    # Every float32 is a float64: the fit and the score have the same numbers to work on.
+    draw = np.random.default_rng(0)
+    truth = draw.random((24, 32, 3)).astype(np.float32)
+    render = np.clip(0.8 * truth + 0.05 * draw.standard_normal(truth.shape), 0.0, 1.0).astype(np.float32)
+    wide = psnr_cc(render.astype(np.float64), truth.astype(np.float64), data_range=1.0)
+    assert psnr_cc(render, truth, data_range=1.0) == wide and 20.0 < wide.db < 40.0

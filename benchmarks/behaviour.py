@@ -79,7 +79,7 @@ def _files(folder: Path) -> dict[str, Any]:
     _run("ingest", *sorted(recordings.glob("*-*")), "--rois", recordings / "rois.geojson", "--out", dataset)
     _run("split", dataset, "novel")
     _run("check", dataset)
-    _module("nearest_frame", dataset, "--split", "novel", "--out", floor)
+    _module("mirror_baselines.nearest_frame", dataset, "--split", "novel", "--out", floor)
     _run("evaluate", floor, "--truth", dataset, "--out", folder / "scores")
     before = _hashes(dataset)
     training = ["--steps", _STEPS, "--width", 96, "--threads", 1, "--initialise", "plane-sweep"]

@@ -33,7 +33,8 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> JudgedDrive:
 
 def made(first: np.ndarray, second: np.ndarray, **values: np.ndarray | None) -> PoseSlice:
     stamps = START_NS + 100_000_000 * np.arange(len(first), dtype=np.int64)
-    return PoseSlice(stamps, first, second, **{"height_m": None, "rotation": None, "sigma_m": None} | values)
+    nothing = {"height_m": None, "rotation": None, "sigma_m": None}
+    return PoseSlice(stamps, first, second, **nothing | values, unknown=np.zeros(len(first), np.bool_))
 
 
 def columns(table: pa.Table, names: tuple[str, ...]) -> np.ndarray:

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mirror.errors import MirrorError
 from mirror.version import __version__
 
 if TYPE_CHECKING:
     from mirror.dataset import Dataset as Dataset
     from mirror.dataset import open as open
+    from mirror.errors import MirrorError as MirrorError
 
 __all__ = ["Dataset", "MirrorError", "__version__", "open"]
 
-_LAZY = {"Dataset": "mirror.dataset", "open": "mirror.dataset"}
+_LAZY = {"Dataset": "mirror.dataset", "MirrorError": "mirror.errors", "open": "mirror.dataset"}
 
 
 def __dir__() -> list[str]:

@@ -1,18 +1,16 @@
-"""``mirror VERB ...``: finds the verb's file and runs it; turns errors into a message and an exit code.
+"""``mirror VERB ...``: finds the verb's file and runs it.
 
 Nothing heavy is imported before a verb is known, so that ``mirror --help`` answers at once.
 """
 
 from __future__ import annotations
 
-import difflib
-import json
-import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from mirror.errors import ExitCode, MirrorError
+from mirror.cli.command import run_command, run_process
+from mirror.errors import ExitCode
 from mirror.version import __version__
 
 VERBS = {
@@ -39,12 +37,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb.
 
     Args:
-        argv: the words after ``mirror``; default: the command line's.
+        argv: the words after ``mirror``; default: the command line's, and then the process is the verb's own: signals
+            end it.
 
     Returns:
-        The exit code (`ExitCode`).
+        The exit code (`ExitCode`, or 130 if it was interrupted).
     """
-    words = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        words = sys.argv[1:]
+        return run_process(" ".join(["mirror", *words[:1]]), lambda: main(words))
+    command = f"mirror {argv[0]}" if argv and argv[0] in VERBS else "mirror"
+    return run_command(command, lambda: _run(list(argv)), as_json="--json" in argv)
+
+
+def _run(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         print(_help())
         return ExitCode.DONE if words else ExitCode.COULD_NOT_RUN
@@ -53,24 +59,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return ExitCode.DONE
     verb, rest = words[0], words[1:]
     if verb not in VERBS:
+        import difflib
+
         near = difflib.get_close_matches(verb, VERBS, n=1)
         hint = f" Did you mean `mirror {near[0]}`?" if near else ""
         print(f"mirror: no verb {verb!r}.{hint} `mirror --help` lists them.", file=sys.stderr)
         return ExitCode.COULD_NOT_RUN
-    try:
-        return int(import_module(f"mirror.cli.{verb}").main(rest))
-    except MirrorError as error:
-        if "--json" in rest:
-            print(json.dumps(error.to_dict()))
-        print(f"mirror {verb}: {error}", file=sys.stderr)
-        return ExitCode.COULD_NOT_RUN
-    except KeyboardInterrupt:
-        print(f"mirror {verb}: interrupted: run the same command again", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        # The reader of our output went away (`| head`); point stdout elsewhere so that the exit stays quiet.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return ExitCode.DONE
+    return int(import_module(f"mirror.cli.{verb}").main(rest))
 
 
 def _help() -> str:

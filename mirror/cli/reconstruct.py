@@ -94,6 +94,9 @@ def main(argv: Sequence[str]) -> int:
     from mirror.methods.training_images import asked_of_training
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
+    from mirror.cli.watch import watching
+    from mirror.protocols.document import load_protocol
+    from mirror.methods.training_images import asked_of_training
 
     dataset = mirror.open(arguments.dataset)
     protocol = load_protocol(arguments.protocol)
@@ -117,6 +120,7 @@ def main(argv: Sequence[str]) -> int:
         withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
     )
     with progress_bar(quiet=arguments.json) as watch, terminable():
+    with watching(quiet=arguments.json) as watch:
         done = method.reconstruct(dataset, task, arguments.out, watch)
     if arguments.json:
         said = {"folder": str(done.folder), "scene": scene}

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -18,11 +17,11 @@ from mirror.errors import DatasetError, MirrorError
 from mirror.evaluation.scorers import scorer_of
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.pools import process_pool
 from mirror.schema.files import unwritable
 from mirror.version import __version__
 
 _CHUNK: Final = 8
-_ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -105,12 +104,13 @@ def score_jobs(
         DatasetError: the truth cannot be read, or a worker process died.
     """
     found: dict[str, _Done] = {}
-    for done in _run(jobs, inputs, log, workers):
-        for one in done:
-            found[one.name] = one
-            if one.values is not None and not one.reused:
-                log.add(one.name, one.key, one.values)
-        advance(len(done))
+    with closing(_run(jobs, inputs, log, workers)) as coming:
+        for done in coming:
+            for one in done:
+                found[one.name] = one
+                if one.values is not None and not one.reused:
+                    log.add(one.name, one.key, one.values)
+            advance(len(done))
     scored = tuple(Scored(job, values) for job in jobs if (values := found[job.name].values) is not None)
     failed = {name: one.error for name, one in found.items() if one.error is not None}
     return Outcome(scored, failed, sum(one.reused for one in found.values()))
@@ -136,18 +136,16 @@ def job_key(job: Job, inputs: Inputs) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _run(jobs: Sequence[Job], inputs: Inputs, log: Log, workers: int) -> Iterator[list[_Done]]:
+def _run(jobs: Sequence[Job], inputs: Inputs, log: Log, workers: int) -> Generator[list[_Done], None, None]:
     chunks = [jobs[start : start + _CHUNK] for start in range(0, len(jobs), _CHUNK)]
     asked = [(chunk, {job.name: log.known[job.name] for job in chunk if job.name in log.known}) for chunk in chunks]
     if workers == 1 or len(chunks) < 2:
         for chunk, known in asked:
             yield _do(chunk, known, inputs)
         return
-    # A forked child that enters a parallel numba kernel after its parent did dies.
-    context = multiprocessing.get_context("spawn")
-    with _one_thread_each(), ProcessPoolExecutor(workers, context, _begin, (inputs,)) as pool:
-        waiting: set[Future[list[_Done]]] = set()
-        try:
+    waiting: set[Future[list[_Done]]] = set()
+    try:
+        with process_pool(workers, _begin, inputs) as pool:
             for chunk, known in asked:
                 waiting.add(pool.submit(_do_here, chunk, known))
                 if len(waiting) >= 2 * workers:
@@ -156,15 +154,12 @@ def _run(jobs: Sequence[Job], inputs: Inputs, log: Log, workers: int) -> Iterato
             while waiting:
                 ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 yield from (future.result() for future in ready)
-        except BrokenProcessPool as error:
-            raise DatasetError(
-                "a worker process died, as it does when memory runs out",
-                file=inputs.submission,
-                remedy="run the same command again: it goes on where it stopped; --workers 1 needs least memory",
-            ) from error
-        finally:
-            for future in waiting:
-                future.cancel()
+    except BrokenProcessPool as error:
+        raise DatasetError(
+            "a worker process died, as it does when memory runs out",
+            file=inputs.submission,
+            remedy="run the same command again: it goes on where it stopped; --workers 1 needs least memory",
+        ) from error
 
 
 _inputs: list[Inputs] = []
@@ -196,21 +191,6 @@ def _do(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]], in
         except MirrorError as error:
             done.append(_Done(job.name, "", None, str(error), reused=False))
     return done
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes that are started within have one thread a library: there are as many processes as cores."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def _ends_whole(path: Path) -> bool:

@@ -1,0 +1,100 @@
+"""How every command ends: errors as messages, interruptions as 130, and quietly where nobody reads its output."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from mirror.cli.stops import INTERRUPTED, Stops, interrupted, terminable
+from mirror.errors import ExitCode, MirrorError
+
+CLOSED_PIPE: Final = 141
+"""Exit code of a command that had more to say and nobody read it: what a shell gives for SIGPIPE."""
+
+
+def run_command(command: str, work: Callable[[], int], *, as_json: bool = False) -> int:
+    """Do a command's work in this process, which may do something else afterwards.
+
+    Args:
+        command: as it is typed, for messages.
+        work: it returns the exit code.
+        as_json: print errors on standard output as JSON too.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        SystemExit: the command line was wrong, or asked for help.
+    """
+    try:
+        code = _done(command, work, as_json=as_json)
+    except SystemExit as asked:
+        # rich asks for it where a pipe is closed.
+        if isinstance(asked.__context__, BrokenPipeError):
+            return _say_no_more(CLOSED_PIPE)
+        if (code := _flushed(command, ExitCode.DONE)) != ExitCode.DONE:
+            return code
+        raise
+    except BrokenPipeError:
+        return _say_no_more(CLOSED_PIPE)
+    return _flushed(command, code)
+
+
+def run_process(command: str, run: Callable[[], int]) -> int:
+    """Do a command's work as all that this process does: signals end it, see `Stops`.
+
+    Args:
+        command: as it is typed, for messages.
+        run: it returns the exit code.
+
+    Returns:
+        The exit code.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return run()
+    stops = Stops(command)
+    stops.listen()
+    return stops.work(run)
+
+
+def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
+    try:
+        with terminable():
+            return int(work())
+    except MirrorError as error:
+        if as_json:
+            import json
+
+            print(json.dumps(error.to_dict()))
+        print(f"{command}: {error}", file=sys.stderr)
+        return ExitCode.COULD_NOT_RUN
+    except KeyboardInterrupt:
+        print(interrupted(command), file=sys.stderr)
+        return INTERRUPTED
+
+
+def _flushed(command: str, code: int) -> int:
+    """Write what is buffered: the interpreter's own attempt, when it ends, would print an error."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The work is done, and the reader wanted no more of what is said about it.
+        return _say_no_more(code)
+    except OSError as error:
+        print(f"{command}: standard output cannot be written: {error.strerror}", file=sys.stderr)
+        return _say_no_more(ExitCode.COULD_NOT_RUN)
+    return code
+
+
+def _say_no_more(code: int) -> int:
+    """Send what is still buffered nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(nowhere, stream.fileno())
+    return code

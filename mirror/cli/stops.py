@@ -1,0 +1,138 @@
+"""Ctrl-C and SIGTERM end a command within seconds, with exit code 130 and without a traceback, whatever it is doing.
+
+A command that does its work hears a signal as `KeyboardInterrupt`, so that it removes temporary files and keeps what is
+complete. That alone is not enough: an import, a callback of a C library or a thread that is waited for may swallow the
+exception or hold it up. So a thread that the system's own signal handler wakes ends the process after a few seconds.
+Nothing is lost by that: what is written is written under a temporary name, and renamed when it is complete.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any, Final, NoReturn
+
+INTERRUPTED: Final = 130
+"""Exit code of a command that was interrupted."""
+
+_GRACE_S: Final = 3.0
+_SHOW_CURSOR: Final = b"\x1b[?25h"
+
+
+def interrupted(command: str) -> str:
+    """What is said of a command that was interrupted."""
+    return f"{command}: interrupted: run the same command again"
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """SIGTERM is heard as Ctrl-C while the block runs; only in the main thread, as no other hears signals."""
+
+    def hear(number: int, frame: FrameType | None) -> None:
+        if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+            # In the background of a script Ctrl-C is ignored, and a scheduler's signal is not.
+            raise KeyboardInterrupt
+        signal.raise_signal(signal.SIGINT)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, hear)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+class Stops:
+    """The signals of a process that runs one command.
+
+    Outside of the command's own work, while modules are imported or the interpreter ends, a signal ends the process at
+    once: nothing is being written then. During the work the first signal raises `KeyboardInterrupt`; a second signal,
+    or the end of the time that is left for tidying up, ends the process.
+
+    Args:
+        command: as it was typed, for the message.
+    """
+
+    def __init__(self, command: str) -> None:
+        self._command = command
+        self._working = False
+        self._asked = False
+        self._noticed = threading.Event()
+
+    @property
+    def heard(self) -> bool:
+        """Whether a signal came."""
+        return self._asked or self._noticed.is_set()
+
+    def listen(self) -> None:
+        """Hear signals from now on, to the end of the process."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self._hear)
+        reader, writer = os.pipe()
+        os.set_blocking(writer, False)
+        # Python's handlers run only between steps of the main thread; this is written at once, whoever handles it.
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        threading.Thread(target=self._watch, args=(reader,), name="mirror-stops", daemon=True).start()
+        self._silence()
+
+    def work(self, run: Callable[[], int]) -> int:
+        """Do the command's work; after a signal this ends the process.
+
+        Args:
+            run: the work; it returns the exit code.
+        """
+        code: int | None = None
+        try:
+            try:
+                self._working = True
+                code = run()
+            finally:
+                self._working = False
+        except BaseException:
+            # A C library may have turned the interruption into another error.
+            if not self.heard:
+                raise
+        if code is None or self.heard:
+            self.end(say=code != INTERRUPTED)
+        return code
+
+    def end(self, *, say: bool = True) -> NoReturn:
+        """End the process now, with the exit code of an interruption."""
+        # Past Python's buffers, which what was interrupted may have locked. A progress bar hides the cursor.
+        with suppress(OSError):
+            os.write(2, _SHOW_CURSOR if os.isatty(2) else b"")
+            os.write(2, f"{interrupted(self._command)}\n".encode() if say else b"")
+        os._exit(INTERRUPTED)
+
+    def _hear(self, number: int, frame: FrameType | None) -> None:
+        if self._asked or not self._working:
+            self.end()
+        self._asked = True
+        raise KeyboardInterrupt
+
+    def _watch(self, reader: int) -> None:
+        while os.read(reader, 1)[0] not in (signal.SIGINT, signal.SIGTERM):
+            pass
+        self._noticed.set()
+        threading.Event().wait(_GRACE_S)
+        self.end()
+
+    def _silence(self) -> None:
+        """After a signal the errors that it caused are not printed: not those in threads, callbacks or destructors."""
+        for module, name in ((sys, "excepthook"), (sys, "unraisablehook"), (threading, "excepthook")):
+            setattr(module, name, self._unless_heard(getattr(module, name)))
+
+    def _unless_heard(self, show: Callable[..., None]) -> Callable[..., None]:
+        def shown(*about: Any) -> None:
+            if not self.heard:
+                show(*about)
+
+        return shown

@@ -1,0 +1,147 @@
+"""Pools of threads and processes that end at once when their work is interrupted or fails.
+
+The pools of the standard library wait for all that was asked of them, also after Ctrl-C. Here what has not begun is
+dropped; worker processes are killed, threads finish the one piece that each is at.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from types import FrameType
+from typing import Any, Final, ParamSpec, TypeVar
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+_ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@contextmanager
+def thread_pool(threads: int) -> Iterator[ThreadPoolExecutor]:
+    """Threads; where the block ends with an error, what they have not begun is dropped.
+
+    Args:
+        threads: how many.
+    """
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+class ProcessPool:
+    """See `process_pool`."""
+
+    def __init__(self, pool: ProcessPoolExecutor) -> None:
+        self._pool = pool
+
+    def submit(
+        self, work: Callable[_Arguments, _Result], *args: _Arguments.args, **kwargs: _Arguments.kwargs
+    ) -> Future[_Result]:
+        """As `concurrent.futures.Executor.submit`; it starts processes as they are needed."""
+        with _undisturbed():
+            return self._pool.submit(work, *args, **kwargs)
+
+
+@contextmanager
+def process_pool(
+    workers: int, begin: Callable[_Arguments, None], *args: _Arguments.args, **kwargs: _Arguments.kwargs
+) -> Iterator[ProcessPool]:
+    """Worker processes with one thread a library each, as there are to be as many processes as cores.
+
+    They never hear Ctrl-C, which a terminal sends to all processes of a command, and they end when this process does,
+    however it ends. Where the block ends with an error they are killed.
+
+    Args:
+        workers: how many.
+        begin: called first in each worker.
+        args: of it.
+        kwargs: of it.
+    """
+    # A forked child that enters a parallel numba kernel after its parent did dies.
+    context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
+    with _one_thread_each():
+        pool = ProcessPoolExecutor(workers, context, _begin, (begin, args, kwargs))
+        try:
+            yield ProcessPool(pool)
+        except BaseException:
+            for process in set(multiprocessing.active_children()) - others:
+                process.kill()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        pool.shutdown()
+
+
+def _begin(begin: Callable[..., None], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+    threading.Thread(target=_end_with_parent, name="mirror-parent", daemon=True).start()
+    begin(*args, **kwargs)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Ctrl-C is heard after the block; processes that are started within never hear it.
+
+    A process that starts inherits which signals are held back, from before its first instruction on. One whose parent
+    is interrupted while it hands over the worker's arguments would print an error.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        # Nobody hears it here.
+        with _held_back():
+            yield
+        return
+    late: list[int] = []
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        late.append(number)
+
+    signal.signal(signal.SIGINT, remember)
+    try:
+        with _held_back():
+            yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if late:
+            signal.raise_signal(signal.SIGINT)
+
+
+@contextmanager
+def _held_back() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes that are started within have one thread a library."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,92 @@
+"""Interrupts commands as a terminal or a scheduler does, and holds them to what they owe then."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+MOST_S = 5.0
+MIRROR = (sys.executable, "-m", "mirror.cli.main")
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended.
+
+    Attributes:
+        code: its exit code.
+        taken_s: from the signal, or from the start if it had none, to the end of the last of its processes.
+        stdout: of all its processes.
+        stderr: of all its processes.
+        hit: whether the signal came before it was done.
+    """
+
+    code: int
+    taken_s: float
+    stdout: str
+    stderr: str
+    hit: bool
+
+    def require_stopped(self) -> None:
+        assert self.code == 130, self
+        assert self.taken_s < MOST_S, self
+        assert "Traceback" not in self.stderr and "Exception ignored" not in self.stderr, self.stderr
+        assert "Error" not in self.stderr, self.stderr
+        assert self.stderr.count("interrupted: run the same command again") == 1, self.stderr
+
+
+def interrupt(
+    words: Sequence[str | Path], after_s: float, number: int = signal.SIGINT, *, group: bool = True
+) -> Ended:
+    """Start a command and send it a signal.
+
+    Args:
+        words: the command.
+        after_s: seconds from its start.
+        number: which signal.
+        group: send it to all its processes, as a terminal does; else to the first alone.
+    """
+    # The interpreter's own first instants are nobody's to answer for: the clock runs once it runs our code.
+    mark = "import runpy, sys; sys.stderr.write('begun\\n'); sys.stderr.flush(); "
+    module = words[words.index("-m") + 1]
+    rest = [str(word) for word in words[words.index("-m") + 2 :]]
+    code = f"{mark}sys.argv = [{module!r}, *sys.argv[1:]]; runpy.run_module({module!r}, run_name='__main__')"
+    running = subprocess.Popen(
+        [sys.executable, "-c", code, *rest],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        # The shell of a test run in the background has it ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert running.stdout is not None and running.stderr is not None
+    try:
+        assert running.stderr.readline() == b"begun\n"
+        hit = True
+        try:
+            running.wait(after_s)
+            hit = False
+        except subprocess.TimeoutExpired:
+            os.killpg(running.pid, number) if group else os.kill(running.pid, number)
+        since = time.monotonic()
+        # The pipes close with the last process that holds them.
+        stdout, stderr = running.communicate(timeout=60.0)
+        taken_s = time.monotonic() - since
+    finally:
+        if running.poll() is None or _alive(running.pid):
+            os.killpg(running.pid, signal.SIGKILL)
+    return Ended(running.returncode, taken_s, stdout.decode(), stderr.decode(), hit)
+
+
+def _alive(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from pathlib import Path
 
-from mirror.errors import ExitCode, MirrorError
+from mirror.cli.command import run_command, run_process
+from mirror.errors import ExitCode
 
 _MACHINERY = ("__init__", "__main__", "report")
 
@@ -21,16 +21,13 @@ def names() -> list[str]:
 def main(argv: list[str]) -> int:
     """Run the benchmark that is named."""
     if argv and argv[0] in names():
-        try:
-            code: int = importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:])
-        except MirrorError as error:
-            print(f"benchmarks {argv[0]}: {error}", file=sys.stderr)
-            return ExitCode.COULD_NOT_RUN
-        except BrokenPipeError:
-            # The reader of our output went away (`| head`).
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return ExitCode.DONE
-        return code
+        return run_command(
+            f"benchmarks {argv[0]}", lambda: importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:])
+        )
+    return run_command("benchmarks", lambda: _listed(argv))
+
+
+def _listed(argv: list[str]) -> int:
     print("usage: python -m benchmarks NAME [OPTIONS]; `--help` after a name explains it\n")
     for name in names():
         doc = importlib.import_module(f"benchmarks.{name}").__doc__ or ""
@@ -42,4 +39,4 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(run_process("python -m benchmarks", lambda: main(sys.argv[1:])))

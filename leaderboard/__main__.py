@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
 
 import tyro
 
@@ -16,77 +12,14 @@ from mirror.errors import ExitCode, MirrorError, UsageError
 
 FOLDER: Final = Path(__file__).parent
 """Holds ``entries`` and ``pictures``."""
+from mirror.cli.command import run_process
 
 
-@dataclass(frozen=True)
-class Build:
-    """Write the static site: open its index.html, no server is needed."""
+def _main() -> int:
+    from leaderboard.command import main
 
-    out: Path = Path("site")
-    """Folder of the site."""
-    board: Path = FOLDER
-    """Folder that holds `entries` and `pictures`."""
-    also: tuple[Path, ...] = ()
-    """More such folders; their entries stand in for the same ones of those before."""
-
-
-@dataclass(frozen=True)
-class Add:
-    """Put a result on the board, after holding it against its hashes, the protocol and what is possible."""
-
-    result: tyro.conf.Positional[Path]
-    """`result.json` of `mirror evaluate`."""
-    dataset: str
-    """What the data set is called on the board."""
-    setting: str | None = None
-    """What tells this row from others of the same method and version."""
-    submission: Path | None = None
-    """The submission: some of its renders are shown beside the truth. Needs --truth."""
-    truth: Path | None = None
-    """The dataset that it was scored against."""
-    board: Path = FOLDER
-    """Folder that holds `entries` and `pictures`."""
-
-
-def main(argv: Sequence[str]) -> int:
-    """Run one of the commands."""
-    commands = {"build": _build, "add": _add}
-    if not argv or argv[0] not in commands:
-        print("usage: python -m leaderboard build|add [options]\n\n  build  write the static site")
-        print("  add    put a result.json on the board\n\n`--help` after either explains it.")
-        return ExitCode.DONE if argv and argv[0] in ("-h", "--help") else ExitCode.COULD_NOT_RUN
-    try:
-        return commands[argv[0]](argv[1:])
-    except RefusedError as error:
-        print(f"leaderboard {argv[0]}: refused: {error}", file=sys.stderr)
-        return ExitCode.FINDINGS
-    except MirrorError as error:
-        print(f"leaderboard {argv[0]}: {error}", file=sys.stderr)
-        return ExitCode.COULD_NOT_RUN
-
-
-def _build(argv: Sequence[str]) -> int:
-    arguments = parsed(Build, argv, "python -m leaderboard build")
-    from leaderboard.site.page import build
-
-    print(f"site: {build((arguments.board, *arguments.also), arguments.out)}")
-    return ExitCode.DONE
-
-
-def _add(argv: Sequence[str]) -> int:
-    arguments = parsed(Add, argv, "python -m leaderboard add")
-    from leaderboard.add import add_result
-    from leaderboard.pictures import Shown
-
-    if (arguments.submission is None) != (arguments.truth is None):
-        raise UsageError("--submission and --truth go together", expected="both, or neither")
-    shown = None
-    if arguments.submission is not None and arguments.truth is not None:
-        shown = Shown(arguments.submission, arguments.truth)
-    entry = add_result(arguments.result, arguments.board, arguments.dataset, setting=arguments.setting, shown=shown)
-    print(f"entry: {entry}")
-    return ExitCode.DONE
+    return main(sys.argv[1:])
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(run_process("python -m leaderboard", _main))

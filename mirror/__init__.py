@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from mirror.lazy import lazy
 from mirror.version import __version__
 
 if TYPE_CHECKING:
@@ -16,18 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Dataset", "MirrorError", "__version__", "open"]
 
-_LAZY = {"Dataset": "mirror.dataset", "MirrorError": "mirror.errors", "open": "mirror.dataset"}
+__getattr__ = lazy(__name__, {"Dataset": "mirror.dataset", "MirrorError": "mirror.errors", "open": "mirror.dataset"})
 
 
 def __dir__() -> list[str]:
     """What there is, imported yet or not."""
     return sorted(__all__)
-
-
-def __getattr__(name: str) -> Any:
-    """Import ``mirror.open`` and ``mirror.Dataset`` when they are first asked for."""
-    if name in _LAZY:
-        from importlib import import_module
-
-        return getattr(import_module(_LAZY[name]), name)
-    raise AttributeError(f"module 'mirror' has no attribute {name!r}")

@@ -41,9 +41,7 @@ class Ended:
         assert self.stderr.count("interrupted: run the same command again") == 1, self.stderr
 
 
-def interrupt(
-    words: Sequence[str | Path], after_s: float, number: int = signal.SIGINT, *, group: bool = True
-) -> Ended:
+def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.SIGINT, *, group: bool = True) -> Ended:
     """Start a command and send it a signal.
 
     Args:

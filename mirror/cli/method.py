@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,9 @@ import tyro
 
 from mirror.command_line import parsed
 from mirror.errors import ExitCode, MirrorError
+from mirror.cli.arguments import parsed
+from mirror.cli.command import run_command
+from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
     from mirror.evaluation.submission.manifest import Appearance, Method
@@ -44,14 +46,13 @@ def method_main(argv: Sequence[str], renderer: Renderer, method: Method, appeara
     Returns:
         The exit code (`ExitCode`).
     """
-    try:
-        return _write(parsed(Arguments, argv, f"python -m {method.name}"), renderer, method, appearance)
-    except MirrorError as error:
-        print(f"{method.name}: {error}", file=sys.stderr)
-        return ExitCode.COULD_NOT_RUN
+    command = f"python -m {method.name}"
+    return run_command(command, lambda: _write(argv, command, renderer, method, appearance))
 
 
-def _write(arguments: Arguments, renderer: Renderer, method: Method, appearance: Appearance) -> ExitCode:
+def _write(argv: Sequence[str], command: str, renderer: Renderer, method: Method, appearance: Appearance) -> int:
+    arguments = parsed(Arguments, argv, command)
+
     import mirror
     from mirror.evaluation.submission.writing import write_submission
     from mirror.progress import progress_bar

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mirror.cli.method import method_main
 from mirror.dataset import Dataset
 from mirror.dataset.frames import Image
 from mirror.errors import DatasetError, ExitCode, UsageError
@@ -23,6 +24,7 @@ from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.views import plan_views
 from mirror_baselines.nearest_frame import APPEARANCE, METHOD, METRES_A_RADIAN, nearest, render
 from mirror_baselines.nearest_frame import __main__ as command
+from nearest_frame import APPEARANCE, METHOD, METRES_A_RADIAN, nearest, render
 from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
 
 COLOURS = {name: np.array(colour) for name, _, _, colour, _ in DRIVES}
@@ -165,9 +167,9 @@ def test_protocols_without_renders(dataset: Dataset, tmp_path: Path) -> None:
 
 def test_command(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [dataset.root, "--split", "novel", "--out", str(tmp_path / "out")]
-    assert command.method_main(words, render, METHOD, APPEARANCE) == ExitCode.DONE
+    assert method_main(words, render, METHOD, APPEARANCE) == ExitCode.DONE
     views = len(CAMERAS) * (4 * 4)
     assert FRAMES == 12
     assert f"{views} renders" in capsys.readouterr().out
-    assert command.method_main(words, render, METHOD, APPEARANCE) == ExitCode.COULD_NOT_RUN
+    assert method_main(words, render, METHOD, APPEARANCE) == ExitCode.COULD_NOT_RUN
     assert "nearest_frame: " in capsys.readouterr().err

@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from leaderboard.__main__ import main
 from leaderboard.add import add_result
+from leaderboard.command import main
 from leaderboard.entry import Measured, load_entries
 from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError, ExitCode, MirrorError

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
-from pathlib import Path
 
 import tyro
 
@@ -12,11 +10,11 @@ from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.options import Options
 from mirror.command_line import parsed
 from mirror.errors import ExitCode, MirrorError
+from mirror.cli.command import run_process
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """Write layers of depth, points and sky masks, from which a reconstruction of a split starts."""
+def _main() -> int:
+    from hybridworldsim.mvs.command import main
 
     dataset: tyro.conf.Positional[str]
     """The dataset's folder."""
@@ -57,7 +55,8 @@ def main() -> int:
     if report.written:
         print(f"{report.pictures} pictures, {report.known_share:.1%} of static pixels with a depth; points: {points}")
     return ExitCode.DONE
+    return main(sys.argv[1:])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_process("python -m hybridworldsim.mvs", _main))

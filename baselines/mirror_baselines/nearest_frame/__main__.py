@@ -6,6 +6,16 @@ import sys
 
 from mirror.cli.method import method_main
 from mirror_baselines.nearest_frame import APPEARANCE, METHOD, render
+from mirror.cli.command import run_process
+
+
+def main() -> int:
+    """Run the command line."""
+    from mirror.cli.method import method_main
+    from nearest_frame import APPEARANCE, METHOD, render
+
+    return method_main(sys.argv[1:], render, METHOD, APPEARANCE)
+
 
 if __name__ == "__main__":
-    sys.exit(method_main(sys.argv[1:], render, METHOD, APPEARANCE))
+    sys.exit(run_process("python -m nearest_frame", main))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +18,7 @@ from mirror.dataset.splits.leaks import Tie, ties
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.geometry.cameras import Camera
+from mirror.pools import thread_pool
 from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
 from mirror.schema.files import Model, read_json, read_table
 from mirror.schema.tables import PASSES, ROW_GROUPS, Table
@@ -240,7 +240,7 @@ class DatasetView:
             folders: the folders, each with the number by which its rows are to be known.
         """
         paths = [folder / f"{table.name}.parquet" for _, folder in folders]
-        with ThreadPoolExecutor(usable_cores()) as pool:
+        with thread_pool(usable_cores()) as pool:
             tables = pool.map(lambda path: self.table(path, table), paths)
         read = zip(paths, folders, tables)
         return [(self.name(path), number, data) for path, (number, _), data in read if data is not None]

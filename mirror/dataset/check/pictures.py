@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from threading import Lock
@@ -18,6 +17,7 @@ from mirror.dataset.pictures.still import decode_rgb, usable_cores
 from mirror.dataset.pictures.video import VideoDecoders
 from mirror.dataset.store import Store
 from mirror.errors import MirrorError
+from mirror.pools import thread_pool
 from mirror.recordings.raster import TAIL_BYTES, has_end
 
 MISSING: Final = -1
@@ -103,7 +103,7 @@ class PictureReader:
     def _each(self, read: Callable[[int], Answer]) -> list[Answer]:
         # A task for each picture would cost more than looking at its file.
         chunks = [range(start, min(start + _CHUNK, len(self._uri))) for start in range(0, len(self._uri), _CHUNK)]
-        with ThreadPoolExecutor(usable_cores()) as pool:
+        with thread_pool(usable_cores()) as pool:
             return [answer for part in pool.map(lambda rows: [read(row) for row in rows], chunks) for answer in part]
 
     def _file(self, row: int) -> tuple[int, bool]:

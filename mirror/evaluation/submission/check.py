@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
@@ -15,6 +14,8 @@ from mirror.evaluation.submission.template import MASKS, README, VIEWS, expected
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles
 from mirror.protocols.png import most_bytes, problem_of_png, raster_of_png
 from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.plan import Plan
+from mirror.pools import thread_pool
 
 MOST_TABLE_BYTES: Final = 64 << 20
 _THREADS: Final = 2
@@ -103,7 +104,7 @@ def check_submission(
         return found
 
     digest = hashlib.sha256()
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with thread_pool(_THREADS) as pool:
         for (path, _), found in zip(sorted(there), pool.map(look, sorted(there))):
             if isinstance(found, Problem):
                 problems.append(found)

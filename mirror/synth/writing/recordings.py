@@ -12,6 +12,8 @@ from typing import Any, Final
 
 from mirror.errors import UsageError
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.ingest.request import Progress, Silent
+from mirror.pools import thread_pool
 from mirror.schema.documents import CANONICAL_CAMERAS, Roi
 from mirror.schema.files import write_json
 from mirror.synth.errors import Errors
@@ -107,7 +109,7 @@ def write_recordings(
     progress = NullProgress() if progress is None else progress
     write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
     written = Written()
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with thread_pool(workers or os.cpu_count() or 1) as pool:
         ahead = pool.submit(_simulate, drives[0])
         for number, drive in enumerate(drives, start=1):
             ahead.result()

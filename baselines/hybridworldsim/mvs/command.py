@@ -1,0 +1,68 @@
+"""The command line of ``python -m hybridworldsim.mvs``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from hybridworldsim.mvs.methods import Method
+from hybridworldsim.mvs.options import Options
+from mirror.cli.arguments import parsed
+from mirror.cli.command import run_command
+from mirror.errors import ExitCode
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Write layers of depth, points and sky masks, from which a reconstruction of a split starts."""
+
+    dataset: tyro.conf.Positional[str]
+    """The dataset's folder."""
+    split: str
+    """Name of the split; only its training traversals are read."""
+    method: Method = "plane-sweep"
+    """What estimates depth; sparse: no depth, points matched and triangulated."""
+    weights: Path | None = None
+    """Path of the weights of a learned method."""
+    version: str | None = None
+    """Version of the layers; default: the split's name."""
+    options: tyro.conf.OmitArgPrefixes[Options] = field(default_factory=Options)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command line.
+
+    Args:
+        argv: its words.
+
+    Returns:
+        The exit code (`ExitCode`).
+    """
+    return run_command("mvs", lambda: _initialise(argv))
+
+
+def _initialise(argv: Sequence[str]) -> int:
+    arguments = parsed(Arguments, argv, "python -m hybridworldsim.mvs")
+
+    import mirror
+    from hybridworldsim.mvs.run import initialise
+    from mirror.cli.progress import progress_bar
+
+    with progress_bar(quiet=False) as bar:
+        report = initialise(
+            mirror.open(arguments.dataset),
+            arguments.split,
+            method=arguments.method,
+            weights=arguments.weights,
+            version=arguments.version,
+            options=arguments.options,
+            progress=bar,
+        )
+    points = ", ".join(f"{count} {kind}" for kind, count in report.points.items())
+    print(f"layers {report.layer}: {len(report.written)} traversals written, {len(report.kept)} there already")
+    if report.written:
+        print(f"{report.pictures} pictures, {report.known_share:.1%} of static pixels with a depth; points: {points}")
+    return ExitCode.DONE

@@ -6,7 +6,8 @@ import importlib
 import sys
 from pathlib import Path
 
-from mirror.cli.command import run_command, run_process
+from mirror.cli.command import run_command
+from mirror.cli.stops import run_process
 from mirror.errors import ExitCode
 
 _MACHINERY = ("__init__", "__main__", "report")

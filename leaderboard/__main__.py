@@ -13,6 +13,7 @@ from mirror.errors import ExitCode, MirrorError, UsageError
 FOLDER: Final = Path(__file__).parent
 """Holds ``entries`` and ``pictures``."""
 from mirror.cli.command import run_process
+from mirror.cli.stops import run_process
 
 
 def _main() -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -51,19 +51,20 @@ class Add:
 
 def main(argv: Sequence[str]) -> int:
     """Run one of the commands."""
+    command = " ".join(["leaderboard", *argv[:1]])
+    return run_command(command, lambda: _run(argv, command))
+
+
+def _run(argv: Sequence[str], command: str) -> int:
     commands = {"build": _build, "add": _add}
     if not argv or argv[0] not in commands:
         print("usage: python -m leaderboard build|add [options]\n\n  build  write the static site")
         print("  add    put a result.json on the board\n\n`--help` after either explains it.")
         return ExitCode.DONE if argv and argv[0] in ("-h", "--help") else ExitCode.COULD_NOT_RUN
-    return run_command(f"leaderboard {argv[0]}", lambda: _unless_refused(argv[0], commands[argv[0]], argv[1:]))
-
-
-def _unless_refused(name: str, command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int:
     try:
-        return command(argv)
+        return commands[argv[0]](argv[1:])
     except RefusedError as error:
-        print(f"leaderboard {name}: refused: {error}", file=sys.stderr)
+        print(f"{command}: refused: {error}", file=sys.stderr)
         return ExitCode.FINDINGS
 
 

@@ -5,11 +5,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from mirror.lazy import lazy
 from mirror.version import __version__
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from mirror.dataset import Dataset as Dataset
     from mirror.dataset import open as open

@@ -13,6 +13,16 @@ from pathlib import Path
 
 MOST_S = 5.0
 MIRROR = (sys.executable, "-m", "mirror.cli.main")
+# The interpreter's own first instants are nobody's to answer for: the clock runs once the command hears signals.
+_MARKED = """
+import runpy, sys
+from mirror.cli.stops import Stops
+listen = Stops.listen
+def marked(self):
+    listen(self)
+    print('begun', file=sys.stderr, flush=True)
+Stops.listen = marked
+"""
 
 
 @dataclass(frozen=True)
@@ -24,7 +34,7 @@ class Ended:
         taken_s: from the signal, or from the start if it had none, to the end of the last of its processes.
         stdout: of all its processes.
         stderr: of all its processes.
-        hit: whether the signal came before it was done.
+        hit: whether the signal came while there was more than a second of work left.
     """
 
     code: int
@@ -46,15 +56,13 @@ def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.
 
     Args:
         words: the command.
-        after_s: seconds from its start.
+        after_s: seconds from when it hears signals.
         number: which signal.
         group: send it to all its processes, as a terminal does; else to the first alone.
     """
-    # The interpreter's own first instants are nobody's to answer for: the clock runs once it runs our code.
-    mark = "import runpy, sys; sys.stderr.write('begun\\n'); sys.stderr.flush(); "
     module = words[words.index("-m") + 1]
     rest = [str(word) for word in words[words.index("-m") + 2 :]]
-    code = f"{mark}sys.argv = [{module!r}, *sys.argv[1:]]; runpy.run_module({module!r}, run_name='__main__')"
+    code = f"{_MARKED}sys.argv = [{module!r}, *sys.argv[1:]]; runpy.run_module({module!r}, run_name='__main__')"
     running = subprocess.Popen(
         [sys.executable, "-c", code, *rest],
         stdout=subprocess.PIPE,
@@ -79,6 +87,7 @@ def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.
     finally:
         if running.poll() is None or _alive(running.pid):
             os.killpg(running.pid, signal.SIGKILL)
+    hit = hit and not (running.returncode == 0 and taken_s < 1.0)
     return Ended(running.returncode, taken_s, stdout.decode(), stderr.decode(), hit)
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 from collections.abc import Callable
 from typing import Final
 
-from mirror.cli.stops import INTERRUPTED, Stops, interrupted, terminable
+from mirror.cli.stops import INTERRUPTED, interrupted, terminable
 from mirror.errors import ExitCode, MirrorError
 
 CLOSED_PIPE: Final = 141
@@ -41,23 +40,6 @@ def run_command(command: str, work: Callable[[], int], *, as_json: bool = False)
     except BrokenPipeError:
         return _say_no_more(CLOSED_PIPE)
     return _flushed(command, code)
-
-
-def run_process(command: str, run: Callable[[], int]) -> int:
-    """Do a command's work as all that this process does: signals end it, see `Stops`.
-
-    Args:
-        command: as it is typed, for messages.
-        run: it returns the exit code.
-
-    Returns:
-        The exit code.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        return run()
-    stops = Stops(command)
-    stops.listen()
-    return stops.work(run)
 
 
 def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:

@@ -9,9 +9,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from mirror.cli.command import run_command, run_process
-from mirror.errors import ExitCode
-from mirror.version import __version__
+from mirror.cli.stops import run_process
 
 VERBS = {
     "demo": "make a synthetic street, ingest it, split it and write a report",
@@ -46,11 +44,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         words = sys.argv[1:]
         return run_process(" ".join(["mirror", *words[:1]]), lambda: main(words))
+    from mirror.cli.command import run_command
+
     command = f"mirror {argv[0]}" if argv and argv[0] in VERBS else "mirror"
     return run_command(command, lambda: _run(list(argv)), as_json="--json" in argv)
 
 
 def _run(words: list[str]) -> int:
+    from mirror.errors import ExitCode
+    from mirror.version import __version__
+
     if not words or words[0] in ("-h", "--help", "help"):
         print(_help())
         return ExitCode.DONE if words else ExitCode.COULD_NOT_RUN

@@ -14,8 +14,12 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType
-from typing import Any, Final, NoReturn
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    # What is imported before signals are heard is imported while they are not.
+    from types import FrameType
+    from typing import Any, Final, NoReturn
 
 INTERRUPTED: Final = 130
 """Exit code of a command that was interrupted."""
@@ -52,8 +56,8 @@ def terminable() -> Iterator[None]:
 class Stops:
     """The signals of a process that runs one command.
 
-    Outside of the command's own work, while modules are imported or the interpreter ends, a signal ends the process at
-    once: nothing is being written then. During the work the first signal raises `KeyboardInterrupt`; a second signal,
+    Before the command's work begins, while modules are imported, a signal ends the process at once: nothing is being
+    written then. During the work the first signal raises `KeyboardInterrupt`; a second signal,
     or the end of the time that is left for tidying up, ends the process.
 
     Args:
@@ -102,6 +106,9 @@ class Stops:
                 raise
         if code is None or self.heard:
             self.end(say=code != INTERRUPTED)
+        # The work is complete: from here on the process only ends, with the exit code of the work.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         return code
 
     def end(self, *, say: bool = True) -> NoReturn:
@@ -136,3 +143,20 @@ class Stops:
                 show(*about)
 
         return shown
+
+
+def run_process(command: str, run: Callable[[], int]) -> int:
+    """Do a command's work as all that this process does: signals end it, see `Stops`.
+
+    Args:
+        command: as it is typed, for messages.
+        run: it returns the exit code.
+
+    Returns:
+        The exit code.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return run()
+    stops = Stops(command)
+    stops.listen()
+    return stops.work(run)

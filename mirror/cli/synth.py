@@ -17,11 +17,12 @@ from mirror.errors import ExitCode
 class Arguments:
     """Write recordings of a synthetic street, as a fleet would deliver them, and rois.geojson beside them.
 
-    The files depend on the preset, the seed and the numbers alone.
+    The files depend on the preset, the seed and the numbers alone. After an interruption the same command goes on:
+    recordings that are complete are kept.
     """
 
     out: Path
-    """An empty folder, or one to be made."""
+    """A new or an empty folder, or one in which the same recordings were begun."""
     preset: Literal["demo", "quick", "tiny", "block", "reconstruction", "benchmark", "paper"] = "demo"
     """demo: two scenes; quick: one small scene; tiny: two traversals, for tests; block and
     reconstruction: one and three blocks of a street; benchmark: four scenes of eight

@@ -63,6 +63,7 @@ class _Signs:
 _KINDS: Final[Mapping[Kind, _Signs]] = {
     Kind.DATASET: _Signs({"dataset.json": "mirror"}, sealed=True),
     Kind.RECORDING: _Signs({"recording.json": "mirror-folder"}, sealed=True),
+    Kind.RECORDINGS: _Signs({"synth.json": "mirror-synth"}),
     Kind.SUBMISSION: _Signs(
         {"manifest.json": "mirror-submission", "views.json": "mirror-views"}, marks=(".rendering",), sealed=True
     ),

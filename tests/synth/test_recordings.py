@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mirror.synth
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, UsageError
 from mirror.geometry import angle_between_deg, quaternion_from_matrix, quaternion_multiply
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.poses import Poses
@@ -21,6 +21,7 @@ from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import drives_of
 from mirror.synth.model import Label
 from mirror.synth.truth import Truth
+from mirror.synth.writing.journal import journal
 from mirror.synth.writing.poses import write_poses
 from mirror.synth.writing.truth import TRUTH_KINDS
 
@@ -256,10 +257,51 @@ def test_normals_are_those_of_the_distances(first: Recorded) -> None:
     assert np.nanmedian(cosine) > 0.999
 
 
+class _Interrupted:
+    """Progress that is interrupted at a picture of a recording."""
+
+    def __init__(self, recording: int, picture: int) -> None:
+        self._recording, self._picture = recording, picture
+
+    def start(self, what: str, total: int) -> None:
+        self._recording -= 1
+
+    def advance(self, steps: int) -> None:
+        self._picture -= steps * (self._recording == 0)
+        if self._picture < 0:
+            raise KeyboardInterrupt
+
+
+def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: Written, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        mirror.synth.write_recordings(out, workers=2, progress=_Interrupted(2, 30))
+    kept = out / tiny.recordings[0].name / "recording.json"
+    before, half = kept.stat().st_mtime_ns, out / tiny.recordings[1].name
+    assert half.exists() and not (half / "recording.json").exists()
+    with pytest.raises(UsageError, match="recordings of other arguments: seed differ"):
+        mirror.synth.write_recordings(out, seed=1)
+    # What a killed process leaves.
+    (half / "images" / ".half.jpg.77.tmp").write_bytes(b"half")
+    (out / ".synth.json.77.tmp").write_bytes(b"half")
+    again = mirror.synth.write_recordings(out, workers=2)
+    assert kept.stat().st_mtime_ns == before
+    assert digest(out) == digest(tiny.recordings[0].parent)
+    counts = [(one.pictures, one.lost, one.boxes, one.unseen) for one in (again, tiny)]
+    assert counts[0] == counts[1]
+    assert mirror.synth.write_recordings(out, workers=2) == again
+
+
+def test_two_runs_do_not_write_the_same_recordings(tmp_path: Path) -> None:
+    with journal(tmp_path / "out", {"seed": "0"}), pytest.raises(DatasetError, match="another run is writing"):
+        with journal(tmp_path / "out", {"seed": "0"}):
+            pass
+
+
 def test_misuse_is_named(tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("mine")
-    with pytest.raises(UsageError, match="not an empty folder"):
+    with pytest.raises(UsageError, match="a folder with other files"):
         mirror.synth.write_recordings(tmp_path / "full")
     with pytest.raises(UsageError, match="no preset 'huge'"):
         mirror.synth.write_recordings(tmp_path / "a", "huge")

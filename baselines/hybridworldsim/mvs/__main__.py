@@ -11,6 +11,7 @@ from hybridworldsim.mvs.options import Options
 from mirror.command_line import parsed
 from mirror.errors import ExitCode, MirrorError
 from mirror.cli.command import run_process
+from mirror.cli.stops import run_process
 
 
 def _main() -> int:

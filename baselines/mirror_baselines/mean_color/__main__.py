@@ -7,6 +7,7 @@ import sys
 from mirror.cli.method import method_main
 from mirror_baselines.mean_color import APPEARANCE, METHOD, render
 from mirror.cli.command import run_process
+from mirror.cli.stops import run_process
 
 
 def main() -> int:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -20,10 +21,12 @@ from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import drives_of
 from mirror.synth.light.condition import Effects
+from mirror.synth.writing.journal import Counts, journal
 from mirror.synth.writing.pictures import Frame, refer_to_pictures, write_cameras, write_frames
 from mirror.synth.writing.poses import pose_stamps, write_poses
 from mirror.synth.writing.shots import Shots, shots_of
 from mirror.synth.writing.truth import RENDERED, TruthKind, write_truth
+from mirror.version import __version__
 
 LICENCE: Final = "CC0-1.0"
 
@@ -37,7 +40,7 @@ class Written:
         pictures: written or referred to.
         lost: pictures that were taken, and lost as the errors ask.
         boxes: in all.
-        unseen: road users nearby that pictures of an instant were looked through for, and that have no box.
+        unseen: road users nearby that pictures of an instant were searched for, and that have no box.
     """
 
     recordings: list[Path] = field(default_factory=list)
@@ -46,11 +49,13 @@ class Written:
     boxes: int = 0
     unseen: int = 0
 
-    def count(self, frame: Frame) -> None:
-        """Add pictures of one instant."""
-        self.pictures += frame.pictures
-        self.boxes += frame.boxes.num_rows
-        self.unseen += frame.unseen
+    def count(self, folder: Path, counts: Counts) -> None:
+        """Add a recording."""
+        self.recordings.append(folder)
+        self.pictures += counts.pictures
+        self.lost += counts.lost
+        self.boxes += counts.boxes
+        self.unseen += counts.unseen
 
 
 def write_recordings(
@@ -68,10 +73,11 @@ def write_recordings(
 ) -> Written:
     """Write the recordings of a preset, and ``rois.geojson`` beside them.
 
-    The files depend on the arguments alone, not on the number of workers. ``recording.json`` is written last.
+    The files depend on the arguments alone, not on the number of workers. ``recording.json`` is written last. Where the
+    same recordings were begun, what is complete is kept.
 
     Args:
-        out: an empty folder, or one to be made.
+        out: a new or an empty folder, or one in which the same recordings were begun.
         preset: one of `mirror.synth.PRESETS`.
         seed: of everything that is left to chance.
         scenes: how many scenes; default: all that the preset has.
@@ -83,8 +89,9 @@ def write_recordings(
         progress: is told of every picture, recording by recording; None: nobody is.
 
     Raises:
-        UsageError: no such preset, no workers, the folder is not empty, or truth of pictures that are not rendered.
-        DatasetError: the folder is not writable, or the disk is full.
+        UsageError: no such preset, no workers, the folder holds something else, or truth of pictures that are not
+            rendered.
+        DatasetError: the folder is not writable, the disk is full, or another run is writing there.
     """
     if workers is not None and workers < 1:
         raise UsageError(f"{workers} workers", expected="at least one")
@@ -108,19 +115,35 @@ def write_recordings(
         raise UsageError("not an empty folder", file=out, remedy="name another folder, or remove this one")
     progress = NullProgress() if progress is None else progress
     write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
+    progress = Silent() if progress is None else progress
+    arguments = {
+        "toolkit": __version__,
+        "preset": preset,
+        "seed": str(seed),
+        "scenes": str(scenes),
+        "traversals": str(traversals),
+        "errors": str(errors),
+        "effects": str(effects),
+        "truth": ",".join(sorted(set(truth))),
+    }
     written = Written()
-    with thread_pool(workers or os.cpu_count() or 1) as pool:
-        ahead = pool.submit(_simulate, drives[0])
+    with journal(out, arguments) as done, thread_pool(workers or os.cpu_count() or 1) as pool:
+        write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
+        missing = [drive for drive in drives if done.complete(drive.drive_id) is None]
+        ahead = [pool.submit(_simulate, drive) for drive in missing[:1]]
         for number, drive in enumerate(drives, start=1):
-            ahead.result()
-            if number < len(drives):
-                # While this drive's pictures are rendered.
-                ahead = pool.submit(_simulate, drives[number])
             folder = out / drive.drive_id
-            what = f"recording {number} of {len(drives)}, pictures"
-            _write(folder, drive, seed, errors, truth, pool, written, partial(progress.start, what), progress.advance)
-            written.recordings.append(folder)
-            drive.forget()
+            counts = done.complete(drive.drive_id)
+            if counts is None:
+                ahead.pop().result()
+                # While this drive's pictures are rendered.
+                missing = missing[1:]
+                ahead = [pool.submit(_simulate, coming) for coming in missing[:1]]
+                start = partial(progress.start, f"recording {number} of {len(drives)}, pictures")
+                counts = _write(folder, drive, seed, errors, truth, pool, start, progress.advance)
+                done.add(drive.drive_id, counts)
+                drive.forget()
+            written.count(folder, counts)
     return written
 
 
@@ -135,30 +158,30 @@ def _write(
     errors: Errors,
     truth: Sequence[TruthKind],
     pool: ThreadPoolExecutor,
-    written: Written,
     start: Callable[[int], None],
     advance: Callable[[int], None],
-) -> None:
+) -> Counts:
+    found: Counter[str] = Counter()
     write_poses(folder, drive, errors)
     shots: Shots | None = None
     truth_boxes: list[dict[str, Any]] = []
     if drive.recipe.pictures:
         shots = shots_of(drive, errors)
-        written.lost += sum(int((~kept).sum()) for kept in shots.kept.values())
+        found["lost"] = sum(int((~kept).sum()) for kept in shots.kept.values())
         start(sum(int(kept.sum()) for kept in shots.kept.values()))
         write_cameras(folder, drive, shots, errors)
         if drive.preset.on_demand:
-            frame = refer_to_pictures(folder, drive, shots, seed)
-            written.count(frame)
-            advance(frame.pictures)
+            frames: Iterable[Frame] = [refer_to_pictures(folder, drive, shots, seed)]
         else:
-            for frame in write_frames(folder, drive, shots, truth, pool):
-                written.count(frame)
-                advance(frame.pictures)
-                truth_boxes += frame.truth_boxes
+            frames = write_frames(folder, drive, shots, truth, pool)
+        for frame in frames:
+            found.update(pictures=frame.pictures, boxes=frame.boxes.num_rows, unseen=frame.unseen)
+            advance(frame.pictures)
+            truth_boxes += frame.truth_boxes
     if truth:
         write_truth(folder, drive, truth, pose_stamps(drive), shots, truth_boxes)
     write_json(folder / "recording.json", _document(drive))
+    return Counts(**found)
 
 
 def _geojson(rois: Sequence[Roi]) -> dict[str, object]:

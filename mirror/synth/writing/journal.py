@@ -1,0 +1,132 @@
+"""``synth.json`` beside the recordings: what they are of, and which of them are complete, so that a run goes on."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import Field
+
+from mirror.errors import DatasetError, UsageError
+from mirror.schema.documents import Document
+from mirror.schema.files import TEMPORARY, read_json, unwritable, write_json
+from mirror.schema.folders import Kind, require_own_folder
+
+SYNTH: Final = "synth.json"
+
+
+class Counts(Document):
+    """What writing a recording came to.
+
+    Attributes:
+        pictures: written or referred to.
+        lost: pictures that were taken, and lost as the errors ask.
+        boxes: in all.
+        unseen: road users nearby that pictures of an instant were searched for, and that have no box.
+    """
+
+    pictures: int = 0
+    lost: int = 0
+    boxes: int = 0
+    unseen: int = 0
+
+
+class SynthDocument(Document):
+    """``synth.json``.
+
+    Attributes:
+        format: always ``mirror-synth``.
+        version: of this document.
+        arguments: everything that decides the files, in words.
+        drives: the recordings that are complete, by drive.
+    """
+
+    format: Literal["mirror-synth"] = "mirror-synth"
+    version: Literal["1.0"] = "1.0"
+    arguments: dict[str, str]
+    drives: dict[str, Counts] = Field(default_factory=dict)
+
+
+class Journal:
+    """Which recordings of a folder are complete; see `journal`."""
+
+    def __init__(self, out: Path, document: SynthDocument) -> None:
+        self._out, self._document = out, document
+
+    def complete(self, drive_id: str) -> Counts | None:
+        """What writing a recording came to; None: it is not complete, and nothing of it is there."""
+        folder = self._out / drive_id
+        counts = self._document.drives.get(drive_id)
+        if counts is not None and (folder / "recording.json").is_file():
+            return counts
+        if folder.exists():
+            shutil.rmtree(folder)
+        return None
+
+    def add(self, drive_id: str, counts: Counts) -> None:
+        """Note that a recording is complete."""
+        drives = {**self._document.drives, drive_id: counts}
+        self._document = self._document.model_copy(update={"drives": drives})
+        write_json(self._out / SYNTH, self._document)
+
+
+@contextmanager
+def journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
+    """A folder of recordings that this process alone writes while the block runs.
+
+    Args:
+        out: a new or an empty folder, or one in which the same recordings were begun.
+        arguments: everything that decides the files.
+
+    Raises:
+        UsageError: the folder holds something else, or recordings of other arguments.
+        DatasetError: another run is writing them, or the folder cannot be written.
+    """
+    there = require_own_folder(out, Kind.RECORDINGS)
+    if there is not None and not (out / SYNTH).is_file():
+        raise UsageError(
+            "it holds recordings that `mirror synth` did not write: nothing was written",
+            file=out,
+            place="--out",
+            expected="a new or an empty folder",
+            remedy="name another folder with --out",
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(out / SYNTH, error) from error
+    with _alone(out):
+        document = read_json(out / SYNTH, SynthDocument) if (out / SYNTH).is_file() else None
+        if document is not None and document.arguments != arguments:
+            differing = sorted(key for key in arguments if document.arguments.get(key) != arguments[key])
+            raise UsageError(
+                f"it holds recordings of other arguments: {', '.join(differing)} differ: nothing was written",
+                file=out,
+                place="--out",
+                expected="a new or an empty folder, or recordings of the same arguments",
+                remedy="name another folder with --out",
+            )
+        for left in out.glob(f".*{TEMPORARY}"):
+            left.unlink()
+        if document is None:
+            document = SynthDocument(arguments=arguments)
+            write_json(out / SYNTH, document)
+        yield Journal(out, document)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    # The system gives the lock back when its holder dies, however it dies, and it leaves no file.
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise DatasetError("another run is writing these recordings", file=folder, remedy="let it finish") from error
+    finally:
+        os.close(number)

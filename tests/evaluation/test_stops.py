@@ -1,0 +1,114 @@
+"""Ctrl-C and SIGTERM at any instant: 130 within five seconds, no traceback of any process, and the next run goes on."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from mirror.dataset.dataset import Dataset
+from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
+from tests.ingest.recordings import tree
+from tests.interruptions import MIRROR, interrupt
+
+NEVER_S = 240.0
+# What a terminal sends, what `kill -INT` sends, and what a scheduler sends.
+SIGNALS = ((signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, True))
+
+
+@pytest.fixture(scope="module")
+def renders(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("stops") / "renders"
+    write_renders(dataset, small(every=1, width=240), folder)
+    return folder
+
+
+def stop_thrice(words: Sequence[str | Path], longest_s: float, seed: int) -> None:
+    """Interrupt a command at three random instants, each time where the last one left it."""
+    instants, hits = random.Random(seed), 0
+    for number, group in SIGNALS:
+        ended = interrupt(words, instants.uniform(0.0, longest_s), number, group=group)
+        hits += ended.hit
+        if ended.hit:
+            ended.require_stopped()
+    assert hits
+
+
+def finish(words: Sequence[str | Path]) -> float:
+    """Run a command to its end; how long that took."""
+    begin = time.monotonic()
+    ended = interrupt(words, NEVER_S)
+    assert not ended.hit and ended.code == 0, ended
+    return time.monotonic() - begin
+
+
+def test_evaluate(renders: Path, root: Path, tmp_path: Path) -> None:
+    protocol = tmp_path / "small.toml"
+    protocol.write_text(small_text(every=1, width=240))
+    words = [*MIRROR, "evaluate", renders, "--truth", root, "--protocol", protocol, "--workers", "2", "--out"]
+    whole_s = finish([*words, tmp_path / "whole"])
+    stop_thrice([*words, tmp_path / "stopped"], 0.9 * whole_s, seed=1)
+    finish([*words, tmp_path / "stopped"])
+    for name in ("result.json", "images.parquet"):
+        assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_synth(root: Path, tmp_path: Path) -> None:
+    words = [*MIRROR, "synth", "--preset", "tiny", "--out", tmp_path / "tiny"]
+    stop_thrice(words, 6.0, seed=2)
+    finish(words)
+    assert tree(tmp_path / "tiny") == tree(root.parent / "tiny")
+
+
+def test_ingest_and_rois(root: Path, tmp_path: Path) -> None:
+    recordings = sorted(path for path in (root.parent / "tiny").iterdir() if path.is_dir())
+    rois = root.parent / "tiny" / "rois.geojson"
+    words = [*MIRROR, "ingest", *recordings, "--rois", rois, "--out"]
+    whole_s = finish([*words, tmp_path / "whole"])
+    stop_thrice([*words, tmp_path / "stopped"], 0.9 * whole_s, seed=3)
+    finish([*words, tmp_path / "stopped"])
+    assert tree(tmp_path / "stopped") == tree(tmp_path / "whole")
+    stop_thrice([*MIRROR, "rois", "propose", *recordings, "--min-traversals", "1"], 0.8 * whole_s, seed=4)
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.02, 0.1, 0.3, 0.6, 1.2])
+def test_while_it_starts(after_s: float, root: Path, tmp_path: Path) -> None:
+    words = [*MIRROR, "reconstruct", root, "--split", SPLIT, "--steps", "100000", "--out", tmp_path / "model"]
+    interrupt(words, after_s).require_stopped()
+    words = [sys.executable, "-m", "nearest_frame", root, "--split", SPLIT, "--out", tmp_path / "renders"]
+    ended = interrupt(words, after_s)
+    if ended.hit:
+        ended.require_stopped()
+
+
+def test_a_second_signal_ends_it_at_once_and_what_holds_the_first_up_does_not_hold_up_the_end() -> None:
+    held = (
+        "import sys, time\n"
+        "from mirror.cli.command import run_command\n"
+        "from mirror.cli.stops import run_process\n"
+        "def work():\n"
+        "    while True:\n"
+        "        try:\n"
+        "            print('working', flush=True)\n"
+        "            time.sleep(60)\n"
+        "        except KeyboardInterrupt:\n"
+        "            pass\n"
+        "sys.exit(run_process('held', lambda: run_command('held', work)))\n"
+    )
+    for signals, least_s, most_s in ((1, 2.0, 5.0), (2, 0.0, 1.0)):
+        running = subprocess.Popen([sys.executable, "-c", held], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        assert running.stdout is not None and running.stdout.readline() == b"working\n"
+        since = time.monotonic()
+        for _ in range(signals):
+            running.send_signal(signal.SIGINT)
+            time.sleep(0.1)
+        _, stderr = running.communicate(timeout=20.0)
+        assert least_s < time.monotonic() - since < most_s
+        assert running.returncode == 130
+        assert stderr == b"held: interrupted: run the same command again\n"

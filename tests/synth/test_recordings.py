@@ -293,9 +293,12 @@ def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: Written, tm
 
 
 def test_two_runs_do_not_write_the_same_recordings(tmp_path: Path) -> None:
-    with journal(tmp_path / "out", {"seed": "0"}), pytest.raises(DatasetError, match="another run is writing"):
-        with journal(tmp_path / "out", {"seed": "0"}):
-            pass
+    with (
+        journal(tmp_path / "out", {"seed": "0"}),
+        pytest.raises(DatasetError, match="another run is writing"),
+        journal(tmp_path / "out", {"seed": "0"}),
+    ):
+        pass
 
 
 def test_misuse_is_named(tmp_path: Path) -> None:

@@ -6,9 +6,9 @@ import importlib
 import sys
 from pathlib import Path
 
-from mirror.cli.command import run_command
-from mirror.cli.stops import run_process
+from mirror.command import run_command
 from mirror.errors import ExitCode
+from mirror.stops import run_process
 
 _MACHINERY = ("__init__", "__main__", "report")
 

@@ -11,8 +11,8 @@ from typing import Final
 import tyro
 
 from leaderboard.refused import RefusedError
-from mirror.cli.arguments import parsed
-from mirror.cli.command import run_command
+from mirror.command import run_command
+from mirror.command_line import parsed
 from mirror.errors import ExitCode, UsageError
 
 FOLDER: Final = Path(__file__).parent

@@ -16,7 +16,7 @@ MIRROR = (sys.executable, "-m", "mirror.cli.main")
 # The interpreter's own first instants are nobody's to answer for: the clock runs once the command hears signals.
 _MARKED = """
 import runpy, sys
-from mirror.cli.stops import Stops
+from mirror.stops import Stops
 listen = Stops.listen
 def marked(self):
     listen(self)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from mirror.cli.stops import run_process
+from mirror.stops import run_process
 
 VERBS = {
     "demo": "make a synthetic street, ingest it, split it and write a report",
@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         words = sys.argv[1:]
         return run_process(" ".join(["mirror", *words[:1]]), lambda: main(words))
-    from mirror.cli.command import run_command
+    from mirror.command import run_command
 
     command = f"mirror {argv[0]}" if argv and argv[0] in VERBS else "mirror"
     return run_command(command, lambda: _run(list(argv)), as_json="--json" in argv)

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from mirror.command import run_command
 from mirror.command_line import parsed
-from mirror.errors import ExitCode, MirrorError
-from mirror.cli.arguments import parsed
-from mirror.cli.command import run_command
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:

@@ -90,13 +90,9 @@ def main(argv: Sequence[str]) -> int:
     method = installed_method(arguments.method)
 
     import mirror
-    from mirror.cli.terminable import terminable
     from mirror.methods.training_images import asked_of_training
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
-    from mirror.cli.watch import watching
-    from mirror.protocols.document import load_protocol
-    from mirror.methods.training_images import asked_of_training
 
     dataset = mirror.open(arguments.dataset)
     protocol = load_protocol(arguments.protocol)
@@ -119,8 +115,7 @@ def main(argv: Sequence[str]) -> int:
         settings=_settings(arguments.set),
         withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
     )
-    with progress_bar(quiet=arguments.json) as watch, terminable():
-    with watching(quiet=arguments.json) as watch:
+    with progress_bar(quiet=arguments.json) as watch:
         done = method.reconstruct(dataset, task, arguments.out, watch)
     if arguments.json:
         said = {"folder": str(done.folder), "scene": scene}

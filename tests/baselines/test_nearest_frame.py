@@ -23,8 +23,6 @@ from mirror.geometry.poses import Poses
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.views import plan_views
 from mirror_baselines.nearest_frame import APPEARANCE, METHOD, METRES_A_RADIAN, nearest, render
-from mirror_baselines.nearest_frame import __main__ as command
-from nearest_frame import APPEARANCE, METHOD, METRES_A_RADIAN, nearest, render
 from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
 
 COLOURS = {name: np.array(colour) for name, _, _, colour, _ in DRIVES}

@@ -15,7 +15,7 @@ COMMANDS = [
     ["mirror.cli.main", "nonsense"],
     ["leaderboard"],
     ["leaderboard", "build", "--help"],
-    ["nearest_frame", "--help"],
+    ["mirror_baselines.nearest_frame", "--help"],
     ["hybridworldsim.mvs", "--help"],
 ]
 

@@ -6,10 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from leaderboard.__main__ import main as leaderboard
 from leaderboard.command import main as leaderboard
-from mean_color import APPEARANCE, METHOD, render
-from mirror.cli.arguments import local_path
 from mirror.cli.main import main
 from mirror.cli.method import method_main
 from mirror.command_line import local_path

@@ -81,7 +81,16 @@ def test_ingest_and_rois(root: Path, tmp_path: Path) -> None:
 def test_while_it_starts(after_s: float, root: Path, tmp_path: Path) -> None:
     words = [*MIRROR, "reconstruct", root, "--split", SPLIT, "--steps", "100000", "--out", tmp_path / "model"]
     interrupt(words, after_s).require_stopped()
-    words = [sys.executable, "-m", "nearest_frame", root, "--split", SPLIT, "--out", tmp_path / "renders"]
+    words = [
+        sys.executable,
+        "-m",
+        "mirror_baselines.nearest_frame",
+        root,
+        "--split",
+        SPLIT,
+        "--out",
+        tmp_path / "renders",
+    ]
     ended = interrupt(words, after_s)
     if ended.hit:
         ended.require_stopped()
@@ -90,8 +99,8 @@ def test_while_it_starts(after_s: float, root: Path, tmp_path: Path) -> None:
 def test_a_second_signal_ends_it_at_once_and_what_holds_the_first_up_does_not_hold_up_the_end() -> None:
     held = (
         "import sys, time\n"
-        "from mirror.cli.command import run_command\n"
-        "from mirror.cli.stops import run_process\n"
+        "from mirror.command import run_command\n"
+        "from mirror.stops import run_process\n"
         "def work():\n"
         "    while True:\n"
         "        try:\n"

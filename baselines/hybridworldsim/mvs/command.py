@@ -10,8 +10,8 @@ import tyro
 
 from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.options import Options
-from mirror.cli.arguments import parsed
-from mirror.cli.command import run_command
+from mirror.command import run_command
+from mirror.command_line import parsed
 from mirror.errors import ExitCode
 
 
@@ -49,7 +49,7 @@ def _initialise(argv: Sequence[str]) -> int:
 
     import mirror
     from hybridworldsim.mvs.run import initialise
-    from mirror.cli.progress import progress_bar
+    from mirror.progress import progress_bar
 
     with progress_bar(quiet=False) as bar:
         report = initialise(

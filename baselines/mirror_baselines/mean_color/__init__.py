@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from mirror_baselines.mean_color.mean import MOST_PICTURES, mean_colour, render
-from mirror_baselines.mean_color.submission import APPEARANCE, METHOD
 from typing import TYPE_CHECKING
 
 from mirror.lazy import lazy
 
 if TYPE_CHECKING:
-    from mean_color.mean import MOST_PICTURES as MOST_PICTURES
-    from mean_color.mean import mean_colour as mean_colour
-    from mean_color.mean import render as render
-    from mean_color.submission import APPEARANCE as APPEARANCE
-    from mean_color.submission import METHOD as METHOD
+    from mirror_baselines.mean_color.mean import MOST_PICTURES as MOST_PICTURES
+    from mirror_baselines.mean_color.mean import mean_colour as mean_colour
+    from mirror_baselines.mean_color.mean import render as render
+    from mirror_baselines.mean_color.submission import APPEARANCE as APPEARANCE
+    from mirror_baselines.mean_color.submission import METHOD as METHOD
 
 __all__ = ["APPEARANCE", "METHOD", "MOST_PICTURES", "mean_colour", "render"]
 
-_MEAN = dict.fromkeys(("MOST_PICTURES", "mean_colour", "render"), "mean_color.mean")
-_SUBMISSION = dict.fromkeys(("APPEARANCE", "METHOD"), "mean_color.submission")
+_MEAN = dict.fromkeys(("MOST_PICTURES", "mean_colour", "render"), "mirror_baselines.mean_color.mean")
+_SUBMISSION = dict.fromkeys(("APPEARANCE", "METHOD"), "mirror_baselines.mean_color.submission")
 __getattr__ = lazy(__name__, _MEAN | _SUBMISSION)

@@ -1,22 +1,19 @@
-"""``python -m mean_color DATASET --split NAME --out SUBMISSION``."""
+"""``python -m mirror_baselines.mean_color DATASET --split NAME --out SUBMISSION``."""
 
 from __future__ import annotations
 
 import sys
 
-from mirror.cli.method import method_main
-from mirror_baselines.mean_color import APPEARANCE, METHOD, render
-from mirror.cli.command import run_process
-from mirror.cli.stops import run_process
+from mirror.stops import run_process
 
 
 def main() -> int:
     """Run the command line."""
-    from mean_color import APPEARANCE, METHOD, render
     from mirror.cli.method import method_main
+    from mirror_baselines.mean_color import APPEARANCE, METHOD, render
 
     return method_main(sys.argv[1:], render, METHOD, APPEARANCE)
 
 
 if __name__ == "__main__":
-    sys.exit(run_process("python -m mean_color", main))
+    sys.exit(run_process("python -m mirror_baselines.mean_color", main))

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from mirror_baselines.nearest_frame.matching import METRES_A_RADIAN, nearest, render
-from mirror_baselines.nearest_frame.submission import APPEARANCE, METHOD
 from typing import TYPE_CHECKING
 
 from mirror.lazy import lazy
 
 if TYPE_CHECKING:
-    from nearest_frame.matching import METRES_A_RADIAN as METRES_A_RADIAN
-    from nearest_frame.matching import nearest as nearest
-    from nearest_frame.matching import render as render
-    from nearest_frame.submission import APPEARANCE as APPEARANCE
-    from nearest_frame.submission import METHOD as METHOD
+    from mirror_baselines.nearest_frame.matching import METRES_A_RADIAN as METRES_A_RADIAN
+    from mirror_baselines.nearest_frame.matching import nearest as nearest
+    from mirror_baselines.nearest_frame.matching import render as render
+    from mirror_baselines.nearest_frame.submission import APPEARANCE as APPEARANCE
+    from mirror_baselines.nearest_frame.submission import METHOD as METHOD
 
 __all__ = ["APPEARANCE", "METHOD", "METRES_A_RADIAN", "nearest", "render"]
 
-_MATCHING = dict.fromkeys(("METRES_A_RADIAN", "nearest", "render"), "nearest_frame.matching")
-_SUBMISSION = dict.fromkeys(("APPEARANCE", "METHOD"), "nearest_frame.submission")
+_MATCHING = dict.fromkeys(("METRES_A_RADIAN", "nearest", "render"), "mirror_baselines.nearest_frame.matching")
+_SUBMISSION = dict.fromkeys(("APPEARANCE", "METHOD"), "mirror_baselines.nearest_frame.submission")
 __getattr__ = lazy(__name__, _MATCHING | _SUBMISSION)

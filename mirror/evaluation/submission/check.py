@@ -12,10 +12,9 @@ from typing import Final, Literal, get_args
 from mirror.evaluation.submission.manifest import MANIFEST, SubmissionManifest, read_manifest
 from mirror.evaluation.submission.template import MASKS, README, VIEWS, expected_files
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles
+from mirror.pools import thread_pool
 from mirror.protocols.png import most_bytes, problem_of_png, raster_of_png
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.plan import Plan
-from mirror.pools import thread_pool
 
 MOST_TABLE_BYTES: Final = 64 << 20
 _THREADS: Final = 2

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from mirror.errors import UsageError
-from mirror.progress import NullProgress, ProgressReporter
-from mirror.ingest.request import Progress, Silent
 from mirror.pools import thread_pool
+from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.documents import CANONICAL_CAMERAS, Roi
 from mirror.schema.files import write_json
 from mirror.synth.errors import Errors
@@ -111,11 +110,7 @@ def write_recordings(
             expected="poses alone: its pictures are rendered when they are loaded",
             remedy="take another preset",
         )
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError("not an empty folder", file=out, remedy="name another folder, or remove this one")
     progress = NullProgress() if progress is None else progress
-    write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
-    progress = Silent() if progress is None else progress
     arguments = {
         "toolkit": __version__,
         "preset": preset,

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
-from mirror.cli.stops import INTERRUPTED, interrupted, terminable
 from mirror.errors import ExitCode, MirrorError
+from mirror.stops import INTERRUPTED, interrupted, terminable
 
 CLOSED_PIPE: Final = 141
 """Exit code of a command that had more to say and nobody read it: what a shell gives for SIGPIPE."""

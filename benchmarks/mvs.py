@@ -27,7 +27,7 @@ from hybridworldsim.mvs.run import initialise
 from mirror.arrays import Float64
 from mirror.cli.main import main as mirror_command
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Image
+from mirror.dataset.image import Image
 from mirror.geometry.poses import COLUMNS, Poses
 from mirror.progress import progress_bar
 from mirror.synth.fleet.drives import drive_named

@@ -248,13 +248,13 @@ class Dataset:
         """
         from mirror.dataset.points import points_of
 
-        return points_of(self)
+        return points_of(self._catalog, self.filters, self.layers.points)
 
     def frames(self) -> FrameSequence:
         """The frames in the view: synchronised pictures of all its cameras, in order of traversal and time."""
         from mirror.dataset.frames import FrameSequence
 
-        return FrameSequence.of(self)
+        return FrameSequence.of(self._catalog, self.filters, self.layers)
 
     def _column(self, table: str, column: str) -> list[Any]:
         return self.table(table, [column]).column(0).to_pylist()

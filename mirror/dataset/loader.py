@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Collection, Sequence
-from functools import cached_property, partial
+from collections.abc import Collection
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import pyarrow as pa
@@ -19,7 +19,6 @@ from mirror.errors import DatasetError
 from mirror.schema.documents import Rig
 
 if TYPE_CHECKING:
-    from mirror.dataset.frames import Image
     from mirror.dataset.pictures.video import VideoDecoders
 
 _TRAVERSALS_HELD: Final = 64
@@ -137,15 +136,6 @@ class Loader:
         if len(data) != length:
             raise self._unreadable(uri, place, f"ends after {offset + len(data)} bytes", f"{offset + length} bytes")
         return data
-
-    def decode_into(self, pictures: Sequence[tuple[Image, UInt8]], *, threads: int | None, verify: bool) -> None:
-        """Decode pictures, each into its contiguous planes (3, H, W), on several threads."""
-        from mirror.dataset.pictures.still import run_all, split_planes
-
-        def one(image: Image, planes: UInt8) -> None:
-            split_planes(image.decode(verify=verify), planes)
-
-        run_all([partial(one, *picture) for picture in pictures], [image.byte_length for image, _ in pictures], threads)
 
     def video_frame(self, uri: str, pts: int, place: str) -> UInt8 | None:
         """Pixels (H, W, 3) of a video's frame; None: the video has no such frame, or is broken.

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.dataset.query.arrow import degrees, mask, numbers
-from mirror.dataset.query.select import select
+from mirror.dataset.query.catalog import Catalog
+from mirror.dataset.query.filters import Filters
+from mirror.dataset.query.select import query, select
 from mirror.dataset.traversal import no_layer, rows_of_layer
 from mirror.schema.tables import POINTS
-
-if TYPE_CHECKING:
-    from mirror.dataset.dataset import Dataset
 
 _COLUMNS: Final = ("x_m", "y_m", "z_m", "r", "g", "b", "kind", "views", "sigma_m", "source", "source_version")
 
@@ -44,18 +43,17 @@ class Points:
         return len(self.position_m)
 
 
-def points_of(dataset: Dataset) -> Points:
-    """The points of a view's traversals, of the layer that it chooses; see `Dataset.points`."""
-    chosen = dataset.layers.points
+def points_of(catalog: Catalog, filters: Filters, chosen: str | None) -> Points:
+    """The points of the traversals that pass the filters, of the chosen layer; see `Dataset.points`."""
     if chosen is not None:
-        listed = dataset.table("traversals", ["layers"]).column(0).to_pylist()
+        listed = query(catalog, filters, "traversals", ["layers"]).column(0).to_pylist()
         if listed and not any(f"{POINTS.name}/{chosen}" in own for own in listed):
-            raise no_layer(POINTS.name, chosen, dataset.root)
+            raise no_layer(POINTS.name, chosen, catalog.store.root)
     ids: list[str] = []
     parts: list[pa.Table] = []
-    for part in select(dataset.catalog, dataset.filters, POINTS.name):
-        table = pa.Table.from_arrays(dataset.catalog.columns.read(part.path, part.number, _COLUMNS), names=_COLUMNS)
-        traversal_id = dataset.catalog.traversal_ids[part.traversal].as_py()
+    for part in select(catalog, filters, POINTS.name):
+        table = pa.Table.from_arrays(catalog.columns.read(part.path, part.number, _COLUMNS), names=_COLUMNS)
+        traversal_id = catalog.traversal_ids[part.traversal].as_py()
         own = rows_of_layer(POINTS.name, traversal_id, table.column("source"), table.column("source_version"), chosen)
         parts.append(table.filter(mask(own)).drop_columns(["source", "source_version"]))
         ids += [traversal_id] * parts[-1].num_rows

@@ -15,7 +15,8 @@ from torch.utils.data import get_worker_info
 
 from mirror.arrays import AnyArray, UInt8
 from mirror.dataset.contents import Contents
-from mirror.dataset.frames import Frame, Image, Mask
+from mirror.dataset.frames import Frame
+from mirror.dataset.image import Image, Mask
 from mirror.dataset.pictures.still import run_all, split_planes
 from mirror.dataset.raster import ImageRaster, image_raster
 from mirror.errors import DatasetError, UsageError

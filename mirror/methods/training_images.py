@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Image
+from mirror.dataset.image import Image
 from mirror.errors import DatasetError
 from mirror.geometry.poses import Poses
 from mirror.protocols.document import Group, Protocol

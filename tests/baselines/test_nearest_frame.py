@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mirror.cli.method import method_main
 from mirror.dataset import Dataset
-from mirror.dataset.frames import Image
+from mirror.dataset.image import Image
 from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.evaluation.run import evaluate
 from mirror.evaluation.submission.check import check_submission

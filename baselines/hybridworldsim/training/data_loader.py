@@ -15,7 +15,7 @@ from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.viewpoint import viewpoint_of
 from mirror.arrays import Float32, Float64
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import DepthImage, Image, Mask
+from mirror.dataset.image import DepthImage, Image, Mask
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
 from mirror.protocols.truth.raster import raster_of

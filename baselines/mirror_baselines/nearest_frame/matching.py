@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.arrays import Float64, Int64
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Image
+from mirror.dataset.image import Image
 from mirror.evaluation.submission.writing import Render
 from mirror.geometry.poses import Poses
 from mirror.methods.training_images import training_pictures

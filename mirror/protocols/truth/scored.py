@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mirror.arrays import Bool
-from mirror.dataset.frames import Frame, Image
+from mirror.dataset.frames import Frame
+from mirror.dataset.image import Image
 from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.raster import polygon_mask

@@ -10,7 +10,8 @@ from typing import Final
 
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Frame, FrameSequence, Image
+from mirror.dataset.frames import Frame, FrameSequence
+from mirror.dataset.image import Image
 from mirror.errors import DatasetError
 from mirror.protocols.document import Protocol
 from mirror.protocols.png import RenderError, decode_render

@@ -11,7 +11,8 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Frame, Image
+from mirror.dataset.frames import Frame
+from mirror.dataset.image import Image
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses

@@ -14,7 +14,8 @@ from hybridworldsim.mvs.estimator import PosedPicture
 from hybridworldsim.stationary import STANDING_M, moving
 from mirror.arrays import Bool
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Frame, Image
+from mirror.dataset.frames import Frame
+from mirror.dataset.image import Image
 from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera

@@ -1,4 +1,4 @@
-"""Pictures and gradients of needles without a blur, on the CPU against the reference in float64."""
+"""Images and gradients of needles without a blur, on the CPU against the reference in float64."""
 
 from __future__ import annotations
 
@@ -61,20 +61,20 @@ def compared(scene: dict[str, Any], **options: Any) -> tuple[float, dict[str, fl
 @pytest.mark.parametrize("eps2d", [0.0, 0.3])
 @pytest.mark.parametrize("aspect", [1.0, 100.0, 1e4])
 def test_needles_a_pixel_wide_are_as_exact_as_round_gaussians(aspect: float, eps2d: float) -> None:
-    picture, gradients = compared(needles(aspect, 1.0), eps2d=eps2d)
-    assert picture < 1e-6
+    image, gradients = compared(needles(aspect, 1.0), eps2d=eps2d)
+    assert image < 1e-6
     assert max(gradients.values()) < 3e-6, gradients
 
 
 def test_needles_a_pixel_wide_are_as_exact_through_a_lens() -> None:
     # shorter ones: the unscented transform wraps what is as long as the scene
-    picture, gradients = compared(needles(100.0, 1.0), eps2d=0.0, with_ut=True)
-    assert picture < 1e-6
+    image, gradients = compared(needles(100.0, 1.0), eps2d=0.0, with_ut=True)
+    assert image < 1e-6
     assert max(gradients.values()) < 3e-6, gradients
 
 
 @pytest.mark.parametrize(("aspect", "width_px"), [(100.0, 0.36), (1e3, 0.036), (1e4, 0.0036)])
 def test_what_is_thinner_than_a_pixel_loses_digits_by_its_width(aspect: float, width_px: float) -> None:
-    picture, gradients = compared(needles(aspect, width_px), eps2d=0.0)
-    assert picture < 1e-6 / width_px
+    image, gradients = compared(needles(aspect, width_px), eps2d=0.0)
+    assert image < 1e-6 / width_px
     assert max(gradients.values()) < 1e-6 / width_px, gradients

@@ -99,7 +99,7 @@ def factors_of(rows: Float32, row: Any) -> Any:
 
 @kernel(inline="always")
 def placed_at(rows: Float32, row: Any, x: Any, y: Any) -> Any:
-    """A point of the picture in the space where a Gaussian is round: u and v.
+    """A point of the image in the space where a Gaussian is round: u and v.
 
     In float64: far along a needle both terms of u are many times its width.
     """

@@ -42,11 +42,13 @@ def clean_usable(
     """
     track = _without_bad_values(recorded)
     cleaned, report = clean(track, cleaning, min_step_m=trigger.min_step_m)
-    off = _off_the_globe(track)
-    counts = report.bad_rows | ({"position": int(np.count_nonzero(off))} if off.any() else {})
+    counts = report.bad_rows | (
+        {"position": report.invalid - report.missing} if report.invalid > report.missing else {}
+    )
     bad = sum(counts.values())
     if not bad:
         return track, cleaned, report
+    off = _off_the_globe(track)
     summary = f"{bad} of {report.poses} rows make no pose ({', '.join(f'{name} {n}' for name, n in counts.items())})"
     if bad > cleaning.max_bad_rows * report.poses:
         share = math.ceil(bad / report.poses * 1000) / 1000

@@ -38,9 +38,8 @@ UNIT_TOLERANCE = 1e-2
 
 def no_rotations(quaternion: Float64) -> Bool:
     """Which (N,) of (N, 4) quaternions are NaN, zero, or off unit length by over `UNIT_TOLERANCE`."""
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(quaternion, axis=1)
-    return ~(np.abs(length - 1.0) <= UNIT_TOLERANCE)
+    squared = np.einsum("ij,ij->i", quaternion, quaternion)
+    return ~((squared >= (1.0 - UNIT_TOLERANCE) ** 2) & (squared <= (1.0 + UNIT_TOLERANCE) ** 2))
 
 
 def checked_quaternions(quaternion: Float64, rows: Rows, column: str) -> Float64:

@@ -224,8 +224,8 @@ def read_rows(
         raise RecordingError("no rows", file=files[0], expected="at least one row", remedy="leave the recording out")
     starts = [int(start) for start in np.concatenate(([0], np.cumsum(lengths)[:-1]))]
     # Two files may look like whole numbers here and like decimals there; a cell that is no number makes text of both.
-    names = {name: {table.schema.field(name).type for table in tables} for name in tables[0].column_names}
-    mixed = [name for name, kinds in names.items() if len(kinds) > 1 and pa.string() in kinds]
+    kinds = [{table.schema.field(index).type for table in tables} for index in range(tables[0].num_columns)]
+    mixed = [index for index, found in enumerate(kinds) if len(found) > 1 and pa.string() in found]
     tables = [_as_text(table, mixed) for table in tables]
     table = pa.concat_tables(tables, promote_options="permissive")
     faults = None
@@ -242,10 +242,9 @@ def read_rows(
     return Rows(table, tuple(files), tuple(starts), tuple(tuple(sorted(lines)) for lines in torn), faults)
 
 
-def _as_text(table: pa.Table, columns: Sequence[str]) -> pa.Table:
-    for name in columns:
-        index = table.column_names.index(name)
-        table = table.set_column(index, name, table.column(name).cast(pa.string()))
+def _as_text(table: pa.Table, columns: Sequence[int]) -> pa.Table:
+    for index in columns:
+        table = table.set_column(index, table.column_names[index], table.column(index).cast(pa.string()))
     return table
 
 
@@ -325,28 +324,27 @@ def _read_csv(file: Path, types: Mapping[str, pa.DataType], delimiter: str, torn
 
     names = [name.strip() for name in header(file, delimiter)[0]]
 
-    def read(*, threads: bool, types: Mapping[str, pa.DataType], **parsing: Any) -> pa.Table:
+    def read(
+        source: Path | pa.BufferReader, types: Mapping[str, pa.DataType], *, threads: bool = False, **parsing: Any
+    ) -> pa.Table:
         return csv.read_csv(
-            file,
+            source,
             read_options=csv.ReadOptions(use_threads=threads, column_names=names, skip_rows=1),
             parse_options=csv.ParseOptions(delimiter=delimiter, **parsing),
             convert_options=csv.ConvertOptions(column_types=dict(types), strings_can_be_null=True),
         )
 
     try:
-        return read(threads=True, types=types)
+        return read(file, types, threads=True)
     except pa.ArrowInvalid:
         if torn is None:
             # Only one thread counts rows: read again for an error that names the line.
-            return read(threads=False, types=types)
+            return read(file, types)
 
     def leave_out(row: csv.InvalidRow) -> str:
         torn[row.number] = row.actual_columns
         return "skip"
 
-    # Slower, and only for a file with bad rows: every cell as it stands, lines with other numbers of cells left out.
-    table = read(threads=False, types=dict.fromkeys(types, pa.binary()), invalid_row_handler=leave_out)
-    for name in types.keys() & set(table.column_names):
-        cells = [None if cell is None else cell.decode(errors="replace") for cell in table.column(name).to_pylist()]
-        table = table.set_column(table.column_names.index(name), name, pa.chunked_array([pa.array(cells, pa.string())]))
-    return table
+    # Slower, and only for a file with bad rows: all cells as text, lines with other numbers of cells left out.
+    text = file.read_bytes().decode(errors="replace").encode()
+    return read(pa.BufferReader(text), dict.fromkeys(types, pa.string()), invalid_row_handler=leave_out)

@@ -171,6 +171,32 @@ def test_lines_are_counted_across_what_was_left_out(tmp_path: Path) -> None:
     assert mixed.track().bad.first.place == "line 8, column timestamp_ns"  # type: ignore[union-attr]
 
 
+def test_a_torn_line_of_broken_text_is_one_bad_row(tmp_path: Path) -> None:
+    path = folder(tmp_path / "drive", {})
+    lines = (path / "poses.csv").read_bytes().split(b"\n")
+    lines[51] = b"\xee\x80,3.0"
+    (path / "poses.csv").write_bytes(b"\n".join(lines))
+    track, report = cleaned(open_recording(path))
+    require_rest(track, [50])
+    assert report.bad_rows == {"cells": 1}
+
+
+def test_a_bad_row_in_one_of_several_files(tmp_path: Path) -> None:
+    """What is text in one file and numbers in the next is one column all the same."""
+    path = folder(tmp_path / "drive", {250: put(1, "east")})
+    header, *lines = (path / "poses.csv").read_text().splitlines(keepends=True)
+    (path / "poses.csv").unlink()
+    (path / "poses").mkdir()
+    for number, first in enumerate((0, 100, 200)):
+        last = COUNT if first == 200 else first + 100
+        (path / "poses" / f"part{number}.csv").write_text(header + "".join(lines[first:last]))
+    track, report = cleaned(open_recording(path))
+    require_rest(track, [250])
+    assert report.bad_rows == {"number": 1}
+    assert track.bad is not None
+    assert (Path(track.bad.first.file or "").name, track.bad.first.place) == ("part2.csv", "line 52, column x_m")
+
+
 @given(st.lists(st.tuples(st.integers(0, COUNT - 1), st.sampled_from(sorted(CASES))), max_size=4))
 def test_any_bad_rows_leave_the_others_as_they_were(
     tmp_path_factory: pytest.TempPathFactory, chosen: list[tuple[int, str]]

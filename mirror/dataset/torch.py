@@ -1,11 +1,13 @@
 """Torch datasets of frames: map-style and iterable, safe in worker processes, resumable to the sample.
 
 The order of an epoch is a pure function of seed and epoch. Only the dataset's path and the view's restrictions travel
-to a worker; it opens the dataset itself. Worker processes are to be started with ``spawn`` or ``forkserver``.
+to a worker; it opens the dataset itself. Worker processes are started with ``spawn`` or ``forkserver``: a forked one
+inherits the locks of threads that it lacks, and may wait for them for ever, so that it is refused.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, TypedDict, Unpack
 
@@ -129,7 +131,17 @@ class FrameDataset(TorchDataset[Sample]):
 
     @property
     def frames(self) -> FrameSequence:
-        """The frames, found on first use in each process."""
+        """The frames, found on first use in each process.
+
+        Raises:
+            UsageError: this is a worker process of a loader, and it was forked.
+        """
+        if get_worker_info() is not None and _is_forked():
+            raise UsageError(
+                "this worker process was forked, and may wait for ever for threads that it has not",
+                expected="workers that are spawned",
+                remedy='DataLoader(..., multiprocessing_context="spawn"), or "forkserver"',
+            )
         if self._frames is None:
             self._frames = self.dataset.frames()
         return self._frames
@@ -332,6 +344,14 @@ def epoch_order(count: int, seed: int, epoch: int) -> Int64:
     # A list of one makes numpy keep the type and wrap without a warning.
     key = _mix(_mix(np.array([seed % 2**64], np.uint64)) + np.array([epoch % 2**64], np.uint64))
     return np.argsort(_mix(key + np.arange(count, dtype=np.uint64)), kind="stable")
+
+
+def _is_forked() -> bool:
+    if "fork" not in multiprocessing.get_all_start_methods():
+        return False
+    process = multiprocessing.current_process()
+    by_default = type(process) is multiprocessing.Process and multiprocessing.get_start_method() == "fork"
+    return by_default or isinstance(process, multiprocessing.get_context("fork").Process)
 
 
 def _mix(values: Any) -> Any:

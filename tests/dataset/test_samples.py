@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
 from pathlib import Path
 
@@ -261,6 +262,17 @@ def test_workers_make_the_same_samples_alone_on_their_thread(dataset: Dataset, c
         assert not batch.pop("numba").any() and set(batch.pop("threads").tolist()) == {1}
         assert equal(batch, default_collate([alone[index] for index in indices]))
         assert camera_of(batch, 0, 1) == camera_of(alone[indices[0]], 1)
+
+
+@pytest.mark.parametrize("context", [None, "fork"])
+def test_forked_workers_are_refused(dataset: Dataset, context: str | None) -> None:
+    # Forking after OpenCV's threads ran hung now and then.
+    if (context or multiprocessing.get_start_method()) != "fork":
+        pytest.skip("workers are not forked here unless asked")
+    for samples, size in ((FrameDataset(dataset), 2), (IterableFrames(dataset, 2), None)):
+        loader = DataLoader(samples, batch_size=size, num_workers=1, multiprocessing_context=context)
+        with pytest.raises(UsageError, match=r'forked.*multiprocessing_context="spawn"'):
+            next(iter(loader))
 
 
 def test_batches_by_size_are_not_padded_and_have_every_frame_once(dataset: Dataset) -> None:

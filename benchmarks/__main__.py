@@ -3,36 +3,53 @@
 from __future__ import annotations
 
 import importlib
+import pkgutil
 import sys
 from pathlib import Path
+from typing import Final
 
 from mirror.command import run_command
 from mirror.errors import ExitCode
 from mirror.stops import run_process
 
-_MACHINERY = ("__init__", "__main__", "report")
+_HERE: Final = Path(__file__).parent
+_MACHINERY: Final = ("__main__", "report", "studies")
+_STUDIES: Final = "studies"
+FORMER_NAMES: Final = {"reconstruction": "static_reconstruction"}
+"""Names that are still accepted, and what they are called now."""
 
 
-def names() -> list[str]:
-    """The benchmarks, by name."""
-    found = (path.stem for path in Path(__file__).parent.glob("*.py"))
-    return sorted(name for name in found if name not in _MACHINERY and not name.startswith("_"))
+def modules() -> dict[str, str]:
+    """The module of each benchmark, by the benchmark's name; a package has its `main` in its module `benchmark`."""
+    found = {}
+    for prefix, folder in (("benchmarks", _HERE), (f"benchmarks.{_STUDIES}", _HERE / _STUDIES)):
+        for module in pkgutil.iter_modules([str(folder)]):
+            if module.name not in _MACHINERY and not module.name.startswith("_"):
+                found[module.name] = f"{prefix}.{module.name}"
+    return dict(sorted(found.items()))
 
 
 def main(argv: list[str]) -> int:
     """Run the benchmark that is named."""
-    if argv and argv[0] in names():
-        return run_command(
-            f"benchmarks {argv[0]}", lambda: importlib.import_module(f"benchmarks.{argv[0]}").main(argv[1:])
-        )
-    return run_command("benchmarks", lambda: _listed(argv))
+    name = FORMER_NAMES.get(argv[0], argv[0]) if argv else ""
+    if name in modules():
+        return run_command(f"benchmarks {name}", lambda: _run(modules()[name], argv[1:]))
+    return run_command("benchmarks", lambda: _list(argv))
 
 
-def _listed(argv: list[str]) -> int:
+def _run(name: str, argv: list[str]) -> int:
+    module = importlib.import_module(name)
+    if hasattr(module, "__path__"):
+        module = importlib.import_module(f"{name}.benchmark")
+    code: int = module.main(argv)
+    return code
+
+
+def _list(argv: list[str]) -> int:
     print("usage: python -m benchmarks NAME [OPTIONS]; `--help` after a name explains it\n")
-    for name in names():
-        doc = importlib.import_module(f"benchmarks.{name}").__doc__ or ""
-        print(f"{name:15} {doc.strip().splitlines()[0]}")
+    for name, module in modules().items():
+        doc = importlib.import_module(module).__doc__ or ""
+        print(f"{name:22} {doc.strip().splitlines()[0]}")
     if argv and argv[0] not in ("-h", "--help"):
         print(f"\nno benchmark is called {argv[0]!r}", file=sys.stderr)
         return ExitCode.COULD_NOT_RUN

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import _opensplat, _splat_scenes
+from benchmarks.rasterizer import opensplat, scenes
 
 STAND_IN = f"""#!{sys.executable}
 import sys
@@ -27,8 +27,8 @@ def test_a_program_is_given_the_scene_and_answers(tmp_path: Path) -> None:
     program = tmp_path / "program"
     program.write_text(STAND_IN)
     program.chmod(0o755)
-    scene = _splat_scenes.street(20)
-    answer = _opensplat.run(program, scene, np.full((6, 8, 3), 2.0, np.float32), repeats=3, threads=4)
+    scene = scenes.street(20)
+    answer = opensplat.run(program, scene, np.full((6, 8, 3), 2.0, np.float32), repeats=3, threads=4)
     assert (answer.forward_ms, answer.backward_ms) == (3.5, 7.0)
     np.testing.assert_array_equal(answer.image, np.full((6, 8, 3), 2.0 * np.float32(scene.focal[0] * 8)))
     for name, gradient in answer.gradients.items():
@@ -36,5 +36,5 @@ def test_a_program_is_given_the_scene_and_answers(tmp_path: Path) -> None:
 
 
 def test_without_a_name_there_is_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(_opensplat.VARIABLE, raising=False)
-    assert _opensplat.program() is None
+    monkeypatch.delenv(opensplat.VARIABLE, raising=False)
+    assert opensplat.program() is None

@@ -43,7 +43,7 @@ def test_the_command_lists_and_refuses(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_the_trigger_benchmark_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    from benchmarks.ingest import trigger_rows
+    from benchmarks.ingest.benchmark import trigger_rows
 
     rows = list(trigger_rows(20_000, 30))
     assert [row.name for row in rows] == [
@@ -58,8 +58,8 @@ def test_the_trigger_benchmark_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_copy_benchmark_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from benchmarks import ingest
+    from benchmarks.ingest import benchmark
 
-    monkeypatch.setattr(ingest, "PAIRS", 1)
-    monkeypatch.setattr(ingest.os, "sync", lambda: None)
-    assert [row.error for row in ingest.copy_rows(1, tmp_path)] == [0.0, 0.0, 0.0]
+    monkeypatch.setattr(benchmark, "PAIRS", 1)
+    monkeypatch.setattr(benchmark.os, "sync", lambda: None)
+    assert [row.error for row in benchmark.copy_rows(1, tmp_path)] == [0.0, 0.0, 0.0]

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import _splat_scenes
-from benchmarks._splat_scenes import Splats
+from benchmarks.rasterizer import scenes
+from benchmarks.rasterizer.scenes import Splats
 
-MAKERS = {"random": _splat_scenes.random, "needles": _splat_scenes.needles, "street": _splat_scenes.street}
+MAKERS = {"random": scenes.random, "needles": scenes.needles, "street": scenes.street}
 DIGESTS = {
     ("random", 1_000): "2104b8aa408e5e58ca87138075fe2be3c87c2fc09dc1a52dd05c00aa8e0951b2",
     ("needles", 1_000): "30afcfceb84343f6686444cd8f0dc4586800e6bae92ad952a6703d8220b29ac8",
@@ -28,7 +28,7 @@ def test_the_arrays_are_those_that_figures_were_published_of(name: str, count: i
 
 
 def test_the_garden_is_the_one_that_figures_were_published_of(real_data: Path) -> None:
-    scene = _splat_scenes.garden(real_data / "gsplat_garden")
+    scene = scenes.garden(real_data / "gsplat_garden")
     check(scene)
     assert scene.digest == GARDEN
 
@@ -53,17 +53,17 @@ def test_the_camera_sees_most_of_it(make) -> None:
 
 
 def test_a_camera_matrix_grows_with_the_picture() -> None:
-    scene = _splat_scenes.street(10)
+    scene = scenes.street(10)
     small, large = scene.camera_matrix(480, 270), scene.camera_matrix(1920, 1080)
     np.testing.assert_allclose(large[:2], 4 * small[:2])
 
 
 def test_harmonics_begin_with_the_colour() -> None:
-    scene = _splat_scenes.random(100)
+    scene = scenes.random(100)
     coefficients = scene.harmonics()
     assert coefficients.shape == (100, 16, 3)
     assert coefficients.dtype == np.float32
-    np.testing.assert_allclose(_splat_scenes.SH_DC * coefficients[:, 0] + 0.5, scene.colors, atol=1e-6)
+    np.testing.assert_allclose(scenes.SH_DC * coefficients[:, 0] + 0.5, scene.colors, atol=1e-6)
 
 
 def check(scene: Splats) -> None:

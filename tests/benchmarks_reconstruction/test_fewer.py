@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks._reconstruction.data import layers_of, write_fewer
-from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.methods import entries
+from benchmarks.studies.static_reconstruction.data import layers_of, write_fewer
+from benchmarks.studies.static_reconstruction.declared import declared
+from benchmarks.studies.static_reconstruction.methods import entries
 from mirror.dataset import Dataset
 from mirror.dataset.dataset import open as open_dataset
 from mirror.dataset.layer_writer import LayerWriter

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks._reconstruction.arguments import Arguments
-from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.groups import asked, groups
-from benchmarks._reconstruction.job import Job
-from benchmarks._reconstruction.methods import entries
+from benchmarks.studies.static_reconstruction.arguments import Arguments
+from benchmarks.studies.static_reconstruction.declared import declared
+from benchmarks.studies.static_reconstruction.groups import asked, groups
+from benchmarks.studies.static_reconstruction.job import Job
+from benchmarks.studies.static_reconstruction.methods import entries
 from mirror.errors import ExitCode, UsageError
 
 DECLARED = declared()

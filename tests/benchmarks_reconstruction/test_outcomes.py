@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from benchmarks._reconstruction.arguments import Arguments
-from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.job import OUTCOMES, TRUTH, Job, read_outcome
-from benchmarks._reconstruction.methods import OURS, entries
-from benchmarks._reconstruction.queue import is_done
-from benchmarks._reconstruction.tables import outcomes
-from benchmarks._reconstruction.verbs import VERBS
+from benchmarks.studies.static_reconstruction.arguments import Arguments
+from benchmarks.studies.static_reconstruction.declared import declared
+from benchmarks.studies.static_reconstruction.job import OUTCOMES, TRUTH, Job, read_outcome
+from benchmarks.studies.static_reconstruction.methods import OURS, entries
+from benchmarks.studies.static_reconstruction.queue import is_done
+from benchmarks.studies.static_reconstruction.tables import outcomes
+from benchmarks.studies.static_reconstruction.verbs import VERBS
 from mirror.errors import DatasetError, ExitCode
 
 JOB = Job(OURS, "guangzhou-urban", 1, 10.0, 240)

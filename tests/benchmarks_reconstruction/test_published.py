@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks._reconstruction.arguments import Arguments, GroupName
-from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.groups import Name, groups
-from benchmarks._reconstruction.job import CEILING, OUTCOMES, TRUTH, Job
-from benchmarks._reconstruction.verbs import VERBS
+from benchmarks.studies.static_reconstruction.arguments import Arguments, GroupName
+from benchmarks.studies.static_reconstruction.declared import declared
+from benchmarks.studies.static_reconstruction.groups import Name, groups
+from benchmarks.studies.static_reconstruction.job import CEILING, OUTCOMES, TRUTH, Job
+from benchmarks.studies.static_reconstruction.verbs import VERBS
 from mirror.errors import DatasetError
 
 ROOT = Path(__file__).parents[2]

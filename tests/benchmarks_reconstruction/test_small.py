@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks._reconstruction.choices import name_of
-from benchmarks._reconstruction.methods import RIVALS
-from benchmarks._reconstruction.small import as_small, numbers_of
+from benchmarks.studies.static_reconstruction.choices import name_of
+from benchmarks.studies.static_reconstruction.methods import RIVALS
+from benchmarks.studies.static_reconstruction.small import as_small, numbers_of
 from hybridworldsim.model.seeding import Initial, street_of
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.training.viewpoint import Source

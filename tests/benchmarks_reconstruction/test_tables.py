@@ -10,11 +10,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import ttest_rel
 
-from benchmarks._reconstruction.job import Job
-from benchmarks._reconstruction.scoring import Scores, averaged
-from benchmarks._reconstruction.tables import FIGURES, Outcome, differences, interval
-from benchmarks._reconstruction.tables import tables as tables_of_outcomes
-from benchmarks._reconstruction.truth.tables import ceiling_table, tables
+from benchmarks.studies.static_reconstruction.job import Job
+from benchmarks.studies.static_reconstruction.scoring import Scores, averaged
+from benchmarks.studies.static_reconstruction.tables import FIGURES, Outcome, differences, interval
+from benchmarks.studies.static_reconstruction.tables import tables as tables_of_outcomes
+from benchmarks.studies.static_reconstruction.truth.tables import ceiling_table, tables
 
 figures = st.floats(-60.0, 60.0)
 

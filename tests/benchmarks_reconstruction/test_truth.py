@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from benchmarks._reconstruction.job import Job
-from benchmarks._reconstruction.truth.geometry import by_distance, height_row, relative_error, road
-from benchmarks._reconstruction.truth.street import TrueView, camera_z, world_points
-from benchmarks._reconstruction.truth.trained import job_of, spread
+from benchmarks.studies.static_reconstruction.job import Job
+from benchmarks.studies.static_reconstruction.truth.geometry import by_distance, height_row, relative_error, road
+from benchmarks.studies.static_reconstruction.truth.street import TrueView, camera_z, world_points
+from benchmarks.studies.static_reconstruction.truth.trained import job_of, spread
 from mirror.errors import UsageError
 from mirror.protocols.views.view import View
 from mirror.synth.model import Label

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from benchmarks._reconstruction.choices import AS_TUNED, CHOICES, OWN, choice, name_of
-from benchmarks._reconstruction.declared import declared
-from benchmarks._reconstruction.job import Job
-from benchmarks._reconstruction.methods import OURS, RIVALS, WIDER, trial, trials
-from benchmarks._reconstruction.scaled import scaled_street
-from benchmarks._reconstruction.tables import Outcome, chosen, tuned
+from benchmarks.studies.static_reconstruction.choices import AS_TUNED, CHOICES, OWN, choice, name_of
+from benchmarks.studies.static_reconstruction.declared import declared
+from benchmarks.studies.static_reconstruction.job import Job
+from benchmarks.studies.static_reconstruction.methods import OURS, RIVALS, WIDER, trial, trials
+from benchmarks.studies.static_reconstruction.scaled import scaled_street
+from benchmarks.studies.static_reconstruction.tables import Outcome, chosen, tuned
 from hybridworldsim.model.settings import Rate, Settings
 from mirror_baselines import mtgs_style, omnire_style
 from mirror_baselines.splatting.scaled import scaled

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks._plain_street import plain_anchors, plain_gaussians
+from benchmarks.street.reference_model import plain_anchors, plain_gaussians
 from hybridworldsim.model.nodes.gathering import told
 from hybridworldsim.model.visible import visible
 from hybridworldsim.training.viewpoint import viewpoint_of

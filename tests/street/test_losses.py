@@ -5,8 +5,8 @@ import torch
 from skimage.metrics import structural_similarity
 from torch.nn import functional
 
-from benchmarks._plain_losses import curvature, normals_of
-from benchmarks._plain_losses import normal_loss as plain_normal_loss
+from benchmarks.street.reference_losses import curvature, normals_of
+from benchmarks.street.reference_losses import normal_loss as plain_normal_loss
 from hybridworldsim.model.curvature import normal_loss
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from benchmarks._plain_losses import similarity as plain_similarity
+from benchmarks.street.reference_losses import similarity as plain_similarity
 from hybridworldsim.model.ssim_loss import similarity
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks._crowd import Crowded, Target, condition_of, crowded, street
-from benchmarks._detectors import AgentPlates, YuNet, _anchors, _overlaps, judged
+from benchmarks.synth_detectors.crowd import Crowded, Target, condition_of, crowded, street
+from benchmarks.synth_detectors.detectors import AgentPlates, YuNet, anchors, judged, overlaps
 from mirror.errors import UsageError
 
 
@@ -24,8 +24,8 @@ def target(box: tuple[float, float, float, float], seen: float = 1.0) -> Target:
 def test_overlaps_in_closed_form() -> None:
     boxes = np.array([[0.0, 0.0, 4.0, 2.0], [10.0, 10.0, 11.0, 11.0]])
     others = np.array([[2.0, 0.0, 6.0, 2.0], [0.0, 0.0, 4.0, 2.0]])
-    assert _overlaps(boxes, others) == pytest.approx(np.array([[4.0 / 12.0, 1.0], [0.0, 0.0]]))
-    assert _overlaps(np.zeros((0, 4)), others).shape == (0, 2)
+    assert overlaps(boxes, others) == pytest.approx(np.array([[4.0 / 12.0, 1.0], [0.0, 0.0]]))
+    assert overlaps(np.zeros((0, 4)), others).shape == (0, 2)
 
 
 def test_targets_that_are_hardly_seen_are_not_asked_for_but_may_be_found() -> None:
@@ -38,7 +38,7 @@ def test_targets_that_are_hardly_seen_are_not_asked_for_but_may_be_found() -> No
 
 
 def test_anchors_are_as_many_as_the_network_answers() -> None:
-    centre, size = _anchors(540, 960)
+    centre, size = anchors(540, 960)
     assert centre.shape == size.shape == (21420, 2)
     assert centre[0].tolist() == [4.0, 4.0]
     assert sorted(set(size[:, 0])) == [24.0, 48.0, 96.0, 192.0, 384.0, 768.0]

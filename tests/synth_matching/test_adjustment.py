@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("scipy", reason="scipy is absent: pip install 'mirror-dataset[calibration]'")
 
-from benchmarks._feature_matching import Features
-from benchmarks._rig_adjustment import Spread, adjusted
-from benchmarks._tracks import Key, Rig, Tracks, triangulated
-from benchmarks.synth_matching import off
+from benchmarks.synth_matching.adjustment import Spread, adjusted
+from benchmarks.synth_matching.benchmark import off
+from benchmarks.synth_matching.features import Features
+from benchmarks.synth_matching.tracks import Key, Rig, Tracks, triangulated
 from mirror.arrays import Int64
 from mirror.errors import UsageError
 from mirror.geometry import Poses, quaternion_from_matrix

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks._feature_matching import Features, colmap, colmap_camera, errors_px, features, matches, verified
-from benchmarks._street_shots import Shot, taken, urban_drive
+from benchmarks.synth_matching.features import Features, colmap, colmap_camera, errors_px, features, matches, verified
+from benchmarks.synth_matching.shots import Shot, taken, urban_drive
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera

@@ -1,1 +1,0 @@
-"""The comparison of methods of static reconstruction: declared, run as a queue, scored, tabulated."""

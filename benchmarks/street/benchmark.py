@@ -1,0 +1,166 @@
+"""How fast a block of a street is drawn and learnt, decode included, and how far that is from float64."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TypeVar
+
+import numpy as np
+import torch
+
+from benchmarks.report import Peer, Row, report
+from benchmarks.street.learning import learning_rows
+from benchmarks.street.reference_model import exact, plain_picture
+from hybridworldsim.model.blocks import Block
+from hybridworldsim.model.seeding import Initial, street_of
+from hybridworldsim.model.settings import Refinement, Settings
+from hybridworldsim.model.storage import load_block, save_block
+from hybridworldsim.model.street import Drawn, Street
+from hybridworldsim.training.viewpoint import Source, Viewpoint
+from mirror.arrays import Float64
+
+WIDTH, HEIGHT = 480, 270
+FRAME_MS = 100.0
+PAPER_MS = 1000.0 / 21.0
+_SOURCE = Source("s.a.0", "front_wide")
+_ANCHORS = 30_000
+_ONE_LEVEL = 1.0 / 255.0  # a Gaussian at the threshold of what is blended may fall on either side
+
+_Result = TypeVar("_Result")
+_View = TypeVar("_View")
+
+
+def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
+    """A block of 100 m that nobody trained: facades on both sides, trees, road, sky; codes of chance."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-60.0, 60.0, anchors)
+    wall = np.column_stack((x, rng.choice([-12.0, 12.0], anchors), rng.uniform(0.0, 12.0, anchors)))
+    tree = np.column_stack((np.round(x / 15.0) * 15.0, np.sign(wall[:, 1]) * 7.0, np.full(anchors, 5.0)))
+    points = np.where(rng.random((anchors, 1)) < 0.7, wall, tree + rng.normal(0.0, 1.2, (anchors, 3)))
+    way = np.column_stack((np.arange(-50.0, 51.0), np.zeros(101), np.zeros(101)))
+    far = rng.normal(0.0, 1.0, (4000, 3))
+    far = 150.0 * far / np.linalg.norm(far, axis=1, keepdims=True)
+    far[:, 2] = np.abs(far[:, 2])
+
+    def flat(places: Float64) -> tuple[Float64, Float64]:
+        return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
+
+    settings = Settings(first_anchors=anchors, first_spacing_m=0.2, refinement=Refinement(most=anchors), seed=seed)
+    street = street_of(Initial(points, far, way, flat, 75.0, [_SOURCE]), settings)
+    with torch.no_grad():
+        for node in (street.background, street.ground, street.sky):
+            torch.nn.init.normal_(node.codes, std=1.0)
+    return street
+
+
+def round_views(street: Street, count: int = 24) -> list[Viewpoint]:
+    """Cameras 1.5 m above the ground near the middle of a block, looking round."""
+    ground = street.ground.means.detach()
+    middle = ground[(ground[:, :2] - ground[:, :2].mean(0)).norm(dim=1).argmin()]
+    K = torch.tensor([[0.6 * WIDTH, 0.0, WIDTH / 2], [0.0, 0.6 * WIDTH, HEIGHT / 2], [0.0, 0.0, 1.0]])
+    found = []
+    for angle in np.linspace(0.0, 2.0 * np.pi, count, endpoint=False):
+        forward = torch.tensor([np.cos(angle), np.sin(angle), 0.0])
+        down = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+        rotation = torch.stack([torch.linalg.cross(down, forward), down, forward]).float()
+        viewmat = torch.eye(4)
+        viewmat[:3, :3] = rotation
+        viewmat[:3, 3] = -rotation @ (middle + torch.tensor([0.0, 0.0, 1.5]))
+        found.append(Viewpoint(WIDTH, HEIGHT, K, viewmat, street.appearance.sources[0]))
+    return found
+
+
+def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
+    """Times and errors of a street's pictures.
+
+    Args:
+        street: as it was trained.
+        views: from where.
+        name: of the street.
+    """
+    latent = street.appearance(views[0].source).detach()
+
+    @torch.inference_mode()
+    def picture(view: Viewpoint) -> Drawn:
+        return street(view, latent)
+
+    @torch.inference_mode()
+    def decode(view: Viewpoint) -> object:
+        return street.decode(view, latent, latent)
+
+    found, wall_ms = timed(picture, views)
+    core_ms, decode_ms = timed(picture, views, time.process_time)[1], timed(decode, views)[1]
+    true = exact(street)
+    errors = [(one.rgb - plain_picture(true, one, view, latent)).abs().max() for one, view in zip(found, views)]
+    drawn = float(np.mean([sum(map(len, one.parts)) for one in found]))
+    held = sum(part.held for part in found[0].parts)
+    size = f"{WIDTH} x {HEIGHT}, {len(street.background)} anchors, {drawn:.0f} of {held} Gaussians drawn"
+    peers = (Peer("paper, quoted", PAPER_MS),)
+    threads = torch.get_num_threads()
+    return [
+        Row(f"{name}: picture", size, wall_ms, float(torch.stack(errors).max()), peers, "of 1", FRAME_MS, _ONE_LEVEL),
+        Row(f"{name}: decode alone", size, decode_ms),
+        Row(f"{name}: picture, processor time of all threads", size, core_ms),
+        Row(f"{name}: pictures a second, {threads} threads", size, 1000.0 / wall_ms),
+    ]
+
+
+def half_rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
+    """What storing a street in half precision saves and costs."""
+    block = Block((0, 0), (0.0, 0.0, 0.0))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "block.safetensors"
+        whole = save_block(path, block, street)
+        half = save_block(path, block, street, half=True)
+        _, other, _ = load_block(path)
+    latent = street.appearance(views[0].source).detach()
+    with torch.inference_mode():
+        pairs = [[one(view, latent).rgb.clamp(0.0, 1.0) for one in (street, other)] for view in views]
+    error = torch.stack([(ours - theirs).square().mean() for ours, theirs in pairs]).mean()
+    loss = float(-10.0 * error.clamp_min(1e-12).log10())
+    size = f"{len(street.background)} anchors, {len(street.ground) + len(street.sky)} others"
+    return [
+        Row(f"{name}: MB in float32", size, whole / 1e6),
+        Row(f"{name}: MB in half precision", size, half / 1e6, loss, unit="dB PSNR to float32"),
+    ]
+
+
+def timed(
+    call: Callable[[_View], _Result], views: Sequence[_View], clock: Callable[[], float] = time.perf_counter
+) -> tuple[list[_Result], float]:
+    """Results, and the mean over views of the least of three times in milliseconds."""
+    results = [call(view) for view in views]
+    least = []
+    for view in views:
+        times = []
+        for _ in range(3):
+            begin = clock()
+            call(view)
+            times.append(clock() - begin)
+        least.append(min(times))
+    return results, 1000.0 * float(np.mean(least))
+
+
+def main(argv: Sequence[str]) -> int:
+    """Measure a street of chance, and models that are named."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks street", description=__doc__)
+    parser.add_argument("models", nargs="*", type=Path, help="model.safetensors of trained blocks")
+    parser.add_argument("--threads", type=int, default=2)
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(arguments.threads)
+    streets = {"chance": corridor()} | {path.parent.name: load_block(path)[1] for path in arguments.models}
+    groups: dict[str, Iterable[Row]] = {"learning": learning_rows()}
+    for name, street in streets.items():
+        views = round_views(street)
+        groups[name] = itertools.chain(rows(street, views, name), half_rows(street, views, name))
+    return report("street", groups)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,24 @@
+"""Static reconstruction: ours against vanilla 3DGS, MTGS-style and OmniRe-style, at equal cost, on declared scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import tyro
+
+from benchmarks.studies.static_reconstruction.arguments import Arguments
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the benchmark."""
+    arguments = tyro.cli(Arguments, args=list(argv), prog="python -m benchmarks reconstruction")
+
+    # Torch and all methods: not for a line of help.
+    from benchmarks.studies.static_reconstruction.declared import declared
+    from benchmarks.studies.static_reconstruction.verbs import VERBS
+
+    return VERBS[arguments.what](arguments, declared())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main([]))

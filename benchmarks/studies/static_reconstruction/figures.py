@@ -1,0 +1,98 @@
+"""The comparison to look at: what each method draws of the same views, and what a budget buys."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from benchmarks.studies.static_reconstruction.declared import NOVEL, TRAINING, declared
+from benchmarks.studies.static_reconstruction.job import Job
+from benchmarks.studies.static_reconstruction.scoring import scored
+from benchmarks.studies.static_reconstruction.tables import Outcome
+from benchmarks.studies.static_reconstruction.tiles import sheet
+from benchmarks.studies.static_reconstruction.truth.trained import Trained
+from mirror.arrays import UInt8
+from mirror.schema.files import write_bytes
+
+_SHOWN: Final = ((NOVEL, "front_wide"), (NOVEL, "front_right"), (TRAINING, "front_wide"), (TRAINING, "rear_left"))
+_CURVES: Final = (("train PSNR", "training pictures, PSNR, dB"), ("novel PSNR*", "held-out traversal, PSNR*, dB"))
+
+
+def write_sheet(jobs: Sequence[Job], folder: Path, path: Path) -> None:
+    """Write what was recorded of a few views of a scene, and what the models of jobs draw of them, as JPEG.
+
+    Args:
+        jobs: of one scene, each trained to the end.
+        folder: of the comparison.
+        path: of the sheet.
+    """
+    models = [Trained(job, folder, declared()) for job in jobs]
+    renderers = [model.open() for model in models]
+    rows = []
+    for group, camera in _SHOWN:
+        own = [view for view in models[0].views(group) if view.camera == camera]
+        if not own:
+            continue
+        view = own[len(own) // 2]
+        true, mask = models[0].street.pictures.picture(view), models[0].street.pictures.scored(view)
+        row = [(f"{group}, {view.light}, {view.weather}", _dimmed(true, mask))]
+        for job, render in zip(jobs, renderers):
+            drawn = render(view)
+            found = scored(view, drawn, true, mask)
+            row.append((f"{job.entry} {found.psnr:.1f}, * {found.psnr_cc:.1f} dB", drawn))
+        rows.append(row)
+    sheet_bgr = np.ascontiguousarray(sheet(rows)[..., ::-1])
+    write_bytes(path, bytes(cv2.imencode(".jpg", sheet_bgr, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]))
+
+
+def _dimmed(picture: UInt8, mask: np.ndarray) -> UInt8:
+    """A picture whose pixels that are not scored are dark."""
+    dark: UInt8 = np.where(mask[..., None], picture, picture // 4)
+    return dark
+
+
+def write_budgets(found: Sequence[Outcome], entries: Sequence[str], path: Path) -> None:
+    """Draw quality over core-minutes, a line an entry, as PNG; means of what all entries that are drawn have whole.
+
+    Nothing is written where no entry has several budgets.
+    """
+    budgets = {entry: {one.job.core_minutes for one in found if one.job.entry == entry} for entry in entries}
+    drawn = [entry for entry in entries if len(budgets[entry]) > 1]
+    if not drawn:
+        return
+    common = set.intersection(*(_whole(found, entry, budgets[entry]) for entry in drawn))
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panels = pyplot.subplots(1, len(_CURVES), figsize=(10.0, 4.0), layout="constrained")
+    for panel, (name, label) in zip(panels, _CURVES):
+        for entry in drawn:
+            own = [one for one in found if one.job.entry == entry and (one.job.scene, one.job.seed) in common]
+            if own:
+                along = sorted(budgets[entry])
+                means = [np.mean([one.figures[name] for one in own if one.job.core_minutes == at]) for at in along]
+                panel.plot(along, means, marker="o", label=entry)
+        panel.set(xscale="log", xlabel="core-minutes of training", ylabel=label)
+        every = sorted(set().union(*(budgets[entry] for entry in drawn)))
+        panel.set_xticks(every, [f"{minutes:g}" for minutes in every])
+        panel.minorticks_off()
+        panel.grid(alpha=0.3)
+    panels[0].legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def _whole(found: Sequence[Outcome], entry: str, budgets: set[float]) -> set[tuple[str, int]]:
+    """Scenes and seeds of which an entry has all its budgets."""
+    there: dict[tuple[str, int], set[float]] = {}
+    for one in found:
+        if one.job.entry == entry:
+            there.setdefault((one.job.scene, one.job.seed), set()).add(one.job.core_minutes)
+    return {key for key, own in there.items() if own == budgets}

@@ -1,0 +1,157 @@
+"""The methods that are compared, each with its settings, and ours with parts switched off."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from itertools import product
+from typing import Any, Final
+
+from benchmarks.studies.static_reconstruction.choices import CHOICES, OWN, choice, name_of
+from benchmarks.studies.static_reconstruction.declared import declared
+from benchmarks.studies.static_reconstruction.scaled import scaled_street
+from benchmarks.studies.static_reconstruction.small import as_small
+from hybridworldsim.methods.static import StaticMethod
+from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
+from hybridworldsim.methods.street import make as make_street
+from hybridworldsim.model.settings import Refinement, Settings
+from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
+from mirror_baselines.splatting.scaled import scaled
+
+OURS: Final = "ours"
+STRUCTURE: Final = "ours-structure"
+"""With a loss of structure, which the paper does not have."""
+
+SINGLE: Final = "omnire_style-single"
+"""Of the traversal that is nearest to the held-out one, as OmniRe is meant."""
+
+SMALL_EXPOSED: Final = choice("mtgs_style-bytes", "exposure")
+"""MTGS-style with as many bytes as ours, and an exposure for each training picture."""
+
+RIVALS: Final = (vanilla_3dgs, mtgs_style, omnire_style)
+WIDER: Final[Mapping[str, tuple[tuple[float, float], ...]]] = {
+    "vanilla_3dgs": ((1.0, 4.0),),
+    "mtgs_style": ((1.0, 4.0), (2.0, 4.0), (4.0, 2.0)),
+    "omnire_style": ((2.0, 4.0), (4.0, 2.0)),
+}
+"""Cells beyond the grid's edge that rivals try too, since their best ones lie on it."""
+FEWER: Final = (1, 2)
+"""Training traversals of rows that have fewer."""
+AGAIN: Final = "4-traversals"
+"""Ours once more, trained within the hours of the ablations: a core-minute is not the same at all hours."""
+_TWO_BLOCKS_M: Final = 70.0
+"""Each declared scene has two blocks of this size side by side."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of the comparison.
+
+    Attributes:
+        name: of the row.
+        method: with its settings.
+        split: another split than the declared one, of fewer training traversals.
+    """
+
+    name: str
+    method: StaticMethod
+    split: str | None = None
+
+    def settings(self, seed: int) -> dict[str, Any]:
+        """Every number of the method, and its split if that is not the declared one, as JSON has it."""
+        whole = {"method": self.method.name, "block_m": self.method.block_m, **asdict(self.method.settings(seed))}
+        if self.split is not None:
+            whole["split"] = self.split
+        known: dict[str, Any] = json.loads(json.dumps(whole))
+        return known
+
+
+@cache
+def entries() -> Mapping[str, Entry]:
+    """All rows, by name."""
+    rows = [
+        Entry(OURS, _street(_same)),
+        Entry(STRUCTURE, _street(_with_structure)),
+        *(
+            Entry(f"{name_of(package)}-{label}", _explicit(package, settings))
+            for package in RIVALS
+            for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
+        ),
+        *(Entry(f"{name_of(package)}-bytes", _explicit(package, as_small(package.TUNED))) for package in RIVALS),
+        Entry(SMALL_EXPOSED, _explicit(mtgs_style, _exposed(as_small(mtgs_style.TUNED)))),
+        *(Entry(name, _street(change)) for name, change in _ABLATIONS.items()),
+        Entry("two-blocks", replace(_street(_same), block_m=_TWO_BLOCKS_M)),
+        *(Entry(f"{count}-traversals", _street(_same), fewer(declared().split, count)) for count in FEWER),
+        Entry(AGAIN, _street(_same)),
+        Entry(SINGLE, _explicit(omnire_style, omnire_style.TUNED), fewer(declared().split, 1)),
+        *trials().values(),
+    ]
+    return {row.name: row for row in rows}
+
+
+def fewer(split: str, traversals: int) -> str:
+    """The name of a split of so many training traversals a scene, those nearest to the held-out one."""
+    return f"{split}-{traversals}"
+
+
+def trial(name: str, rates: float, sizes: float) -> str:
+    """The name of a method's trial."""
+    return f"{name}+rates{rates:g}+sizes{sizes:g}"
+
+
+def trials() -> Mapping[str, Entry]:
+    """All trials of the tuning, by name: the grid, beyond its edge for rivals, and choices of theirs taken back."""
+    return {row.name: row for row in _trials()}
+
+
+def _trials() -> Iterator[Entry]:
+    grid = declared().tuning
+    cells = list(product(grid.rates, grid.sizes))
+    for rates, sizes in cells:
+        yield Entry(trial(OURS, rates, sizes), _street(partial(scaled_street, rates=rates, sizes=sizes)))
+    for name, change in OWN.items():
+        yield Entry(choice(OURS, name), _street(change))
+    for package in RIVALS:
+        for rates, sizes in (*cells, *WIDER[name_of(package)]):
+            settings = scaled(package.BY_HAND, rates, sizes)
+            yield Entry(trial(name_of(package), rates, sizes), _explicit(package, settings))
+        for name, change in CHOICES[name_of(package)].items():
+            yield Entry(choice(name_of(package), name), _explicit(package, change(package.TUNED)))
+
+
+def _as_many_bytes(settings: Settings) -> Refinement:
+    """Code-Gaussians in place of anchors: 27 numbers each, against 50."""
+    grown, anchor, plain = settings.refinement, 9 + 3 * settings.offsets + settings.code, 11 + settings.plain_code
+    return replace(grown, most_ground=grown.most_ground + grown.most * anchor // plain)
+
+
+def _with_structure(settings: Settings) -> Settings:
+    return replace(settings, structure_weight=STRUCTURE_WEIGHT)
+
+
+def _exposed(settings: Any) -> Any:
+    return CHOICES[name_of(mtgs_style)]["exposure"](settings)
+
+
+def _same(settings: Settings) -> Settings:
+    return settings
+
+
+_ABLATIONS: Final[dict[str, Callable[[Settings], Settings]]] = {
+    "no-appearance": lambda settings: replace(settings, latent=0),
+    "no-anchors": lambda settings: replace(settings, hybrid=False, refinement=_as_many_bytes(settings)),
+    "no-depth": lambda settings: replace(settings, depth_weight=0.0, normal_weight=0.0),
+    "no-normals": lambda settings: replace(settings, normal_weight=0.0),
+}
+
+
+def _street(change: Callable[[Settings], Settings]) -> StaticMethod:
+    return StreetMethod("hybridworldsim", make_street, lambda seed: change(replace(Settings(), seed=seed)))
+
+
+def _explicit(package: Any, settings: Any) -> StaticMethod:
+    return StaticMethod(
+        name_of(package), package.make, lambda seed: replace(settings, seed=seed), sky=package is omnire_style
+    )

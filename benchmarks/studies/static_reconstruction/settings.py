@@ -1,0 +1,39 @@
+"""Settings of rows as Markdown: a table for all rows whose methods have most of them in common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from benchmarks.studies.static_reconstruction.methods import entries
+
+_OF_EACH = ("seed", "method", "split")
+
+
+def settings_tables(rows: Sequence[str]) -> Iterator[str]:
+    """A column a row of the comparison, by names with dots; learning rates are first and last."""
+    tables: list[dict[str, Mapping[str, str]]] = []
+    for row in rows:
+        own = dict(_flat(entries()[row].settings(0)))
+        alike = (table for table in tables if 2 * len(own.keys() & next(iter(table.values())).keys()) > len(own))
+        table = next(alike, {})
+        if not table:
+            tables.append(table)
+        table[row] = own
+    for columns in tables:
+        names = dict.fromkeys(name for own in columns.values() for name in own)
+        lines = [f"| setting | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+        lines += [f"| {name} | {' | '.join(own.get(name, '-') for own in columns.values())} |" for name in names]
+        yield "\n".join(lines)
+
+
+def _flat(settings: Mapping[str, Any], under: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in settings.items():
+        if name in _OF_EACH:
+            continue
+        if isinstance(value, dict) and set(value) == {"first", "last"}:
+            yield f"{under}{name}", f"{value['first']:g} to {value['last']:g}"
+        elif isinstance(value, dict):
+            yield from _flat(value, f"{under}{name}.")
+        else:
+            yield f"{under}{name}", f"{value:g}" if isinstance(value, float) else "-" if value is None else str(value)

@@ -1,0 +1,1 @@
+"""Feature matching and rig bundle adjustment on the synthetic street, against its exact truth."""

@@ -44,8 +44,8 @@ class RecordingSummary:
         info: who, where, when.
         files: number of files.
         bytes: their size.
-        poses: fixes as recorded.
-        usable: those that are finite and on the globe.
+        poses: rows of fixes as recorded.
+        usable: those that make a pose, finite and on the globe.
         first_ns: the earliest stamp; None: there is no usable fix.
         last_ns: the latest stamp.
         extent: smallest and largest of each coordinate, by name.
@@ -103,7 +103,7 @@ def summarise(recording: Recording) -> RecordingSummary:
         info=recording.info,
         files=len(files),
         bytes=sum(files),
-        poses=len(track),
+        poses=len(track) + (len(track.bad) if track.bad else 0),
         usable=int(good.sum()),
         first_ns=int(stamps.min()) if len(stamps) else None,
         last_ns=int(stamps.max()) if len(stamps) else None,

@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,6 +28,7 @@ from mirror.ingest.run import ingest
 from mirror.ingest.usable import clean_usable
 from mirror.recordings.protocol import Recording, Track
 from mirror.recordings.registry import open_recording
+from mirror.recordings.summary import summarise
 from mirror.schema.documents import CleaningOptions, CleaningReport, DriveDocument, Roi, TriggerOptions
 from mirror.schema.files import read_json
 
@@ -179,6 +183,23 @@ def test_a_torn_line_of_broken_text_is_one_bad_row(tmp_path: Path) -> None:
     track, report = cleaned(open_recording(path))
     require_rest(track, [50])
     assert report.bad_rows == {"cells": 1}
+
+
+def test_parquet_names_its_rows(tmp_path: Path) -> None:
+    path = folder(tmp_path / "drive", {})
+    table = pa.csv.read_csv(path / "poses.csv")
+    stamps = [None if row == 7 else stamp for row, stamp in enumerate(STAMPS.tolist())]
+    lengths = [0.5 if row == 9 else 1.0 for row in range(COUNT)]
+    for name, values in (("timestamp_ns", stamps), ("qw", lengths)):
+        table = table.set_column(table.column_names.index(name), name, pa.array(values))
+    (path / "poses.csv").unlink()
+    pq.write_table(table, path / "poses.parquet")
+    track, report = cleaned(open_recording(path))
+    require_rest(track, [7, 9])
+    assert report.bad_rows == {"time": 1, "rotation": 1}
+    assert track.bad is not None and track.bad.first.place == "row 7, column timestamp_ns"
+    summary = summarise(open_recording(path))
+    assert (summary.poses, summary.usable) == (COUNT, COUNT - 2)
 
 
 def test_a_bad_row_in_one_of_several_files(tmp_path: Path) -> None:

@@ -21,6 +21,9 @@ class ProgressReporter(Protocol):
     def start(self, phase: str, total: int) -> None:
         """Begin a phase of ``total`` steps."""
 
+    def expect(self, steps: int) -> None:
+        """Add ``steps`` to the phase, which were not known when it began."""
+
     def advance(self, steps: int) -> None:
         """Count ``steps`` finished steps. May be called from several threads."""
 
@@ -38,6 +41,9 @@ class NullProgress:
     """Reports nothing."""
 
     def start(self, phase: str, total: int) -> None:
+        """Do nothing."""
+
+    def expect(self, steps: int) -> None:
         """Do nothing."""
 
     def advance(self, steps: int) -> None:
@@ -65,6 +71,11 @@ class _Bar:
             self._progress.stop_task(self._task)
         self._task = self._progress.add_task(phase, total=total, status="")
 
+    def expect(self, steps: int) -> None:
+        if self._task is not None:
+            task = next(task for task in self._progress.tasks if task.id == self._task)
+            self._progress.update(self._task, total=(task.total or 0) + steps)
+
     def advance(self, steps: int) -> None:
         if self._task is not None:
             self._progress.advance(self._task, steps)
@@ -91,6 +102,10 @@ class _Lines:
     def start(self, phase: str, total: int) -> None:
         with self._lock:
             self._phase, self._total, self._done = phase, total, 0
+
+    def expect(self, steps: int) -> None:
+        with self._lock:
+            self._total += steps
 
     def advance(self, steps: int) -> None:
         with self._lock:

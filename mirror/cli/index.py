@@ -34,12 +34,10 @@ def main(argv: Sequence[str]) -> int:
     from mirror.dataset.index import build_index
     from mirror.dataset.layout import Layout, require_dataset
     from mirror.dataset.lock import writer_lock
-    from mirror.ingest.replace import settle
 
     layout = Layout(arguments.dataset)
     require_dataset(layout)
     with writer_lock(layout, wait=arguments.wait):
-        settle(layout)
         report = build_index(layout.root, force=arguments.force, whole=True)
     if arguments.json:
         print(json.dumps(asdict(report)))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from mirror.dataset.generation import Generation
 from mirror.dataset.index.inputs import read_inputs
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.layout import MANIFEST, Layout
@@ -20,8 +21,8 @@ from mirror.dataset.lock import is_written
 from mirror.dataset.query.catalog import TABLES, Catalog
 from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.dataset.query.select import count, query
-from mirror.dataset.store import Store
-from mirror.errors import DatasetError, UsageError
+from mirror.dataset.store import Store, store_at
+from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.schema.documents import CANONICAL_CAMERAS, DatasetDocument, Manifest, Role, SplitDocument, is_identifier
 from mirror.schema.files import parse_json, sha256_bytes
 
@@ -42,8 +43,10 @@ _WEATHER = ("clear", "clouds", "rain", "snow", "fog", "unknown")
 class Dataset:
     """A dataset, or a part of it: an immutable view that reads nothing until it is asked.
 
-    Made by `open`. It can be pickled: another process opens the same index and no other. Where the index was made
-    anew since, reading raises a DatasetError: rows of two indexes are never mixed.
+    Made by `open`. It can be pickled: another process opens the same index and no other. Of a local dataset it reads
+    what was there when it was opened, also while a run replaces drives and after it: what was replaced stays on disk
+    as long as a view needs it. Of a remote one, whose index was written again since, reading raises a DatasetError:
+    rows of two indexes are never mixed.
 
     Attributes:
         document: ``dataset.json``.
@@ -316,43 +319,68 @@ def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:
 
     Args:
         path: its folder, or a URL that fsspec reads.
-        check_stale: hold the index against the manifests of what it was derived from; it costs one read of each.
+        check_stale: hold the index against the manifests of what it was derived from; it costs one read of each. While
+            a run writes a local dataset, its index is that of before the run, and so is all that is read.
 
     Raises:
         DatasetError: no dataset there, no index, or an index that is older than the dataset.
         SchemaError: a document is broken, or of a schema version that this toolkit does not read.
     """
-    return _open(Store(path), Filters(), LayerChoice(), check_stale=check_stale)
+    return _open(path, check_stale=check_stale)
 
 
-def _open(store: Store, filters: Filters, layers: LayerChoice, *, check_stale: bool) -> Dataset:
+def _open(root: str | os.PathLike[str], *, check_stale: bool) -> Dataset:
+    store = Store(root)
     document = _document(store)
-    manifest, digest = _index_manifest(store)
-    if check_stale:
+    while True:
+        held = _held(store)
+        manifest, digest = _index_manifest(held)
+        wrong = _staleness(store, manifest) if check_stale else None
+        generation = held.generation
+        if wrong is None or (store.folder is not None and is_written(Layout(store.folder))):
+            # While a run writes the dataset, readers have the generation before it.
+            return Dataset(document, Filters(), LayerChoice(), digest, Catalog(held, manifest.files))
+        if generation is None or generation.is_current():
+            raise wrong
+
+
+def _held(store: Store) -> Store:
+    """A local store at its current generation; a remote one as it is."""
+    if store.folder is None:
+        return store
+    try:
+        return Store(store.root, Generation.current(store.folder))
+    except FileNotFoundError as error:
+        raise _no_index(store) from error
+
+
+def _staleness(store: Store, manifest: Manifest) -> MirrorError | None:
+    """Why an index is not of what is there; None: it is."""
+    try:
         current = read_inputs(store).fingerprints
-        if dict(current) != manifest.derived_from:
-            differing = sorted(key for key, value in current.items() if manifest.derived_from.get(key) != value)
-            written = store.folder is not None and is_written(Layout(store.folder))
-            raise DatasetError(
-                f"the index is stale: {len(differing)} of its sources changed ({', '.join(differing[:3])} ...)",
-                file=store.where("index"),
-                expected="an index derived from what is there",
-                remedy="another run is writing the dataset, and its index last: wait for it"
-                if written
-                else f"run `mirror index {store.root}`",
-            )
-    return Dataset(document, filters, layers, digest, Catalog(store, manifest.files))
+    except (DatasetError, SchemaError) as error:
+        return error
+    differing = sorted(key for key, value in current.items() if manifest.derived_from.get(key) != value)
+    if dict(current) == manifest.derived_from:
+        return None
+    return DatasetError(
+        f"the index is stale: {len(differing)} of its sources changed ({', '.join(differing[:3])} ...)",
+        file=store.where("index"),
+        expected="an index derived from what is there",
+        remedy=f"run `mirror index {store.root}`",
+    )
 
 
 def _reopen(root: str, index_sha256: str, filters: Filters, layers: LayerChoice) -> Dataset:
-    dataset = _open(Store(root), filters, layers, check_stale=False)
-    if dataset.index_sha256 != index_sha256:
+    store = Store(root) if Store(root).folder is None else store_at(root, index_sha256)
+    manifest, digest = _index_manifest(store)
+    if digest != index_sha256:
         raise DatasetError(
             "the index is another than when this view was made",
-            file=dataset.store.where("index"),
+            file=store.where("index"),
             remedy="open the dataset again and make the view again",
         )
-    return dataset
+    return Dataset(_document(store), filters, layers, digest, Catalog(store, manifest.files))
 
 
 def _document(store: Store) -> DatasetDocument:
@@ -372,12 +400,16 @@ def _document(store: Store) -> DatasetDocument:
 def _index_manifest(store: Store) -> tuple[Manifest, str]:
     path = f"index/{MANIFEST}"
     try:
-        data = store.read(path)
+        data = store.read(path) if store.generation is None else store.generation.manifest
     except FileNotFoundError as error:
-        raise DatasetError(
-            "the dataset has no index", file=store.where("index"), remedy=f"run `mirror index {store.root}`"
-        ) from error
+        raise _no_index(store) from error
     return parse_json(data, Manifest, store.where(path)), sha256_bytes(data)
+
+
+def _no_index(store: Store) -> DatasetError:
+    return DatasetError(
+        "the dataset has no index", file=store.where("index"), remedy=f"run `mirror index {store.root}`"
+    )
 
 
 def _interval(time: tuple[int, int] | None) -> tuple[int, int] | None:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import hashlib
 import re
 import shutil
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import pyarrow as pa
 
+from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, seal
+from mirror.dataset.owned import OwnedFolder, left_overs
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import Manifest
-from mirror.schema.files import encode_table, read_json, write_bytes
+from mirror.schema.files import encode_table, read_json, unwritable, write_bytes
 from mirror.schema.tables import Table
 
 
@@ -22,7 +25,8 @@ from mirror.schema.tables import Table
 class LayerWriter:
     """Writes one layer; the caller holds the dataset's writer lock.
 
-    A layer that an interrupted run left without its manifest does not exist: what there is of it is removed first.
+    It is written in a folder of its own, which becomes the layer when it is complete. What an interrupted run left is
+    removed by the next writer of the same layer, once its owner is known to be dead (see `mirror.dataset.owned`).
 
     Attributes:
         layout: the dataset.
@@ -51,11 +55,13 @@ class LayerWriter:
         if not (recorded / MANIFEST).is_file():
             raise DatasetError("there is no such traversal", file=recorded, remedy="check the id: `mirror info`")
         if (self.folder / MANIFEST).is_file():
-            raise DatasetError(
-                "the layer is there already", file=self.folder, remedy="write it under another version, side by side"
-            )
-        if self.folder.exists():
-            shutil.rmtree(self.folder)
+            raise self._taken()
+        begun = f".{self.folder.name}"
+        for left in left_overs(self.folder.parent, begun):
+            shutil.rmtree(left, ignore_errors=True)
+        self._own = OwnedFolder(self.folder.parent, begun)
+        # Where the writer is given up without an end, nobody else would remove it so soon.
+        weakref.finalize(self, self._own.remove)
 
     def file(self, name: str, data: bytes) -> dict[str, object]:
         """Write a file of the layer.
@@ -67,10 +73,9 @@ class LayerWriter:
         Returns:
             What its row says of it: uri, byte_length, sha256.
         """
-        path = self.folder / name
-        write_bytes(path, data)
+        write_bytes(self._own.path / name, data)
         return {
-            "uri": path.relative_to(self.layout.root).as_posix(),
+            "uri": (self.folder / name).relative_to(self.layout.root).as_posix(),
             "byte_length": len(data),
             "sha256": hashlib.sha256(data).digest(),
         }
@@ -91,6 +96,26 @@ class LayerWriter:
             if name in table.schema.names:
                 rows = rows.append_column(name, pa.repeat(pa.scalar(word), rows.num_rows))
         name, encoded = f"{table.name}.parquet", encode_table(rows.select(table.schema.names), table)
-        write_bytes(self.folder / name, encoded)
+        write_bytes(self._own.path / name, encoded)
         recorded = read_json(self.layout.recorded(self.traversal_id) / MANIFEST, Manifest).content
-        seal(self.folder, {name: encoded}, derived_from={**derived_from, "recorded": recorded})
+        seal(self._own.path, {name: encoded}, derived_from={**derived_from, "recorded": recorded})
+        self._take_place()
+
+    def _take_place(self) -> None:
+        try:
+            self._own.path.rename(self.folder)
+        except OSError as error:
+            if (self.folder / MANIFEST).is_file():
+                raise self._taken() from error
+            if not self.folder.exists():
+                raise unwritable(self.folder, error) from error
+            # Without its manifest it does not exist.
+            supersede(self.layout, self.folder)
+            self._take_place()
+        else:
+            self._own.release()
+
+    def _taken(self) -> DatasetError:
+        return DatasetError(
+            "the layer is there already", file=self.folder, remedy="write it under another version, side by side"
+        )

@@ -7,13 +7,16 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 from urllib.parse import unquote, urlsplit
 
 import pyarrow as pa
 
+from mirror.dataset.generation import Generation
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.files import Model, parse_json
+
+Result = TypeVar("Result")
 
 _REMOTE_REQUESTS: Final = 16
 _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
@@ -26,15 +29,17 @@ class Store:
 
     Args:
         root: a path, or a URL that fsspec understands (``s3://bucket/dataset``, ``zip::file.zip``, ``memory://x``).
+        generation: of a local dataset: files are read as they were then, whatever a run has replaced since.
     """
 
-    def __init__(self, root: str | os.PathLike[str]) -> None:
+    def __init__(self, root: str | os.PathLike[str], generation: Generation | None = None) -> None:
         text = os.fspath(root)
         self.root = text
         self.folder = None if "://" in text or "::" in text else Path(text).absolute()
+        self.generation = generation
 
-    def __reduce__(self) -> tuple[Callable[..., Store], tuple[str]]:
-        return (Store, (self.root,))
+    def __reduce__(self) -> tuple[Callable[..., Store], tuple[str, str | None]]:
+        return (store_at, (self.root, None if self.generation is None else self.generation.sha256))
 
     def __str__(self) -> str:
         return self.root
@@ -68,6 +73,33 @@ class Store:
             return path
         return str(self.folder / path) if self.folder is not None else f"{self.root.rstrip('/')}/{path}"
 
+    def stable(self, path: str, read: Callable[[Path], Result]) -> Result:
+        """Read a local file as it is in this store's generation.
+
+        Args:
+            path: relative to the root.
+            read: reads, or opens, the file at the path that it is given; called again where the file was moved
+                meanwhile.
+
+        Raises:
+            FileNotFoundError: there is none.
+        """
+        if self.folder is None:
+            raise UsageError("a remote store has no local files", file=self.root)
+        if self.generation is None:
+            return read(self.folder / path)
+        while True:
+            place = self.generation.locate(path)
+            missing: FileNotFoundError | None = None
+            try:
+                result = read(place or self.folder / path)
+            except FileNotFoundError as error:
+                missing = error
+            if self.generation.locate(path) == place:
+                if missing is not None:
+                    raise missing
+                return result
+
     def read(self, path: str) -> bytes:
         """The bytes of one file.
 
@@ -75,7 +107,7 @@ class Store:
             FileNotFoundError: there is none.
         """
         if self.folder is not None:
-            return (self.folder / path).read_bytes()
+            return self.stable(path, Path.read_bytes)
         return bytes(self._remote[0].cat_file(self._remote_path(path)))
 
     def read_many(self, paths: Sequence[str]) -> dict[str, bytes]:
@@ -86,7 +118,7 @@ class Store:
         data = {}
         for path in paths:
             try:
-                data[path] = (self.folder / path).read_bytes()
+                data[path] = self.stable(path, Path.read_bytes)
             except (FileNotFoundError, NotADirectoryError):
                 continue
         return data
@@ -138,7 +170,7 @@ class Store:
             FileNotFoundError: there is none.
         """
         if self.folder is not None:
-            return pa.OSFile(self.where(path))
+            return self.stable(path, lambda place: pa.OSFile(str(place)))
         return pa.PythonFile(self._remote[0].open(self._remote_path(path), "rb"), mode="r")
 
     def read_range(self, uri: str, offset: int, length: int) -> bytes:
@@ -148,12 +180,33 @@ class Store:
             DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
             OSError: the file cannot be read.
         """
-        place = self.resolve(uri)
-        if isinstance(place, Path):
+
+        def pread(place: Path) -> bytes:
             with place.open("rb", buffering=0) as file:
                 return os.pread(file.fileno(), length, offset)
-        filesystem, path = place
-        return bytes(filesystem.cat_file(path, start=offset, end=offset + length))
+
+        return self.opened(
+            uri, pread, lambda filesystem, path: bytes(filesystem.cat_file(path, start=offset, end=offset + length))
+        )
+
+    def opened(self, uri: str, local: Callable[[Path], Result], remote: Callable[[Any, str], Result]) -> Result:
+        """Read a picture's uri, or open it.
+
+        Args:
+            uri: of its row.
+            local: reads a local path.
+            remote: reads a path of a file system.
+
+        Raises:
+            DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
+            OSError: the file cannot be read.
+        """
+        place = self.resolve(uri)
+        if not isinstance(place, Path):
+            return remote(*place)
+        if self.folder is None or "://" in uri or uri.startswith("/"):
+            return local(place)
+        return self.stable(uri, local)
 
     def resolve(self, uri: str) -> Path | tuple[Any, str]:
         """A picture's uri as a local path, or as a file system and a path in it.
@@ -188,6 +241,24 @@ class Store:
         if self.folder is not None:
             return self.folder / uri
         return self._remote[0], self._remote_path(uri)
+
+
+def store_at(root: str, sha256: str | None) -> Store:
+    """A store at a generation, by its hash; at none, where it has none.
+
+    Raises:
+        DatasetError: the generation is gone.
+    """
+    if sha256 is None:
+        return Store(root)
+    generation = Generation.find(Path(root).absolute(), sha256)
+    if generation is None:
+        raise DatasetError(
+            "the index is another than when this view was made",
+            file=Store(root).where("index"),
+            remedy="open the dataset again and make the view again",
+        )
+    return Store(root, generation)
 
 
 def unreadable(file: str, error: BaseException) -> SchemaError:

@@ -12,7 +12,7 @@ import numpy as np
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, manifest_sha256, seal
 from mirror.errors import RecordingError
 from mirror.ingest.judge import JudgedDrive
-from mirror.ingest.replace import publish, sealing_folder
+from mirror.ingest.staging import Staging
 from mirror.ingest.tables import pass_table
 from mirror.ingest.traversal import images_without_pose, traversal_id
 from mirror.ingest.weather import weather_from_traversals
@@ -69,9 +69,9 @@ def refuse_other_rig(layout: Layout, drive: JudgedDrive, seen: dict[str, Rig]) -
         )
 
 
-def _write_rig(layout: Layout, drive: JudgedDrive) -> None:
-    document, rig = rig_document(drive), drive.recording.rig
-    if document is None or rig is None or layout.rig(document.rig_id).exists():
+def _write_rig(staging: Staging, drive: JudgedDrive) -> None:
+    document, rig, layout = rig_document(drive), drive.recording.rig, staging.layout
+    if document is None or rig is None or staging.dataset.rig(document.rig_id).exists():
         return
     for camera in rig.cameras:
         if camera.static_mask is not None:
@@ -85,12 +85,20 @@ def _mask_name(rig_id: str, camera: str) -> str:
 
 
 def seal_drive(
-    layout: Layout, drive: JudgedDrive, scenes: Sequence[str], configuration: str, weather_plugin: str | None
+    staging: Staging, drive: JudgedDrive, scenes: Sequence[str], configuration: str, weather_plugin: str | None
 ) -> None:
-    """Write the drive's document and ledger, then its manifest: from here on the drive and its traversals exist."""
+    """Write the drive's document and ledger, then its manifest: the drive is complete, and `Staging.publish` takes it.
+
+    Args:
+        staging: with the drive's traversals, where the dataset does not have them.
+        drive: judged.
+        scenes: all scenes that it was judged for.
+        configuration: hash of the options that decide what is written.
+        weather_plugin: tells the weather where the source does not.
+    """
     info = drive.info
     names = [traversal_id(info.drive_id, one) if one.accepted else None for one in drive.passes]
-    _write_rig(layout, drive)
+    _write_rig(staging, drive)
     rig = drive.recording.rig
     document = DriveDocument(
         drive_id=info.drive_id,
@@ -110,12 +118,12 @@ def seal_drive(
         cleaning=drive.cleaning,
         images_without_pose=sum(images_without_pose(drive, number) for number in drive.slices),
     )
-    weather = weather_from_traversals(layout, drive, names, weather_plugin) if weather_plugin else {}
+    weather = weather_from_traversals(staging, drive, names, weather_plugin) if weather_plugin else {}
     ledger = encode_table(pass_table(drive, names, weather, weather_plugin), PASSES)
-    folder = sealing_folder(layout, info.drive_id)
+    folder = staging.layout.drive(info.drive_id)
     write_json(folder / "drive.json", document)
     write_bytes(folder / "passes.parquet", ledger)
-    derived_from = {f"traversal:{name}": manifest_sha256(layout.recorded(name)) for name in names if name is not None}
+    derived_from = {f"traversal:{name}": manifest_sha256(staging.recorded(name)) for name in names if name is not None}
     derived_from["source"] = drive.source.fingerprint
     derived_from["configuration"] = configuration
     seal(
@@ -123,7 +131,6 @@ def seal_drive(
         {"drive.json": (folder / "drive.json").read_bytes(), "passes.parquet": ledger},
         derived_from=derived_from,
     )
-    publish(layout, info.drive_id)
 
 
 def traversals_intact(layout: Layout, drive_id: str) -> bool:

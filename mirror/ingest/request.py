@@ -11,9 +11,10 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from mirror.errors import MirrorError, UsageError
-from mirror.ingest.judge import JudgedDrive
 from mirror.ingest.traversal import WriteOptions, Written
-from mirror.schema.documents import CleaningOptions, TriggerOptions
+from mirror.ingest.trigger import Pass
+from mirror.recordings.protocol import DriveInfo
+from mirror.schema.documents import CleaningOptions, CleaningReport, TriggerOptions
 
 Thresholds = TypeVar("Thresholds", TriggerOptions, CleaningOptions)
 
@@ -71,12 +72,29 @@ class IngestOptions:
     licence: str | None = None
 
 
+@dataclass(frozen=True)
+class DriveReport:
+    """What became of one drive; nothing in it grows with the drive's poses or pictures.
+
+    Attributes:
+        path: where the recording lies.
+        info: who, where, when.
+        cleaning: what cleaning did.
+        passes: accepted and refused.
+    """
+
+    path: Path
+    info: DriveInfo
+    cleaning: CleaningReport
+    passes: tuple[Pass, ...]
+
+
 @dataclass
 class IngestReport:
     """What an ingest run came to.
 
     Attributes:
-        drives: judged drives, by id.
+        drives: drives that were judged, by id.
         unchanged: ids of drives that were there already, unchanged.
         traversals: written or found complete.
         failures: recordings that could not be ingested, each with its error.
@@ -85,7 +103,7 @@ class IngestReport:
         linked: those of them that are hard links.
     """
 
-    drives: dict[str, JudgedDrive] = field(default_factory=dict)
+    drives: dict[str, DriveReport] = field(default_factory=dict)
     unchanged: list[str] = field(default_factory=list)
     traversals: list[Written] = field(default_factory=list)
     failures: list[tuple[Path, MirrorError]] = field(default_factory=list)

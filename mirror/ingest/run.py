@@ -1,52 +1,42 @@
-"""A whole ingest: judge all drives, write all accepted passes, seal each drive, derive the index.
+"""A whole ingest: drive by drive judged and written, all published at the end, then the index derived.
 
-What makes it safe to stop at any instant: a traversal exists once its manifest does, a drive once its own does, and
-the index is derived from complete drives alone. A second run finds what is complete by its fingerprints and does the
-rest. Drives and traversals run in parallel on threads: the work is in compiled kernels, the file system and hashing,
-all of which release the interpreter.
+What makes it safe to stop at any instant: a run writes in a folder of its own (`Staging`), where a traversal exists
+once its manifest does; drives move into the dataset at the end, and the index is derived from complete drives alone. A
+second run finds what is complete by its fingerprints and does the rest. Drives and traversals run in parallel on
+threads: the work is in compiled kernels, the file system and hashing, all of which release the interpreter. At most
+two drives a worker are on their way at a time, and nothing that grows with a drive's poses is kept after it, so that
+memory does not grow with the number of drives.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import shutil
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+from mirror.dataset.generation import settle
 from mirror.dataset.index import build_index
-from mirror.dataset.layout import Layout, complete_manifest, is_intact
+from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
-from mirror.ingest.drive import refuse_other_rig, seal_drive, traversals_intact, verify_source
-from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
-from mirror.ingest.replace import set_aside, settle
-from mirror.ingest.request import IngestOptions, IngestReport, thresholds
-from mirror.ingest.rois import merge_rois, read_rois, write_rois
-from mirror.ingest.traversal import Written, selected_pictures, traversal_id, write_traversal
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.drive import refuse_other_rig, seal_drive
+from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.prepare import Prepared, prepare
+from mirror.ingest.request import DriveReport, IngestOptions, IngestReport
+from mirror.ingest.rois import write_rois
+from mirror.ingest.settings import Settings, no_roi, settings_of
+from mirror.ingest.staging import Staging
+from mirror.ingest.traversal import Written, write_traversal
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.boundary import reader_errors
-from mirror.recordings.protocol import Recording
-from mirror.recordings.registry import open_recording
 from mirror.recordings.weather import weather_plugins
-from mirror.schema.documents import (
-    CleaningOptions,
-    DatasetDocument,
-    DriveDocument,
-    Rig,
-    Roi,
-    Source,
-    TriggerOptions,
-    is_identifier,
-)
-from mirror.schema.files import read_json, unwritable, write_json
-from mirror.schema.version import SCHEMA_VERSION
+from mirror.schema.documents import Rig, Roi
+from mirror.schema.files import unwritable, write_json
+from mirror.schema.folders import Kind, require_own_folder
 
 Result = TypeVar("Result")
 
@@ -54,24 +44,8 @@ _FATAL = (UsageError, DatasetError)
 """What is not one recording's fault, and would meet the next one too."""
 
 
-@dataclass(frozen=True)
-class _Opened:
-    path: Path
-    recording: Recording
-    source: Source
-
-
-class _Run:
-    def __init__(self, layout: Layout, options: IngestOptions, progress: ProgressReporter) -> None:
-        self.layout = layout
-        self.options = options
-        self.progress = progress
-        self.report = IngestReport()
-
-    def fail(self, path: Path, error: MirrorError) -> None:
-        if self.options.fail_fast or isinstance(error, _FATAL):
-            raise error
-        self.report.failures.append((path, error))
+class _StoppedError(Exception):
+    """Ends a job whose run has ended."""
 
 
 def ingest(
@@ -94,36 +68,39 @@ def ingest(
         What was done. Recordings that cannot be ingested are in its ``failures`` and leave no trace.
 
     Raises:
-        UsageError: no ROI, or ROIs or options that cannot be meant.
+        UsageError: no ROI, or ROIs or options that cannot be meant, or the folder holds something else.
         DatasetError: the dataset is locked, has other thresholds, or cannot be written.
-        MirrorError: with ``fail_fast``, whatever the first bad recording has.
+        MirrorError: with ``fail_fast``, whatever the first bad recording has; nothing is added then.
     """
-    run = _Run(Layout(out), options or IngestOptions(), progress or NullProgress())
-    if run.options.workers < 1:
-        raise UsageError(f"{run.options.workers} workers", expected="at least one")
-    if run.options.weather_plugin is not None and run.options.weather_plugin not in weather_plugins():
+    options, progress, layout = options or IngestOptions(), progress or NullProgress(), Layout(out)
+    if options.workers < 1:
+        raise UsageError(f"{options.workers} workers", expected="at least one")
+    if options.weather_plugin is not None and options.weather_plugin not in weather_plugins():
         raise UsageError(
-            f"no weather plug-in is named {run.options.weather_plugin!r}",
+            f"no weather plug-in is named {options.weather_plugin!r}",
             expected=f"one of {', '.join(weather_plugins()) or '(none is installed)'}",
             remedy="install the package that declares it",
         )
-    if run.options.dry_run:
-        _judge_all(run, recordings, *_settings(run, rois))
+    if options.dry_run:
+        run = _Run(layout, options, progress, settings_of(layout, options, rois))
+        run.work(recordings)
         return run.report
-    if not rois and not run.layout.document.exists():
-        raise _no_roi()
     _refuse_recording_as_dataset(recordings, out)
-    with writer_lock(run.layout, wait=run.options.wait):
-        settle(run.layout)
+    require_own_folder(out, Kind.DATASET)
+    if not rois and not layout.document.exists():
+        raise no_roi()
+    with writer_lock(layout, wait=options.wait):
         try:
-            _ingest(run, recordings, rois)
+            settle(layout)
+            run = _Run(layout, options, progress, settings_of(layout, options, rois))
+            _write(run, recordings)
         except OSError as error:
             # Files are written through functions that say so themselves; what is left are folders.
             raise unwritable(Path(error.filename or out), error) from error
         finally:
-            settle(run.layout)
-        if run.layout.document.exists():
-            build_index(run.layout.root)
+            settle(layout)
+        if layout.document.exists():
+            build_index(layout.root)
     return run.report
 
 
@@ -138,245 +115,182 @@ def _refuse_recording_as_dataset(recordings: Sequence[Path], out: Path) -> None:
             )
 
 
-def _no_roi() -> UsageError:
-    return UsageError("no ROI given", expected="--rois FILE or --roi lon,lat", remedy="see `mirror rois propose`")
+def _write(run: _Run, recordings: Sequence[Path]) -> None:
+    staging = Staging(run.layout)
+    done = False
+    try:
+        run.work(recordings, staging)
+        if run.report.drives:
+            write_json(run.layout.document, run.settings.document)
+            write_rois(run.layout.rois, run.settings.rois)
+            staging.publish()
+        done = True
+    finally:
+        staging.close(done=done)
 
 
-def _ingest(run: _Run, recordings: Sequence[Path], rois: Sequence[Roi]) -> None:
-    document, all_rois = _settings(run, rois)
-    configuration = _configuration(document, run.options)
-    judged = _judge_all(run, recordings, document, all_rois)
-    written = _write_all(run, judged, {roi.scene_id: roi for roi in all_rois}, configuration)
-    if written:
-        write_json(run.layout.document, document)
-        write_rois(run.layout.rois, all_rois)
-    for drive in written:
-        try:
-            seal_drive(run.layout, drive, [roi.scene_id for roi in all_rois], configuration, run.options.weather_plugin)
-        except MirrorError as error:
-            del run.report.drives[drive.info.drive_id]
-            run.fail(drive.path, error)
+@dataclass
+class _Writing:
+    """A drive whose traversals are being written.
 
-
-def _settings(run: _Run, rois: Sequence[Roi]) -> tuple[DatasetDocument, list[Roi]]:
-    """The dataset's document and ROIs, with what this run adds; refuses what contradicts them."""
-    given_trigger, given_cleaning = dict(run.options.trigger), dict(run.options.cleaning)
-    if not run.layout.document.exists():
-        document = DatasetDocument(
-            licence=run.options.licence,
-            trigger=thresholds(TriggerOptions, given_trigger),
-            cleaning=thresholds(CleaningOptions, given_cleaning),
-        )
-        present: list[Roi] = []
-    else:
-        document = read_json(run.layout.document, DatasetDocument)
-        for given, own in ((given_trigger, document.trigger), (given_cleaning, document.cleaning)):
-            for name, value in given.items():
-                if getattr(own, name) != value:
-                    raise DatasetError(
-                        f"{name} {value} differs from the dataset's {getattr(own, name)}",
-                        file=run.layout.document,
-                        expected="one set of thresholds for all passes of a dataset",
-                        remedy=f"leave {name} away, or ingest everything into a new folder",
-                    )
-        if run.options.licence not in (None, document.licence):
-            raise DatasetError(
-                f"licence {run.options.licence!r} differs from the dataset's {document.licence!r}",
-                file=run.layout.document,
-                remedy="leave --licence away, or ingest into a new folder",
-            )
-        present = read_rois(run.layout.rois) if run.layout.rois.exists() else []
-    merged = merge_rois(present, rois, run.layout.rois)
-    if not merged:
-        raise _no_roi()
-    return document, merged
-
-
-def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
-    decisive = {
-        "schema_version": SCHEMA_VERSION,
-        "trigger": document.trigger.model_dump(mode="json"),
-        "cleaning": document.cleaning.model_dump(mode="json"),
-        "reader": options.reader,
-        "reader_options": dict(options.reader_options),
-        "hashing": options.write.hashing,
-        "weather_plugin": options.weather_plugin,
-    }
-    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
-
-
-def _judge_all(
-    run: _Run, recordings: Sequence[Path], document: DatasetDocument, rois: Sequence[Roi]
-) -> list[JudgedDrive]:
-    """Open, identify and judge every recording; those already complete are passed over."""
-    trigger = Trigger(rois, document.trigger, document.cleaning)
-    configuration = _configuration(document, run.options)
-    scenes = {roi.scene_id for roi in rois}
-    run.progress.start("reading poses", len(recordings))
-
-    def open_one(path: Path) -> _Opened:
-        with reader_errors(path):
-            recording = open_recording(path, reader=run.options.reader, options=run.options.reader_options)
-            drive_id = recording.info.drive_id
-        for name, value in (("drive_id", drive_id), ("vehicle_id", recording.info.vehicle_id)):
-            if not is_identifier(value):
-                raise RecordingError(f"{name} {value!r} is not an id", file=path, expected="letters, digits, _ and -")
-        reader = run.options.reader or type(recording).__module__.rpartition(".")[2]
-        with reader_errors(path):
-            return _Opened(path, recording, fingerprint(recording, reader, path.resolve().name))
-
-    def judge_one(opened: _Opened) -> JudgedDrive:
-        judged = judge_drive(opened.path, opened.recording, opened.source, trigger, rois, document.cleaning)
-        run.progress.advance(1)
-        return judged
-
-    opened = _in_parallel(run, [(path, partial(open_one, path)) for path in recordings])
-    todo = []
-    owners: dict[str, Path] = {}
-    for one in opened:
-        drive_id = one.recording.info.drive_id
-        if drive_id in owners:
-            run.fail(
-                one.path,
-                RecordingError(
-                    f"drive id {drive_id!r} is also that of {owners[drive_id]}",
-                    file=one.path,
-                    expected="one recording a drive id",
-                    remedy="give one of them another id; ingest the files of one drive as one recording",
-                ),
-            )
-            continue
-        owners[drive_id] = one.path
-        try:
-            unchanged = _is_unchanged(run, one, configuration, scenes)
-        except MirrorError as error:
-            run.fail(one.path, error)
-            continue
-        if unchanged and not run.options.dry_run:
-            run.report.unchanged.append(drive_id)
-            run.progress.advance(1)
-        else:
-            todo.append(one)
-    judged = _in_parallel(run, [(one.path, partial(judge_one, one)) for one in todo])
-    for drive in judged:
-        run.report.drives[drive.info.drive_id] = drive
-    return judged
-
-
-def _is_unchanged(run: _Run, opened: _Opened, configuration: str, scenes: set[str]) -> bool:
-    """Whether the drive is complete in the dataset as its recording is now.
-
-    Raises:
-        RecordingError: the id belongs to another recording, or to this one before it changed.
+    Attributes:
+        drive: it.
+        jobs: one a traversal.
+        failed: set by the first job that fails: the others need not begin.
     """
-    folder = run.layout.drive(opened.recording.info.drive_id)
-    if run.options.replace or not is_intact(folder):
-        return False
-    document = read_json(folder / "drive.json", DriveDocument)
-    if not _same_source(run, document.drive_id, opened.source, configuration):
-        if run.options.dry_run:
-            return False
-        changed = "its files have changed" if document.source.name == opened.source.name else "another recording has it"
-        if document.source.fingerprint == opened.source.fingerprint:
-            changed = "it was ingested with other options"
-        raise RecordingError(
-            f"drive {document.drive_id!r} is in the dataset already, and {changed}",
-            file=opened.path,
-            expected=f"the recording {document.source.name!r} as it was",
-            remedy="give the recording another drive id, or add --replace to ingest it anew",
-        )
-    if run.options.verify:
-        verify_source(run.layout, opened.recording, document.drive_id)
-    return set(document.scenes) >= scenes and traversals_intact(run.layout, document.drive_id)
+
+    drive: JudgedDrive
+    jobs: list[Future[Written | None]] = field(default_factory=list)
+    failed: threading.Event = field(default_factory=threading.Event)
 
 
-def _same_source(run: _Run, drive_id: str, source: Source, configuration: str) -> bool:
-    """Whether a complete drive of the dataset was made of just this, with just these options; True if there is none."""
-    manifest = complete_manifest(run.layout.drive(drive_id))
-    if manifest is None:
-        return True
-    made_from = {"source": source.fingerprint, "configuration": configuration}
-    return made_from.items() <= manifest.derived_from.items()
+class _Run:
+    """One pass over all recordings, in their order: which of two that contradict each other fails depends on it."""
 
+    def __init__(self, layout: Layout, options: IngestOptions, progress: ProgressReporter, settings: Settings) -> None:
+        self.layout = layout
+        self.options = options
+        self.progress = progress
+        self.settings = settings
+        self.report = IngestReport()
+        self._rois = {roi.scene_id: roi for roi in settings.rois}
+        self._trigger = settings.trigger()
+        self._owners: dict[str, Path] = {}
+        self._rigs: dict[str, Rig] = {}
+        self._stopped = threading.Event()
 
-def _write_all(
-    run: _Run, judged: Sequence[JudgedDrive], rois: Mapping[str, Roi], configuration: str
-) -> list[JudgedDrive]:
-    """Write all accepted passes of all drives; return the drives of which every one succeeded."""
-    jobs: list[tuple[JudgedDrive, int]] = []
-    complete: list[JudgedDrive] = []
-    rigs: dict[str, Rig] = {}
-    total = 0
-    for drive in judged:
+    def work(self, recordings: Sequence[Path], staging: Staging | None = None) -> None:
+        """Judge all recordings, and write what is accepted.
+
+        Args:
+            recordings: one path a drive.
+            staging: takes what is complete; None: nothing is written.
+        """
+        self.progress.start("ingesting (drives and images)" if staging else "reading poses", len(recordings))
+        # Few passes and many workers: the cameras of a pass are written side by side.
+        side_by_side = min(len(recordings), self.options.workers)
+        writing: deque[_Writing] = deque()
+        with ThreadPoolExecutor(self.options.workers) as pool:
+            try:
+                for path, future in _ahead(pool, self._prepare, recordings, self.options.workers):
+                    prepared = self._taken(path, future, staging)
+                    if prepared is not None and prepared.drive is not None and staging is not None:
+                        writing.append(self._begin(pool, prepared.drive, prepared.replace, staging, side_by_side))
+                        if len(writing) > self.options.workers:
+                            self._finish(writing.popleft(), staging)
+                        continue
+                    if prepared is not None and prepared.drive is not None:
+                        self._report(prepared.drive)
+                    self.progress.advance(1)
+                while staging is not None and writing:
+                    self._finish(writing.popleft(), staging)
+            except BaseException:
+                self._stopped.set()
+                pool.shutdown(cancel_futures=True)
+                raise
+        self.report.traversals.sort(key=lambda one: one.traversal_id)
+
+    def _prepare(self, path: Path) -> Prepared:
+        return prepare(path, self.layout, self.options, self.settings, self._trigger)
+
+    def _taken(self, path: Path, future: Future[Prepared], staging: Staging | None) -> Prepared | None:
+        """A drive that can be written; None: it failed."""
         try:
-            with reader_errors(drive.path):
-                refuse_other_rig(run.layout, drive, rigs)
-            for number in drive.slices:
-                pictures = selected_pictures(drive, number).values()
-                total += sum(len(indices) for _, indices, _ in pictures)
+            prepared = future.result()
+            self._own(path, prepared.drive_id)
+            if prepared.drive is not None and staging is not None:
+                with reader_errors(path):
+                    refuse_other_rig(self.layout, prepared.drive, self._rigs)
         except MirrorError as error:
-            run.fail(drive.path, error)
-            del run.report.drives[drive.info.drive_id]
-            continue
-        if run.options.replace or not _same_source(run, drive.info.drive_id, drive.source, configuration):
-            set_aside(run.layout, drive.info.drive_id)
-        complete.append(drive)
-        jobs += [(drive, number) for number in drive.slices]
-    run.progress.start("writing pictures", total)
-    # Few passes and many workers: the cameras of a pass are written side by side.
-    threads = max(1, run.options.workers // max(1, len(jobs)))
-    failed: set[str] = set()
-    lock = threading.Lock()
-
-    def write_one(drive: JudgedDrive, number: int) -> Written | None:
-        if drive.info.drive_id in failed:
+            self._fail(path, error)
             return None
+        if prepared.drive is None:
+            self.report.unchanged.append(prepared.drive_id)
+        self.progress.expect(prepared.images)
+        return prepared
+
+    def _own(self, path: Path, drive_id: str) -> None:
+        if drive_id in self._owners:
+            raise RecordingError(
+                f"drive id {drive_id!r} is also that of {self._owners[drive_id]}",
+                file=path,
+                expected="one recording a drive id",
+                remedy="give one of them another id; ingest the files of one drive as one recording",
+            )
+        self._owners[drive_id] = path
+
+    def _begin(
+        self, pool: ThreadPoolExecutor, drive: JudgedDrive, replace: bool, staging: Staging, side_by_side: int
+    ) -> _Writing:
+        one = _Writing(drive)
+        threads = max(1, self.options.workers // max(1, len(drive.slices) * side_by_side))
+
+        def write(number: int) -> Written | None:
+            if one.failed.is_set():
+                return None
+            try:
+                return write_traversal(
+                    staging,
+                    drive,
+                    number,
+                    self._rois[drive.passes[number].scene_id],
+                    self.settings.configuration,
+                    self.options.write,
+                    threads,
+                    self._advance,
+                    replace=replace,
+                )
+            except BaseException:
+                one.failed.set()
+                raise
+
+        one.jobs += [pool.submit(write, number) for number in drive.slices]
+        return one
+
+    def _advance(self, steps: int) -> None:
+        """Count images that are written; ends the job where the run has ended."""
+        if self._stopped.is_set():
+            raise _StoppedError
+        self.progress.advance(steps)
+
+    def _finish(self, one: _Writing, staging: Staging) -> None:
+        """Seal a drive once all its traversals are written; of one that failed nothing is left."""
+        drive, info = one.drive, one.drive.info
+        wait(one.jobs)
         try:
-            return write_traversal(
-                run.layout,
-                drive,
-                number,
-                rois[drive.passes[number].scene_id],
-                configuration,
-                run.options.write,
-                threads,
-                run.progress.advance,
+            errors = [error for job in one.jobs if (error := job.exception()) is not None]
+            if errors:
+                # What ends the run comes before what ends the drive.
+                raise min(errors, key=lambda error: not isinstance(error, _FATAL))
+            written = [job.result() for job in one.jobs]
+            seal_drive(
+                staging, drive, sorted(self.settings.scenes), self.settings.configuration, self.options.weather_plugin
             )
         except MirrorError as error:
-            with lock:
-                first = drive.info.drive_id not in failed
-                failed.add(drive.info.drive_id)
-            if first or isinstance(error, _FATAL):
-                raise
-            return None
+            staging.forget(info.drive_id)
+            self._fail(drive.path, error)
+        else:
+            self.report.traversals += [job for job in written if job is not None]
+            self._report(drive)
+        self.progress.advance(1)
 
-    written = _in_parallel(run, [(drive.path, partial(write_one, drive, number)) for drive, number in jobs])
-    for drive in [drive for drive in complete if drive.info.drive_id in failed]:
-        for number in drive.slices:
-            name = traversal_id(drive.info.drive_id, drive.passes[number])
-            if complete_manifest(run.layout.drive(drive.info.drive_id)) is None:
-                shutil.rmtree(run.layout.traversal(name), ignore_errors=True)
-        complete.remove(drive)
-        del run.report.drives[drive.info.drive_id]
-    run.report.traversals = sorted(
-        (one for one in written if one is not None and one.traversal_id.split(".")[1] not in failed),
-        key=lambda one: one.traversal_id,
-    )
-    return complete
+    def _report(self, drive: JudgedDrive) -> None:
+        self.report.drives[drive.info.drive_id] = DriveReport(drive.path, drive.info, drive.cleaning, drive.passes)
+
+    def _fail(self, path: Path, error: MirrorError) -> None:
+        if self.options.fail_fast or isinstance(error, _FATAL):
+            raise error
+        self.report.failures.append((path, error))
 
 
-def _in_parallel(run: _Run, jobs: Sequence[tuple[Path, Callable[[], Result]]]) -> list[Result]:
-    """Results in the order of the jobs; those that fail are reported against their path."""
-    results: list[Result] = []
-    with ThreadPoolExecutor(max_workers=max(1, run.options.workers)) as pool:
-        futures: list[tuple[Path, Future[Result]]] = [(path, pool.submit(job)) for path, job in jobs]
-        try:
-            for path, future in futures:
-                try:
-                    results.append(future.result())
-                except MirrorError as error:
-                    run.fail(path, error)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return results
+def _ahead(
+    pool: ThreadPoolExecutor, call: Callable[[Path], Result], paths: Iterable[Path], count: int
+) -> Iterator[tuple[Path, Future[Result]]]:
+    """Calls in the order of the paths, of which no more than ``count`` have begun and are not yet taken."""
+    begun: deque[tuple[Path, Future[Result]]] = deque()
+    for path in paths:
+        begun.append((path, pool.submit(call, path)))
+        if len(begun) > count:
+            yield begun.popleft()
+    while begun:
+        yield begun.popleft()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError
 from mirror.ingest.judge import JudgedDrive
 from mirror.ingest.pictures import Placed, Transfer, place_pictures, refer_to_pictures
+from mirror.ingest.staging import Staging
 from mirror.ingest.tables import assign_frames, pose_table
 from mirror.ingest.trigger import Pass
 from mirror.recordings.calibration import require_covariance
@@ -67,7 +67,7 @@ def traversal_id(drive_id: str, one: Pass) -> str:
 
 
 def write_traversal(
-    layout: Layout,
+    staging: Staging,
     drive: JudgedDrive,
     number: int,
     roi: Roi,
@@ -75,11 +75,15 @@ def write_traversal(
     options: WriteOptions,
     threads: int,
     advance: Callable[[int], None],
+    *,
+    replace: bool = False,
 ) -> Written:
     """Write one accepted pass, or find it complete.
 
+    Attempts at the same traversal do not meet: each writes a folder of its own, and the first that is complete stays.
+
     Args:
-        layout: the dataset.
+        staging: takes the traversal when it is complete.
         drive: judged.
         number: of the pass in ``drive.passes``.
         roi: its scene.
@@ -87,31 +91,31 @@ def write_traversal(
         options: how.
         threads: how many cameras are written at a time.
         advance: called with the number of pictures done since the last call, from those threads.
+        replace: write it, also where the dataset has it.
 
     Raises:
-        RecordingError: something in the recording cannot be used; the folder is left without a manifest.
+        RecordingError: something in the recording cannot be used; nothing is left of this attempt.
         DatasetError: the folder cannot be written.
     """
     one = drive.passes[number]
     name = traversal_id(drive.info.drive_id, one)
-    folder = layout.recorded(name)
     derived_from = {
         "source": drive.source.fingerprint,
         "configuration": configuration,
         "scene": hashlib.sha256(roi.model_dump_json().encode()).hexdigest(),
     }
-    manifest = complete_manifest(folder)
-    if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
-        pictures = manifest.pictures or Pictures(count=0, bytes=0)
-        advance(pictures.count)
-        without_pose = images_without_pose(drive, number)
-        return Written(name, pictures.count, pictures.bytes, 0, reused=True, without_pose=without_pose)
-    shutil.rmtree(layout.traversal(name), ignore_errors=True)
-    try:
-        return _write(layout, name, drive, number, roi, derived_from, options, threads, advance)
-    except BaseException:
-        shutil.rmtree(layout.traversal(name), ignore_errors=True)
-        raise
+    for layout in (staging.layout, *(() if replace else (staging.dataset,))):
+        folder = layout.recorded(name)
+        manifest = complete_manifest(folder)
+        if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
+            pictures = manifest.pictures or Pictures(count=0, bytes=0)
+            advance(pictures.count)
+            without_pose = images_without_pose(drive, number)
+            return Written(name, pictures.count, pictures.bytes, 0, reused=True, without_pose=without_pose)
+    with staging.attempt() as attempt:
+        written = _write(attempt, name, drive, number, roi, derived_from, options, threads, advance)
+        staging.complete(attempt, name)
+    return written
 
 
 def _write(

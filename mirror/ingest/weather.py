@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from mirror.arrays import UInt8
-from mirror.dataset.layout import Layout
 from mirror.dataset.store import Store
 from mirror.errors import RecordingError
 from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.staging import Staging
 from mirror.recordings.weather import weather_from_pictures
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES
@@ -20,12 +20,12 @@ _PICTURES = 3
 
 
 def weather_from_traversals(
-    layout: Layout, drive: JudgedDrive, traversal_ids: Sequence[str | None], plugin: str
+    staging: Staging, drive: JudgedDrive, traversal_ids: Sequence[str | None], plugin: str
 ) -> dict[int, str]:
     """Weather by number of pass, for accepted passes with pictures of a drive whose source does not state it.
 
     Args:
-        layout: the dataset, with the traversals written.
+        staging: the dataset, with the traversals written.
         drive: judged.
         traversal_ids: one for each pass, None for the refused.
         plugin: the plug-in's name.
@@ -33,13 +33,14 @@ def weather_from_traversals(
     rig = drive.recording.rig
     if drive.info.weather is not None or rig is None:
         return {}
-    labels, store = {}, Store(layout.root)
+    labels = {}
     for number, name in enumerate(traversal_ids):
         if name is None:
             continue
-        rows = read_table(
-            layout.recorded(name) / "images.parquet", IMAGES, ["camera", "uri", "byte_length"]
-        ).to_pylist()
+        folder = staging.recorded(name)
+        # Where the traversal lies now, its uris are relative to.
+        store = Store(folder.parents[2])
+        rows = read_table(folder / "images.parquet", IMAGES, ["camera", "uri", "byte_length"]).to_pylist()
         found = [(row["uri"], row["byte_length"]) for row in rows if row["camera"] == rig.reference_camera]
         if found:
             chosen = sorted({round(index) for index in np.linspace(0, len(found) - 1, _PICTURES)})

@@ -11,6 +11,7 @@ import io
 import json
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -66,6 +67,16 @@ def unwritable(path: Path, error: OSError) -> DatasetError:
         file=path,
         expected="a writable folder with room for the file",
         remedy="free space or choose another place, then run the same command again: it goes on where it stopped",
+    )
+
+
+def unmovable(folder: Path, error: OSError) -> DatasetError:
+    """The error for a folder that could not be moved to its place, or out of it."""
+    return DatasetError(
+        f"cannot be moved: {error.strerror or error}",
+        file=folder,
+        expected="a writable folder beside it",
+        remedy="free space and check the permissions, then run the same command again: it goes on where it stopped",
     )
 
 
@@ -139,6 +150,66 @@ def encode_table(data: pa.Table, table: Table, *, row_groups: Sequence[int] | No
         if start != data.num_rows:
             raise SchemaError(f"row groups cover {start} of {data.num_rows} rows", file=table.place)
     return sink.getvalue()
+
+
+class TableWriter:
+    """A Parquet file of one table that is written row group by row group, so that it need not fit into memory.
+
+    It lies under a temporary name until its user renames it. Its bytes are those of `encode_table` with the same row
+    groups, but that each row group has dictionaries of its own.
+
+    Args:
+        path: the file that it will be.
+        table: the specification.
+    """
+
+    def __init__(self, path: Path, table: Table) -> None:
+        self.path = path
+        self._table = table
+        self._temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+        self._metadata = {_VERSION_KEY: SCHEMA_VERSION.encode(), _TABLE_KEY: table.name.encode()}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(
+                self._temporary,
+                table.schema.with_metadata(self._metadata),
+                compression="zstd",
+                version="2.6",
+                data_page_version="1.0",
+            )
+        except OSError as error:
+            raise unwritable(path, error) from error
+
+    def write(self, data: pa.Table) -> None:
+        """Append a row group.
+
+        Raises:
+            SchemaError: the rows do not follow the table's schema.
+            DatasetError: the disk is full.
+        """
+        rows = conform(data, self._table, file=self._table.place).replace_schema_metadata(self._metadata)
+        try:
+            self._writer.write_table(rows, row_group_size=max(rows.num_rows, 1))
+        except OSError as error:
+            raise unwritable(self.path, error) from error
+
+    def finish(self) -> Path:
+        """Complete the file, and give its temporary name.
+
+        Raises:
+            DatasetError: the disk is full.
+        """
+        try:
+            self._writer.close()
+        except OSError as error:
+            raise unwritable(self.path, error) from error
+        return self._temporary
+
+    def abandon(self) -> None:
+        """Remove what was written."""
+        with suppress(OSError):
+            self._writer.close()
+        self._temporary.unlink(missing_ok=True)
 
 
 def write_table(path: Path, data: pa.Table, table: Table, *, row_groups: Sequence[int] | None = None) -> None:

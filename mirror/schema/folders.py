@@ -26,7 +26,7 @@ from mirror.schema.files import TEMPORARY
 
 _MOST_BYTES: Final = 64 * 1024 * 1024
 _DATASET_NAMES: Final = frozenset(
-    {"traversals", "drives", "rigs", "splits", "index", "rois.geojson", ".lock", ".superseded"}
+    {"traversals", "drives", "rigs", "splits", "index", "rois.geojson", ".lock", ".staging", ".superseded"}
 )
 
 
@@ -93,7 +93,7 @@ def kind_of(folder: Path) -> Kind | None:
     found = next((kind for kind, signs in _KINDS.items() if _has(folder, signs)), None)
     if found is not None:
         return found
-    if names <= _DATASET_NAMES and names & {"traversals", ".lock"}:
+    if names <= _DATASET_NAMES and names & {"traversals", ".lock", ".staging"}:
         # What an interrupted first ingest left: dataset.json is written with the first complete drive.
         return Kind.DATASET
     if any((one / "recording.json").is_file() for one in folder.iterdir()):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import pickle
 import subprocess
@@ -365,15 +366,25 @@ def test_an_open_dataset_never_mixes_two_indexes(tmp_path: Path, seen: str) -> N
         # A file that is open stays the one that it was.
         if seen == "a table":
             assert view.table("images").to_pylist() == before
+    poses = mirror.open(tmp_path).where(drive="d2").table("ego_poses").to_pylist()
     builder.drive("d0", [Pass("a", EPOCH, frames=3)])
     build_index(tmp_path)
-    if seen == "a table":
-        assert view.table("images").to_pylist() == before
-    with pytest.raises(DatasetError, match=r"has changed since this dataset was opened.*mirror\.open\("):
-        dataset.where(drive="d2").table("ego_poses")
+    # It goes on reading the index that it was opened on.
+    assert dataset.where(drive="d2").table("images").to_pylist() == before
+    assert dataset.where(drive="d2").table("ego_poses").to_pylist() == poses
+    assert len(dataset.traversals()) == 2
+    assert len(pickle.loads(pickle.dumps(dataset)).traversals()) == 2
     again = mirror.open(tmp_path)
     assert again.traversals()[0].startswith("a.d0.") and len(again.traversals()) == 3
     assert again.where(drive="d2").table("images").to_pylist() == before
+    # What nobody reads any more goes with the next run.
+    assert (tmp_path / ".superseded").exists()
+    del dataset, again
+    if seen != "nothing":
+        del view
+    gc.collect()
+    build_index(tmp_path)
+    assert not (tmp_path / ".superseded").exists()
 
 
 def test_a_file_of_equal_size_with_other_bytes_is_refused(tmp_path: Path) -> None:
@@ -396,6 +407,12 @@ def test_files_that_were_closed_are_held_against_the_manifest_again(
         assert dataset.table(name).num_rows == dataset.count(name) > 0
     builder.drive("d0", [Pass("a", EPOCH, frames=3)])
     build_index(tmp_path)
+    # Opened again, it is still the file that the manifest named.
+    uris = dataset.catalog.columns._decode("index/images/a.parquet", 0, ["uri"])["uri"].to_pylist()
+    assert uris and all("d1" in uri for uri in uris)
+    (superseded,) = (tmp_path / ".superseded").glob("*/index/images/a.parquet")
+    superseded.write_bytes(superseded.read_bytes()[:-1] + b"x")
+    dataset.catalog.columns._decode("index/frames/a.parquet", 0, ["timestamp_ns"])
     with pytest.raises(DatasetError, match="has changed"):
         dataset.catalog.columns._decode("index/images/a.parquet", 0, ["uri"])
 

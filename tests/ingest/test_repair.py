@@ -9,6 +9,7 @@ import pytest
 
 import mirror
 from mirror.cli.main import main
+from mirror.dataset.generation import supersede
 from mirror.dataset.layout import Layout
 from mirror.errors import MirrorError, UsageError
 from mirror.ingest import drive as drive_module
@@ -88,10 +89,13 @@ def test_a_replacement_that_was_killed_is_settled_by_the_index(drives: list[Path
     out = tmp_path / "d"
     ingest(drives, [SCENE], out)
     before = tree(out)
-    (out / "drives/a").rename(out / "drives/.replaced.a")
     one = traversal(out, "a")
-    one.rename(one.with_name(f".replaced.{one.name}"))
-    (out / "drives/.sealing.b").mkdir()
+    supersede(Layout(out), out / "drives/a")
+    supersede(Layout(out), one)
+    # The new traversal was there already, the new drive was not.
+    (one / "recorded").mkdir(parents=True)
+    (one / "recorded/manifest.json").write_text("{}")
+    assert Layout(out).drive_ids() == ["b"]
     (out / ".rois.geojson.77.tmp").write_text("half")
     assert main(["index", str(out)]) == 0
     assert tree(out) == before

@@ -72,6 +72,7 @@ def test_through_a_link_it_is_inside_all_the_same(tmp_path: Path) -> None:
         ("work/scored.jsonl", Kind.RESULTS),
         (".made-by-mirror-demo", Kind.DEMO),
         (".lock", Kind.DATASET),
+        (".staging/run.1.2/attempts/x", Kind.DATASET),
         ("traversals/street.a.1/recorded/ego_poses.parquet", Kind.DATASET),
         ("notes.txt", Kind.OTHER),
         ("one/recording.json", Kind.RECORDINGS),

@@ -180,7 +180,7 @@ def _all_scenes(
         sigma[name] = ground.sigma_m
         for kind, count in scene.counts.items():
             counts[kind] += count
-    if layers.work.exists():
-        shutil.rmtree(layers.work)
+    # Another run that found all layers complete may do the same at this moment.
+    shutil.rmtree(layers.work, ignore_errors=True)
     written = tuple(one for one in view.traversals() if one not in kept)
     return Initialised(layers.name, written, kept, pictures, known / static if static else 0.0, counts, sigma)

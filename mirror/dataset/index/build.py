@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from mirror.dataset.generation import release, settle, supersede
 from mirror.dataset.index.global_tables import (
     accepted_passes,
     encode_global,
@@ -23,7 +25,7 @@ from mirror.dataset.layout import MANIFEST, Layout, read_manifest
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DatasetDocument, FileEntry, Manifest
-from mirror.schema.files import read_json, read_table, sha256_bytes, write_bytes, write_json
+from mirror.schema.files import read_json, read_table, sha256_bytes, unwritable, write_bytes, write_json
 from mirror.schema.tables import INDEX_BY_SCENE, ROW_GROUPS, TRAVERSALS
 
 Progress = Callable[[int, int], None]
@@ -66,6 +68,7 @@ def build_index(
     """
     start = time.perf_counter()
     layout = Layout(Path(root))
+    settle(layout)
     read_json(layout.document, DatasetDocument)
     inputs = read_inputs(Store(layout.root))
     if whole:
@@ -74,6 +77,7 @@ def build_index(
     kept = _unchanged(previous, inputs)
     if previous is not None and previous.derived_from == inputs.fingerprints:
         _remove_strays(layout, previous)
+        release(layout)
         return IndexReport((), tuple(inputs.scenes), _rows(layout), time.perf_counter() - start)
 
     changed = [scene_id for scene_id in inputs.scenes if scene_id not in kept]
@@ -93,9 +97,9 @@ def build_index(
     group_parts = [_kept_rows(layout, ROW_GROUPS.name, kept)]
     for scene_id in changed:
         own = [(item, ledger[key]) for key, item in inputs.traversals.items() if item.scene_id == scene_id]
-        derived = scene_tables(layout, own, done)
-        for name, data in derived.files.items():
-            _write(layout, f"{name}/{scene_id}.parquet", data, entries)
+        derived = scene_tables(layout, scene_id, own, done)
+        for name, file in derived.files.items():
+            _publish(layout, f"{name}/{scene_id}.parquet", file, entries)
         traversal_parts.append(rows_to_table(derived.traversals, TRAVERSALS))
         group_parts.append(rows_to_table(derived.row_groups, ROW_GROUPS))
     if previous is not None:
@@ -107,6 +111,7 @@ def build_index(
     manifest = Manifest(derived_from=dict(sorted(inputs.fingerprints.items())), files=dict(sorted(entries.items())))
     write_json(layout.index / MANIFEST, manifest)
     _remove_strays(layout, manifest)
+    release(layout)
     return IndexReport(tuple(changed), tuple(sorted(kept)), _rows(layout), time.perf_counter() - start)
 
 
@@ -161,8 +166,21 @@ def _kept_rows(layout: Layout, name: str, kept: frozenset[str]) -> pa.Table:
 
 
 def _write(layout: Layout, name: str, data: bytes, entries: dict[str, FileEntry]) -> None:
+    supersede(layout, layout.index / name)
     write_bytes(layout.index / name, data)
     entries[name] = FileEntry(bytes=len(data), sha256=sha256_bytes(data))
+
+
+def _publish(layout: Layout, name: str, file: Path, entries: dict[str, FileEntry]) -> None:
+    """Put a complete file in the place of the one that readers of this generation go on reading."""
+    with file.open("rb") as opened:
+        entries[name] = FileEntry(bytes=file.stat().st_size, sha256=hashlib.file_digest(opened, "sha256").hexdigest())
+    supersede(layout, layout.index / name)
+    try:
+        file.rename(layout.index / name)
+    except OSError as error:
+        file.unlink(missing_ok=True)
+        raise unwritable(layout.index / name, error) from error
 
 
 def _scene_of(name: str) -> str | None:
@@ -175,7 +193,7 @@ def _remove_strays(layout: Layout, manifest: Manifest) -> None:
     expected = {layout.index / name for name in (*manifest.files, MANIFEST)}
     for path in sorted(layout.index.rglob("*")):
         if path.is_file() and path not in expected:
-            path.unlink()
+            supersede(layout, path)
 
 
 def _rows(layout: Layout) -> dict[str, int]:

@@ -175,7 +175,7 @@ def _layers(store: Store, traversals: list[str]) -> dict[str, dict[tuple[str, st
     """Hashes of the complete layers of each traversal's folder, by kind, source and version, sorted."""
     kinds = store.folders_of([f"{traversal}/layers" for traversal in traversals])
     names = store.folders_of([f"{layers}/{kind}" for layers, own in kinds.items() for kind in own])
-    folders = {f"{kind}/{name}" for kind, own in names.items() for name in own}
+    folders = {f"{kind}/{name}" for kind, own in names.items() for name in own if not name.startswith(".")}
     found: dict[str, dict[tuple[str, str, str], str]] = {}
     for path, data in sorted(store.read_many([f"{folder}/{MANIFEST}" for folder in sorted(folders)]).items()):
         traversal, _, layer = path.removesuffix(f"/{MANIFEST}").partition("/layers/")

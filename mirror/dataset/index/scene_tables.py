@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +18,7 @@ from mirror.dataset.index.geoparquet import bounding_box, continuous, wkb_line
 from mirror.dataset.index.inputs import TraversalInput
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
-from mirror.schema.files import encode_table, read_table
+from mirror.schema.files import TableWriter, read_table
 from mirror.schema.tables import (
     BOXES,
     CALIBRATIONS,
@@ -45,23 +46,27 @@ class SceneTables:
     """One scene's part of the index.
 
     Attributes:
-        files: encoded tables by name; a table without rows has no file.
+        files: complete files under temporary names, by table; a table without rows has none.
         row_groups: rows of the table ROW_GROUPS.
         traversals: rows of the table TRAVERSALS.
     """
 
-    files: Mapping[str, bytes]
+    files: Mapping[str, Path]
     row_groups: Sequence[Mapping[str, Any]]
     traversals: Sequence[Mapping[str, Any]]
 
 
 def scene_tables(
-    layout: Layout, traversals: Sequence[tuple[TraversalInput, Mapping[str, Any]]], done: Callable[[], None]
+    layout: Layout,
+    scene_id: str,
+    traversals: Iterable[tuple[TraversalInput, Mapping[str, Any]]],
+    done: Callable[[], None],
 ) -> SceneTables:
-    """Derive the tables of one scene.
+    """Derive the tables of one scene, traversal by traversal: memory holds the tables of one at a time.
 
     Args:
         layout: the dataset.
+        scene_id: the scene.
         traversals: the scene's traversals in order of id, each with its accepted row of the ledger.
         done: called after each traversal.
 
@@ -69,25 +74,29 @@ def scene_tables(
         DatasetError: a table is missing, or poses do not cover a picture.
         SchemaError: a table is broken.
     """
-    parts: dict[str, list[pa.Table]] = {table.name: [] for table in INDEX_BY_SCENE}
-    row_groups = []
-    rows = []
-    for traversal, ledger in traversals:
-        own = _traversal_tables(layout, traversal)
-        rows.append(_traversal_row(traversal, ledger, own))
-        for table in INDEX_BY_SCENE:
-            data = own[table.name]
-            if data.num_rows:
-                row_groups.append(_row_group(table, traversal, len(parts[table.name]), data))
-                parts[table.name].append(data)
-        done()
-    files = {
-        table.name: encode_table(
-            canonical(pa.concat_tables(groups), table), table, row_groups=[group.num_rows for group in groups]
-        )
-        for table in INDEX_BY_SCENE
-        if (groups := parts[table.name])
-    }
+    writers: dict[str, TableWriter] = {}
+    groups: Counter[str] = Counter()
+    row_groups, rows = [], []
+    try:
+        for traversal, ledger in traversals:
+            own = _traversal_tables(layout, traversal)
+            rows.append(_traversal_row(traversal, ledger, own))
+            for table in INDEX_BY_SCENE:
+                data = own[table.name]
+                if not data.num_rows:
+                    continue
+                if table.name not in writers:
+                    path = layout.index / table.name / f"{scene_id}.parquet"
+                    writers[table.name] = TableWriter(path, table)
+                writers[table.name].write(canonical(data, table))
+                row_groups.append(_row_group(table, traversal, groups[table.name], data))
+                groups[table.name] += 1
+            done()
+        files = {name: writer.finish() for name, writer in writers.items()}
+    except BaseException:
+        for writer in writers.values():
+            writer.abandon()
+        raise
     return SceneTables(files, row_groups, rows)
 
 

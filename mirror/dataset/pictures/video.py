@@ -8,7 +8,6 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -66,9 +65,11 @@ class _Decoder:
                 file=uri,
                 remedy="pip install 'mirror-dataset[video]'",
             ) from error
-        place = store.resolve(uri)
-        source: Any = str(place) if isinstance(place, Path) else place[0].open(place[1], "rb")
-        self._container = av.open(source)
+        self._container: Any = store.opened(
+            uri,
+            lambda place: av.open(str(place)),
+            lambda filesystem, path: av.open(filesystem.open(path, "rb")),
+        )
         self._stream = self._container.streams.video[0]
         self._stream.thread_type = "AUTO"
         self._frames: Iterator[av.VideoFrame] = iter(())

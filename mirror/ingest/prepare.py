@@ -1,0 +1,110 @@
+"""The first half of a drive's way: opened, identified, held against the dataset, judged. No picture is opened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mirror.dataset.layout import Layout, complete_manifest, is_intact
+from mirror.errors import RecordingError
+from mirror.ingest.drive import traversals_intact, verify_source
+from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
+from mirror.ingest.request import IngestOptions
+from mirror.ingest.settings import Settings
+from mirror.ingest.traversal import selected_pictures
+from mirror.ingest.trigger import Trigger
+from mirror.recordings.boundary import reader_errors
+from mirror.recordings.protocol import Recording
+from mirror.recordings.registry import open_recording
+from mirror.schema.documents import DriveDocument, Source, is_identifier
+from mirror.schema.files import read_json
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A drive that can be written, or need not be.
+
+    Attributes:
+        drive_id: its id.
+        drive: judged; None: the dataset has it, unchanged.
+        replace: the dataset has another state of it.
+        images: how many pictures its traversals will have.
+    """
+
+    drive_id: str
+    drive: JudgedDrive | None
+    replace: bool = False
+    images: int = 0
+
+
+def prepare(path: Path, layout: Layout, options: IngestOptions, settings: Settings, trigger: Trigger) -> Prepared:
+    """Open and judge a recording, unless it is complete in the dataset.
+
+    Args:
+        path: of the recording.
+        layout: the dataset.
+        options: of the run.
+        settings: of the run.
+        trigger: for its scenes.
+
+    Raises:
+        RecordingError: the recording cannot be used, or its id belongs to another one.
+        UsageError: a ROI's longitude and latitude look exchanged.
+    """
+    with reader_errors(path):
+        recording = open_recording(path, reader=options.reader, options=options.reader_options)
+        drive_id = recording.info.drive_id
+    for name, value in (("drive_id", drive_id), ("vehicle_id", recording.info.vehicle_id)):
+        if not is_identifier(value):
+            raise RecordingError(f"{name} {value!r} is not an id", file=path, expected="letters, digits, _ and -")
+    with reader_errors(path):
+        reader = options.reader or type(recording).__module__.rpartition(".")[2]
+        source = fingerprint(recording, reader, path.resolve().name)
+    if _is_unchanged(path, recording, source, layout, options, settings) and not options.dry_run:
+        return Prepared(drive_id, None)
+    drive = judge_drive(path, recording, source, trigger, settings.rois, settings.document.cleaning)
+    images = 0
+    if not options.dry_run:
+        with reader_errors(path):
+            for number in drive.slices:
+                images += sum(len(indices) for _, indices, _ in selected_pictures(drive, number).values())
+    replace = options.replace or not _same_source(layout, drive_id, source, settings.configuration)
+    return Prepared(drive_id, drive, replace, images)
+
+
+def _is_unchanged(
+    path: Path, recording: Recording, source: Source, layout: Layout, options: IngestOptions, settings: Settings
+) -> bool:
+    """Whether the drive is complete in the dataset as its recording is now.
+
+    Raises:
+        RecordingError: the id belongs to another recording, or to this one before it changed.
+    """
+    folder = layout.drive(recording.info.drive_id)
+    if options.replace or not is_intact(folder):
+        return False
+    document = read_json(folder / "drive.json", DriveDocument)
+    if not _same_source(layout, document.drive_id, source, settings.configuration):
+        if options.dry_run:
+            return False
+        changed = "its files have changed" if document.source.name == source.name else "another recording has it"
+        if document.source.fingerprint == source.fingerprint:
+            changed = "it was ingested with other options"
+        raise RecordingError(
+            f"drive {document.drive_id!r} is in the dataset already, and {changed}",
+            file=path,
+            expected=f"the recording {document.source.name!r} as it was",
+            remedy="give the recording another drive id, or add --replace to ingest it anew",
+        )
+    if options.verify:
+        verify_source(layout, recording, document.drive_id)
+    return set(document.scenes) >= settings.scenes and traversals_intact(layout, document.drive_id)
+
+
+def _same_source(layout: Layout, drive_id: str, source: Source, configuration: str) -> bool:
+    """Whether a complete drive of the dataset was made of just this, with just these options; True if there is none."""
+    manifest = complete_manifest(layout.drive(drive_id))
+    if manifest is None:
+        return True
+    made_from = {"source": source.fingerprint, "configuration": configuration}
+    return made_from.items() <= manifest.derived_from.items()

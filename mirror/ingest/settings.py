@@ -1,0 +1,98 @@
+"""What a run is held to: the dataset's thresholds and scenes, with what the run adds, and their hash."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mirror.dataset.layout import Layout
+from mirror.errors import DatasetError, UsageError
+from mirror.ingest.request import IngestOptions, thresholds
+from mirror.ingest.rois import merge_rois, read_rois
+from mirror.ingest.trigger import Trigger
+from mirror.schema.documents import CleaningOptions, DatasetDocument, Roi, TriggerOptions
+from mirror.schema.files import read_json
+from mirror.schema.version import SCHEMA_VERSION
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What every drive of a run is judged and written by.
+
+    Attributes:
+        document: ``dataset.json``.
+        rois: all scenes.
+        configuration: hash of the options that decide what is written.
+    """
+
+    document: DatasetDocument
+    rois: tuple[Roi, ...]
+    configuration: str
+
+    @property
+    def scenes(self) -> set[str]:
+        """Ids of all scenes."""
+        return {roi.scene_id for roi in self.rois}
+
+    def trigger(self) -> Trigger:
+        """The trigger for all scenes."""
+        return Trigger(self.rois, self.document.trigger, self.document.cleaning)
+
+
+def settings_of(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> Settings:
+    """The dataset's settings with what a run adds.
+
+    Raises:
+        UsageError: there is no ROI, or a threshold is out of its range.
+        DatasetError: the run contradicts the dataset.
+    """
+    given_trigger, given_cleaning = dict(options.trigger), dict(options.cleaning)
+    present: list[Roi] = []
+    if layout.document.exists():
+        document = read_json(layout.document, DatasetDocument)
+        for given, own in ((given_trigger, document.trigger), (given_cleaning, document.cleaning)):
+            for name, value in given.items():
+                if getattr(own, name) != value:
+                    raise DatasetError(
+                        f"{name} {value} differs from the dataset's {getattr(own, name)}",
+                        file=layout.document,
+                        expected="one set of thresholds for all passes of a dataset",
+                        remedy=f"leave {name} away, or ingest everything into a new folder",
+                    )
+        if options.licence not in (None, document.licence):
+            raise DatasetError(
+                f"licence {options.licence!r} differs from the dataset's {document.licence!r}",
+                file=layout.document,
+                remedy="leave --licence away, or ingest into a new folder",
+            )
+        present = read_rois(layout.rois) if layout.rois.exists() else []
+    else:
+        document = DatasetDocument(
+            licence=options.licence,
+            trigger=thresholds(TriggerOptions, given_trigger),
+            cleaning=thresholds(CleaningOptions, given_cleaning),
+        )
+    merged = merge_rois(present, rois, layout.rois)
+    if not merged:
+        raise no_roi()
+    return Settings(document, tuple(merged), _configuration(document, options))
+
+
+def no_roi() -> UsageError:
+    """The error where there is no scene to cut out."""
+    return UsageError("no ROI given", expected="--rois FILE or --roi lon,lat", remedy="see `mirror rois propose`")
+
+
+def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
+    decisive = {
+        "schema_version": SCHEMA_VERSION,
+        "trigger": document.trigger.model_dump(mode="json"),
+        "cleaning": document.cleaning.model_dump(mode="json"),
+        "reader": options.reader,
+        "reader_options": dict(options.reader_options),
+        "hashing": options.write.hashing,
+        "weather_plugin": options.weather_plugin,
+    }
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()

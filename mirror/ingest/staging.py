@@ -1,0 +1,155 @@
+"""Where a run writes what it makes: a folder of its own, from which whole drives are moved into the dataset at the end.
+
+Until then nobody reads it, so that a reader of the dataset, a failed recording and a killed run leave the dataset as it
+was. What is complete in the folder of a run that is dead is taken over by the next one.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from mirror.dataset.generation import supersede
+from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
+from mirror.dataset.owned import OwnedFolder, left_overs
+from mirror.schema.files import unmovable
+
+FOLDER: Final = ".staging"
+_RUN: Final = "run"
+_TRAVERSAL: Final = "traversal:"
+
+
+class Staging:
+    """The folder of one run: laid out as a dataset is, with the drives and traversals that are complete.
+
+    Args:
+        dataset: that they will be part of.
+
+    Attributes:
+        dataset: it.
+        layout: of the folder.
+
+    Raises:
+        DatasetError: the dataset's folder cannot be written.
+    """
+
+    def __init__(self, dataset: Layout) -> None:
+        self.dataset = dataset
+        self._own = OwnedFolder(dataset.root / FOLDER, _RUN)
+        self.layout = Layout(self._own.path)
+        for left in left_overs(dataset.root / FOLDER, _RUN):
+            if left != self._own.path:
+                self._take_over(left)
+
+    def _take_over(self, left: Path) -> None:
+        for traversal in sorted((left / "traversals").glob("*")):
+            there = self.layout.traversal(traversal.name).exists()
+            if not there and complete_manifest(traversal / "recorded") is not None:
+                _rename(traversal, self.layout.traversal(traversal.name))
+        shutil.rmtree(left, ignore_errors=True)
+
+    @contextmanager
+    def attempt(self) -> Iterator[Layout]:
+        """A folder that one attempt alone writes, laid out as a dataset; what is left in it is removed at the end."""
+        attempts = self.layout.root / "attempts"
+        attempts.mkdir(exist_ok=True)
+        folder = Path(tempfile.mkdtemp(dir=attempts))
+        try:
+            yield Layout(folder)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def complete(self, attempt: Layout, traversal_id: str) -> None:
+        """Move a traversal that an attempt has sealed to its place; another attempt's that is the same is left there.
+
+        Raises:
+            DatasetError: it cannot be moved.
+        """
+        made, target = attempt.traversal(traversal_id), self.layout.traversal(traversal_id)
+        while True:
+            there = complete_manifest(target / "recorded")
+            mine = complete_manifest(made / "recorded")
+            if there is not None and mine is not None and there.derived_from == mine.derived_from:
+                return
+            try:
+                target.parent.mkdir(exist_ok=True)
+                if target.exists():
+                    # Taken over from a dead run, of another recording or of other options.
+                    target.rename(attempt.root / f"other.{traversal_id}")
+                made.rename(target)
+            except FileNotFoundError:
+                # Another attempt did the same at this moment.
+                continue
+            except OSError as error:
+                if target.exists():
+                    continue
+                raise unmovable(target, error) from error
+            return
+
+    def recorded(self, traversal_id: str) -> Path:
+        """The recorded part of a traversal: of this run, else of the dataset."""
+        own = self.layout.recorded(traversal_id)
+        return own if (own / MANIFEST).is_file() else self.dataset.recorded(traversal_id)
+
+    def forget(self, drive_id: str) -> None:
+        """Remove what this run made of a drive that failed."""
+        for folder in (self.layout.drive(drive_id), *(self.layout.root / "traversals").glob(f"*.{drive_id}.*")):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def publish(self) -> None:
+        """Move every complete drive into the dataset, with its traversals and its rig; the drive comes last.
+
+        What a drive replaces is superseded: readers of the generation before go on reading it. `settle` undoes what is
+        interrupted between. The caller holds the dataset's writer lock.
+
+        Raises:
+            DatasetError: the dataset cannot be written.
+        """
+        for rig in sorted((self.layout.root / "rigs").glob("*"), key=lambda path: path.suffix == ".json"):
+            if not (self.dataset.root / "rigs" / rig.name).exists():
+                _rename(rig, self.dataset.root / "rigs" / rig.name)
+        for drive_id in self.layout.drive_ids():
+            self._publish(drive_id)
+
+    def _publish(self, drive_id: str) -> None:
+        folder, target = self.layout.drive(drive_id), self.dataset.drive(drive_id)
+        manifest, before = complete_manifest(folder), complete_manifest(target)
+        named = _traversals({} if manifest is None else manifest.derived_from)
+        made = {name for name in named if self.layout.traversal(name).exists()}
+        # The drive goes first: without it its traversals do not count, whatever happens next.
+        supersede(self.dataset, target)
+        for name in made | (_traversals({} if before is None else before.derived_from) - named):
+            supersede(self.dataset, self.dataset.traversal(name))
+        for name in sorted(made):
+            _rename(self.layout.traversal(name), self.dataset.traversal(name))
+        _rename(folder, target)
+
+    def close(self, *, done: bool) -> None:
+        """Remove the folder; where the run is not done, leave it to the next one if something in it is complete.
+
+        Args:
+            done: everything that is complete was published.
+        """
+        whole = any(one.is_file() for one in (self.layout.root / "traversals").glob(f"*/recorded/{MANIFEST}"))
+        if done or not whole:
+            self._own.remove()
+        else:
+            self._own.release()
+        with suppress(OSError):
+            (self.dataset.root / FOLDER).rmdir()
+
+
+def _traversals(derived_from: Mapping[str, str]) -> set[str]:
+    return {key.removeprefix(_TRAVERSAL) for key in derived_from if key.startswith(_TRAVERSAL)}
+
+
+def _rename(path: Path, target: Path) -> None:
+    try:
+        target.parent.mkdir(exist_ok=True)
+        path.rename(target)
+    except OSError as error:
+        raise unmovable(target, error) from error

@@ -79,7 +79,7 @@ def _files(folder: Path) -> dict[str, Any]:
     _run("ingest", *sorted(recordings.glob("*-*")), "--rois", recordings / "rois.geojson", "--out", dataset)
     _run("split", dataset, "novel")
     _run("check", dataset)
-    _module("mirror_baselines.nearest_frame", dataset, "--split", "novel", "--out", floor)
+    _run("baseline", "nearest_frame", dataset, "--split", "novel", "--out", floor)
     _run("evaluate", floor, "--truth", dataset, "--out", folder / "scores")
     before = _hashes(dataset)
     training = ["--steps", _STEPS, "--width", 96, "--threads", 1, "--initialise", "plane-sweep"]
@@ -94,11 +94,7 @@ def _files(folder: Path) -> dict[str, Any]:
 
 
 def _run(*words: object) -> None:
-    _module("mirror.cli.main", *words)
-
-
-def _module(module: str, *words: object) -> None:
-    subprocess.run([sys.executable, "-m", module, *map(str, words)], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "mirror.cli.main", *map(str, words)], check=True, stdout=subprocess.DEVNULL)
 
 
 def _hashes(folder: Path) -> dict[str, str]:

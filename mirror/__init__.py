@@ -5,20 +5,33 @@
 
 from __future__ import annotations
 
-from mirror.lazy import lazy
-from mirror.version import __version__
+from mirror.lazy import lazy_names
+from mirror.version import __version__ as __version__
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from mirror.dataset import Dataset as Dataset
-    from mirror.dataset import open as open
+    from mirror.dataset.check.run import check as check
+    from mirror.dataset.dataset import Dataset as Dataset
+    from mirror.dataset.dataset import open as open
+    from mirror.dataset.frames import Frame as Frame
+    from mirror.dataset.image import Image as Image
     from mirror.errors import MirrorError as MirrorError
+    from mirror.evaluation.run import evaluate as evaluate
+    from mirror.protocols.document import load_protocol as load_protocol
 
-__all__ = ["Dataset", "MirrorError", "__version__", "open"]
+__all__ = ["Dataset", "Frame", "Image", "MirrorError", "__version__", "check", "evaluate", "load_protocol", "open"]
 
-__getattr__ = lazy(__name__, {"Dataset": "mirror.dataset", "MirrorError": "mirror.errors", "open": "mirror.dataset"})
-
-
-def __dir__() -> list[str]:
-    """What there is, imported yet or not."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "Dataset": "mirror.dataset.dataset",
+        "Frame": "mirror.dataset.frames",
+        "Image": "mirror.dataset.image",
+        "MirrorError": "mirror.errors",
+        "__version__": "mirror.version",
+        "check": "mirror.dataset.check.run",
+        "evaluate": "mirror.evaluation.run",
+        "load_protocol": "mirror.protocols.document",
+        "open": "mirror.dataset.dataset",
+    },
+)

@@ -5,10 +5,28 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Literal, NamedTuple
 
 from mirror.errors import ExitCode, MirrorError
 from mirror.stops import INTERRUPTED, interrupted, terminable
+
+ENTRY_POINT_GROUP: Final = "mirror.commands"
+Group = Literal["data", "benchmark", "reconstruction"]
+
+
+class Command(NamedTuple):
+    """A verb of ``mirror``; other packages add theirs by entry points of the group ``mirror.commands``.
+
+    Attributes:
+        group: under which ``mirror --help`` lists it.
+        summary: one line for ``mirror --help``.
+        module: it has a function ``main(argv) -> exit code``; imported only when the verb is run.
+    """
+
+    group: Group
+    summary: str
+    module: str
+
 
 CLOSED_PIPE: Final = 141
 """Exit code of a command that had more to say and nobody read it: what a shell gives for SIGPIPE."""

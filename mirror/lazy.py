@@ -1,4 +1,4 @@
-"""Names of a package that are imported when they are first asked for, so that importing the package is quick."""
+"""Names of a package that are imported when they are first used, so that importing the package is quick."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def lazy(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
-    """A package's ``__getattr__``.
+def lazy_names(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """A package's ``__getattr__`` and ``__dir__``.
 
     Args:
         package: its name.
-        modules: which module each of its names is from.
+        modules: by public name, the module that defines it.
     """
 
-    def find(name: str) -> Any:
+    def get(name: str) -> Any:
         if name in modules:
             return getattr(import_module(modules[name]), name)
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
-    return find
+    return get, lambda: sorted(modules)

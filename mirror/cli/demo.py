@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 import shlex
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -18,8 +16,6 @@ from typing import Final
 from mirror.command_line import parsed
 from mirror.errors import ExitCode, UsageError
 
-_LEADERBOARD: Final = Path(__file__).parents[2] / "leaderboard"
-_NO_BOARD: Final = "the board is built from a checkout of the repository"
 _FLOOR: Final = "nearest_frame"
 _BASELINES: Final = (_FLOOR, "mean_color")
 _OURS: Final = "reconstructed"
@@ -64,7 +60,7 @@ def main(argv: Sequence[str]) -> int:
         f"\nDone in {time.monotonic() - begin:.0f} s: {out / 'dataset'} is a dataset, {out / 'report.html'} its report,"
     )
     print(f"{out / 'results'} what the baselines score on it", end="")
-    print(f", {out / 'site' / 'index.html'} the board." if _LEADERBOARD.exists() else f"; {_NO_BOARD}.")
+    print(f", {out / 'site' / 'index.html'} the board.")
     if _reconstructs(arguments):
         print(f"{out / 'block' / 'model'} is a reconstructed block, {out / 'block' / 'results'} what it scores:")
         return _compared(out / "block" / "results")
@@ -112,14 +108,10 @@ def _held_out(result: Path) -> dict[str, float]:
 
 
 def run(words: Sequence[str]) -> int:
-    """Run ``mirror VERB ...`` here, or ``python -m MODULE ...`` with this interpreter."""
-    if words[0] == "mirror":
-        from mirror.cli.main import main as mirror
+    """Run ``mirror VERB ...`` in this process."""
+    from mirror.cli.main import main as mirror
 
-        return mirror(words[1:])
-    # The board lies beside the toolkit and is not installed with it.
-    paths = os.pathsep.join(filter(None, (str(_LEADERBOARD.parent), os.environ.get("PYTHONPATH"))))
-    return subprocess.run([sys.executable, *words[1:]], env={**os.environ, "PYTHONPATH": paths}, check=False).returncode
+    return mirror(words[1:])
 
 
 def _commands(arguments: Arguments) -> Iterator[list[str]]:
@@ -135,20 +127,18 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
     yield ["mirror", "report", dataset, "--out", str(out / "report.html")]
     for method in _BASELINES[: 1 if arguments.quick else None]:
         submission, result = str(out / "submissions" / method), out / "results" / method
-        yield ["python", "-m", method, dataset, "--split", "novel", "--out", submission]
+        yield ["mirror", "baseline", method, dataset, "--split", "novel", "--out", submission]
         yield ["mirror", "evaluate", submission, "--truth", dataset, "--out", str(result), "--report"]
-        if _LEADERBOARD.exists():
-            yield _board(arguments, str(result), submission, dataset, f"demo street ({preset}, seed {seed})")
+        yield _board(arguments, str(result), submission, dataset, f"demo street ({preset}, seed {seed})")
     if _reconstructs(arguments):
         yield from _block(arguments)
-    if _LEADERBOARD.exists():
-        yield ["python", "-m", "leaderboard", "build", "--also", str(out / "board"), "--out", str(out / "site")]
+    yield ["mirror", "leaderboard", "build", "--board", str(out / "board"), "--out", str(out / "site")]
 
 
 def _board(arguments: Arguments, result: str, submission: str, dataset: str, street: str) -> list[str]:
     """Put a result on the demo's own board."""
     shown = ["--submission", submission, "--truth", dataset, "--board", str(arguments.out / "board")]
-    return ["python", "-m", "leaderboard", "add", str(Path(result) / "result.json"), "--dataset", street, *shown]
+    return ["mirror", "leaderboard", "add", str(Path(result) / "result.json"), "--dataset", street, *shown]
 
 
 def _reconstructs(arguments: Arguments) -> bool:
@@ -167,13 +157,12 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     yield ["mirror", "reconstruct", dataset, "--split", "novel", *begin, "--out", model]
     ours, floor = str(out / "submissions" / _OURS), str(out / "submissions" / _FLOOR)
     yield ["mirror", "render", model, "--dataset", dataset, "--split", "novel", "--out", ours]
-    yield ["python", "-m", _FLOOR, dataset, "--split", "novel", "--out", floor]
+    yield ["mirror", "baseline", _FLOOR, dataset, "--split", "novel", "--out", floor]
     results = []
     for submission in (ours, floor):
         results.append(str(out / "results" / Path(submission).name))
         yield ["mirror", "evaluate", submission, "--truth", dataset, "--out", results[-1], "--report"]
-        if _LEADERBOARD.exists():
-            yield _board(arguments, results[-1], submission, dataset, f"demo block (seed {seed})")
+        yield _board(arguments, results[-1], submission, dataset, f"demo block (seed {seed})")
     yield ["mirror", "compare", *(str(Path(result) / "result.json") for result in results)]
 
 

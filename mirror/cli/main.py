@@ -11,25 +11,6 @@ from importlib import import_module
 
 from mirror.stops import run_process
 
-VERBS = {
-    "demo": "make a synthetic street, ingest it, split it and write a report",
-    "synth": "write recordings of a synthetic street",
-    "ingest": "recordings -> traversals: trigger, write, ledger",
-    "rois": "propose regions of interest from recordings",
-    "index": "rebuild the derived tables of a dataset",
-    "info": "say what a dataset or a recording is",
-    "split": "freeze a train / held-out split, leak-checked",
-    "stats": "the dataset-table row, distributions, plots",
-    "check": "hold a dataset against the integrity rules",
-    "report": "write an HTML report of a dataset",
-    "submission": "write the template of a benchmark submission, or check one",
-    "evaluate": "score a submission by a protocol",
-    "reconstruct": "train a static model of a scene from its training traversals",
-    "render": "render a model: a submission, or a new trajectory as video",
-    "bake": "write a model as the PLY of 3D Gaussian Splatting, for viewers",
-    "compare": "put results side by side, with paired significance",
-}
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb.
@@ -46,11 +27,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return run_process(" ".join(["mirror", *words[:1]]), lambda: main(words))
     from mirror.command import run_command
 
-    command = f"mirror {argv[0]}" if argv and argv[0] in VERBS else "mirror"
+    command = f"mirror {argv[0]}" if argv and not argv[0].startswith("-") else "mirror"
     return run_command(command, lambda: _run(list(argv)), as_json="--json" in argv)
 
 
 def _run(words: list[str]) -> int:
+    from mirror.cli.verbs import all_commands, find_command
     from mirror.errors import ExitCode
     from mirror.version import __version__
 
@@ -61,24 +43,31 @@ def _run(words: list[str]) -> int:
         print(f"mirror {__version__}")
         return ExitCode.DONE
     verb, rest = words[0], words[1:]
-    if verb not in VERBS:
+    command = find_command(verb)
+    if command is None:
         import difflib
 
-        near = difflib.get_close_matches(verb, VERBS, n=1)
+        near = difflib.get_close_matches(verb, all_commands(), n=1)
         hint = f" Did you mean `mirror {near[0]}`?" if near else ""
         print(f"mirror: no verb {verb!r}.{hint} `mirror --help` lists them.", file=sys.stderr)
         return ExitCode.COULD_NOT_RUN
-    return int(import_module(f"mirror.cli.{verb}").main(rest))
+    return int(import_module(command.module).main(rest))
 
 
 def _help() -> str:
-    width = max(map(len, VERBS))
+    from mirror.cli.verbs import HEADINGS, all_commands
+
+    commands = all_commands()
+    width = max(map(len, commands))
     lines = [
         "usage: mirror VERB [options]",
         "",
         "Fleet recordings become a multi-traversal camera dataset; simulators are scored against it.",
-        "",
-        *(f"  {verb:<{width}}  {text}" for verb, text in VERBS.items()),
+    ]
+    for group, heading in HEADINGS.items():
+        own = [f"  {verb:<{width}}  {command.summary}" for verb, command in commands.items() if command.group == group]
+        lines += ["", f"{heading}:", *own]
+    lines += [
         "",
         "`mirror VERB --help` explains a verb. Every verb that reports takes --json.",
         "Exit codes: 0 done; 1 findings or a failed check; 2 could not run or wrong usage;",

@@ -5,19 +5,13 @@ The names below are imported on first use, so that ``import mirror.dataset.layou
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from mirror.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset as Dataset
     from mirror.dataset.dataset import open as open
 
 __all__ = ["Dataset", "open"]
 
-
-def __getattr__(name: str) -> Any:
-    """Import ``open`` and ``Dataset`` when they are first asked for."""
-    if name in __all__:
-        from mirror.dataset import dataset
-
-        return getattr(dataset, name)
-    raise AttributeError(f"module 'mirror.dataset' has no attribute {name!r}")
+__getattr__, __dir__ = lazy_names(__name__, {"Dataset": "mirror.dataset.dataset", "open": "mirror.dataset.dataset"})

@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from leaderboard.add import add_result
-from leaderboard.entry import Measured, load_entries
-from leaderboard.pictures import Shown
-from leaderboard.refused import RefusedError
-from leaderboard.site.page import build
 from mirror.dataset import Dataset
 from mirror.evaluation.run import evaluate
 from mirror.evaluation.submission.writing import write_submission
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
 from mirror_baselines import mean_color, nearest_frame
+from mirror_leaderboard.add import add_result
+from mirror_leaderboard.entry import Measured, load_entries
+from mirror_leaderboard.pictures import Shown
+from mirror_leaderboard.refused import RefusedError
+from mirror_leaderboard.site.page import build
 
 
 def test_baselines_stand_on_a_board(dataset: Dataset, tmp_path: Path) -> None:
@@ -48,8 +48,8 @@ def test_baselines_stand_on_a_board(dataset: Dataset, tmp_path: Path) -> None:
 
 
 def test_pictures_need_recorded_truth(dataset: Dataset, tmp_path: Path) -> None:
-    from leaderboard.pictures import copy_pairs
     from mirror.evaluation.result import Result
+    from mirror_leaderboard.pictures import copy_pairs
 
     plan = plan_views(dataset, load_protocol("static-reconstruction"), "novel")
     write_submission(dataset, plan, mean_color.render, mean_color.METHOD, mean_color.APPEARANCE, tmp_path / "out")

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mirror.cli.method import method_main
+from mirror.cli.main import main
 from mirror.dataset import Dataset
 from mirror.dataset.image import Image
 from mirror.errors import DatasetError, ExitCode, UsageError
@@ -164,10 +164,10 @@ def test_protocols_without_renders(dataset: Dataset, tmp_path: Path) -> None:
 
 
 def test_command(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [dataset.root, "--split", "novel", "--out", str(tmp_path / "out")]
-    assert method_main(words, render, METHOD, APPEARANCE) == ExitCode.DONE
+    words = ["baseline", "nearest_frame", dataset.root, "--split", "novel", "--out", str(tmp_path / "out")]
+    assert main(words) == ExitCode.DONE
     views = len(CAMERAS) * (4 * 4)
     assert FRAMES == 12
     assert f"{views} renders" in capsys.readouterr().out
-    assert method_main(words, render, METHOD, APPEARANCE) == ExitCode.COULD_NOT_RUN
-    assert "nearest_frame: " in capsys.readouterr().err
+    assert main(words) == ExitCode.COULD_NOT_RUN
+    assert "mirror baseline: " in capsys.readouterr().err

@@ -13,10 +13,10 @@ COMMANDS = [
     ["mirror.cli.main", "check", "--help"],
     ["mirror.cli.main", "submission", "check", "--help"],
     ["mirror.cli.main", "nonsense"],
-    ["leaderboard"],
-    ["leaderboard", "build", "--help"],
-    ["mirror_baselines.nearest_frame", "--help"],
-    ["hybridworldsim.mvs", "--help"],
+    ["mirror.cli.main", "leaderboard"],
+    ["mirror.cli.main", "leaderboard", "build", "--help"],
+    ["mirror.cli.main", "baseline", "--help"],
+    ["mirror.cli.main", "depth", "--help"],
 ]
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from mirror.cli.main import VERBS, main
+from mirror.cli.main import main
+from mirror.cli.verbs import all_commands
 from mirror.ingest.rois import write_rois
 from mirror.version import __version__
 from tests.ingest.recordings import LAT, LON, SCENE, tree, write_recording
@@ -29,14 +30,14 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_help_lists_every_verb_and_every_verb_has_a_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
-    for verb in VERBS:
-        assert verb in text
-        assert callable(importlib.import_module(f"mirror.cli.{verb}").main)
+    for verb, command in all_commands().items():
+        assert f"  {verb} " in text
+        assert callable(importlib.import_module(command.module).main)
     assert main(["--version"]) == 0
     assert __version__ in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb != "rois"])
+@pytest.mark.parametrize("verb", [verb for verb in all_commands() if verb not in ("rois", "leaderboard")])
 def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main([verb, "--help"])

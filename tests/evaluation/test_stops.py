@@ -81,16 +81,7 @@ def test_ingest_and_rois(root: Path, tmp_path: Path) -> None:
 def test_while_it_starts(after_s: float, root: Path, tmp_path: Path) -> None:
     words = [*MIRROR, "reconstruct", root, "--split", SPLIT, "--steps", "100000", "--out", tmp_path / "model"]
     interrupt(words, after_s).require_stopped()
-    words = [
-        sys.executable,
-        "-m",
-        "mirror_baselines.nearest_frame",
-        root,
-        "--split",
-        SPLIT,
-        "--out",
-        tmp_path / "renders",
-    ]
+    words = [*MIRROR, "baseline", "nearest_frame", root, "--split", SPLIT, "--out", tmp_path / "renders"]
     ended = interrupt(words, after_s)
     if ended.hit:
         ended.require_stopped()

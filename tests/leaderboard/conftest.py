@@ -11,13 +11,15 @@ import cv2
 import numpy as np
 import pytest
 
-from leaderboard.entry import Figure, Measured, Pair
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_json
+from mirror_leaderboard.command import PAPERS
+from mirror_leaderboard.entry import Figure, Measured, Pair
 from tests.leaderboard.browser import NAMES, Browser, find_browser
 
 REPOSITORY = Path(__file__).parents[2]
-ENTRIES = REPOSITORY / "leaderboard" / "entries"
+MEASURED = REPOSITORY / "leaderboard" / "entries"
+REPORTED = PAPERS / "entries"
 
 
 NO_LPIPS = "unavailable: alexnet weights (docs/weights.md)"
@@ -62,7 +64,7 @@ def measured(method: str, psnr: float, *, lpips: float | None = None, **changes:
 def board(tmp_path: Path) -> Path:
     """A folder of entries and pictures."""
     folder = tmp_path / "board"
-    shutil.copytree(ENTRIES, folder / "entries", ignore=shutil.ignore_patterns("measured-*"))
+    shutil.copytree(REPORTED, folder / "entries")
     scores = (("nearest_frame", 12.5, None), ("mean_color", 11.25, 0.6), ("HybridWorldSim", 19.75, None))
     for method, psnr, lpips in scores:
         write_json(folder / "entries" / f"measured-{method}.json", measured(method, psnr, lpips=lpips))

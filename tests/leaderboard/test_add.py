@@ -11,13 +11,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from leaderboard.add import add_result
-from leaderboard.command import main
-from leaderboard.entry import Measured, load_entries
-from leaderboard.refused import RefusedError
+from mirror.cli.main import main
 from mirror.errors import DatasetError, ExitCode, MirrorError
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import sha256_bytes
+from mirror_leaderboard.add import add_result
+from mirror_leaderboard.entry import Measured, load_entries
+from mirror_leaderboard.refused import RefusedError
 
 PROTOCOL = load_protocol("static-reconstruction")
 PSNR = {"training": [20.0, 22.0, 24.0], "novel": [10.0, 12.0, float("inf"), None]}
@@ -263,15 +263,15 @@ def test_means_of_all_groups_together(folder: Path, board: Path) -> None:
 def test_commands(folder: Path, board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(write(folder, result()))
     options = ["--dataset", "a street", "--board", str(board)]
-    assert main(["add", path, *options]) == ExitCode.DONE
-    assert main(["add", path, *options]) == ExitCode.FINDINGS
+    assert main(["leaderboard", "add", path, *options]) == ExitCode.DONE
+    assert main(["leaderboard", "add", path, *options]) == ExitCode.FINDINGS
     assert "refused" in capsys.readouterr().err
-    assert main(["add", str(tmp_path / "none"), *options]) == ExitCode.COULD_NOT_RUN
-    assert main(["add", path, *options, "--submission", str(tmp_path)]) == ExitCode.COULD_NOT_RUN
-    assert main(["build", "--board", str(board), "--out", str(tmp_path / "site")]) == ExitCode.DONE
+    assert main(["leaderboard", "add", str(tmp_path / "none"), *options]) == ExitCode.COULD_NOT_RUN
+    assert main(["leaderboard", "add", path, *options, "--submission", str(tmp_path)]) == ExitCode.COULD_NOT_RUN
+    assert main(["leaderboard", "build", "--board", str(board), "--out", str(tmp_path / "site")]) == ExitCode.DONE
     assert "a method" in (tmp_path / "site" / "index.html").read_text()
-    assert main([]) == ExitCode.COULD_NOT_RUN
-    assert main(["--help"]) == ExitCode.DONE
+    assert main(["leaderboard"]) == ExitCode.COULD_NOT_RUN
+    assert main(["leaderboard", "--help"]) == ExitCode.DONE
 
 
 def test_the_result_hash_is_of_its_content(folder: Path, board: Path) -> None:

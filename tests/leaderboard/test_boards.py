@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from leaderboard.boards import FLOOR, boards_of, seconds_per_picture, value_of
-from leaderboard.entry import Figure, Measured, Reported, load_entries
-from leaderboard.measures import MEASURES
 from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import write_json
-from tests.leaderboard.conftest import ENTRIES, measured
+from mirror_leaderboard.boards import FLOOR, boards_of, seconds_per_picture, value_of
+from mirror_leaderboard.entry import Figure, Measured, Reported, load_entries
+from mirror_leaderboard.measures import MEASURES
+from tests.leaderboard.conftest import MEASURED, REPORTED, measured
 
 
 def test_measured_and_reported_never_share_a_table(board: Path) -> None:
@@ -44,7 +44,7 @@ def test_best_first_by_the_protocols_column() -> None:
 
 
 def test_lower_is_better_where_it_is() -> None:
-    boards = [one for one in boards_of(load_entries(ENTRIES)) if one.protocol == "vehicle-translation"]
+    boards = [one for one in boards_of(load_entries(REPORTED)) if one.protocol == "vehicle-translation"]
     for board in boards:
         assert [entry.method for entry in board.entries] == ["HybridWorldSim", "DriveEditor"]
         for column in board.columns:
@@ -60,12 +60,12 @@ def test_columns_are_in_the_protocols_order() -> None:
         # Not LPIPS, which nobody has a value of.
         ("novel", "ssim"),
     )
-    offsets = [one for one in boards_of(load_entries(ENTRIES)) if one.title == "MIRROR"][1]
+    offsets = [one for one in boards_of(load_entries(REPORTED)) if one.title == "MIRROR"][1]
     assert [group for group, _ in offsets.columns] == ["right-3m", "right-1.5m", "0m", "left-1.5m", "left-3m"]
 
 
 def test_the_speed_of_the_static_scene_is_not_that_of_generation() -> None:
-    entries = [one for one in load_entries(ENTRIES) if isinstance(one, Reported)]
+    entries = [one for one in load_entries(REPORTED) if isinstance(one, Reported)]
     known = {(one.method, one.protocol) for one in entries if seconds_per_picture(one, entries) is not None}
     assert known == {("HybridWorldSim", "static-reconstruction")}
     assert seconds_per_picture(measured("a", 20.0), []) == pytest.approx(1 / 20.0)
@@ -78,7 +78,7 @@ def test_every_metric_of_every_protocol_is_known() -> None:
 
 
 def test_both_floors_stand_on_the_board() -> None:
-    measured_here = {one.method for one in load_entries(ENTRIES) if isinstance(one, Measured)}
+    measured_here = {one.method for one in load_entries(MEASURED) if isinstance(one, Measured)}
     assert set(FLOOR) <= measured_here
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from leaderboard.entry import Reported, load_entries
-from tests.leaderboard.conftest import ENTRIES, REPOSITORY
+from mirror_leaderboard.entry import Reported, load_entries
+from tests.leaderboard.conftest import REPORTED, REPOSITORY
 
 PAPER = Path(os.environ.get("MIRROR_PAPER", REPOSITORY.parent / "shared" / "paper" / "hybridworldsim.tex"))
 
@@ -41,7 +41,7 @@ def rows_of(table: str) -> list[tuple[str, list[float]]]:
 
 
 def reported() -> list[Reported]:
-    return [entry for entry in load_entries(ENTRIES) if isinstance(entry, Reported)]
+    return [entry for entry in load_entries(REPORTED) if isinstance(entry, Reported)]
 
 
 def test_every_printed_row_stands_on_the_board(tables: dict[str, str]) -> None:

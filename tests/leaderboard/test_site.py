@@ -9,12 +9,13 @@ from typing import ClassVar
 
 import pytest
 
-from leaderboard.entry import load_entries
-from leaderboard.site.page import build, build_site
 from mirror.errors import DatasetError
 from mirror.schema.files import write_json
+from mirror_leaderboard.command import PAPERS
+from mirror_leaderboard.entry import load_entries
+from mirror_leaderboard.site.page import build, build_site
 from tests.leaderboard.browser import Browser
-from tests.leaderboard.conftest import ENTRIES, REPOSITORY, measured
+from tests.leaderboard.conftest import MEASURED, REPORTED, REPOSITORY, measured
 
 MOST_BYTES = 120_000
 
@@ -82,8 +83,8 @@ def test_a_missing_picture_is_named(tmp_path: Path) -> None:
 
 
 def test_shipped_board_builds(tmp_path: Path) -> None:
-    text = build([REPOSITORY / "leaderboard"], tmp_path).read_text()
-    for entry in load_entries(ENTRIES):
+    text = build([PAPERS, REPOSITORY / "leaderboard"], tmp_path).read_text()
+    for entry in (*load_entries(REPORTED), *load_entries(MEASURED)):
         assert entry.method in text
     assert "17.73" in text
     assert "0.71" in text
@@ -148,7 +149,7 @@ def test_nothing_overflows_or_complains(browser: Browser, board: Path, tmp_path:
 
 def test_no_table_is_wider_than_a_window(browser: Browser, tmp_path: Path) -> None:
     """The shipped board, whose widest protocol asks for six groups of three metrics, without scrolling sideways."""
-    browser.open(build([REPOSITORY / "leaderboard"], tmp_path / "site"), width=1280)
+    browser.open(build([PAPERS, REPOSITORY / "leaderboard"], tmp_path / "site"), width=1280)
     wide = "[...document.querySelectorAll('.scroll')].filter(one => one.scrollWidth > one.clientWidth)"
     assert browser.script(f"{wide}.map(one => one.getAttribute('aria-label'))") == []
     heads = "[...document.querySelectorAll('table.board th.group')].map(one => one.textContent)"

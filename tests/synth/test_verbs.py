@@ -100,11 +100,12 @@ def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     told = capsys.readouterr().out.splitlines()
     assert "  reconstructed PSNR 17.50 dB, PSNR* 20.50 dB on the held-out traversal" in told
     assert "  nearest_frame PSNR 13.25 dB, PSNR* 16.25 dB on the held-out traversal" in told
-    modules = [words[2] for words in ran if words[0] == "python"]
-    street = ["nearest_frame", "leaderboard", "mean_color", "leaderboard"]
+    boards = [words[1:3] for words in ran if words[1] in ("baseline", "leaderboard")]
+    street = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["baseline", "mean_color"], ["leaderboard", "add"]]
     # The block and the nearest pictures of its street stand on the board too, which is built last.
-    assert modules == [*street, "nearest_frame", "leaderboard", "leaderboard", "leaderboard"]
-    verbs = [words[1] for words in ran if words[0] == "mirror"]
+    block = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["leaderboard", "add"], ["leaderboard", "build"]]
+    assert boards == [*street, *block]
+    verbs = [words[1] for words in ran]
     assert verbs.index("reconstruct") < verbs.index("render") < verbs.index("compare")
     (own / "old.txt").write_text("from the last demo")
     assert demo(["--out", str(own)]) == 0

@@ -1,4 +1,4 @@
-"""The command line of ``python -m hybridworldsim.mvs``."""
+"""The command line of ``mirror depth``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import tyro
 
 from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.options import Options
-from mirror.command import run_command
 from mirror.command_line import parsed
 from mirror.errors import ExitCode
 
@@ -33,19 +32,8 @@ class Arguments:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command line.
-
-    Args:
-        argv: its words.
-
-    Returns:
-        The exit code (`ExitCode`).
-    """
-    return run_command("mvs", lambda: _initialise(argv))
-
-
-def _initialise(argv: Sequence[str]) -> int:
-    arguments = parsed(Arguments, argv, "python -m hybridworldsim.mvs")
+    """Run the verb."""
+    arguments = parsed(Arguments, argv, "mirror depth")
 
     import mirror
     from hybridworldsim.mvs.run import initialise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mirror.lazy import lazy
+from mirror.lazy import lazy_names
 
 if TYPE_CHECKING:
     from mirror_baselines.mean_color.mean import MOST_PICTURES as MOST_PICTURES
@@ -17,4 +17,4 @@ __all__ = ["APPEARANCE", "METHOD", "MOST_PICTURES", "mean_colour", "render"]
 
 _MEAN = dict.fromkeys(("MOST_PICTURES", "mean_colour", "render"), "mirror_baselines.mean_color.mean")
 _SUBMISSION = dict.fromkeys(("APPEARANCE", "METHOD"), "mirror_baselines.mean_color.submission")
-__getattr__ = lazy(__name__, _MEAN | _SUBMISSION)
+__getattr__, __dir__ = lazy_names(__name__, _MEAN | _SUBMISSION)

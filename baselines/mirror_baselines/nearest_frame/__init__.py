@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mirror.lazy import lazy
+from mirror.lazy import lazy_names
 
 if TYPE_CHECKING:
     from mirror_baselines.nearest_frame.matching import METRES_A_RADIAN as METRES_A_RADIAN
@@ -17,4 +17,4 @@ __all__ = ["APPEARANCE", "METHOD", "METRES_A_RADIAN", "nearest", "render"]
 
 _MATCHING = dict.fromkeys(("METRES_A_RADIAN", "nearest", "render"), "mirror_baselines.nearest_frame.matching")
 _SUBMISSION = dict.fromkeys(("APPEARANCE", "METHOD"), "mirror_baselines.nearest_frame.submission")
-__getattr__ = lazy(__name__, _MATCHING | _SUBMISSION)
+__getattr__, __dir__ = lazy_names(__name__, _MATCHING | _SUBMISSION)

@@ -65,7 +65,7 @@ class Layers:
                 f"the layer was made of something else: {differing} differs",
                 file=self.folder(traversal_id, kind),
                 expected="the same training traversals, options and estimator",
-                remedy="make one of another name, python -m hybridworldsim.mvs --version NAME, or take this as it is:"
+                remedy="make one of another name, mirror depth --version NAME, or take this as it is:"
                 f" mirror reconstruct --initialise {self.name}",
             )
         return True

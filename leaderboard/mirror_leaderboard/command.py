@@ -1,4 +1,4 @@
-"""The commands of ``python -m leaderboard``: build, add."""
+"""``mirror leaderboard``: build, add."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import Final
 
 import tyro
 
-from leaderboard.refused import RefusedError
-from mirror.command import run_command
 from mirror.command_line import parsed
 from mirror.errors import ExitCode, UsageError
+from mirror_leaderboard.refused import RefusedError
 
-FOLDER: Final = Path(__file__).parent
+PAPERS: Final = Path(__file__).parent / "papers"
+"""The board of what papers report."""
+BOARD: Final = Path("leaderboard")
 """Holds ``entries`` and ``pictures``."""
 
 
@@ -25,8 +26,9 @@ class Build:
 
     out: Path = Path("site")
     """Folder of the site."""
-    board: Path = FOLDER
-    """Folder that holds `entries` and `pictures`."""
+    board: Path | None = None
+    """Folder that holds `entries` and `pictures`, to stand beside what papers report. Default: ./leaderboard, where it
+    is one."""
     also: tuple[Path, ...] = ()
     """More such folders; their entries stand in for the same ones of those before."""
 
@@ -45,41 +47,38 @@ class Add:
     """The submission: some of its renders are shown beside the truth. Needs --truth."""
     truth: Path | None = None
     """The dataset that it was scored against."""
-    board: Path = FOLDER
-    """Folder that holds `entries` and `pictures`."""
+    board: Path = BOARD
+    """Folder that holds `entries` and `pictures`; made if it is not there."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run one of the commands."""
-    command = " ".join(["leaderboard", *argv[:1]])
-    return run_command(command, lambda: _run(argv, command))
-
-
-def _run(argv: Sequence[str], command: str) -> int:
     commands = {"build": _build, "add": _add}
     if not argv or argv[0] not in commands:
-        print("usage: python -m leaderboard build|add [options]\n\n  build  write the static site")
+        print("usage: mirror leaderboard build|add [options]\n\n  build  write the static site")
         print("  add    put a result.json on the board\n\n`--help` after either explains it.")
         return ExitCode.DONE if argv and argv[0] in ("-h", "--help") else ExitCode.COULD_NOT_RUN
     try:
         return commands[argv[0]](argv[1:])
     except RefusedError as error:
-        print(f"{command}: refused: {error}", file=sys.stderr)
+        print(f"mirror leaderboard {argv[0]}: refused: {error}", file=sys.stderr)
         return ExitCode.FINDINGS
 
 
 def _build(argv: Sequence[str]) -> int:
-    arguments = parsed(Build, argv, "python -m leaderboard build")
-    from leaderboard.site.page import build
+    arguments = parsed(Build, argv, "mirror leaderboard build")
+    from mirror_leaderboard.site.page import build
 
-    print(f"site: {build((arguments.board, *arguments.also), arguments.out)}")
+    found = arguments.board is None and (BOARD / "entries").is_dir()
+    boards = (BOARD,) if found else () if arguments.board is None else (arguments.board,)
+    print(f"site: {build((PAPERS, *boards, *arguments.also), arguments.out)}")
     return ExitCode.DONE
 
 
 def _add(argv: Sequence[str]) -> int:
-    arguments = parsed(Add, argv, "python -m leaderboard add")
-    from leaderboard.add import add_result
-    from leaderboard.pictures import Shown
+    arguments = parsed(Add, argv, "mirror leaderboard add")
+    from mirror_leaderboard.add import add_result
+    from mirror_leaderboard.pictures import Shown
 
     if (arguments.submission is None) != (arguments.truth is None):
         raise UsageError("--submission and --truth go together", expected="both, or neither")

@@ -11,12 +11,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from leaderboard.entry import ALL
-from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import mean_weights
 from mirror.evaluation.result import IMAGES, Figure, Result
 from mirror.protocols.views.view import View
+from mirror_leaderboard.entry import ALL
+from mirror_leaderboard.refused import RefusedError
 
 _TOLERANCE: Final = 1e-9
 _MOST_BYTES: Final = 1 << 30

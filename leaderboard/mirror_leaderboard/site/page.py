@@ -11,17 +11,17 @@ from itertools import groupby
 from pathlib import Path
 from typing import Final
 
-from leaderboard.boards import Board, boards_of
-from leaderboard.entry import PICTURES, Entry, Measured, identity, load_entries
-from leaderboard.site.guide import GUIDE
-from leaderboard.site.plot import time_quality_plot
-from leaderboard.site.slider import board_slider, picture_files
-from leaderboard.site.tables import board_table
 from mirror.errors import DatasetError
 from mirror.html import style_sheet
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
+from mirror_leaderboard.boards import Board, boards_of
+from mirror_leaderboard.entry import PICTURES, Entry, Measured, identity, load_entries
+from mirror_leaderboard.site.guide import GUIDE
+from mirror_leaderboard.site.plot import time_quality_plot
+from mirror_leaderboard.site.slider import board_slider, picture_files
+from mirror_leaderboard.site.tables import board_table
 
 _TITLE: Final = "MIRROR leaderboard"
 _KINDS: Final = (
@@ -55,8 +55,8 @@ def build_site(entries: Sequence[Entry], pictures: Sequence[Path], out: Path) ->
 
 
 def _page(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
-    style = style_sheet() + files("leaderboard.site").joinpath("site.css").read_text()
-    script = files("leaderboard.site").joinpath("site.js").read_text()
+    style = style_sheet() + files("mirror_leaderboard.site").joinpath("site.css").read_text()
+    script = files("mirror_leaderboard.site").joinpath("site.js").read_text()
     policy = (
         f"default-src 'none'; img-src 'self' file:; style-src '{_source_hash(style)}'; "
         f"script-src '{_source_hash(script)}'; base-uri 'none'; form-action 'none'"

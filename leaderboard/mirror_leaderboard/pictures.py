@@ -10,8 +10,6 @@ import cv2
 import numpy as np
 
 import mirror
-from leaderboard.entry import Pair
-from leaderboard.refused import RefusedError
 from mirror.arrays import UInt8
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.check import check_submission
@@ -20,6 +18,8 @@ from mirror.protocols.png import decode_render, most_bytes
 from mirror.protocols.truth.source import TruthSource
 from mirror.protocols.views import Plan, View, plan_views
 from mirror.schema.files import write_bytes
+from mirror_leaderboard.entry import Pair
+from mirror_leaderboard.refused import RefusedError
 
 _VIEWS: Final = 3
 _WIDTH_PX: Final = 640

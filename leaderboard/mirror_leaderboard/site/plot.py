@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from html import escape
 from typing import Final
 
-from leaderboard.boards import Board, Column, seconds_per_picture, value_of
-from leaderboard.entry import Entry
-from leaderboard.measures import MEASURES
-from leaderboard.site.tables import group_title
+from mirror_leaderboard.boards import Board, Column, seconds_per_picture, value_of
+from mirror_leaderboard.entry import Entry
+from mirror_leaderboard.measures import MEASURES
+from mirror_leaderboard.site.tables import group_title
 
 _WIDTH, _HEIGHT = 640, 340
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 30, 14, 54

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Final
 
-from leaderboard.boards import Board
-from leaderboard.entry import PICTURES, Measured, Pair
+from mirror_leaderboard.boards import Board
+from mirror_leaderboard.entry import PICTURES, Measured, Pair
 
 _TRUTH: Final = "recorded"
 

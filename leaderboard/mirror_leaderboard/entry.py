@@ -9,11 +9,11 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, RootModel, model_validator
 
-from leaderboard.measures import MEASURES
 from mirror.errors import DatasetError, SchemaError
 from mirror.protocols.document import protocol_names
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json, sha256_bytes
+from mirror_leaderboard.measures import MEASURES
 
 ALL: Final = "all"
 """The group of figures that are of all groups together, or of no group that a protocol has."""
@@ -130,7 +130,7 @@ class Pair(Document):
 
 
 class Measured(Document):
-    """Figures that an evaluation found; written by ``python -m leaderboard add``.
+    """Figures that an evaluation found; written by ``mirror leaderboard add``.
 
     Attributes:
         kind: tag.
@@ -246,5 +246,5 @@ def _require_sound(entry: Entry, path: Path) -> None:
             file=path,
             place="seal",
             expected=entry.content_hash,
-            remedy="remove it and add the result again: python -m leaderboard add result.json",
+            remedy="remove it and add the result again: mirror leaderboard add result.json",
         )

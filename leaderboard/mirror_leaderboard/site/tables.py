@@ -9,9 +9,9 @@ from itertools import chain, groupby
 from math import ceil
 from typing import Final
 
-from leaderboard.boards import FLOOR, Board, Column, figure_of
-from leaderboard.entry import Entry, Figure, Reported
-from leaderboard.measures import MEASURES
+from mirror_leaderboard.boards import FLOOR, Board, Column, figure_of
+from mirror_leaderboard.entry import Entry, Figure, Reported
+from mirror_leaderboard.measures import MEASURES
 
 _SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
 _GROUPS: Final = {

@@ -9,11 +9,6 @@ from typing import Final
 
 from pydantic import TypeAdapter, ValidationError
 
-from leaderboard.entry import ALL, PICTURES, Figure, Link, Measured, identity, load_entries
-from leaderboard.measures import MEASURES
-from leaderboard.pictures import Shown, copy_pairs
-from leaderboard.recount import require_counted
-from leaderboard.refused import RefusedError
 from mirror.errors import DatasetError
 from mirror.evaluation.result import Figure as Scored
 from mirror.evaluation.result import Result
@@ -21,6 +16,11 @@ from mirror.evaluation.submission.untrusted import parse_untrusted
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import write_json
 from mirror.version import __version__
+from mirror_leaderboard.entry import ALL, PICTURES, Figure, Link, Measured, identity, load_entries
+from mirror_leaderboard.measures import MEASURES
+from mirror_leaderboard.pictures import Shown, copy_pairs
+from mirror_leaderboard.recount import require_counted
+from mirror_leaderboard.refused import RefusedError
 
 _MOST_BYTES: Final = 64 << 20
 _LINK: Final[TypeAdapter[str]] = TypeAdapter(Link)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from leaderboard.entry import ALL, Entry, Figure, Measured, Reported
-from leaderboard.measures import MEASURES, Measure
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import sha256_bytes
+from mirror_leaderboard.entry import ALL, Entry, Figure, Measured, Reported
+from mirror_leaderboard.measures import MEASURES, Measure
 
 FLOOR: Final = ("nearest_frame", "mean_color")
 """Methods that show nothing but what was recorded: what every method must beat."""

@@ -10,8 +10,8 @@ GUIDE: Final = """<section id="submit"><h2>How to submit</h2>
 # render every file that SUBMISSION/views.json lists; fill in manifest.json
 mirror submission check SUBMISSION --truth DATASET
 mirror evaluate SUBMISSION --truth DATASET --protocol static-reconstruction --split novel --out RESULT
-python -m leaderboard add RESULT/result.json --dataset NAME
-python -m leaderboard build --out site</pre>
+mirror leaderboard add RESULT/result.json --dataset NAME
+mirror leaderboard build --out site</pre>
 <p>Without it, ask its keeper for the bundle that <code>mirror submission new --blind</code> writes: poses, lenses,
 names, sizes and masks, but no pictures. Send back the renders.</p>
 <p>A table holds only what was scored by one protocol on one split of one data set, told by their hashes.

@@ -1,1 +1,0 @@
-"""The leaderboard: one JSON an entry, and a static site built of them (docs/leaderboard.md)."""

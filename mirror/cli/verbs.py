@@ -1,0 +1,57 @@
+"""The verbs of ``mirror``: its own, and those of other installed packages."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from mirror.command import ENTRY_POINT_GROUP, Command, Group
+
+HEADINGS: Final[dict[Group, str]] = {
+    "data": "Data",
+    "reconstruction": "Reconstruction",
+    "benchmark": "Benchmark",
+}
+
+_OWN: Final[dict[str, tuple[Group, str]]] = {
+    "demo": ("data", "make a synthetic street, and run the verbs below on it"),
+    "synth": ("data", "write recordings of a synthetic street"),
+    "rois": ("data", "propose regions of interest from recordings"),
+    "ingest": ("data", "recordings -> traversals: trigger, write, ledger"),
+    "index": ("data", "rebuild the derived tables of a dataset"),
+    "info": ("data", "describe a dataset or a recording"),
+    "split": ("data", "freeze a train / held-out split, checked for leaks"),
+    "stats": ("data", "print the dataset-table row and distributions, draw plots"),
+    "check": ("data", "check a dataset against the integrity rules"),
+    "report": ("data", "write an HTML report of a dataset"),
+    "reconstruct": ("reconstruction", "train a static model of a scene from its training traversals"),
+    "render": ("reconstruction", "render a model: a submission, or a new trajectory as video"),
+    "bake": ("reconstruction", "write a model as the PLY of 3D Gaussian Splatting, for viewers"),
+    "submission": ("benchmark", "write the template of a submission, or check one"),
+    "evaluate": ("benchmark", "score a submission by a protocol"),
+    "compare": ("benchmark", "compare results, with paired significance"),
+}
+
+
+def find_command(verb: str) -> Command | None:
+    """The command of a verb; None: there is none."""
+    if verb in _OWN:
+        return _own(verb)
+    return _installed(verb).get(verb)
+
+
+def all_commands() -> dict[str, Command]:
+    """Every verb that is installed here, ours first."""
+    return {**{verb: _own(verb) for verb in _OWN}, **_installed()}
+
+
+def _own(verb: str) -> Command:
+    group, summary = _OWN[verb]
+    return Command(group, summary, f"mirror.cli.{verb}")
+
+
+def _installed(name: str | None = None) -> dict[str, Command]:
+    from importlib.metadata import entry_points
+
+    found = entry_points(group=ENTRY_POINT_GROUP)
+    entries = [entry for entry in found if name in (None, entry.name)]
+    return {entry.name: entry.load() for entry in sorted(entries, key=lambda entry: entry.name)}

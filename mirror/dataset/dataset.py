@@ -105,6 +105,16 @@ class Dataset:
         """Ids of the drives with a traversal in the view, sorted."""
         return sorted(set(self._column("traversals", "drive_id")))
 
+    def roles(self, split: str) -> list[str]:
+        """Roles that the view's traversals have in a split, sorted.
+
+        Raises:
+            DatasetError: there is no such split.
+            UsageError: the name cannot be that of a split.
+        """
+        assignments = self._assignments(split)
+        return sorted({assignments[one] for one in self.traversals() if one in assignments})
+
     def cameras(self) -> list[str]:
         """Names of the cameras with pictures in the view: the canonical ones in their order, then others sorted."""
         names = {name for own in self._column("traversals", "cameras") for name in own}
@@ -149,7 +159,7 @@ class Dataset:
             within: (longitude_deg, latitude_deg, radius_m) on the ellipsoid, the edge included; or
                 (x_m, y_m, radius_m, frame) in a local metric frame.
             split: name of a split; with it comes ``role``.
-            role: role or roles within the split; None: every traversal that has one.
+            role: role or roles within the split, of which it has at least one; None: every traversal that has one.
 
         Raises:
             UsageError: a value that the dataset does not know, or that cannot be.
@@ -292,12 +302,13 @@ class Dataset:
             f"{within!r}", place="within", expected="(longitude, latitude, radius_m) or (x_m, y_m, radius_m, frame)"
         )
 
-    def _in_split(self, name: str, role: Choice) -> frozenset[str]:
-        if not is_identifier(name):
+    def _assignments(self, split: str) -> dict[str, str]:
+        """Roles of a split's traversals, by traversal; without those that it leaves unused."""
+        if not is_identifier(split):
             raise UsageError(
-                f"{name!r} cannot be the name of a split", place="split", expected="letters, digits, _ and -"
+                f"{split!r} cannot be the name of a split", place="split", expected="letters, digits, _ and -"
             )
-        path = f"splits/{name}.json"
+        path = f"splits/{split}.json"
         try:
             data = self.store.read(path)
         except FileNotFoundError as error:
@@ -306,12 +317,22 @@ class Dataset:
                 "no such split",
                 file=self.store.where(path),
                 expected=f"one of {', '.join(there)}" if there else None,
-                remedy=f"make it: mirror split {self.root} {name} --method ...",
+                remedy=f"make it: mirror split {self.root} {split}",
             ) from error
-        assignments = parse_json(data, SplitDocument, self.store.where(path)).assignments
-        known = [value for value in get_args(Role) if value != "unused"]
-        roles = self._known("role", role, lambda: known) or frozenset(known)
-        return frozenset(key for key, own in assignments.items() if own in roles)
+        document = parse_json(data, SplitDocument, self.store.where(path))
+        return {key: role for key, role in document.assignments.items() if role != "unused"}
+
+    def _in_split(self, split: str, role: Choice) -> frozenset[str]:
+        assignments = self._assignments(split)
+        there = sorted(set(assignments.values()))
+        roles = self._known("role", role, lambda: (value for value in get_args(Role) if value != "unused"))
+        if roles is not None and roles.isdisjoint(there):
+            raise UsageError(
+                f"no traversal has the role {' or '.join(map(repr, sorted(roles)))} in split {split!r}",
+                place="role",
+                expected=f"one of {', '.join(there)}" if there else "nothing: the split has no traversals",
+            )
+        return frozenset(key for key, own in assignments.items() if roles is None or own in roles)
 
 
 def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:

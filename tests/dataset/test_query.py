@@ -482,8 +482,13 @@ def test_splits_filter_by_role(tmp_path: Path) -> None:
     assert dataset.where(split="s", role="train").traversals() == ids[:2]
     assert dataset.where(split="s").traversals() == ids[:3]
     assert dataset.where(split="s", role=["held_out", "val"]).traversals() == ids[2:3]
+    assert dataset.roles("s") == ["held_out", "train"]
+    assert dataset.where(traversal=ids[2]).roles("s") == ["held_out"]
     with pytest.raises(UsageError, match="did you mean 'train'"):
         dataset.where(split="s", role="trian")
+    for role in ("test", ["test", "val"]):
+        with pytest.raises(UsageError, match=r"'test'.* in split 's'; expected one of held_out, train"):
+            dataset.where(split="s", role=role)
     with pytest.raises(DatasetError, match="no such split"):
         dataset.where(split="t", role="train")
 

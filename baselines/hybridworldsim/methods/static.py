@@ -318,7 +318,7 @@ def _held_out(dataset: Dataset, task: Task, watch: ProgressReporter) -> Plan | N
     roles = ("held_out", "test")
     own = dataset.where(scene=task.scene)
     groups = tuple(one for one in task.protocol.groups if set(one.roles) <= set(roles) and not one.ego_shift_m)
-    if not own.where(split=task.split, role=roles).count("traversals"):
+    if set(own.roles(task.split)).isdisjoint(roles):
         groups = ()
     if task.withheld:
         groups = (*groups, Group(name="withheld", roles=("train",)))

@@ -68,8 +68,7 @@ def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,
-        # The shell of a test run in the background has it ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=hear_again,
     )
     assert running.stdout is not None and running.stderr is not None
     try:

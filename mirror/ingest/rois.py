@@ -14,6 +14,7 @@ from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.geometry.geodesy import surface_distance_m
 from mirror.schema.documents import Roi
 from mirror.schema.files import write_bytes
+from mirror.schema.strict_json import JsonError, decode_json
 
 _ALIASES = {
     "id": "scene_id",
@@ -154,13 +155,11 @@ def _degrees(value: float) -> str:
 
 def _from_geojson(text: str, path: Path) -> list[Roi]:
     try:
-        document = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise SchemaError(
-            f"not valid JSON ({error.msg})", file=path, place=f"line {error.lineno}, column {error.colno}"
-        ) from error
-    features = document.get("features")
-    if document.get("type") != "FeatureCollection" or not isinstance(features, list):
+        document = decode_json(text)
+    except JsonError as error:
+        raise SchemaError(str(error), file=path, place=error.place) from error
+    features = document.get("features") if isinstance(document, dict) else None
+    if not isinstance(features, list) or document.get("type") != "FeatureCollection":
         raise SchemaError("not a GeoJSON FeatureCollection", file=path, expected='{"type": "FeatureCollection", ...}')
     rois = []
     for number, feature in enumerate(features):

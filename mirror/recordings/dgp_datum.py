@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -15,6 +14,7 @@ from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.recordings.placing import no_rotations
 from mirror.recordings.tabular import unreadable
+from mirror.schema.strict_json import decode_json
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_YEAR: Final = 2200
@@ -109,7 +109,7 @@ def read_json(file: Path) -> dict[str, Any]:
         RecordingError: it does not.
     """
     try:
-        found = json.loads(file.read_bytes())
+        found = decode_json(file.read_bytes())
     except (OSError, ValueError) as error:
         raise unreadable(file, error) from error
     if not isinstance(found, dict):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +14,7 @@ from mirror.recordings.calibration import SE3, Calibration
 from mirror.recordings.tabular import unreadable
 from mirror.recordings.time import TIME_BASES
 from mirror.schema.documents import Document, Identifier
+from mirror.schema.strict_json import JsonError, decode_json
 
 NAME: Final = "recording.json"
 
@@ -123,13 +123,12 @@ def _json(file: Path) -> Any:
     except OSError as error:
         raise unreadable(file, error) from error
     try:
-        return json.loads(text)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        place = f"line {error.lineno}, column {error.colno}" if isinstance(error, json.JSONDecodeError) else None
+        return decode_json(text)
+    except JsonError as error:
         raise RecordingError(
-            f"not valid JSON ({error})",
+            str(error),
             file=file,
-            place=place,
+            place=error.place,
             remedy="correct it, or copy the file again: a truncated file ends before its last bracket",
         ) from error
 

@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ValidationError
 
 from mirror.errors import DatasetError, SchemaError
+from mirror.schema.strict_json import JsonError, decode_json
 from mirror.schema.tables import Table
 from mirror.schema.version import SCHEMA_VERSION, require_readable
 
@@ -91,7 +92,8 @@ def read_json(path: Path, model: type[Model]) -> Model:
 
     Raises:
         DatasetError: the file is missing.
-        SchemaError: not JSON (line and column named), not of the model (key named), or of another schema version.
+        SchemaError: not JSON (line and column named), a key twice, not of the model (key named), or of another schema
+            version.
     """
     try:
         text = path.read_bytes()
@@ -103,13 +105,12 @@ def read_json(path: Path, model: type[Model]) -> Model:
 def parse_json(text: bytes, model: type[Model], path: str | Path) -> Model:
     """As `read_json`, from bytes; ``path`` serves the messages."""
     try:
-        raw = json.loads(text)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        place = f"line {error.lineno}, column {error.colno}" if isinstance(error, json.JSONDecodeError) else None
+        raw = decode_json(text)
+    except JsonError as error:
         raise SchemaError(
-            f"not valid JSON ({error})",
+            str(error),
             file=path,
-            place=place,
+            place=error.place,
             remedy="restore the file; a truncated file ends before its last brace",
         ) from error
     if isinstance(raw, dict) and "schema_version" in model.model_fields:

@@ -14,7 +14,6 @@ output is a new kind of folder adds a row there.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -23,6 +22,7 @@ from typing import Final
 
 from mirror.errors import UsageError
 from mirror.schema.files import TEMPORARY
+from mirror.schema.strict_json import JsonError, decode_json
 
 _MOST_BYTES: Final = 64 * 1024 * 1024
 _DATASET_NAMES: Final = frozenset(
@@ -165,10 +165,10 @@ def _says(path: Path, value: str) -> bool:
     try:
         if not path.is_file() or path.stat().st_size > _MOST_BYTES:
             return False
-        document = json.loads(path.read_bytes())
+        document = decode_json(path.read_bytes())
     except OSError:
         return False
-    except (ValueError, RecursionError):
+    except JsonError:
         return own_name
     return isinstance(document, dict) and document.get("format") == value
 

@@ -15,7 +15,7 @@ import pytest
 from mirror.dataset.dataset import Dataset
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
 from tests.ingest.recordings import tree
-from tests.interruptions import MIRROR, interrupt
+from tests.interruptions import MIRROR, hear_again, interrupt
 
 NEVER_S = 240.0
 # What a terminal sends, what `kill -INT` sends, and what a scheduler sends.
@@ -102,7 +102,9 @@ def test_a_second_signal_ends_it_at_once_and_what_holds_the_first_up_does_not_ho
         "sys.exit(run_process('held', lambda: run_command('held', work)))\n"
     )
     for signals, least_s, most_s in ((1, 2.0, 5.0), (2, 0.0, 1.0)):
-        running = subprocess.Popen([sys.executable, "-c", held], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        running = subprocess.Popen(
+            [sys.executable, "-c", held], stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_again
+        )
         assert running.stdout is not None and running.stdout.readline() == b"working\n"
         since = time.monotonic()
         for _ in range(signals):

@@ -15,6 +15,7 @@ from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DriveDocument, Manifest, Rig, Roi
 from mirror.schema.files import parse_json, sha256_bytes
+from mirror.schema.strict_json import JsonError, decode_json
 
 # Raised when the index is computed differently from the same inputs, so that every index is rebuilt.
 DERIVATION: Final = 1
@@ -140,11 +141,11 @@ def read_rois(store: Store) -> dict[str, Roi]:
     """
     name = store.where("rois.geojson")
     try:
-        raw = json.loads(store.read("rois.geojson"))
+        raw = decode_json(store.read("rois.geojson"))
     except FileNotFoundError as error:
         raise DatasetError("missing", file=name, expected="the scenes as GeoJSON", remedy="restore the file") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise SchemaError(f"not valid JSON ({error})", file=name, remedy="restore the file") from error
+    except JsonError as error:
+        raise SchemaError(str(error), file=name, place=error.place, remedy="restore the file") from error
     features = raw.get("features") if isinstance(raw, dict) else None
     if not isinstance(features, list):
         raise SchemaError("not a FeatureCollection", file=name, place="features", remedy="restore the file")

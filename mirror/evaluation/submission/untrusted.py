@@ -5,7 +5,6 @@ Nothing is unpacked, followed or executed: a name is only ever compared with tho
 
 from __future__ import annotations
 
-import json
 import os
 import stat
 import zipfile
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from mirror.errors import MirrorError, UsageError
+from mirror.schema.strict_json import JsonError, decode_json
 
 MOST_ENTRIES: Final = 2_000_000
 _MOST_DEPTH: Final = 16
@@ -147,20 +147,14 @@ def parse_untrusted(data: bytes, file: str, most_bytes: int) -> Any:
     """A JSON value of bytes that nobody vouches for.
 
     Raises:
-        UntrustedError: it is too large, nested too deep, no JSON, or has a number that JSON does not have.
+        UntrustedError: it is too large, no JSON, nested too deep, or has a key twice in an object or a
+            number that JSON does not have.
     """
-
-    def refuse(word: str) -> Any:
-        raise ValueError(f"the number {word}")
-
     _within(data, most_bytes, file)
     try:
-        return json.loads(data, parse_constant=refuse)
-    except RecursionError as error:
-        raise UntrustedError("nested too deep", file=file, expected="JSON") from error
-    except (ValueError, UnicodeDecodeError) as error:
-        place = f"line {error.lineno}, column {error.colno}" if isinstance(error, json.JSONDecodeError) else None
-        raise UntrustedError(f"not valid JSON ({error!s:.200})", file=file, place=place, expected="JSON") from error
+        return decode_json(data, constants=False)
+    except JsonError as error:
+        raise UntrustedError(f"{error!s:.240}", file=file, place=error.place, expected="JSON") from error
 
 
 def _walk(folder: Path, prefix: str, depth: int) -> Iterator[tuple[str, int | str]]:

@@ -1,0 +1,57 @@
+"""The one reader of JSON: what has two meanings is refused, whoever wrote it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+
+class JsonError(ValueError):
+    """Text that is no JSON, or has two meanings.
+
+    Args:
+        problem: what is wrong.
+        place: line and column, where they are known.
+    """
+
+    def __init__(self, problem: str, place: str | None = None) -> None:
+        super().__init__(problem)
+        self.place = place
+
+
+def decode_json(data: str | bytes, *, constants: bool = True) -> Any:
+    """The value of a JSON text.
+
+    Args:
+        data: the text, or its bytes in UTF-8, UTF-16 or UTF-32.
+        constants: take NaN and Infinity, which JSON does not have and many programs write.
+
+    Raises:
+        JsonError: it is no JSON, is nested too deep, or an object has a key twice: one reader takes the first value,
+            another the last.
+    """
+    try:
+        return json.loads(data, object_pairs_hook=_object, parse_constant=None if constants else _refused)
+    except json.JSONDecodeError as error:
+        raise JsonError(f"not valid JSON ({error})", f"line {error.lineno}, column {error.colno}") from error
+    except UnicodeDecodeError as error:
+        raise JsonError(f"not valid JSON ({error})") from error
+    except RecursionError as error:
+        raise JsonError("not valid JSON (nested too deep)") from error
+    except JsonError:
+        raise
+    except ValueError as error:
+        # A whole number of thousands of digits.
+        raise JsonError(f"not valid JSON ({error})") from error
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise JsonError(f"the key {next(key for key in keys if keys.count(key) > 1)!r:.80} stands twice in one object")
+    return found
+
+
+def _refused(word: str) -> Any:
+    raise JsonError(f"not valid JSON (the number {word})")

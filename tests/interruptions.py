@@ -51,6 +51,11 @@ class Ended:
         assert self.stderr.count("interrupted: run the same command again") == 1, self.stderr
 
 
+def hear_again() -> None:
+    """In a process that starts: undo that the shell of a test run in the background ignores Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.SIGINT, *, group: bool = True) -> Ended:
     """Start a command and send it a signal.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+import zlib
 from pathlib import Path
 
 import cv2
@@ -21,6 +22,7 @@ from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import TruthSource
 from mirror.protocols.views import Plan, plan_views
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
+from tests.evaluation.test_png import chunk, png
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +37,50 @@ def test_a_whole_submission_has_no_problem(whole: tuple[Plan, Path]) -> None:
     assert report.problems == ()
     assert report.expected == report.present == len(plan.views)
     assert report.hash == check_submission(open_untrusted(folder), plan).hash
+
+
+def test_only_decoding_finds_pixels_that_are_missing_between_whole_checksums(
+    whole: tuple[Plan, Path], root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, folder = whole
+    broken = tmp_path / "broken"
+    shutil.copytree(folder, broken)
+    view = plan.views[2]
+    rows = zlib.compress(bytes((3 * view.width_px + 1) * (view.height_px - 1)))
+    (broken / view.path).write_bytes(png(chunk(b"IDAT", rows), width=view.width_px, height=view.height_px))
+    quick = check_submission(open_untrusted(broken), plan)
+    assert quick.problems == ()
+    assert quick.not_checked == (
+        f"the pixels of {len(plan.views)} images: `mirror submission check --decode` decodes them",
+    )
+    slow = check_submission(open_untrusted(broken), plan, decode=True)
+    assert [(problem.kind, problem.path) for problem in slow.problems] == [("corrupt", view.path)]
+    assert slow.not_checked == ()
+    whole_one = check_submission(open_untrusted(folder), plan, decode=True)
+    assert whole_one.problems == whole_one.not_checked == ()
+    assert whole_one.hash == check_submission(open_untrusted(folder), plan).hash
+    protocol = tmp_path / "small.toml"
+    protocol.write_text(small_text())
+    words = ["submission", "check", str(broken), "--truth", str(root), "--protocol", str(protocol)]
+    assert main(words) == 0
+    assert f"not checked: the pixels of {len(plan.views)} images: " in capsys.readouterr().out
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["not_checked"] == list(quick.not_checked)
+    assert main([*words, "--decode"]) == 1
+    said = capsys.readouterr().out
+    assert view.path in said
+    assert "not checked" not in said
+
+
+def test_a_manifest_with_a_key_twice_is_refused(whole: tuple[Plan, Path], tmp_path: Path) -> None:
+    plan, folder = whole
+    shutil.copytree(folder, tmp_path / "twice")
+    manifest = tmp_path / "twice" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace("{", '{"split": "another", ', 1))
+    report = check_submission(open_untrusted(tmp_path / "twice"), plan)
+    assert [(problem.kind, problem.message) for problem in report.problems] == [
+        ("manifest", "the key 'split' stands twice in one object")
+    ]
 
 
 def test_a_zip_of_it_is_the_same(whole: tuple[Plan, Path], tmp_path: Path) -> None:

@@ -1,11 +1,11 @@
-"""Holds a submission against what is expected of it: everything that is wrong, at once, and nothing decoded."""
+"""Holds a submission against what is expected of it: everything that is wrong, at once."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
@@ -13,7 +13,7 @@ from mirror.evaluation.submission.manifest import MANIFEST, SubmissionManifest, 
 from mirror.evaluation.submission.template import MASKS, README, VIEWS, expected_files
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles
 from mirror.pools import thread_pool
-from mirror.protocols.png import most_bytes, problem_of_png, raster_of_png
+from mirror.protocols.png import RenderError, decode_render, most_bytes, problem_of_png, raster_of_png
 from mirror.protocols.views.plan import Plan
 
 MOST_TABLE_BYTES: Final = 64 << 20
@@ -49,6 +49,7 @@ class CheckReport:
         problems: all that is wrong, by kind and path.
         manifest: as read; None: it cannot be.
         hash: SHA-256 over the expected files that could be read, by path.
+        not_checked: what was not looked at and may be wrong, with the way to check it.
     """
 
     expected: int
@@ -56,6 +57,7 @@ class CheckReport:
     problems: tuple[Problem, ...]
     manifest: SubmissionManifest | None
     hash: str
+    not_checked: tuple[str, ...] = ()
 
     def counts(self) -> dict[str, int]:
         """How many problems of each kind."""
@@ -63,16 +65,17 @@ class CheckReport:
 
 
 def check_submission(
-    files: UntrustedFiles, plan: Plan, *, advance: Callable[[int], None] = lambda _: None
+    files: UntrustedFiles, plan: Plan, *, decode: bool = False, advance: Callable[[int], None] = lambda _: None
 ) -> CheckReport:
     """Check a submission.
 
-    Every expected render is held against its size and checksums by its header and chunks; no picture is decoded, and
-    no file that is not expected is opened.
+    Every expected render is held against its size and checksums by its header and chunks. No file that is not expected
+    is opened.
 
     Args:
         files: the submission.
         plan: what was asked.
+        decode: decode every image too: pixels may be missing between whole checksums.
         advance: told of each file that was looked at.
     """
     problems: list[Problem] = []
@@ -98,7 +101,7 @@ def check_submission(
     there = [(path, size) for path, size in expected.items() if path in files.sizes]
 
     def look(item: tuple[str, tuple[int, int] | None]) -> Problem | str:
-        found = _look(files, *item)
+        found = _look(files, *item, decode=decode)
         advance(1)
         return found
 
@@ -111,7 +114,16 @@ def check_submission(
                 digest.update(json.dumps([path, found]).encode())
     order = get_args(Kind)
     problems.sort(key=lambda problem: (order.index(problem.kind), problem.path))
-    return CheckReport(len(expected), len(there), tuple(problems), manifest, digest.hexdigest())
+    left = tuple(_not_checked([size for _, size in there], decode=decode))
+    return CheckReport(len(expected), len(there), tuple(problems), manifest, digest.hexdigest(), left)
+
+
+def _not_checked(sizes: Sequence[tuple[int, int] | None], *, decode: bool) -> Iterator[str]:
+    tables = sum(size is None for size in sizes)
+    if len(sizes) > tables and not decode:
+        yield f"the pixels of {len(sizes) - tables} images: `mirror submission check --decode` decodes them"
+    if tables:
+        yield f"the boxes in {tables} tables: `mirror evaluate` reads them"
 
 
 def check_unasked(files: UntrustedFiles, error: UntrustedError) -> CheckReport:
@@ -143,7 +155,7 @@ def _answers(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
     ]
 
 
-def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None) -> Problem | str:
+def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None, *, decode: bool) -> Problem | str:
     """What is wrong with a file, or its SHA-256."""
     most = MOST_TABLE_BYTES if size is None else most_bytes(*size)
     if files.sizes[path] > most:
@@ -159,6 +171,11 @@ def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None) -> Pro
         problem = problem_of_png(data)
         if problem is not None:
             return Problem("corrupt", path, problem)
+        if decode:
+            try:
+                decode_render(data, *size, path)
+            except RenderError as error:
+                return Problem("corrupt", path, error.problem)
     return hashlib.sha256(data).hexdigest()
 
 

@@ -22,7 +22,7 @@ from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, calibratio
 torch = pytest.importorskip("torch")
 from torch.utils.data import DataLoader, default_collate  # noqa: E402
 
-from mirror.dataset.torch import LENS_MODELS, FrameDataset, IterableFrames, camera_of  # noqa: E402
+from mirror.dataset.torch import LENS_MODELS, FrameDataset, IterableFrames, _is_forked, camera_of  # noqa: E402
 
 LENSES = {
     "front_wide": Camera("kannala_brandt", 96, 64, 40.0, 41.0, 47.0, 33.0, (0.02, -0.01, 0.001, 0.0)),
@@ -251,11 +251,11 @@ def equal(one: object, other: object) -> bool:
     return one == other
 
 
-@pytest.mark.parametrize("context", ["spawn", "forkserver"])
-def test_workers_make_the_same_samples_alone_on_their_thread(dataset: Dataset, context: str) -> None:
+@pytest.mark.parametrize(("context", "workers"), [("spawn", 2), ("forkserver", 1)])
+def test_workers_make_the_same_samples_alone_on_their_thread(dataset: Dataset, context: str, workers: int) -> None:
     options = {"undistort": True, "resize": 0.75}
     alone = FrameDataset(dataset, **options)
-    loader = DataLoader(Spy(dataset, **options), batch_size=4, num_workers=2, multiprocessing_context=context)
+    loader = DataLoader(Spy(dataset, **options), batch_size=4, num_workers=workers, multiprocessing_context=context)
     batches = list(loader)
     assert [len(batch["frame_index"]) for batch in batches] == [4, 3]
     for batch, indices in zip(batches, (range(4), range(4, 7))):
@@ -264,30 +264,32 @@ def test_workers_make_the_same_samples_alone_on_their_thread(dataset: Dataset, c
         assert camera_of(batch, 0, 1) == camera_of(alone[indices[0]], 1)
 
 
-@pytest.mark.parametrize("context", [None, "fork"])
-def test_forked_workers_are_refused(dataset: Dataset, context: str | None) -> None:
+def say_whether_forked() -> None:
+    sys.exit(int(_is_forked()))
+
+
+@pytest.mark.skipif(multiprocessing.get_start_method() != "fork", reason="loaders do not fork here")
+def test_forked_workers_are_refused(dataset: Dataset) -> None:
     # Forking after OpenCV's threads ran hung now and then.
-    if (context or multiprocessing.get_start_method()) != "fork":
-        pytest.skip("workers are not forked here unless asked")
-    for samples, size in ((FrameDataset(dataset), 2), (IterableFrames(dataset, 2), None)):
-        loader = DataLoader(samples, batch_size=size, num_workers=1, multiprocessing_context=context)
-        with pytest.raises(UsageError, match=r'forked.*multiprocessing_context="spawn"'):
-            next(iter(loader))
+    loader = DataLoader(IterableFrames(dataset, 2), batch_size=None, num_workers=1)
+    with pytest.raises(UsageError, match=r'forked.*multiprocessing_context="spawn"'):
+        next(iter(loader))
+    for context, forked in (("fork", 1), ("forkserver", 0)):
+        process = multiprocessing.get_context(context).Process(target=say_whether_forked)
+        process.start()
+        process.join(30)
+        assert process.exitcode == forked
 
 
 def test_batches_by_size_are_not_padded_and_have_every_frame_once(dataset: Dataset) -> None:
-    for workers in (0, 2):
-        frames = IterableFrames(dataset, 2, seed=5, group_by_size=True)
-        context = {"multiprocessing_context": "spawn"} if workers else {}
-        batches = list(DataLoader(frames, batch_size=None, num_workers=workers, **context))
-        assert len(batches) == len(frames) == 4
-        assert [int(batch["step"]) for batch in batches] == list(range(4))
-        shapes = [tuple(batch["images"].shape) for batch in batches]
-        assert sorted(shapes) == [(1, 4, 3, 32, 48), (2, 4, 3, 32, 48), (2, 4, 3, 64, 96), (2, 4, 3, 64, 96)]
-        every = [
-            key for batch in batches for key in zip(batch["traversal_id"], batch["frame_index"].tolist(), strict=True)
-        ]
-        assert sorted(every) == [(frame.traversal_id, frame.frame_index) for frame in dataset.frames()]
+    frames = IterableFrames(dataset, 2, seed=5, group_by_size=True)
+    batches = list(DataLoader(frames, batch_size=None))
+    assert len(batches) == len(frames) == 4
+    assert [int(batch["step"]) for batch in batches] == list(range(4))
+    shapes = [tuple(batch["images"].shape) for batch in batches]
+    assert sorted(shapes) == [(1, 4, 3, 32, 48), (2, 4, 3, 32, 48), (2, 4, 3, 64, 96), (2, 4, 3, 64, 96)]
+    every = [key for batch in batches for key in zip(batch["traversal_id"], batch["frame_index"].tolist(), strict=True)]
+    assert sorted(every) == [(frame.traversal_id, frame.frame_index) for frame in dataset.frames()]
 
 
 @pytest.mark.parametrize("drop_last", [False, True])

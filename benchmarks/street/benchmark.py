@@ -21,7 +21,7 @@ from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.seeding import Initial, street_of
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.model.storage import load_block, save_block
-from hybridworldsim.model.street import Drawn, Street
+from hybridworldsim.model.street import RenderOutput, Street
 from hybridworldsim.training.viewpoint import Source, Viewpoint
 from mirror.arrays import Float64
 
@@ -87,7 +87,7 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
     latent = street.appearance(views[0].source).detach()
 
     @torch.inference_mode()
-    def picture(view: Viewpoint) -> Drawn:
+    def picture(view: Viewpoint) -> RenderOutput:
         return street(view, latent)
 
     @torch.inference_mode()

@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hybridworldsim.model.decoders import Conditioned
+from hybridworldsim.model.decoders import ModulatedMLP
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.street import Drawn, Street, draw
+from hybridworldsim.model.street import RenderOutput, Street, draw
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
-def perceptron(network: Conditioned, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:
+def perceptron(network: ModulatedMLP, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:
     """(N, outputs) of codes (N, code) with what stands beside them, and an appearance."""
     matrix: Tensor = network.own
     if network.bend is not None:
@@ -65,7 +65,7 @@ def exact(street: Street) -> Street:
 
 
 @torch.inference_mode()
-def plain_picture(street: Street, drawn: Drawn, view: Viewpoint, latent: Tensor) -> Tensor:
+def plain_picture(street: Street, drawn: RenderOutput, view: Viewpoint, latent: Tensor) -> Tensor:
     """(H, W, 3) of a street in float64, decoded here and rasterized as ever.
 
     Args:

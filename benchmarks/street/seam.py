@@ -11,7 +11,7 @@ from torch import Tensor
 from benchmarks.report import Peer, Row
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
-from hybridworldsim.model.parts import Looks
+from hybridworldsim.model.parts import AppearanceSelector
 from hybridworldsim.model.street import Street
 from mirror.arrays import Float64
 from mirror.geometry.poses import Poses
@@ -24,7 +24,7 @@ def seam_rows(
     blocks: Sequence[tuple[Block, Street]],
     views: Sequence[View],
     inside: Sequence[View],
-    looks: Callable[[View], Looks],
+    looks: Callable[[View], AppearanceSelector],
     name: str,
 ) -> list[Row]:
     """Steps of cameras across the boundary of two blocks, and inside them.

@@ -15,7 +15,7 @@ from mirror.evaluation.result import Result
 from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.protocols.png import decode_render, most_bytes
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan, View, plan_views
 from mirror.schema.files import write_bytes
 from mirror_leaderboard.entry import Pair
@@ -64,7 +64,7 @@ def copy_pairs(result: Result, submission: Path, truth: Path, pictures: Path) ->
         raise RefusedError(
             "is not the submission that the result is of", file=submission, expected=result.submission_hash
         )
-    source = TruthSource(mirror.open(truth), result.protocol, plan.layers)
+    source = GroundTruth(mirror.open(truth), result.protocol, plan.layers)
     folder, pairs = plan.hash[:16], []
     for number, view in enumerate(_chosen(plan)):
         data = files.read(view.path, most_bytes(view.width_px, view.height_px))

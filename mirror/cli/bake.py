@@ -57,7 +57,7 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError("a sweep is for trajectories", place="--appearance", expected="one look")
 
     import mirror
-    from mirror.methods.appearance import Looking
+    from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.model_document import read_reconstruction, require_same_street
     from mirror.methods.ply_export import BakeOptions, baking_method
     from mirror.protocols.document import load_protocol
@@ -72,7 +72,7 @@ def main(argv: Sequence[str]) -> int:
     pixels = load_protocol("static-reconstruction").pixels
     views = views_along(dataset, traversal, recorded(dataset, traversal).at_rate(2.0), pixels, cameras)
     views = tuple(view for view in views if view.camera == views[0].camera)
-    looking = Looking(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
+    looking = AppearancePolicy(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
     options = BakeOptions(arguments.degree, arguments.sky, arguments.reach)
     baking = baking_method(document.method).bake(arguments.model, views, arguments.out, options, looking)
     if arguments.json:

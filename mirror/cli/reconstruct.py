@@ -15,7 +15,7 @@ from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
-    from mirror.methods.plugin import Reconstructed
+    from mirror.methods.plugin import ReconstructionResult
 
 _MINUTES = 10.0
 
@@ -84,7 +84,7 @@ def main(argv: Sequence[str]) -> int:
     if arguments.minutes is not None and arguments.steps is not None:
         raise UsageError("both --minutes and --steps", expected="one of them")
 
-    from mirror.methods.plugin import Task
+    from mirror.methods.plugin import ReconstructionTask
     from mirror.methods.registry import installed_method
 
     method = installed_method(arguments.method)
@@ -101,7 +101,7 @@ def main(argv: Sequence[str]) -> int:
     )
     scene = _scene(dataset, arguments.split, arguments.scene)
     minutes = _MINUTES if arguments.minutes is None and arguments.steps is None else arguments.minutes
-    task = Task(
+    task = ReconstructionTask(
         scene=scene,
         split=arguments.split,
         protocol=narrow,
@@ -147,7 +147,7 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) or "a scene with training traversals"
 
 
-def _print(done: Reconstructed, scene: str, arguments: Arguments) -> None:
+def _print(done: ReconstructionResult, scene: str, arguments: Arguments) -> None:
     print(
         f"{scene}: {done.psnr_db:.2f} dB on training pictures after {done.steps} steps, "
         f"{done.core_s / 60.0:.1f} core-minutes, {done.wall_s / 60.0:.1f} minutes"

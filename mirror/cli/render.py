@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
     from mirror.evaluation.submission.manifest import Appearance, Runtime
     from mirror.evaluation.submission.writing import Render
-    from mirror.methods.appearance import Looking
+    from mirror.methods.appearance import AppearancePolicy
     from mirror.protocols.views.plan import Plan
     from mirror.protocols.views.view import View
 
@@ -91,7 +91,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.scorers import scorer_of
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
-    from mirror.methods.appearance import Looking
+    from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.model_document import read_reconstruction, require_same_street, require_unseen
     from mirror.methods.registry import installed_method, licence_of
     from mirror.progress import progress_bar
@@ -120,7 +120,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
             f"split {split} has views of {', '.join(bare)} too", expected="a model of each of its scenes",
             remedy="reconstruct them, and name all models; or make a split of fewer scenes",
         )  # fmt: skip
-    looking = Looking(arguments.appearance, plan.views, truth=(dataset, plan))
+    looking = AppearancePolicy(arguments.appearance, plan.views, truth=(dataset, plan))
 
     def renderer(_: Dataset, asked: Plan) -> Iterator[Render]:
         for scene, model in models.items():
@@ -193,7 +193,7 @@ def _costs(models: Iterable[Path]) -> Runtime:
     )
 
 
-def appearance_of(looking: Looking) -> Appearance:
+def appearance_of(looking: AppearancePolicy) -> Appearance:
     """What a manifest says of the looks of pictures that were not trained on."""
     from mirror.evaluation.submission.manifest import Appearance
     from mirror.methods.appearance import FITTED_PART
@@ -209,7 +209,7 @@ def appearance_of(looking: Looking) -> Appearance:
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.writing import begin_rendering
-    from mirror.methods.appearance import Looking
+    from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.by_camera import by_camera, opened_by_camera
     from mirror.methods.model_document import read_reconstruction, require_same_street
     from mirror.methods.registry import installed_method
@@ -239,7 +239,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
             f"cameras {', '.join(asked)} have pictures of different sizes", place="--cameras", expected="one of them"
         )
     looks = by_camera(arguments.appearance, asked)
-    render = opened_by_camera(installed_method(name), model, Looking(views=views, everywhere=True), looks)
+    render = opened_by_camera(installed_method(name), model, AppearancePolicy(views=views, everywhere=True), looks)
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("rendering", len(views))

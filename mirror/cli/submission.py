@@ -96,12 +96,12 @@ def _new(arguments: New) -> int:
     from mirror.evaluation.submission.template import write_template
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
-    from mirror.protocols.truth.source import TruthSource
+    from mirror.protocols.truth.source import GroundTruth
     from mirror.protocols.views import plan_views
 
     dataset, protocol = mirror.open(arguments.dataset), load_protocol(arguments.protocol)
     plan = plan_views(dataset, protocol, arguments.split)
-    truth = TruthSource(dataset, protocol, plan.layers)
+    truth = GroundTruth(dataset, protocol, plan.layers)
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("views", len(plan.views))
         count = write_template(arguments.out, plan, truth, blind=arguments.blind, advance=bar.advance)

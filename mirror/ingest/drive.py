@@ -11,7 +11,7 @@ import numpy as np
 
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, manifest_sha256, seal
 from mirror.errors import RecordingError
-from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.judge import DrivePasses
 from mirror.ingest.staging import Staging
 from mirror.ingest.tables import pass_table
 from mirror.ingest.traversal import images_without_pose, traversal_id
@@ -22,7 +22,7 @@ from mirror.schema.files import encode_table, read_json, read_table, write_bytes
 from mirror.schema.tables import IMAGES, PASSES
 
 
-def rig_document(drive: JudgedDrive) -> Rig | None:
+def rig_document(drive: DrivePasses) -> Rig | None:
     """``rigs/<rig_id>.json`` of a drive; None for a poses-only one."""
     rig = drive.recording.rig
     if rig is None:
@@ -43,7 +43,7 @@ def rig_document(drive: JudgedDrive) -> Rig | None:
     )
 
 
-def refuse_other_rig(layout: Layout, drive: JudgedDrive, seen: dict[str, Rig]) -> None:
+def refuse_other_rig(layout: Layout, drive: DrivePasses, seen: dict[str, Rig]) -> None:
     """Refuse a rig whose id is taken by another, in the dataset or in this run.
 
     Args:
@@ -69,7 +69,7 @@ def refuse_other_rig(layout: Layout, drive: JudgedDrive, seen: dict[str, Rig]) -
         )
 
 
-def _write_rig(staging: Staging, drive: JudgedDrive) -> None:
+def _write_rig(staging: Staging, drive: DrivePasses) -> None:
     document, rig, layout = rig_document(drive), drive.recording.rig, staging.layout
     if document is None or rig is None or staging.dataset.rig(document.rig_id).exists():
         return
@@ -85,7 +85,7 @@ def _mask_name(rig_id: str, camera: str) -> str:
 
 
 def seal_drive(
-    staging: Staging, drive: JudgedDrive, scenes: Sequence[str], configuration: str, weather_plugin: str | None
+    staging: Staging, drive: DrivePasses, scenes: Sequence[str], configuration: str, weather_plugin: str | None
 ) -> None:
     """Write the drive's document and ledger, then its manifest: the drive is complete, and `Staging.publish` takes it.
 

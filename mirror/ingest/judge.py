@@ -88,7 +88,7 @@ class DriveContent:
 
 
 @dataclass(frozen=True)
-class JudgedDrive:
+class DrivePasses:
     """A drive after the trigger.
 
     Attributes:
@@ -147,7 +147,7 @@ def judge_drive(
     trigger: Trigger,
     rois: Sequence[Roi],
     cleaning: CleaningOptions,
-) -> JudgedDrive:
+) -> DrivePasses:
     """Clean a drive's track and find its passes.
 
     Args:
@@ -175,7 +175,7 @@ def judge_drive(
     slices = {
         number: _slice(track, cleaned, kept, one, max_gap_ns) for number, one in enumerate(passes) if one.accepted
     }
-    return JudgedDrive(
+    return DrivePasses(
         path=path,
         recording=recording,
         info=info,

@@ -8,7 +8,7 @@ from pathlib import Path
 from mirror.dataset.layout import Layout, complete_manifest, is_intact
 from mirror.errors import RecordingError
 from mirror.ingest.drive import traversals_intact, verify_source
-from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
+from mirror.ingest.judge import DrivePasses, fingerprint, judge_drive
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.settings import Settings
 from mirror.ingest.traversal import selected_pictures
@@ -32,7 +32,7 @@ class Prepared:
     """
 
     drive_id: str
-    drive: JudgedDrive | None
+    drive: DrivePasses | None
     replace: bool = False
     images: int = 0
 

@@ -24,7 +24,7 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
 from mirror.ingest.drive import refuse_other_rig, seal_drive
-from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.judge import DrivePasses
 from mirror.ingest.prepare import Prepared, prepare
 from mirror.ingest.request import DriveReport, IngestOptions, IngestReport
 from mirror.ingest.rois import write_rois
@@ -139,7 +139,7 @@ class _Writing:
         failed: set by the first job that fails: the others need not begin.
     """
 
-    drive: JudgedDrive
+    drive: DrivePasses
     jobs: list[Future[Written | None]] = field(default_factory=list)
     failed: threading.Event = field(default_factory=threading.Event)
 
@@ -220,7 +220,7 @@ class _Run:
         self._owners[drive_id] = path
 
     def _begin(
-        self, pool: ThreadPoolExecutor, drive: JudgedDrive, replace: bool, staging: Staging, side_by_side: int
+        self, pool: ThreadPoolExecutor, drive: DrivePasses, replace: bool, staging: Staging, side_by_side: int
     ) -> _Writing:
         one = _Writing(drive)
         threads = max(1, self.options.workers // max(1, len(drive.slices) * side_by_side))
@@ -274,7 +274,7 @@ class _Run:
             self._report(drive)
         self.progress.advance(1)
 
-    def _report(self, drive: JudgedDrive) -> None:
+    def _report(self, drive: DrivePasses) -> None:
         self.report.drives[drive.info.drive_id] = DriveReport(drive.path, drive.info, drive.cleaning, drive.passes)
 
     def _fail(self, path: Path, error: MirrorError) -> None:

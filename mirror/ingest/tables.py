@@ -16,7 +16,7 @@ from mirror.geometry.quaternions import (
     quaternion_from_matrix,
     quaternion_multiply,
 )
-from mirror.ingest.judge import JudgedDrive, PoseSlice
+from mirror.ingest.judge import DrivePasses, PoseSlice
 from mirror.ingest.metric import scales
 from mirror.recordings.light import light_label, solar_elevation_deg
 from mirror.schema.documents import Roi
@@ -26,7 +26,7 @@ from mirror.schema.tables import EGO_POSES, PASSES
 _COURSE_STEP_M = 0.5
 
 
-def pose_table(poses: PoseSlice, roi: Roi, drive: JudgedDrive) -> pa.Table:
+def pose_table(poses: PoseSlice, roi: Roi, drive: DrivePasses) -> pa.Table:
     """``ego_poses`` of one traversal, in the world of its scene.
 
     The world is the east-north-up frame at the ROI's centre; of a drive in a local metric frame it is that frame. Where
@@ -143,7 +143,7 @@ def _nearest(sorted_ns: Int64, query_ns: Int64) -> Int64:
 
 
 def pass_table(
-    drive: JudgedDrive, traversal_ids: Sequence[str | None], weather: Mapping[int, str], weather_plugin: str | None
+    drive: DrivePasses, traversal_ids: Sequence[str | None], weather: Mapping[int, str], weather_plugin: str | None
 ) -> pa.Table:
     """The ledger of one drive.
 

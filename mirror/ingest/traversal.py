@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from mirror.arrays import Int64
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError
-from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.judge import DrivePasses
 from mirror.ingest.pictures import Placed, Transfer, place_pictures, refer_to_pictures
 from mirror.ingest.staging import Staging
 from mirror.ingest.tables import assign_frames, pose_table
@@ -68,7 +68,7 @@ def traversal_id(drive_id: str, one: Pass) -> str:
 
 def write_traversal(
     staging: Staging,
-    drive: JudgedDrive,
+    drive: DrivePasses,
     number: int,
     roi: Roi,
     configuration: str,
@@ -121,7 +121,7 @@ def write_traversal(
 def _write(
     layout: Layout,
     name: str,
-    drive: JudgedDrive,
+    drive: DrivePasses,
     number: int,
     roi: Roi,
     derived_from: dict[str, str],
@@ -166,7 +166,7 @@ def _write(
     return Written(name, count, total, linked, reused=False, without_pose=images_without_pose(drive, number))
 
 
-def selected_pictures(drive: JudgedDrive, number: int) -> dict[str, tuple[ImageStream, Int64, Int64]]:
+def selected_pictures(drive: DrivePasses, number: int) -> dict[str, tuple[ImageStream, Int64, Int64]]:
     """By camera, in order of name: its stream, the indices of the images to take, and their stamps.
 
     Taken are the images exposed within the pass at an instant at which the vehicle's pose is known
@@ -187,7 +187,7 @@ def selected_pictures(drive: JudgedDrive, number: int) -> dict[str, tuple[ImageS
     return chosen
 
 
-def images_without_pose(drive: JudgedDrive, number: int) -> int:
+def images_without_pose(drive: DrivePasses, number: int) -> int:
     """How many images of all cameras are exposed within an accepted pass, but in a gap of the poses.
 
     Args:
@@ -202,7 +202,7 @@ def images_without_pose(drive: JudgedDrive, number: int) -> int:
     return sum(int(np.count_nonzero(~poses.poses_known(stamps))) for _, _, stamps in exposed)
 
 
-def _exposed_within(drive: JudgedDrive, one: Pass) -> dict[str, tuple[ImageStream, Int64, Int64]]:
+def _exposed_within(drive: DrivePasses, one: Pass) -> dict[str, tuple[ImageStream, Int64, Int64]]:
     """By camera, in order of name: its stream, the indices of the images exposed within a pass, and their stamps."""
     chosen: dict[str, tuple[ImageStream, Int64, Int64]] = {}
     for camera, stream in sorted(drive.content.images().items()):
@@ -241,7 +241,7 @@ def _exposed_within(drive: JudgedDrive, one: Pass) -> dict[str, tuple[ImageStrea
 
 def _image_table(
     name: str,
-    drive: JudgedDrive,
+    drive: DrivePasses,
     streams: dict[str, tuple[ImageStream, Int64, Int64]],
     placed: dict[str, Placed],
 ) -> pa.Table:
@@ -278,7 +278,7 @@ def _image_table(
     return conform(pa.concat_tables(parts), IMAGES, file=IMAGES.place)
 
 
-def _calibration_table(drive: JudgedDrive) -> pa.Table:
+def _calibration_table(drive: DrivePasses) -> pa.Table:
     rows = drive.content.calibrations()
     if not rows.num_rows:
         return CALIBRATIONS.schema.empty_table()
@@ -290,7 +290,7 @@ def _calibration_table(drive: JudgedDrive) -> pa.Table:
     return rows.take(order).combine_chunks()
 
 
-def _require_covariances(rows: pa.Table, drive: JudgedDrive) -> None:
+def _require_covariances(rows: pa.Table, drive: DrivePasses) -> None:
     for row, values in enumerate(rows.column("covariance").to_pylist()):
         try:
             if values is not None:
@@ -305,7 +305,7 @@ def _require_covariances(rows: pa.Table, drive: JudgedDrive) -> None:
             ) from error
 
 
-def _write_boxes(layout: Layout, name: str, drive: JudgedDrive, one: Pass, derived_from: dict[str, str]) -> None:
+def _write_boxes(layout: Layout, name: str, drive: DrivePasses, one: Pass, derived_from: dict[str, str]) -> None:
     """Boxes that came with the recording, as layers by their source and version."""
     boxes = drive.content.boxes()
     if boxes is None:

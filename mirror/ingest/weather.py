@@ -10,7 +10,7 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.dataset.store import Store
 from mirror.errors import RecordingError
-from mirror.ingest.judge import JudgedDrive
+from mirror.ingest.judge import DrivePasses
 from mirror.ingest.staging import Staging
 from mirror.recordings.weather import weather_from_pictures
 from mirror.schema.files import read_table
@@ -20,7 +20,7 @@ _PICTURES = 3
 
 
 def weather_from_traversals(
-    staging: Staging, drive: JudgedDrive, traversal_ids: Sequence[str | None], plugin: str
+    staging: Staging, drive: DrivePasses, traversal_ids: Sequence[str | None], plugin: str
 ) -> dict[int, str]:
     """Weather by number of pass, for accepted passes with pictures of a drive whose source does not state it.
 

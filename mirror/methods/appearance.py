@@ -16,7 +16,7 @@ FITTED_PART: Final = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
 
 
 @dataclass(frozen=True)
-class Looking:
+class AppearancePolicy:
     """How pictures shall look of traversals and cameras that were not trained on.
 
     Attributes:

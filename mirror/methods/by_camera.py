@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.plugin import InstalledMethod
 from mirror.protocols.views.view import View
 
@@ -31,11 +31,11 @@ def by_camera(policies: str, cameras: Sequence[str]) -> dict[str, str]:
         raise UsageError(
             f"{policies!r}", place="--appearance", expected=f"CAMERA=LOOK,... of {', '.join(cameras)}"
         )  # fmt: skip
-    return {**dict.fromkeys(cameras, Looking().policy), **dict(named)}
+    return {**dict.fromkeys(cameras, AppearancePolicy().policy), **dict(named)}
 
 
 def opened_by_camera(
-    method: InstalledMethod, model: Path, looking: Looking, policies: Mapping[str, str]
+    method: InstalledMethod, model: Path, looking: AppearancePolicy, policies: Mapping[str, str]
 ) -> Callable[[View], UInt8]:
     """A renderer of views whose cameras have policies of their own."""
     renderers = {one: method.open(model, replace(looking, policy=one)) for one in dict.fromkeys(policies.values())}

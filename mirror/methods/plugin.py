@@ -9,7 +9,7 @@ from typing import Protocol
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.training_images import Picture
 from mirror.progress import ProgressReporter
 from mirror.protocols import document as protocols
@@ -17,7 +17,7 @@ from mirror.protocols.views.view import View
 
 
 @dataclass(frozen=True)
-class Task:
+class ReconstructionTask:
     """What is to be reconstructed, and for how long.
 
     Attributes:
@@ -53,7 +53,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Reconstructed:
+class ReconstructionResult:
     """What came of it.
 
     Attributes:
@@ -67,7 +67,7 @@ class Reconstructed:
         model_bytes: of all that rendering needs.
         pictures: that were trained on.
         driven_m: length of the road that the model covers.
-        undone: blocks that are still to be trained, see `Task.blocks`; the figures are of the others.
+        undone: blocks that are still to be trained, see `ReconstructionTask.blocks`; the figures are of the others.
         points: layer of points that it began with, ``source@version``; None: it began without.
     """
 
@@ -88,7 +88,9 @@ class Reconstructed:
 class InstalledMethod(Protocol):
     """What an entry point names."""
 
-    def reconstruct(self, dataset: Dataset, task: Task, out: Path, watch: ProgressReporter) -> Reconstructed:
+    def reconstruct(
+        self, dataset: Dataset, task: ReconstructionTask, out: Path, watch: ProgressReporter
+    ) -> ReconstructionResult:
         """Train a model, or go on where an earlier call was stopped.
 
         Args:
@@ -98,5 +100,5 @@ class InstalledMethod(Protocol):
             watch: told how it goes.
         """
 
-    def open(self, model: Path, looking: Looking = ...) -> Callable[[View], UInt8]:
+    def open(self, model: Path, looking: AppearancePolicy = ...) -> Callable[[View], UInt8]:
         """A renderer of a trained model: pixels (H, W, 3), RGB, of a view."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 from mirror.errors import UsageError
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.registry import installed_method
 from mirror.protocols.views.view import View
 
@@ -50,7 +50,7 @@ class BakingMethod(Protocol):
     """An installed method that can bake."""
 
     def bake(
-        self, model: Path, views: Sequence[View], out: Path, options: BakeOptions, looking: Looking = ...
+        self, model: Path, views: Sequence[View], out: Path, options: BakeOptions, looking: AppearancePolicy = ...
     ) -> Baking:
         """Write a model as a PLY.
 

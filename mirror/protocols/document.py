@@ -18,7 +18,7 @@ from mirror.schema.documents import Document, Identifier, Role
 RESERVED: Final = {"safety": "it follows with the closed-loop simulator"}
 """Names that a protocol will have, and why there is none yet."""
 
-Task = Literal[
+ReconstructionTask = Literal[
     "reconstruction",
     "lane-shift",
     "vehicle-translation",
@@ -257,7 +257,7 @@ class Protocol(Document):
     name: Identifier
     version: int = Field(ge=1)
     description: str
-    task: Task
+    task: ReconstructionTask
     groups: tuple[Group, ...] = Field(min_length=1)
     frames: Frames
     pixels: Pixels

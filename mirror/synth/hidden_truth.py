@@ -17,7 +17,7 @@ from mirror.metrics.images.psnr import psnr
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.hidden import HIDDEN, hidden_document
 from mirror.protocols.truth.raster import raster_of
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan, require_group
 from mirror.protocols.views.view import View
 from mirror.schema.files import write_bytes, write_json
@@ -69,7 +69,7 @@ def write_hidden_truth(
         raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
     table = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
     drives = {row["traversal_id"]: row["drive_id"] for row in table}
-    truth = TruthSource(dataset, plan.protocol, plan.layers)
+    truth = GroundTruth(dataset, plan.protocol, plan.layers)
     # Neighbours in time share what stands where.
     ordered = sorted(plan.views, key=lambda one: (one.traversal_id, one.timestamp_ns, one.group))
     for view in {one.traversal_id: one for one in reversed(ordered)}.values():
@@ -85,7 +85,7 @@ def write_hidden_truth(
     return len(plan.views)
 
 
-def _require_recorded(view: View, truth: TruthSource, preset: str, seed: int, drive_id: str) -> None:
+def _require_recorded(view: View, truth: GroundTruth, preset: str, seed: int, drive_id: str) -> None:
     """A picture that is rendered where it was taken is the one that was recorded."""
     there = truth.recorded(view)[1].decode()
     again = _rendered(view, 0.0, preset, seed, drive_id)

@@ -13,14 +13,14 @@ from mirror.errors import UsageError
 from mirror_baselines import mtgs_style, omnire_style
 from mirror_baselines.omnire_style.cube import Cube
 from mirror_baselines.splatting.seeding import seeded
-from mirror_baselines.splatting.settings import Rates
+from mirror_baselines.splatting.settings import LearningRates
 from tests.baselines_splatting.scenes import GROWING, SOURCES, initial, picture, small, stripes, viewpoint
 
 A, B = SOURCES
 
 
 def _mtgs(**changes):
-    rates = Rates(sh0=Rate(1e-2, 1e-3), shN=Rate(1e-2, 1e-3), adapter=Rate(1e-2, 1e-3))
+    rates = LearningRates(sh0=Rate(1e-2, 1e-3), shN=Rate(1e-2, 1e-3), adapter=Rate(1e-2, 1e-3))
     return mtgs_style.make(
         initial(), replace(small(mtgs_style.RELEASED, densification=GROWING), rates=rates, **changes)
     )

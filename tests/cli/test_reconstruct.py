@@ -32,9 +32,9 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.pictures.depth import encode_depth
 from mirror.errors import DatasetError, ExitCode, UsageError
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.model_document import Reconstruction, read_reconstruction, require_same_street, trained_on
-from mirror.methods.plugin import Task
+from mirror.methods.plugin import ReconstructionTask
 from mirror.methods.registry import installed_method
 from mirror.progress import NullProgress, progress_bar
 from mirror.protocols.document import load_protocol
@@ -196,7 +196,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
 
 def test_held_out_traversals_need_no_layers(dataset: Dataset, tmp_path: Path) -> None:
     chosen = dataset.with_layers(depth="made@1", points="made@1")
-    task = Task("street", "novel", load_protocol(str(narrow(tmp_path))), steps=4, threads=1)
+    task = ReconstructionTask("street", "novel", load_protocol(str(narrow(tmp_path))), steps=4, threads=1)
     done = installed_method("hybridworldsim").reconstruct(chosen, task, tmp_path / "model", NullProgress())
     assert done.steps == 4 and list((tmp_path / "model").glob("*/pictures/held-out-0-*.jpg"))
 
@@ -322,7 +322,7 @@ def test_layers_that_may_know_the_held_out_pictures_are_not_taken_unasked(
 ) -> None:
     asked = []
 
-    def noted(dataset: Dataset, task: Task, progress: object) -> None:
+    def noted(dataset: Dataset, task: ReconstructionTask, progress: object) -> None:
         asked.append(method_of(dataset, task))
         raise UsageError("enough")
 
@@ -337,7 +337,7 @@ def test_layers_that_were_made_for_a_split_are_not_taken_for_another_unasked(str
     """They are of its training traversals, one of which another split may hold out."""
     traversal = street.where(split="novel", role="train").traversals()[0]
     layout = Layout(Path(street.root))
-    task = Task("street", "novel", load_protocol("static-reconstruction"))
+    task = ReconstructionTask("street", "novel", load_protocol("static-reconstruction"))
     for source, expected in (("plane-sweep", "plane-sweep"), ("lidar", "dataset")):
         LayerWriter(layout, traversal, "points", source, "other-240").finish(POINTS, [point(0)], {})
         build_index(layout.root)
@@ -412,7 +412,9 @@ def test_layers_that_were_chosen_stay_chosen_when_others_are_made(
 ) -> None:
     monkeypatch.setattr("hybridworldsim.methods.layers.initialise", lambda *_, **__: SimpleNamespace(layer="made@1"))
     (scene,) = dataset.where(split="novel", role="train").scenes()
-    task = Task(scene=scene, split="novel", protocol=load_protocol(str(narrow(tmp_path))), initialise="plane-sweep")
+    task = ReconstructionTask(
+        scene=scene, split="novel", protocol=load_protocol(str(narrow(tmp_path))), initialise="plane-sweep"
+    )
     layers = layers_for(dataset.with_layers(stage="online"), task, NullProgress())
     assert (layers.depth, layers.points) == ("made@1", "made@1")
     assert layers.dataset.layers == replace(dataset.layers, stage="online", depth="made@1", points="made@1")
@@ -710,7 +712,7 @@ def test_views_that_nobody_took_are_a_submission_too(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model, submission, protocol = tmp_path / "model", tmp_path / "submission", tmp_path / "aside.toml"
-    protocols = Path(mirror.__file__).parent / "evaluation" / "protocols"
+    protocols = Path(mirror.__file__).parent / "protocols" / "definitions"
     text = (protocols / "lane-shift.toml").read_text()
     protocol.write_text(text.replace("max_width_px = 960", "max_width_px = 48"))
     said(capsys, *reconstruct(dataset, model, "--steps", 12))
@@ -721,7 +723,7 @@ def test_views_that_nobody_took_are_a_submission_too(
     assert len(plan.views) == len(list(submission.rglob("*.png"))) > 20
     assert {view.group for view in plan.views} == {f"{side}-{far}m" for side in ("left", "right") for far in (1, 2, 3)}
     # Where it stands is what is drawn.
-    drawn = installed_method("hybridworldsim").open(model, Looking(views=plan.views))
+    drawn = installed_method("hybridworldsim").open(model, AppearancePolicy(views=plan.views))
     for view in plan.views[:: len(plan.views) // 5]:
         np.testing.assert_array_equal(cv2.imread(str(submission / view.path))[..., ::-1], drawn(view))
     check = ("submission", "check", submission, "--truth", dataset.root, "--protocol", protocol)

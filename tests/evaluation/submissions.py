@@ -12,7 +12,7 @@ from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.template import manifest_for, write_manifest
 from mirror.protocols.document import Protocol, parse_protocol
 from mirror.protocols.png import encode_png
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan, View, plan_views
 
 SPLIT = "novel"
@@ -74,7 +74,7 @@ def write_renders(
 ) -> Plan:
     """A submission whose renders are the truth, changed."""
     plan = plan_views(dataset, protocol, SPLIT)
-    truth = TruthSource(dataset, protocol, plan.layers)
+    truth = GroundTruth(dataset, protocol, plan.layers)
     for view in plan.views:
         file = out / view.path
         file.parent.mkdir(parents=True, exist_ok=True)

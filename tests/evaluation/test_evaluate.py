@@ -23,7 +23,7 @@ from mirror.evaluation.submission.manifest import Appearance, Rectangle
 from mirror.evaluation.workers import Log
 from mirror.geometry.box_projection import project_boxes
 from mirror.protocols.document import load_protocol
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import View
 from tests.evaluation.submissions import SPLIT, small, write_renders
 from tests.evaluation.test_png import chunk, png
@@ -53,7 +53,7 @@ def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, fol
     assert done.result is not None
     rows = {row["path"]: row for row in pq.read_table(tmp_path / "images.parquet").to_pylist()}
     assert len(rows) == len(done.plan.views)
-    truth = TruthSource(dataset, protocol, done.plan.layers)
+    truth = GroundTruth(dataset, protocol, done.plan.layers)
     traversals: dict[str, list[float]] = {}
     free = 0
     for view in done.plan.views:

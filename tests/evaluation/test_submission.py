@@ -19,7 +19,7 @@ from mirror.evaluation.submission.manifest import Appearance, read_manifest
 from mirror.evaluation.submission.template import expected_files, write_template
 from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted
 from mirror.protocols.png import encode_png
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan, plan_views
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
 from tests.evaluation.test_png import chunk, png
@@ -164,7 +164,7 @@ def test_a_wrong_manifest_is_named(
 def test_a_template_lists_every_file_with_pose_lens_and_mask(dataset: Dataset, tmp_path: Path) -> None:
     protocol = small()
     plan = plan_views(dataset, protocol, SPLIT)
-    truth = TruthSource(dataset, protocol, plan.layers)
+    truth = GroundTruth(dataset, protocol, plan.layers)
     assert write_template(tmp_path / "open", plan, truth) == len(plan.views)
     assert write_template(tmp_path / "blind", plan, truth, blind=True) == len(plan.views)
     listed = json.loads((tmp_path / "open" / "views.json").read_text())

@@ -16,7 +16,7 @@ from mirror.dataset.layout import Layout, is_intact
 from mirror.dataset.owned import LEFT_OVER_AGE_S, OwnedFolder, left_overs
 from mirror.errors import DatasetError, RecordingError
 from mirror.ingest import traversal as traversal_module
-from mirror.ingest.judge import JudgedDrive, fingerprint, judge_drive
+from mirror.ingest.judge import DrivePasses, fingerprint, judge_drive
 from mirror.ingest.pictures import place_pictures
 from mirror.ingest.run import ingest
 from mirror.ingest.staging import Staging
@@ -29,21 +29,21 @@ from tests.ingest.recordings import SCENE, tree, write_recording
 
 
 @pytest.fixture
-def drive(tmp_path: Path) -> JudgedDrive:
+def drive(tmp_path: Path) -> DrivePasses:
     path = write_recording(tmp_path / "fleet", "a")
     recording, cleaning = open_recording(path), CleaningOptions()
     source = fingerprint(recording, "folder", "a")
     return judge_drive(path, recording, source, Trigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning)
 
 
-def attempt(staging: Staging, drive: JudgedDrive) -> Written:
+def attempt(staging: Staging, drive: DrivePasses) -> Written:
     (number,) = drive.slices
     return write_traversal(staging, drive, number, SCENE, "0" * 64, WriteOptions(), 1, lambda steps: None)
 
 
 @pytest.mark.parametrize("fails", [True, False])
 def test_an_attempt_that_wakes_late_leaves_what_another_has_sealed(
-    fails: bool, drive: JudgedDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fails: bool, drive: DrivePasses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A pauses in the middle of its pictures, B seals the traversal, A fails, or ends as well."""
     paused, go_on = threading.Event(), threading.Event()
@@ -91,7 +91,7 @@ def test_an_attempt_that_wakes_late_leaves_what_another_has_sealed(
     assert {Path(path).parts[0] for path in tree(staging.layout.root)} == {"traversals"}
 
 
-def test_a_run_that_wakes_late_leaves_what_another_run_has_published(drive: JudgedDrive, tmp_path: Path) -> None:
+def test_a_run_that_wakes_late_leaves_what_another_run_has_published(drive: DrivePasses, tmp_path: Path) -> None:
     out = tmp_path / "d"
     late = Staging(Layout(out))
     attempt(late, drive)
@@ -102,7 +102,7 @@ def test_a_run_that_wakes_late_leaves_what_another_run_has_published(drive: Judg
     assert tree(out) == before
 
 
-def test_what_a_killed_run_completed_is_taken_over_and_the_rest_removed(drive: JudgedDrive, tmp_path: Path) -> None:
+def test_what_a_killed_run_completed_is_taken_over_and_the_rest_removed(drive: DrivePasses, tmp_path: Path) -> None:
     out = tmp_path / "d"
     killed = Staging(Layout(out))
     name = attempt(killed, drive).traversal_id
@@ -146,7 +146,7 @@ def test_folders_of_other_machines_go_by_age(tmp_path: Path, monkeypatch: pytest
     assert list(left_overs(tmp_path, "run")) == [folder]
 
 
-def test_a_layer_that_two_attempts_write_is_the_first_ones(drive: JudgedDrive, tmp_path: Path) -> None:
+def test_a_layer_that_two_attempts_write_is_the_first_ones(drive: DrivePasses, tmp_path: Path) -> None:
     out = tmp_path / "d"
     name = ingest([drive.path], [SCENE], out).traversals[0].traversal_id
     late = LayerWriter(Layout(out), name, "points", "made", "1")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import heading_deg, matrix_from_quaternion
-from mirror.ingest.judge import JudgedDrive, PoseSlice, fingerprint, judge_drive
+from mirror.ingest.judge import DrivePasses, PoseSlice, fingerprint, judge_drive
 from mirror.ingest.tables import assign_frames, course, pose_table
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.registry import open_recording
@@ -24,7 +24,7 @@ LOCAL = Roi(scene_id="hall", frame="hall", x_m=0.0, y_m=0.0, radius_m=50.0)
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> JudgedDrive:
+def drive(tmp_path_factory: pytest.TempPathFactory) -> DrivePasses:
     path = write_recording(tmp_path_factory.mktemp("drives"), "d0", cameras=())
     recording, cleaning = open_recording(path), CleaningOptions()
     source = fingerprint(recording, "folder", "d0")
@@ -47,7 +47,7 @@ def unit_quaternions(count: int) -> np.ndarray:
     return rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
 
 
-def test_a_local_frame_is_the_world(drive: JudgedDrive) -> None:
+def test_a_local_frame_is_the_world(drive: DrivePasses) -> None:
     x, y, z = np.random.default_rng(0).normal(0, 20, (3, 7))
     rotation = unit_quaternions(7)
     table = pose_table(made(x, y, height_m=z, rotation=rotation, sigma_m=np.full(7, 0.2)), LOCAL, drive)
@@ -59,14 +59,14 @@ def test_a_local_frame_is_the_world(drive: JudgedDrive) -> None:
     assert set(table.column("orientation").to_pylist()) == {"recorded"}
 
 
-def test_a_local_frame_without_heights_is_flat(drive: JudgedDrive) -> None:
+def test_a_local_frame_without_heights_is_flat(drive: DrivePasses) -> None:
     table = pose_table(made(np.arange(4.0), np.zeros(4)), LOCAL, drive)
     assert table.column("tz_m").to_pylist() == [0.0] * 4
     assert set(table.column("orientation").to_pylist()) == {"course"}
 
 
 @pytest.mark.parametrize("with_height", [True, False])
-def test_the_world_is_east_north_up_at_the_centre(drive: JudgedDrive, with_height: bool) -> None:
+def test_the_world_is_east_north_up_at_the_centre(drive: DrivePasses, with_height: bool) -> None:
     """Against PROJ's topocentric conversion, which shares nothing with ours."""
     roi = SCENE.model_copy(update={"height_m": 500.0})
     offset = np.linspace(-50, 50, 5)
@@ -90,7 +90,7 @@ def test_the_world_is_east_north_up_at_the_centre(drive: JudgedDrive, with_heigh
     assert np.abs(world[0] - local[0]).max() > 2e-6
 
 
-def test_a_pose_that_is_none_is_named(drive: JudgedDrive) -> None:
+def test_a_pose_that_is_none_is_named(drive: DrivePasses) -> None:
     rotation = unit_quaternions(3)
     rotation[1] = 0.0
     with pytest.raises(RecordingError) as caught:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridworldsim.mvs.fusion import Cloud, PosedDepth, Voxels, cloud_of, confirm
+from hybridworldsim.mvs.fusion import PointCloud, PosedDepth, Voxels, cloud_of, confirm
 from mirror.geometry.poses import Poses
 from tests.mvs.pictures import SIZE, Wall, depth_of, intrinsics
 
@@ -58,9 +58,9 @@ def test_points_lie_where_the_surface_is() -> None:
     assert len(cloud_of(found, rgb, reference.K, reference.world_SE3_camera, 9)) == 0
 
 
-def made(position: np.ndarray, views: list[int]) -> Cloud:
+def made(position: np.ndarray, views: list[int]) -> PointCloud:
     count = len(position)
-    return Cloud(position, np.zeros((count, 3), np.uint8), np.array(views, np.int32), np.ones(count, np.float32))
+    return PointCloud(position, np.zeros((count, 3), np.uint8), np.array(views, np.int32), np.ones(count, np.float32))
 
 
 def test_a_cell_keeps_the_point_with_most_views_and_is_then_taken() -> None:

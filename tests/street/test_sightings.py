@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import hybridworldsim.model.visibility_cache as module
-from hybridworldsim.model.visibility_cache import Sightings
+from hybridworldsim.model.visibility_cache import VisibilityCache
 from hybridworldsim.training.viewpoint import viewpoint_of
 from tests.street.streets import view
 from tests.training.street import Painted, learner, views
@@ -18,7 +18,7 @@ def rows(*numbers):
 
 
 def test_what_a_picture_did_not_show_is_left_out_until_the_fourth_visit():
-    sightings, numbers, seen = Sightings(), [torch.arange(20), torch.arange(3)], [rows(1, 4, 19), rows(0, 2)]
+    sightings, numbers, seen = VisibilityCache(), [torch.arange(20), torch.arange(3)], [rows(1, 4, 19), rows(0, 2)]
     assert [one.tolist() for one in sightings.kept(HERE, seen, numbers)] == [[1, 4, 19], [0, 2]]
     for _ in range(2):
         for visit in range(4):
@@ -31,7 +31,7 @@ def test_what_a_picture_did_not_show_is_left_out_until_the_fourth_visit():
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 16])
 def test_rows_that_are_new_are_never_left_out(count):
-    sightings = Sightings()
+    sightings = VisibilityCache()
     sightings.note(HERE, [rows()], [torch.arange(count)])
     kept = torch.tensor([0, *range(count, count + 20)])
     (found,) = sightings.kept(HERE, [torch.arange(len(kept))], [kept])
@@ -39,14 +39,14 @@ def test_rows_that_are_new_are_never_left_out(count):
 
 
 def test_rows_keep_their_sightings_when_others_go():
-    sightings = Sightings()
+    sightings = VisibilityCache()
     sightings.note(HERE, [rows(2, 5)], [torch.arange(8)])
     (found,) = sightings.kept(HERE, [rows(0, 1, 2, 3)], [rows(1, 2, 5, 9)])
     assert found.tolist() == [1, 2, 3]
 
 
 def test_nodes_may_be_empty():
-    sightings = Sightings()
+    sightings = VisibilityCache()
     sightings.note(HERE, [rows()], [rows()])
     assert sightings.kept(HERE, [rows()], [rows()])[0].tolist() == []
     assert sightings.kept(HERE, [rows(0)], [rows(0)])[0].tolist() == [0]
@@ -54,7 +54,7 @@ def test_nodes_may_be_empty():
 
 def test_it_keeps_no_more_than_it_may(monkeypatch):
     monkeypatch.setattr(module, "_MOST_BYTES", 2)
-    sightings, numbers = Sightings(), [torch.arange(8)]
+    sightings, numbers = VisibilityCache(), [torch.arange(8)]
     places = [viewpoint_of(view(float(x)), np.zeros(3)) for x in range(5)]
     for place in places:
         sightings.note(place, [rows()], numbers)
@@ -62,11 +62,11 @@ def test_it_keeps_no_more_than_it_may(monkeypatch):
 
 
 def test_it_goes_on_where_it_was_kept():
-    one, numbers = Sightings(), [torch.arange(50), rows()]
+    one, numbers = VisibilityCache(), [torch.arange(50), rows()]
     for place, visits in ((HERE, 2), (THERE, 4)):
         for _ in range(visits):
             one.note(place, [rows(3, 40), rows()], numbers)
-    other = Sightings()
+    other = VisibilityCache()
     other.restore(one.state())
     for _ in range(6):
         for place in (HERE, THERE):
@@ -74,8 +74,8 @@ def test_it_goes_on_where_it_was_kept():
             assert all(torch.equal(a, b) for a, b in zip(found, expected))
             one.note(place, [rows(3), rows()], numbers)
             other.note(place, [rows(3), rows()], numbers)
-    empty = Sightings()
-    empty.restore(Sightings().state())
+    empty = VisibilityCache()
+    empty.restore(VisibilityCache().state())
     assert len(empty.kept(HERE, [rows(0)], [rows(0)])[0]) == 1
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from hybridworldsim.model.learning import StreetLearner
+from hybridworldsim.model.learning import StreetTrainer
 from hybridworldsim.model.seeding import Initial, street_of
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.training.picture import TrainingPicture
@@ -71,8 +71,8 @@ def initial(sources: Sequence[Source] | None = None) -> Initial:
     return Initial(wall, np.array([[90.0, 0.0, 5.0]]), driven, ground, 30.0, sources)
 
 
-def learner(settings: Settings = SETTINGS) -> StreetLearner:
-    return StreetLearner(street_of(initial(), settings), settings)
+def learner(settings: Settings = SETTINGS) -> StreetTrainer:
+    return StreetTrainer(street_of(initial(), settings), settings)
 
 
 def picture_of(viewpoint: Viewpoint, night: bool) -> TrainingPicture:

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybridworldsim.training.appearance import Looks, seen_of
+from hybridworldsim.training.appearance import AppearanceSelector, seen_of
 from hybridworldsim.training.lines import Lines, chamfer_m, filled
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
@@ -36,7 +36,7 @@ SEEN = seen_of(TRAINED)
 
 
 def look(policy: str, asked: list[View], which: int = 0, everywhere: bool = False):
-    return Looks(SEEN, policy, asked, everywhere).of(asked[which])
+    return AppearanceSelector(SEEN, policy, asked, everywhere).of(asked[which])
 
 
 def test_what_was_trained_on_keeps_its_look() -> None:
@@ -54,7 +54,7 @@ def test_whole_lines_are_compared_not_the_nearest_picture() -> None:
     # It begins where one traversal drove, and goes on where another did.
     asked = [*line("s.new.0", 0.0)[:4], *line("s.new.0", 8.0)[4:]]
     assert look("nearest", asked).content.traversal_id == "s.day.1"
-    assert Looks(SEEN, "nearest").of(asked[0]).content.traversal_id == "s.day.0"
+    assert AppearanceSelector(SEEN, "nearest").of(asked[0]).content.traversal_id == "s.day.0"
 
 
 def test_words_mean_light_weather_or_a_traversal() -> None:
@@ -76,17 +76,20 @@ def test_blocks_agree_on_a_look_and_take_the_nearest_where_they_have_not_seen_it
     parts = [seen_of([one for one in TRAINED if one.traversal_id != absent]) for absent in ("s.night.0", "s.day.0")]
 
     def chosen(policy: str) -> list[str]:
-        return [Looks(own, policy, asked, lines=Lines(SEEN, asked)).of(asked[0]).content.traversal_id for own in parts]
+        return [
+            AppearanceSelector(own, policy, asked, lines=Lines(SEEN, asked)).of(asked[0]).content.traversal_id
+            for own in parts
+        ]
 
     assert chosen("nearest") == ["s.day.1", "s.night.0"]
     assert chosen("day") == ["s.day.1", "s.day.1"]
     assert chosen("s.day.0") == ["s.day.0", "s.night.0"]
     with pytest.raises(UsageError, match="'night'"):
-        Looks(parts[0], "night", asked)
+        AppearanceSelector(parts[0], "night", asked)
     # Nobody else has seen it: what is said of a street does not change what a block has seen itself.
-    assert Looks(SEEN, "nearest", asked, lines=Lines(SEEN, asked)).of(asked[0]) == Looks(SEEN, "nearest", asked).of(
-        asked[0]
-    )
+    assert AppearanceSelector(SEEN, "nearest", asked, lines=Lines(SEEN, asked)).of(asked[0]) == AppearanceSelector(
+        SEEN, "nearest", asked
+    ).of(asked[0])
 
 
 def test_mean_is_of_the_camera() -> None:
@@ -97,7 +100,7 @@ def test_mean_is_of_the_camera() -> None:
 
 def test_a_sweep_goes_from_one_to_the_other() -> None:
     asked = line("s.new.0", 0.5)
-    looks = Looks(SEEN, "sweep:day:night", asked)
+    looks = AppearanceSelector(SEEN, "sweep:day:night", asked)
     shares = [looks.of(one).colours for one in asked[::2]]
     assert [blend[1][1] for blend in shares] == pytest.approx(np.linspace(0.0, 1.0, 10).tolist())
     assert {blend[0][0].traversal_id for blend in shares} == {"s.day.0"}
@@ -124,7 +127,7 @@ def test_an_edit_of_the_light_moves_nothing() -> None:
 @pytest.mark.parametrize("policy", ["snow", "sweep:day", "sweep:day:snow", "sweep:a:b:c", ""])
 def test_looks_that_nothing_has_are_refused(policy: str) -> None:
     with pytest.raises(UsageError):
-        Looks(SEEN, policy, TRAINED)
+        AppearanceSelector(SEEN, policy, TRAINED)
 
 
 @given(st.floats(-1e3, 1e3), st.integers(1, 5), st.floats(4e5, 6e6))
@@ -148,7 +151,9 @@ def test_a_line_that_several_blocks_saw_is_all_of_it() -> None:
     halves = [seen_of([one for one in TRAINED if (one.world_SE3_camera[4] < 5.0) == first]) for first in (True, False)]
     asked = line("s.new.0", 1.0)
     lines = Lines([one for half in halves for one in half], asked)
-    chosen = {Looks(half, "nearest", asked, lines=lines).of(asked[0]).content.traversal_id for half in halves}
+    chosen = {
+        AppearanceSelector(half, "nearest", asked, lines=lines).of(asked[0]).content.traversal_id for half in halves
+    }
     assert chosen == {"s.day.0"}
     reference = [
         chamfer_m(

@@ -19,7 +19,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.learning import StreetLearner
+from hybridworldsim.model.learning import StreetTrainer
 from hybridworldsim.model.seeding import street_of
 from hybridworldsim.model.storage import save_block
 from hybridworldsim.training.budget import Budget, Clock
@@ -29,7 +29,7 @@ from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.run.curves import read_curves
 from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters, write_parameters
-from hybridworldsim.training.run.specimens import Specimen
+from hybridworldsim.training.run.specimens import Preview
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.files import TEMPORARY
 from tests.conftest import ROOT
@@ -88,7 +88,7 @@ def run(
 
 def test_training_brings_pictures_nearer_and_leaves_a_whole_folder(tmp_path: Path) -> None:
     one = view("s.day.0", 2)
-    specimen = Specimen("training-0", Painted()(one), Painted()(one).viewpoint.source)
+    specimen = Preview("training-0", Painted()(one), Painted()(one).viewpoint.source)
     done = run(tmp_path / "run", 120, options=Options(specimens=[specimen]))
     rows = read_curves(tmp_path / "run" / "curves.csv", 1000)
     assert done.steps == 120 and done.skipped == 0 and len(rows) == REPORTS
@@ -310,7 +310,7 @@ def stopping_at(count: int) -> Painted:
 
 
 def test_a_loss_that_is_none_is_refused(tmp_path: Path) -> None:
-    class Diverging(StreetLearner):
+    class Diverging(StreetTrainer):
         def step(self, picture, progress):
             return StepReport({"rgb": 0.1, "depth": torch.inf}, 1)
 

@@ -10,12 +10,12 @@ import torch
 from hybridworldsim.model.blocks import Block, views_of
 from hybridworldsim.model.losses import colour_loss
 from hybridworldsim.model.street import Street
-from hybridworldsim.training.appearance import Looks
+from hybridworldsim.training.appearance import AppearanceSelector
 from hybridworldsim.training.data_loader import Pictures
-from hybridworldsim.training.run.folder import Run, Seen
+from hybridworldsim.training.run.folder import Run, TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
-from mirror.methods.appearance import FITTED_PART, Looking
+from mirror.methods.appearance import FITTED_PART, AppearancePolicy
 from mirror.protocols.views.view import View
 
 _STEPS: Final = 60
@@ -23,7 +23,7 @@ _RATE: Final = 0.05
 _MOST_PICTURES: Final = 8
 
 
-def fit_looks(street: Street, block: Block, run: Run, looking: Looking) -> tuple[Seen, ...]:
+def fit_looks(street: Street, block: Block, run: Run, looking: AppearancePolicy) -> tuple[TrainedCamera, ...]:
     """Add a latent to a street for each traversal and camera of its scene that sees it and that it was not trained on.
 
     Each begins with the nearest trained one; nothing but the latent is learnt.
@@ -50,7 +50,7 @@ def fit_looks(street: Street, block: Block, run: Run, looking: Looking) -> tuple
     seen = run.sources
     pictures = Pictures(dataset, plan, np.array(block.origin_m))
     known = {Source(one.traversal_id, one.camera) for one in seen}
-    looks = Looks(seen, "nearest", looking.views)
+    looks = AppearanceSelector(seen, "nearest", looking.views)
     by_source: dict[Source, list[View]] = {}
     for view in views_of(
         block, [view for view in plan.views if view.scene_id == run.scene and view.group not in moved]

@@ -13,7 +13,7 @@ from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.run import initialise
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
-from mirror.methods.plugin import Task
+from mirror.methods.plugin import ReconstructionTask
 from mirror.methods.training_images import Picture
 from mirror.progress import ProgressReporter
 
@@ -47,7 +47,7 @@ class Layers:
         return [] if getattr(self, kind) is None else sorted(set(traversals) - self.having(kind))
 
 
-def layers_for(dataset: Dataset, task: Task, progress: ProgressReporter) -> Layers:
+def layers_for(dataset: Dataset, task: ReconstructionTask, progress: ProgressReporter) -> Layers:
     """The layers that a task asks for, of the training traversals of its scene.
 
     Args:
@@ -76,13 +76,13 @@ def layers_for(dataset: Dataset, task: Task, progress: ProgressReporter) -> Laye
     return Layers(made.with_layers(depth=depth, points=points), depth, points)
 
 
-def method_of(dataset: Dataset, task: Task) -> str:
+def method_of(dataset: Dataset, task: ReconstructionTask) -> str:
     """Where layers come from, if a task does not say: ``dataset`` or an estimator."""
     brings = _brought(dataset, task, "points") and not task.withheld
     return task.initialise or (BROUGHT if brings else PLANE_SWEEP)
 
 
-def are_made(dataset: Dataset, task: Task) -> bool:
+def are_made(dataset: Dataset, task: ReconstructionTask) -> bool:
     """Whether all training traversals of a task's scene have the points that `layers_for` would make."""
     own = _training(dataset, task)
     return set(own.traversals()) <= _having(own, "points", f"{task.initialise or PLANE_SWEEP}@{_version(task)}")
@@ -93,11 +93,11 @@ def _having(dataset: Dataset, kind: Kind, name: str | None) -> frozenset[str]:
     return frozenset(row["traversal_id"] for row in rows if f"{kind}/{name}" in row["layers"])
 
 
-def _training(dataset: Dataset, task: Task) -> Dataset:
+def _training(dataset: Dataset, task: ReconstructionTask) -> Dataset:
     return dataset.where(scene=task.scene, split=task.split, role="train")
 
 
-def _version(task: Task) -> str:
+def _version(task: ReconstructionTask) -> str:
     """Of other training pictures or another width they are other layers."""
     return f"{task.split}-{task.protocol.pixels.max_width_px}{_without(task.withheld)}"
 
@@ -107,19 +107,19 @@ def _without(withheld: Set[Picture]) -> str:
     return f"-without-{len(withheld)}-{named[:8]}" if withheld else ""
 
 
-def _there(dataset: Dataset, task: Task, kind: str) -> set[str]:
+def _there(dataset: Dataset, task: ReconstructionTask, kind: str) -> set[str]:
     names = {
         name for row in _training(dataset, task).table("traversals", ["layers"]).column(0).to_pylist() for name in row
     }
     return {name.partition("/")[2] for name in names if name.startswith(f"{kind}/")}
 
 
-def _brought(dataset: Dataset, task: Task, kind: str) -> set[str]:
+def _brought(dataset: Dataset, task: ReconstructionTask, kind: str) -> set[str]:
     """Layers that no estimator of ours made: those may know the pictures that another split holds out."""
     return {name for name in _there(dataset, task, kind) if name.partition("@")[0] not in get_args(Method)}
 
 
-def _brought_layers(dataset: Dataset, task: Task) -> Layers:
+def _brought_layers(dataset: Dataset, task: ReconstructionTask) -> Layers:
     """The layers that are chosen, or the only ones: of what was brought, if there are points of that."""
     there = _brought if _brought(dataset, task, "points") else _there
     depth, points = (_only(dataset, kind, there(dataset, task, kind)) for kind in ("depth", "points"))
@@ -138,7 +138,7 @@ def _only(dataset: Dataset, kind: str, there: Set[str]) -> str | None:
     return min(there, default=None)
 
 
-def _named(dataset: Dataset, task: Task, name: str) -> Layers:
+def _named(dataset: Dataset, task: ReconstructionTask, name: str) -> Layers:
     """Depth and points of one name."""
     depth, points = (name if name in _there(dataset, task, kind) else None for kind in ("depth", "points"))
     if points is None:

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from hybridworldsim.model.seeding import Initial
-from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, Looks
-from hybridworldsim.training.learner import Learner, Rendering
+from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, AppearanceSelector
+from hybridworldsim.training.learner import Rendering, TrainableMethod
 from hybridworldsim.training.lines import Lines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters
@@ -20,7 +20,7 @@ from hybridworldsim.training.run.specimens import pixels
 from hybridworldsim.training.viewpoint import Source, viewpoint_of
 from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.protocols.views.view import View
 
 
@@ -41,10 +41,10 @@ class OpenBlock:
     """A block and what renders it."""
 
     run: Run
-    learner: Learner
+    learner: TrainableMethod
 
 
-def open_block(folder: Path, make: Callable[[Initial, Any], Learner], settings: type) -> OpenBlock:
+def open_block(folder: Path, make: Callable[[Initial, Any], TrainableMethod], settings: type) -> OpenBlock:
     """Read a trained block.
 
     Args:
@@ -73,7 +73,7 @@ class Opened:
         UsageError: the policy needs latents.
     """
 
-    def __init__(self, blocks: Sequence[OpenBlock], looking: Looking) -> None:
+    def __init__(self, blocks: Sequence[OpenBlock], looking: AppearancePolicy) -> None:
         if looking.policy in (FITTED, MEAN) or looking.policy.startswith(SWEEP):
             raise UsageError(
                 f"{looking.policy!r}, but {blocks[0].run.method} has no latents to fit or to mix",
@@ -82,7 +82,8 @@ class Opened:
         self._blocks = list(blocks)
         lines = Lines([source for one in blocks for source in one.run.sources], looking.views)
         self._looks = [
-            Looks(one.run.sources, looking.policy, looking.views, looking.everywhere, lines) for one in blocks
+            AppearanceSelector(one.run.sources, looking.policy, looking.views, looking.everywhere, lines)
+            for one in blocks
         ]
         self._centres = np.array([one.run.origin_m[:2] for one in blocks])
 

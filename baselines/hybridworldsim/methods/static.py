@@ -20,22 +20,22 @@ from hybridworldsim.methods.opened import Opened, Renderer, open_block
 from hybridworldsim.model.blocks import SIZE_M, Block, divide, views_of
 from hybridworldsim.model.initial import driven_m, initial_of, surroundings_of
 from hybridworldsim.model.seeding import Initial
-from hybridworldsim.training.appearance import Looks, seen_of
+from hybridworldsim.training.appearance import AppearanceSelector, seen_of
 from hybridworldsim.training.budget import Budget
-from hybridworldsim.training.data_loader import BarrenError, Pictures
-from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.data_loader import NoSupervisionError, Pictures
+from hybridworldsim.training.learner import TrainableMethod
 from hybridworldsim.training.loop import Options, train
 from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken
 from hybridworldsim.training.run.parameters import write_parameters
-from hybridworldsim.training.run.specimens import Specimen
+from hybridworldsim.training.run.specimens import Preview
 from hybridworldsim.training.viewpoint import Source
 from hybridworldsim.training.views import TrainingViews, training_views
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.model_document import DOCUMENT, Costs, Reconstruction, read_reconstruction, trained_on
-from mirror.methods.plugin import Reconstructed, Task
+from mirror.methods.plugin import ReconstructionResult, ReconstructionTask
 from mirror.progress import ProgressReporter
 from mirror.protocols.document import Group
 from mirror.protocols.views import Plan, plan_views
@@ -58,12 +58,14 @@ class StaticMethod:
     """
 
     name: str
-    make: Callable[[Initial, Any], Learner]
+    make: Callable[[Initial, Any], TrainableMethod]
     settings: Callable[[int], Any]
     block_m: float = SIZE_M
     sky: bool = False
 
-    def reconstruct(self, dataset: Dataset, task: Task, out: Path, watch: ProgressReporter) -> Reconstructed:
+    def reconstruct(
+        self, dataset: Dataset, task: ReconstructionTask, out: Path, watch: ProgressReporter
+    ) -> ReconstructionResult:
         """Train each block of a scene; see `InstalledMethod.reconstruct`.
 
         Raises:
@@ -104,7 +106,7 @@ class StaticMethod:
             write_json(out / DOCUMENT, about)
         held_out = _held_out(layers.dataset, task, watch)
         found: dict[str, Outcome | None] = {}
-        barren: BarrenError | None = None
+        barren: NoSupervisionError | None = None
         finished = read_reconstruction(out).done is not None
         for place, (block, seen) in enumerate(blocks):
             folder = RunFolder(out / block.name)
@@ -121,7 +123,7 @@ class StaticMethod:
             one = _Block(block, seen, initial, layers, training, held_out)
             try:
                 found[block.name] = self._train(one, task, folder, watch)
-            except BarrenError as error:
+            except NoSupervisionError as error:
                 barren = error
                 # A corner of a street of which road users or the vehicle itself hide all: the rest can do without.
                 watch.message(f"{block.name} is left out: masks cover every one of its pictures")
@@ -129,7 +131,7 @@ class StaticMethod:
         outcomes = [outcome for outcome in found.values() if outcome is not None]
         if barren is not None and not outcomes:
             raise barren
-        done = Reconstructed(
+        done = ReconstructionResult(
             folder=out,
             blocks=tuple(name for name, outcome in found.items() if outcome is not None),
             undone=tuple(name for name, outcome in found.items() if outcome is None),
@@ -147,7 +149,7 @@ class StaticMethod:
             _finish(out, done)
         return done
 
-    def open(self, model: Path, looking: Looking = Looking()) -> Renderer:  # noqa: B008 - immutable
+    def open(self, model: Path, looking: AppearancePolicy = AppearancePolicy()) -> Renderer:  # noqa: B008 - immutable
         """A renderer; see `InstalledMethod.open`.
 
         Raises:
@@ -157,11 +159,11 @@ class StaticMethod:
         settings = type(self.settings(0))
         return Opened([open_block(folder, self.make, settings) for folder in block_folders(model)], looking)
 
-    def write(self, path: Path, block: Block, learner: Learner, run: Run, *, half: bool) -> int:
+    def write(self, path: Path, block: Block, learner: TrainableMethod, run: Run, *, half: bool) -> int:
         """Write what rendering needs, and say how many bytes that is."""
         return write_parameters(path, learner.model, half=half)
 
-    def _train(self, one: _Block, task: Task, folder: RunFolder, watch: ProgressReporter) -> Outcome:
+    def _train(self, one: _Block, task: ReconstructionTask, folder: RunFolder, watch: ProgressReporter) -> Outcome:
         run = self._run(one, task)
         done = folder.begin(run)
         if done is not None:
@@ -187,10 +189,10 @@ class StaticMethod:
                 watch=watch,
             )
 
-    def _settings(self, task: Task) -> Any:
+    def _settings(self, task: ReconstructionTask) -> Any:
         return changed(self.settings(task.seed), task.settings)
 
-    def _run(self, one: _Block, task: Task) -> Run:
+    def _run(self, one: _Block, task: ReconstructionTask) -> Run:
         read = one.layers.dataset.layers
         settings = json.loads(json.dumps(asdict(self._settings(task))))
         return Run(
@@ -232,13 +234,13 @@ class _Block:
     training: TrainingViews
     held_out: Plan | None
 
-    def specimens(self, run: Run, watch: ProgressReporter) -> list[Specimen]:
+    def specimens(self, run: Run, watch: ProgressReporter) -> list[Preview]:
         """A few training and held-out pictures of the block; of what is held out, those that can be had."""
         shown = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
             shown.append(("held-out", self.held_out, views_of(self.block, self.held_out.views)))
         # Training pictures have looks of their own.
-        looks = Looks(run.sources, "nearest", () if self.held_out is None else self.held_out.views)
+        looks = AppearanceSelector(run.sources, "nearest", () if self.held_out is None else self.held_out.views)
         found = []
         for name, plan, views in shown:
             pictures = Pictures(self.layers.dataset, plan, np.array(self.block.origin_m))
@@ -252,7 +254,7 @@ class _Block:
                         raise
                     watch.message(f"not shown beside the others: {error}")
                     continue
-                found.append(Specimen(f"{name}-{number}", picture, looks.of(view).colours[0][0]))
+                found.append(Preview(f"{name}-{number}", picture, looks.of(view).colours[0][0]))
         return found
 
 
@@ -308,12 +310,12 @@ def _require_own(out: Path, document: Reconstruction) -> None:
         )  # fmt: skip
 
 
-def _finish(out: Path, done: Reconstructed) -> None:
+def _finish(out: Path, done: ReconstructionResult) -> None:
     costs = Costs(model_bytes=done.model_bytes, driven_m=done.driven_m, core_s=done.core_s, wall_s=done.wall_s)
     write_json(out / DOCUMENT, read_reconstruction(out).model_copy(update={"done": costs}))
 
 
-def _held_out(dataset: Dataset, task: Task, watch: ProgressReporter) -> Plan | None:
+def _held_out(dataset: Dataset, task: ReconstructionTask, watch: ProgressReporter) -> Plan | None:
     """Views of what is held out of the scene, to look at: nothing is learnt from them. None: there are none."""
     roles = ("held_out", "test")
     own = dataset.where(scene=task.scene)

@@ -15,20 +15,20 @@ from hybridworldsim.methods.static import StaticMethod, block_folders
 from hybridworldsim.model.appearance import Appearance
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
-from hybridworldsim.model.learning import StreetLearner
+from hybridworldsim.model.learning import StreetTrainer
 from hybridworldsim.model.ply_export import bake, shortfall_db, write_ply
 from hybridworldsim.model.seeding import Initial, street_of
 from hybridworldsim.model.settings import Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import Street
-from hybridworldsim.training.appearance import FITTED, Blend, Looks
-from hybridworldsim.training.learner import Learner, Rendering
+from hybridworldsim.training.appearance import FITTED, AppearanceSelector, Blend
+from hybridworldsim.training.learner import Rendering, TrainableMethod
 from hybridworldsim.training.lines import Lines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.specimens import pixels
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.ply_export import BakeOptions, Baking
 from mirror.protocols.views.view import View
 
@@ -39,7 +39,7 @@ STRUCTURE_WEIGHT: Final = 0.1
 class StreetMethod(StaticMethod):
     """`StaticMethod` whose blocks are composed, and whose looks are latents that can be mixed and fitted."""
 
-    def open(self, model: Path, looking: Looking = Looking()) -> OpenStreet:  # noqa: B008 - immutable
+    def open(self, model: Path, looking: AppearancePolicy = AppearancePolicy()) -> OpenStreet:  # noqa: B008 - immutable
         """See `StaticMethod.open`."""
         return OpenStreet([_open(folder) for folder in block_folders(model)], looking)
 
@@ -49,7 +49,7 @@ class StreetMethod(StaticMethod):
         views: Sequence[View],
         out: Path,
         options: BakeOptions,
-        looking: Looking = Looking(),  # noqa: B008
+        looking: AppearancePolicy = AppearancePolicy(),  # noqa: B008
     ) -> Baking:
         """See `mirror.methods.ply_export.BakingMethod`."""
         street = OpenStreet([_open(folder) for folder in block_folders(model)], looking)
@@ -59,9 +59,9 @@ class StreetMethod(StaticMethod):
         x, y, z = baked.origin_m.tolist()
         return Baking(len(baked), size, shortfall_db(baked, street.blocks, views, looks), (x, y, z))
 
-    def write(self, path: Path, block: Block, learner: Learner, run: Run, *, half: bool) -> int:
+    def write(self, path: Path, block: Block, learner: TrainableMethod, run: Run, *, half: bool) -> int:
         """See `StaticMethod.write`."""
-        if not isinstance(learner, StreetLearner):
+        if not isinstance(learner, StreetTrainer):
             raise UsageError(f"a {type(learner).__name__}", expected="a learner of a street")
         learner.settle()
         return save_block(path, block, learner.street, half=half, about={"settings_hash": run.settings_hash})
@@ -88,7 +88,7 @@ class OpenStreet:
             to.
     """
 
-    def __init__(self, blocks: Sequence[OpenBlock], looking: Looking) -> None:
+    def __init__(self, blocks: Sequence[OpenBlock], looking: AppearancePolicy) -> None:
         seen = [one.run.sources for one in blocks]
         if looking.policy == FITTED:
             seen = [fit_looks(one.street, one.block, one.run, looking) for one in blocks]
@@ -100,7 +100,7 @@ class OpenStreet:
         lines = Lines([source for own in seen for source in own], looking.views)
         # Whatever is drawn of a block shares its latents.
         self._looks = {
-            id(one.street.appearance): Looks(own, looking.policy, looking.views, looking.everywhere, lines)
+            id(one.street.appearance): AppearanceSelector(own, looking.policy, looking.views, looking.everywhere, lines)
             for one, own in zip(blocks, seen)
         }
         self.blocks = [(one.block, one.street) for one in blocks]
@@ -130,9 +130,9 @@ def blended(appearance: Appearance, blend: Blend) -> Tensor:
     return torch.stack([weight * appearance(source) for source, weight in blend]).sum(0)
 
 
-def make(initial: Initial, settings: Any) -> StreetLearner:
+def make(initial: Initial, settings: Any) -> StreetTrainer:
     """A street that has seen no picture yet."""
-    return StreetLearner(street_of(initial, settings), settings)
+    return StreetTrainer(street_of(initial, settings), settings)
 
 
 def _open(folder: Path) -> OpenBlock:

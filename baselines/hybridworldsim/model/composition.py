@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.parts import LEAST, Looks, Part, faded, parts_of
+from hybridworldsim.model.parts import LEAST, AppearanceSelector, Part, faded, parts_of
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.street import Drawn, Street, draw
+from hybridworldsim.model.street import RenderOutput, Street, draw
 from hybridworldsim.model.visible import visible
 from hybridworldsim.training.viewpoint import Viewpoint, viewpoint_of
 from mirror.arrays import Float64
@@ -42,7 +42,7 @@ class Composition:
         self._ready = [_Ready(part) for part in self._all.parts]
 
     @torch.inference_mode()
-    def draw(self, view: View, looks: Looks) -> tuple[Drawn, Mapping[str, int]]:
+    def draw(self, view: View, looks: AppearanceSelector) -> tuple[RenderOutput, Mapping[str, int]]:
         """Draw a view.
 
         Args:
@@ -87,7 +87,7 @@ class _Ready:
         self._spheres = [_sphere(node.means, node.log_scales) for node in nodes]
         self._whole = bool((part.background == 1.0).all()), bool((part.ground == 1.0).all())
 
-    def decoded(self, viewpoint: Viewpoint, sky: float, looks: Looks) -> list[Splats]:
+    def decoded(self, viewpoint: Viewpoint, sky: float, looks: AppearanceSelector) -> list[Splats]:
         """What the nodes show that a viewpoint may see; nodes that it does not see are not even listed."""
         background, ground, far = (len(visible(viewpoint, one[None, :3], one[3:])) > 0 for one in self._spheres)
         far &= sky > LEAST
@@ -108,10 +108,10 @@ class _Ready:
         return shown
 
 
-def _nothing(view: View) -> Drawn:
+def _nothing(view: View) -> RenderOutput:
     """What a view sees that looks out of the street."""
     rows, columns = view.height_px, view.width_px
-    return Drawn(torch.zeros(rows, columns, 3), torch.zeros(rows, columns), torch.zeros(rows, columns), (), {})
+    return RenderOutput(torch.zeros(rows, columns, 3), torch.zeros(rows, columns), torch.zeros(rows, columns), (), {})
 
 
 def _sphere(means: Tensor, log_scales: Tensor) -> Tensor:

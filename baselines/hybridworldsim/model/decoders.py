@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 
-class Conditioned(nn.Module):
+class ModulatedMLP(nn.Module):
     """A network of one hidden layer that an appearance conditions: what a picture pays for once, not for each row.
 
     The appearance adds to the hidden layer's bias and, where the network is bent, to the matrix that reads the codes:
@@ -49,7 +49,7 @@ class Conditioned(nn.Module):
         return torch.cat((matrix, bias[:, None], matrix.new_zeros(len(matrix), width - matrix.shape[1] - 1)), dim=1)
 
 
-def decoded(told: Tensor, *networks: tuple[Conditioned, Tensor]) -> tuple[Tensor, ...]:
+def decoded(told: Tensor, *networks: tuple[ModulatedMLP, Tensor]) -> tuple[Tensor, ...]:
     """What networks make of the same rows, each under an appearance of its own.
 
     Args:

@@ -16,8 +16,8 @@ from hybridworldsim.model.densification.schedule import due
 from hybridworldsim.model.lazy_adam import BETA1, BETA2, EPS, LazyAdam
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.model.settings import Rate, Settings
-from hybridworldsim.model.street import Drawn, Rows, Street
-from hybridworldsim.model.visibility_cache import Sightings
+from hybridworldsim.model.street import RenderOutput, Rows, Street
+from hybridworldsim.model.visibility_cache import VisibilityCache
 from hybridworldsim.training.learner import Rendering, StepReport
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.state import dumped, load
@@ -27,8 +27,8 @@ _SENSORS = 0.1
 """What tells a camera from the others of its traversal learns at this share of the traversal's rate."""
 
 
-class StreetLearner:
-    """A street that learns; a `hybridworldsim.training.learner.Learner`.
+class StreetTrainer:
+    """A street that learns; a `hybridworldsim.training.learner.TrainableMethod`.
 
     Args:
         street: the model, changed in place.
@@ -45,16 +45,16 @@ class StreetLearner:
         self._anchors = AnchorRefiner(street.background, anchors, refinement)
         self._ground = CodeRefiner(street.ground, ground, refinement, refinement.most_ground)
         self._sky = CodeRefiner(street.sky, sky, refinement, refinement.most_sky)
-        self._sightings = Sightings()
+        self._sightings = VisibilityCache()
         self._steps, self._refined, self._last, self._progress = 0, 0, 0, 0.0
 
     @property
     def model(self) -> Street:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         return self.street
 
     def step(self, picture: TrainingPicture, progress: float) -> StepReport:
-        """Learn from one picture; see `Learner`."""
+        """Learn from one picture; see `TrainableMethod`."""
         settings, street, viewpoint = self.settings, self.street, picture.viewpoint
         self._progress = progress
         for group in self._adam.param_groups:
@@ -87,12 +87,12 @@ class StreetLearner:
 
     @property
     def reads_depth(self) -> bool:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         return bool(self.settings.depth_weight or self.settings.normal_weight)
 
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         self.settle()
         drawn = self.street(viewpoint, self.street.appearance(viewpoint.source))
         counts = {
@@ -121,7 +121,7 @@ class StreetLearner:
             street.sky.rows(sky, learnt[2]),
         )
 
-    def _note(self, drawn: Drawn, viewpoint: Viewpoint) -> None:
+    def _note(self, drawn: RenderOutput, viewpoint: Viewpoint) -> None:
         """Keep what the picture shows: of what it does not, all gradients are zero."""
         shown = [
             part.rows[:0] if part.opacities.grad is None else part.rows[part.opacities.grad != 0.0]
@@ -139,7 +139,7 @@ class StreetLearner:
         for tables, far in zip(self._tables, (1.0, 1.0, self.settings.sky_radius)):
             yield {name: self._rate(name, far if name == "means" else 1.0) for name in tables.names}
 
-    def _losses(self, drawn: Drawn, picture: TrainingPicture) -> dict[str, Tensor]:
+    def _losses(self, drawn: RenderOutput, picture: TrainingPicture) -> dict[str, Tensor]:
         settings = self.settings
         losses = {"rgb": colour_loss(drawn.rgb, picture.rgb, picture.scored)}
         if settings.structure_weight:
@@ -152,7 +152,7 @@ class StreetLearner:
                 losses["normal"] = normal_loss(drawn.depth_m, picture.depth_m, known, picture.viewpoint.K)
         return losses
 
-    def _refine(self, drawn: Drawn, viewpoint: Viewpoint, progress: float) -> None:
+    def _refine(self, drawn: RenderOutput, viewpoint: Viewpoint, progress: float) -> None:
         """Keep what the picture tells, and act on it when it is time."""
         refinement = self.settings.refinement
         (rows, pull), *others = pulls(drawn, viewpoint)
@@ -167,7 +167,7 @@ class StreetLearner:
             self._sky.refine(self._refined)
 
     def state(self) -> dict[str, Tensor]:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         kept = {f"{name}.{key}": table for name, part in self._parts().items() for key, table in part.state().items()}
         counters = torch.tensor([self._steps, self._refined, self._last])
         return {
@@ -176,7 +176,7 @@ class StreetLearner:
         }  # fmt: skip
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         load(self.street, state, self._adam)
         for name, part in self._parts().items():
             own = f"{name}."
@@ -185,7 +185,7 @@ class StreetLearner:
         self._steps, self._refined, self._last = state["counters"].tolist()
         self._progress = float(state["progress"])
 
-    def _parts(self) -> dict[str, AnchorRefiner | CodeRefiner | LazyAdam | Sightings]:
+    def _parts(self) -> dict[str, AnchorRefiner | CodeRefiner | LazyAdam | VisibilityCache]:
         return {
             "anchors": self._anchors,
             "ground": self._ground,

@@ -26,7 +26,7 @@ _TALLEST: Final = 2.0
 _INSIDE: Final = 0.8
 _STEEP: Final = 0.7
 
-Looks: TypeAlias = Callable[[Appearance], tuple[Tensor, Tensor]]
+AppearanceSelector: TypeAlias = Callable[[Appearance], tuple[Tensor, Tensor]]
 """Of a block's latents, the appearance of its colours and of what is there."""
 
 _Node = TypeVar("_Node", bound=nn.Module)

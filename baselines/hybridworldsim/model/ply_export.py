@@ -17,7 +17,7 @@ from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.assembly import GEOMETRY
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
-from hybridworldsim.model.parts import LEAST, Looks, parts_of
+from hybridworldsim.model.parts import LEAST, AppearanceSelector, parts_of
 from hybridworldsim.model.street import Street
 from hybridworldsim.model.visible import visible
 from hybridworldsim.rasterizer import rasterization
@@ -66,7 +66,7 @@ class Baked:
 def bake(
     blocks: Sequence[tuple[Block, Street]],
     views: Sequence[View],
-    looks: Looks,
+    looks: AppearanceSelector,
     *,
     degree: int = 3,
     sky: Sky = "pull",
@@ -115,7 +115,9 @@ def bake(
     return Baked(means, quats, log_scales, logits, colours, every.origin_m)
 
 
-def shortfall_db(baked: Baked, blocks: Sequence[tuple[Block, Street]], views: Sequence[View], looks: Looks) -> float:
+def shortfall_db(
+    baked: Baked, blocks: Sequence[tuple[Block, Street]], views: Sequence[View], looks: AppearanceSelector
+) -> float:
     """What baking loses: PSNR of the baked street's pictures against the model's, over all pixels of some views."""
     street = Composition(blocks)
     errors = []

@@ -26,7 +26,7 @@ class Rate:
 
 
 @dataclass(frozen=True)
-class Rates:
+class LearningRates:
     """Learning rates of Adam: about twice those of Scaffold-GS and of 3DGS, as small budgets want it."""
 
     means: Rate = Rate(1e-2, 1e-4)
@@ -126,7 +126,7 @@ class Settings:
     depth_weight: float = 0.04
     normal_weight: float = 1e-5
     normal_every: int = 4
-    rates: Rates = field(default_factory=Rates)
+    rates: LearningRates = field(default_factory=LearningRates)
     refinement: Refinement = field(default_factory=Refinement)
     seed: int = 0
 

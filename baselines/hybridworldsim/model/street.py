@@ -24,7 +24,7 @@ class Rows(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class RenderOutput:
     """A picture with what the optimiser reads.
 
     Attributes:
@@ -80,7 +80,7 @@ class Street(nn.Module):
         *,
         rows: Rows | None = None,
         pulls: bool = False,
-    ) -> Drawn:
+    ) -> RenderOutput:
         """Draw a viewpoint.
 
         Args:
@@ -94,7 +94,7 @@ class Street(nn.Module):
         return draw(viewpoint, parts, pulls=pulls)
 
 
-def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, pulls: bool = False) -> Drawn:
+def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, pulls: bool = False) -> RenderOutput:
     """Rasterize what nodes show; see `Street.forward`."""
     splats = joined(parts)
     pictures, alphas, meta = rasterization(
@@ -112,4 +112,4 @@ def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, pulls: bool = False
         absgrad=pulls,
         nonfinite="cull",
     )
-    return Drawn(pictures[0, ..., :3], alphas[0, ..., 0], pictures[0, ..., 3], parts, meta)
+    return RenderOutput(pictures[0, ..., :3], alphas[0, ..., 0], pictures[0, ..., 3], parts, meta)

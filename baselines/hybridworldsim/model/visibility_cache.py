@@ -28,7 +28,7 @@ class _Visited:
     shown: list[UInt8] = field(default_factory=list)
 
 
-class Sightings:
+class VisibilityCache:
     """Which rows of the nodes each training picture shows.
 
     Half of what a street's viewpoint may see is hidden by something: its gradients are zero, and cost what others do.

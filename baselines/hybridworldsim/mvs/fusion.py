@@ -131,7 +131,7 @@ def _hold(
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class PointCloud:
     """N points.
 
     Attributes:
@@ -149,12 +149,12 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.position_m)
 
-    def only(self, chosen: Bool | Int64) -> Cloud:
+    def only(self, chosen: Bool | Int64) -> PointCloud:
         """Some of the points."""
-        return Cloud(self.position_m[chosen], self.rgb[chosen], self.views[chosen], self.sigma_m[chosen])
+        return PointCloud(self.position_m[chosen], self.rgb[chosen], self.views[chosen], self.sigma_m[chosen])
 
     @classmethod
-    def together(cls, clouds: Sequence[Cloud]) -> Cloud:
+    def together(cls, clouds: Sequence[PointCloud]) -> PointCloud:
         """Clouds one behind the other."""
         empty = cls(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0, np.int32), np.empty(0, np.float32))
         every = [empty, *clouds]
@@ -164,7 +164,7 @@ class Cloud:
 _FIELDS: Final = ("position_m", "rgb", "views", "sigma_m")
 
 
-def cloud_of(confirmed: Confirmed, rgb: UInt8, K: Float64, world_SE3_camera: Poses, least_views: int) -> Cloud:
+def cloud_of(confirmed: Confirmed, rgb: UInt8, K: Float64, world_SE3_camera: Poses, least_views: int) -> PointCloud:
     """The points of a picture that at least so many pictures agree on."""
     row, column = np.nonzero(confirmed.views >= least_views)
     depth = confirmed.depth_m[row, column].astype(np.float64)
@@ -174,7 +174,7 @@ def cloud_of(confirmed: Confirmed, rgb: UInt8, K: Float64, world_SE3_camera: Pos
     views = confirmed.views[row, column]
     # Where all agree exactly the depths were still rounded.
     sigma = np.maximum(confirmed.spread_m[row, column] / np.sqrt(views), 1e-4 * depth).astype(np.float32)
-    return Cloud(position.reshape(-1, 3), rgb[row, column], views, sigma)
+    return PointCloud(position.reshape(-1, 3), rgb[row, column], views, sigma)
 
 
 class Voxels:
@@ -190,7 +190,7 @@ class Voxels:
         self._side = side_m
         self._taken: Int64 = np.empty(0, np.int64)
 
-    def thin(self, cloud: Cloud) -> Cloud:
+    def thin(self, cloud: PointCloud) -> PointCloud:
         """The points in cells where there was none, one each: the one with most views; their cells are taken."""
         if not len(cloud):
             return cloud

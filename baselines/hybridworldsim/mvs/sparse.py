@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from hybridworldsim.mvs.estimator import PosedPicture
-from hybridworldsim.mvs.fusion import Cloud
+from hybridworldsim.mvs.fusion import PointCloud
 from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.errors import UsageError
 
@@ -43,7 +43,7 @@ class SparsePoints:
         first: (N,) the earliest picture that sees each.
     """
 
-    cloud: Cloud
+    cloud: PointCloud
     first: Int64
 
 
@@ -75,7 +75,7 @@ def triangulate(picture_of: Callable[[int], PosedPicture], sources: Sequence[Int
         if len(found):
             matches[one, other] = found
     if not matches:
-        return SparsePoints(Cloud.together([]), np.empty(0, np.int64))
+        return SparsePoints(PointCloud.together([]), np.empty(0, np.int64))
     return _triangulated(features, colours, cameras, sizes, matches)
 
 
@@ -174,7 +174,7 @@ def _triangulated(
         views.append(len({picture for picture, _ in seen}))
         first.append(min(seen)[0])
     count = len(position)
-    cloud = Cloud(
+    cloud = PointCloud(
         np.reshape(position, (count, 3)).astype(np.float64),
         np.round(np.reshape(rgb, (count, 3))).astype(np.uint8),
         np.array(views, np.int32),

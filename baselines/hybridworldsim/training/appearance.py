@@ -16,7 +16,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from hybridworldsim.training.lines import Lines
-from hybridworldsim.training.run.folder import Seen
+from hybridworldsim.training.run.folder import TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 from mirror.errors import UsageError
@@ -44,7 +44,7 @@ class Look:
     content: Source
 
 
-def seen_of(views: Sequence[View]) -> tuple[Seen, ...]:
+def seen_of(views: Sequence[View]) -> tuple[TrainedCamera, ...]:
     """The traversals and cameras of training views, with some of the places that they were at."""
     by_source: dict[Source, list[View]] = {}
     for view in views:
@@ -54,7 +54,7 @@ def seen_of(views: Sequence[View]) -> tuple[Seen, ...]:
         chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), _MOST_PLACES)).round().astype(int))
         places = [own[place].pose for place in chosen]
         found.append(
-            Seen(
+            TrainedCamera(
                 traversal_id=source.traversal_id,
                 camera=source.camera,
                 light=own[0].light,
@@ -67,7 +67,7 @@ def seen_of(views: Sequence[View]) -> tuple[Seen, ...]:
 
 
 @dataclass(frozen=True)
-class Looks:
+class AppearanceSelector:
     """The looks of pictures that shall be rendered.
 
     Attributes:
@@ -79,7 +79,7 @@ class Looks:
             `seen` is all there is. A block that has not seen what is chosen takes the nearest that it has.
     """
 
-    seen: tuple[Seen, ...]
+    seen: tuple[TrainedCamera, ...]
     policy: str = "nearest"
     views: Sequence[View] = ()
     everywhere: bool = False
@@ -122,7 +122,7 @@ class Looks:
         return words
 
     @cached_property
-    def _by_source(self) -> dict[Source, Seen]:
+    def _by_source(self) -> dict[Source, TrainedCamera]:
         return {Source(one.traversal_id, one.camera): one for one in self.seen}
 
     @cached_property

@@ -19,7 +19,7 @@ from mirror.dataset.image import DepthImage, Image, Mask
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
 from mirror.protocols.truth.raster import raster_of
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
 
@@ -55,7 +55,7 @@ class Pictures:
     ) -> None:
         self._plan, self._origin, self._most = plan, origin_m, cache_bytes
         self._sky, self._depth_of = sky, depth_of
-        self._source = TruthSource(dataset, plan.protocol, plan.layers)
+        self._source = GroundTruth(dataset, plan.protocol, plan.layers)
         self._held: OrderedDict[str, TrainingPicture] = OrderedDict()
         self.held_bytes = 0
         self.opened = 0
@@ -149,7 +149,7 @@ def order(seed: int, count: int, first: int) -> Iterator[int]:
         epoch, place = epoch + 1, 0
 
 
-class BarrenError(DatasetError):
+class NoSupervisionError(DatasetError):
     """Not one picture has a pixel to learn from."""
 
 
@@ -157,7 +157,7 @@ def stream(pictures: Pictures, views: Sequence[View], seed: int, first: int) -> 
     """Training pictures without end, in the order of `order`; a thread opens the next ones meanwhile.
 
     Raises:
-        BarrenError: not one picture has a pixel to learn from.
+        NoSupervisionError: not one picture has a pixel to learn from.
         DatasetError: a file is missing or broken.
     """
     barren: set[int] = set()
@@ -174,7 +174,7 @@ def stream(pictures: Pictures, views: Sequence[View], seed: int, first: int) -> 
                 if not picture.scored.any():
                     barren.add(place)
                     if len(barren) == len(views):
-                        raise BarrenError(
+                        raise NoSupervisionError(
                             "masks cover every training picture", expected="pixels of the static street",
                             remedy="look at the masks: road users, the vehicle itself, and what the lens does not see",
                         )  # fmt: skip

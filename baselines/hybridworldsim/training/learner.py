@@ -42,7 +42,7 @@ class StepReport:
     gaussians: int
 
 
-class Learner(Protocol):
+class TrainableMethod(Protocol):
     """A model with its optimisers: one a method."""
 
     @property

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hybridworldsim.training.run.folder import Seen
+from hybridworldsim.training.run.folder import TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 from mirror.protocols.views.view import View
@@ -26,7 +26,7 @@ class Lines:
         views: all that will be rendered: what they tell of a traversal's line decides which is nearest to it.
     """
 
-    def __init__(self, known: Sequence[Seen], views: Sequence[View]) -> None:
+    def __init__(self, known: Sequence[TrainedCamera], views: Sequence[View]) -> None:
         self.known = tuple(known)
         self._views = views
         self._trees: dict[str, cKDTree] | None = None

@@ -17,11 +17,11 @@ from torch import Tensor
 
 from hybridworldsim.training.budget import Budget, Clock
 from hybridworldsim.training.data_loader import Pictures, stream
-from hybridworldsim.training.learner import Learner, StepReport
+from hybridworldsim.training.learner import StepReport, TrainableMethod
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.run.checkpoint import Position, Sums
 from hybridworldsim.training.run.folder import Outcome, RunFolder
-from hybridworldsim.training.run.specimens import Specimen, write_specimens
+from hybridworldsim.training.run.specimens import Preview, write_specimens
 from mirror.errors import DatasetError
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.views.view import View
@@ -47,12 +47,12 @@ class Options:
     """
 
     checkpoint_s: float = 30.0
-    specimens: Sequence[Specimen] = ()
+    specimens: Sequence[Preview] = ()
     title: str = "training"
 
 
 def train(
-    learner: Learner,
+    learner: TrainableMethod,
     pictures: Pictures,
     views: Sequence[View],
     budget: Budget,
@@ -147,7 +147,7 @@ def _report(
     position: Position,
     progress: float,
     gaussians: int,
-    learner: Learner,
+    learner: TrainableMethod,
     options: Options,
     watch: ProgressReporter,
 ) -> Position:
@@ -176,7 +176,7 @@ def _report(
     return replace(position, reports=reports, rows=position.rows + 1, sums=Sums())
 
 
-def _require_sound(learner: Learner, position: Position) -> None:
+def _require_sound(learner: TrainableMethod, position: Position) -> None:
     # The rasterizer leaves out what has no place, so that no loss tells of such parameters.
     for name, parameter in learner.model.named_parameters():
         if not bool(parameter.detach().sum().isfinite()):

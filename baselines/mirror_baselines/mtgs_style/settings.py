@@ -8,7 +8,7 @@ from typing import Final
 from hybridworldsim.model.settings import Rate
 from mirror_baselines.splatting import tuned
 from mirror_baselines.splatting.scaled import scaled
-from mirror_baselines.splatting.settings import Densification, Rates, Seeding, Splatting, Weights
+from mirror_baselines.splatting.settings import Densification, GaussianInit, LearningRates, Splatting, Weights
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class MtgsStyle(Splatting):
 
 
 RELEASED: Final = MtgsStyle(
-    seeding=Seeding(spacing_m=0.15, sky_count=6_000),
-    rates=Rates(
+    seeding=GaussianInit(spacing_m=0.15, sky_count=6_000),
+    rates=LearningRates(
         means=Rate(8e-4, 8e-6),
         shN=Rate(1.25e-4, 1.25e-4),
     ),

@@ -8,7 +8,7 @@ from typing import Final
 from hybridworldsim.model.settings import Rate
 from mirror_baselines.splatting import tuned
 from mirror_baselines.splatting.scaled import scaled
-from mirror_baselines.splatting.settings import Densification, Rates, Seeding, Splatting, Weights
+from mirror_baselines.splatting.settings import Densification, GaussianInit, LearningRates, Splatting, Weights
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class OmnireStyle(Splatting):
 
 
 RELEASED: Final = OmnireStyle(
-    seeding=Seeding(sky_count=0, far_count=4_000),
-    rates=Rates(means=Rate(8e-3, 8e-5)),
+    seeding=GaussianInit(sky_count=0, far_count=4_000),
+    rates=LearningRates(means=Rate(8e-3, 8e-5)),
     densification=Densification(gradient=5e-4, split_m=0.15, largest_m=None, absolute=True),
     weights=Weights(depth=0.01, depth_kind="metres"),
     near_m=0.1,

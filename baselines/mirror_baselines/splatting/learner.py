@@ -1,4 +1,4 @@
-"""Explicit Gaussians that learn from pictures; a `hybridworldsim.training.learner.Learner`."""
+"""Explicit Gaussians that learn from pictures; a `hybridworldsim.training.learner.TrainableMethod`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mirror_baselines.splatting.settings import Splatting
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class RenderOutput:
     """A picture with what the optimiser reads.
 
     Attributes:
@@ -61,7 +61,7 @@ class SplattingLearner:
         self._steps = 0
 
     def step(self, picture: TrainingPicture, progress: float) -> StepReport:
-        """Learn from one picture; see `Learner`."""
+        """Learn from one picture; see `TrainableMethod`."""
         settings, look = self.settings, self.model.look
         self.model.sh_degree.fill_(min(int(progress / settings.sh_step), settings.sh_degree))
         for name, adam in self._adams.items():
@@ -84,7 +84,7 @@ class SplattingLearner:
         self._steps += 1
         return StepReport({name: float(loss.detach()) for name, (_, loss) in losses.items()}, len(self.model))
 
-    def _update(self, drawn: Drawn, picture: TrainingPicture) -> None:
+    def _update(self, drawn: RenderOutput, picture: TrainingPicture) -> None:
         for name, leaf in drawn.geometry.items():
             if leaf.grad is not None:
                 self._adams[name].update(drawn.rows, leaf.grad)
@@ -95,17 +95,17 @@ class SplattingLearner:
 
     @property
     def reads_depth(self) -> bool:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         return bool(self.settings.weights.depth or self.settings.weights.normal)
 
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         drawn = self._draw(viewpoint, learning=False)
         counts = {"held": len(self.model), "decoded": len(drawn.rows), "drawn": len(drawn.meta["gaussian_ids"])}
         return Rendering(drawn.finished.rgb, drawn.alpha, drawn.depth_m, counts)
 
-    def _draw(self, viewpoint: Viewpoint, *, learning: bool) -> Drawn:
+    def _draw(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
         model, settings = self.model, self.settings
         rows = model.seen(viewpoint)
         geometry, harmonics = model.geometry(rows), model.harmonics(rows, viewpoint.source)
@@ -131,17 +131,17 @@ class SplattingLearner:
         meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
         alpha = alphas[0, ..., 0]
         finished = model.look.finish(pictures[0, ..., :3], alpha, viewpoint)
-        return Drawn(finished, alpha, pictures[0, ..., 3], rows, geometry, harmonics, meta)
+        return RenderOutput(finished, alpha, pictures[0, ..., 3], rows, geometry, harmonics, meta)
 
     def state(self) -> dict[str, Tensor]:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         moments = self._moments()
         for one in self._optimizers():
             moments.state.update(one.state)
         return {"counters": torch.tensor([self._steps]), **self._density.state(), **dumped(self.model, moments)}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """See `Learner`."""
+        """See `TrainableMethod`."""
         moments = self._moments()
         load(self.model, state, moments)
         for one in self._optimizers():

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from hybridworldsim.model.nodes.code_gaussians import Seeds
 from hybridworldsim.model.seeding import Initial, background_points, ground_seeds, sky_seeds, spacing
-from mirror_baselines.splatting.settings import Seeding
+from mirror_baselines.splatting.settings import GaussianInit
 
 _BAND0 = 0.28209479177387814
 _GREY = 0.5
 
 
-def seeded(initial: Initial, settings: Seeding) -> dict[str, Tensor]:
+def seeded(initial: Initial, settings: GaussianInit) -> dict[str, Tensor]:
     """Parameters of explicit Gaussians by the names that gsplat's strategies know, and the constant band of colour.
 
     Args:
@@ -41,7 +41,7 @@ def seeded(initial: Initial, settings: Seeding) -> dict[str, Tensor]:
     }
 
 
-def _sky(initial: Initial, settings: Seeding) -> Seeds:
+def _sky(initial: Initial, settings: GaussianInit) -> Seeds:
     count = settings.sky_count
     seeds = sky_seeds(initial, max(count, 1), settings.sky_radii, settings.far_count)
     if count:
@@ -50,7 +50,7 @@ def _sky(initial: Initial, settings: Seeding) -> Seeds:
     return Seeds(seeds.means[1:], seeds.quats[1:], seeds.scales[1:], seeds.opacity)
 
 
-def _background(initial: Initial, settings: Seeding) -> tuple[Seeds, Tensor]:
+def _background(initial: Initial, settings: GaussianInit) -> tuple[Seeds, Tensor]:
     points = background_points(initial, settings.spacing_m, settings.share, settings.most)
     sizes = settings.size * spacing(points, settings.spacing_m)
     colours = np.full((len(points), 3), _GREY)

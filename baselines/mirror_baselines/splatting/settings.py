@@ -10,7 +10,7 @@ from mirror.errors import UsageError
 
 
 @dataclass(frozen=True)
-class Rates:
+class LearningRates:
     """Learning rates of Adam; those of 3DGS (gsplat's `simple_trainer`) on a block of some 50 m.
 
     Attributes:
@@ -33,7 +33,7 @@ class Rates:
 
 
 @dataclass(frozen=True)
-class Seeding:
+class GaussianInit:
     """What training begins with: the points of the street's own beginning.
 
     Attributes:
@@ -144,8 +144,8 @@ class Splatting:
         seed: of everything that is left to chance.
     """
 
-    seeding: Seeding = field(default_factory=Seeding)
-    rates: Rates = field(default_factory=Rates)
+    seeding: GaussianInit = field(default_factory=GaussianInit)
+    rates: LearningRates = field(default_factory=LearningRates)
     densification: Densification = field(default_factory=Densification)
     weights: Weights = field(default_factory=Weights)
     sh_degree: int = 3

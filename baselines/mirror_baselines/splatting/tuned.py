@@ -13,10 +13,10 @@ from __future__ import annotations
 from typing import Final
 
 from hybridworldsim.model.settings import Rate
-from mirror_baselines.splatting.settings import Densification, Rates, Seeding, Weights
+from mirror_baselines.splatting.settings import Densification, GaussianInit, LearningRates, Weights
 
-SEEDING: Final = Seeding(most=20_000, spacing_m=0.2, opacity=0.5, ground_spacing_m=0.5)
-RATES: Final = Rates(
+SEEDING: Final = GaussianInit(most=20_000, spacing_m=0.2, opacity=0.5, ground_spacing_m=0.5)
+RATES: Final = LearningRates(
     means=Rate(1.6e-2, 1.6e-4),
     quats=Rate(1e-3, 1e-4),
     scales=Rate(1e-2, 1e-3),

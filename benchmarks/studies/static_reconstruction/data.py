@@ -11,11 +11,11 @@ import mirror
 from benchmarks.studies.static_reconstruction.declared import NOVEL, TRAINING, Declared
 from benchmarks.studies.static_reconstruction.methods import FEWER, fewer
 from hybridworldsim.methods.layers import are_made, layers_for
-from hybridworldsim.training.appearance import Looks, seen_of
+from hybridworldsim.training.appearance import AppearanceSelector, seen_of
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.layout import manifest_sha256
 from mirror.errors import DatasetError
-from mirror.methods.plugin import Task
+from mirror.methods.plugin import ReconstructionTask
 from mirror.progress import ProgressReporter
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.views import plan_views
@@ -147,14 +147,16 @@ def _nearest_first(dataset: Dataset, declaration: Declared, scene: str) -> list[
     held_out = [view for view in plan.views if view.group == NOVEL]
     seen, order = seen_of([view for view in plan.views if view.group == TRAINING]), []
     while seen:
-        order.append(Looks(seen, declaration.policy, held_out).of(held_out[0]).content.traversal_id)
+        order.append(AppearanceSelector(seen, declaration.policy, held_out).of(held_out[0]).content.traversal_id)
         seen = tuple(one for one in seen if one.traversal_id != order[-1])
     return order
 
 
-def task_of(declaration: Declared, scene: str, split: str, width_px: int, core_minutes: float, seed: int) -> Task:
+def task_of(
+    declaration: Declared, scene: str, split: str, width_px: int, core_minutes: float, seed: int
+) -> ReconstructionTask:
     """What a method is asked for."""
-    return Task(
+    return ReconstructionTask(
         scene=scene,
         split=split,
         protocol=narrowed(declaration, width_px),

@@ -13,12 +13,12 @@ from benchmarks.studies.static_reconstruction.declared import NOVEL, Declared, d
 from benchmarks.studies.static_reconstruction.methods import Entry, entries
 from benchmarks.studies.static_reconstruction.scoring import Scores, averaged, plain, scores_of
 from mirror.dataset.dataset import Dataset
-from mirror.methods.appearance import Looking
-from mirror.methods.plugin import Reconstructed
+from mirror.methods.appearance import AppearancePolicy
+from mirror.methods.plugin import ReconstructionResult
 from mirror.metrics.features.perceptual import PerceptualDistance
 from mirror.metrics.features.st_lpips import load_st_lpips
 from mirror.progress import NullProgress
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan, plan_views
 from mirror.schema.files import write_bytes
 
@@ -101,7 +101,7 @@ def run(job: Job, folder: Path) -> Path:
     return outcome
 
 
-def _costs(done: Reconstructed) -> dict[str, Any]:
+def _costs(done: ReconstructionResult) -> dict[str, Any]:
     return {
         "steps": done.steps,
         "core_s": done.core_s,
@@ -115,9 +115,9 @@ def _costs(done: Reconstructed) -> dict[str, Any]:
 def _scored(
     entry: Entry, model: Path, dataset: Dataset, plan: Plan, declaration: Declared, network: PerceptualDistance
 ) -> dict[str, Any]:
-    truth = TruthSource(dataset, plan.protocol, plan.layers)
+    truth = GroundTruth(dataset, plan.protocol, plan.layers)
     groups = [group.name for group in plan.protocol.groups]
-    render = entry.method.open(model, Looking(declaration.policy, plan.views))
+    render = entry.method.open(model, AppearancePolicy(declaration.policy, plan.views))
     scores = scores_of(render, plan, truth, groups, network)
     oracle = _oracle(entry, model, dataset, plan, truth)
     return {
@@ -127,11 +127,11 @@ def _scored(
     }
 
 
-def _oracle(entry: Entry, model: Path, dataset: Dataset, plan: Plan, truth: TruthSource) -> list[Scores]:
+def _oracle(entry: Entry, model: Path, dataset: Dataset, plan: Plan, truth: GroundTruth) -> list[Scores]:
     """The held-out pictures with the looks of that training traversal with which they score best."""
     own = dataset.where(split=plan.split, role="train", scene=plan.views[0].scene_id)
     tried = [
-        scores_of(entry.method.open(model, Looking(traversal, plan.views)), plan, truth, [NOVEL])
+        scores_of(entry.method.open(model, AppearancePolicy(traversal, plan.views)), plan, truth, [NOVEL])
         for traversal in own.traversals()
     ]
     return max(tried, key=lambda scores: averaged(scores, NOVEL)["psnr_cc"])

@@ -14,7 +14,7 @@ from mirror.metrics.features.st_lpips import st_lpips
 from mirror.metrics.images.colour_correction import psnr_cc
 from mirror.metrics.images.psnr import psnr
 from mirror.metrics.images.ssim import ssim
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
 
@@ -38,7 +38,7 @@ class Scores:
 def scores_of(
     render: Callable[[View], UInt8],
     plan: Plan,
-    truth: TruthSource,
+    truth: GroundTruth,
     groups: Sequence[str],
     network: PerceptualDistance | None = None,
 ) -> list[Scores]:

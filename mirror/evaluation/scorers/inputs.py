@@ -18,7 +18,7 @@ from mirror.evaluation.submission.untrusted import UntrustedFiles, open_untruste
 from mirror.protocols.document import Protocol
 from mirror.protocols.png import decode_render, most_bytes
 from mirror.protocols.rectangle import Rectangle
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.view import View
 from mirror.weights.resolve import WeightResolver
 
@@ -66,9 +66,9 @@ class Inputs:
         return open_untrusted(self.submission)
 
     @cached_property
-    def truth(self) -> TruthSource:
+    def truth(self) -> GroundTruth:
         """The truth."""
-        return TruthSource(self.dataset, self.protocol, dict(self.layers), self.hidden)
+        return GroundTruth(self.dataset, self.protocol, dict(self.layers), self.hidden)
 
     def render(self, view: View) -> UInt8:
         """A render's pixels (H, W, 3), RGB.

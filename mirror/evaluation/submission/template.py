@@ -12,7 +12,7 @@ import numpy as np
 from mirror.errors import UsageError
 from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime, SubmissionManifest
 from mirror.protocols.png import encode_png
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
 from mirror.schema.files import write_bytes, write_json
@@ -57,7 +57,7 @@ def write_manifest(folder: Path, manifest: SubmissionManifest) -> None:
 
 
 def write_template(
-    out: Path, plan: Plan, truth: TruthSource, *, blind: bool = False, advance: Callable[[int], None] = lambda _: None
+    out: Path, plan: Plan, truth: GroundTruth, *, blind: bool = False, advance: Callable[[int], None] = lambda _: None
 ) -> int:
     """Write a template.
 
@@ -104,7 +104,7 @@ def _answered(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _row(out: Path, view: View, truth: TruthSource, *, blind: bool, rendered: bool) -> Mapping[str, Any]:
+def _row(out: Path, view: View, truth: GroundTruth, *, blind: bool, rendered: bool) -> Mapping[str, Any]:
     row: dict[str, Any] = view.model_dump(mode="json")
     if not rendered:
         del row["path"]

@@ -23,7 +23,7 @@ _HELD: Final = 16
 """Traversals whose frames are held open: training asks for pictures of all in any order."""
 
 
-class TruthSource:
+class GroundTruth:
     """The truth of views, read one by one; only what a view needs.
 
     Args:

@@ -21,7 +21,7 @@ from mirror.synth.on_demand.png import stored_length
 from mirror.synth.on_demand.uri import PictureName
 from mirror.synth.writing.boxes import box_rows, boxes_in_view, least_px
 from mirror.synth.writing.shots import Shots
-from mirror.synth.writing.truth import Asked, TruthKind, write_picture_truth
+from mirror.synth.writing.truth import TruthKind, TruthRequest, write_picture_truth
 
 _JPEG_QUALITY: Final = 90
 
@@ -78,7 +78,7 @@ def _write_frame(folder: Path, drive: SynthDrive, shots: Shots, kinds: Sequence[
         objects = picture.view.object
         seen = np.maximum(seen, np.bincount(objects[objects >= 0], minlength=len(seen)))
         if kinds:
-            asked = Asked(camera, true_ns, recorded_ns, shots.following(camera, number))
+            asked = TruthRequest(camera, true_ns, recorded_ns, shots.following(camera, number))
             frame.truth_boxes += write_picture_truth(folder, drive, kinds, asked, instant, picture)
     shown = [key for key in placements if seen[key] >= least_px(drive)]
     frame.unseen = len(placements) - len(shown)

@@ -46,7 +46,7 @@ def truth_kinds(text: str) -> tuple[TruthKind, ...]:
 
 
 @dataclass(frozen=True)
-class Asked:
+class TruthRequest:
     """One picture whose truth is written.
 
     Attributes:
@@ -63,7 +63,12 @@ class Asked:
 
 
 def write_picture_truth(
-    recording: Path, drive: SynthDrive, kinds: Sequence[TruthKind], asked: Asked, instant: Instant, picture: Picture
+    recording: Path,
+    drive: SynthDrive,
+    kinds: Sequence[TruthKind],
+    asked: TruthRequest,
+    instant: Instant,
+    picture: Picture,
 ) -> list[dict[str, Any]]:
     """Write the truth of one picture.
 
@@ -101,7 +106,7 @@ def write_picture_truth(
 
 
 def _box_rows(
-    drive: SynthDrive, asked: Asked, instant: Instant, picture: Picture, world_SE3_camera: Poses
+    drive: SynthDrive, asked: TruthRequest, instant: Instant, picture: Picture, world_SE3_camera: Poses
 ) -> list[dict[str, Any]]:
     from mirror.synth.truth.boxes import Standing, shown
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from hybridworldsim.model.street import Drawn
+from hybridworldsim.model.street import RenderOutput
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
-def pulls(drawn: Drawn, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]:
+def pulls(drawn: RenderOutput, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]:
     """For each node the Gaussians that the picture shows, and how strongly it pulls at their places in it.
 
     Args:

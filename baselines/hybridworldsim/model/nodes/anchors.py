@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.model.decoders import Conditioned, decoded
+from hybridworldsim.model.decoders import ModulatedMLP, decoded
 from hybridworldsim.model.nodes.assembly import GEOMETRY, assembled
 from hybridworldsim.model.nodes.gathering import rows_of, told
 from hybridworldsim.model.splats import Splats
@@ -68,8 +68,8 @@ class Anchors(nn.Module):
         self.offsets = nn.Parameter(_SPREAD * (2.0 * torch.rand(count, offsets, 3) - 1.0))
         self.codes = nn.Parameter(torch.zeros(count, code))
         self.log_scales = nn.Parameter(spacing_m.log()[:, None].repeat(1, 6))
-        self.geometry = Conditioned(code, 6, latent, hidden, GEOMETRY * offsets, bent=False)
-        self.colour = Conditioned(code, 6, latent, hidden, 3 * offsets, bent=True)
+        self.geometry = ModulatedMLP(code, 6, latent, hidden, GEOMETRY * offsets, bent=False)
+        self.colour = ModulatedMLP(code, 6, latent, hidden, 3 * offsets, bent=True)
         with torch.no_grad():
             # Visible and unturned to begin with: what is not drawn is not learnt.
             bias = self.geometry.out.bias.view(offsets, GEOMETRY)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.model.decoders import Conditioned, decoded
+from hybridworldsim.model.decoders import ModulatedMLP, decoded
 from hybridworldsim.model.nodes.gathering import rows_of, told
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.model.visible import visible
@@ -76,7 +76,7 @@ class CodeGaussians(nn.Module):
         self.log_scales = nn.Parameter(seeds.scales.log())
         self.logits = nn.Parameter(torch.full((count,), seeds.opacity).logit())
         self.codes = nn.Parameter(torch.zeros(count, code))
-        self.colour = Conditioned(code, 3, latent, hidden, 3, bent=True)
+        self.colour = ModulatedMLP(code, 3, latent, hidden, 3, bent=True)
 
     def __len__(self) -> int:
         return len(self.means)

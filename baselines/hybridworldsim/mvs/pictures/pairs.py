@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hybridworldsim.mvs.pictures.shots import Shot
+from hybridworldsim.mvs.pictures.shots import PosedImage
 from mirror.arrays import Float64, Int64
 
 _DEPTHS_M: Final = (4.0, 8.0, 16.0, 32.0, 64.0)
@@ -22,7 +22,7 @@ _SAME_LIGHT: Final = 0.6
 _OTHER_LIGHT: Final = 0.2
 
 
-def choose_sources(shots: Sequence[Shot], count: int) -> list[Int64]:
+def choose_sources(shots: Sequence[PosedImage], count: int) -> list[Int64]:
     """The sources of each picture, best first.
 
     Points of the picture's frustum are weighted by the angle under which both cameras see them (Yao et al., "MVSNet",

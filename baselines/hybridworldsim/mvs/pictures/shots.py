@@ -29,7 +29,7 @@ _HELD: Final = 256
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class PosedImage:
     """One picture to be matched.
 
     Attributes:
@@ -53,7 +53,7 @@ class Shot:
 
 def shots_of(
     dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset(), standing_m: float = STANDING_M
-) -> list[Shot]:
+) -> list[PosedImage]:
     """The pictures of a view, in order of traversal, camera and time, but for those of a standing vehicle.
 
     What it sees again and again from one place would confirm its own errors.
@@ -71,7 +71,7 @@ def shots_of(
         zip(*(column.to_pylist() for column in dataset.table("traversals", ["traversal_id", "light"]).columns))
     )
     shots = [
-        Shot(
+        PosedImage(
             frame.scene_id,
             frame.traversal_id,
             light[frame.traversal_id],
@@ -101,7 +101,7 @@ class Pictures:
         pixels: their raster.
     """
 
-    def __init__(self, shots: Sequence[Shot], pixels: Pixels) -> None:
+    def __init__(self, shots: Sequence[PosedImage], pixels: Pixels) -> None:
         self._shots, self._pixels = shots, pixels
         self._held: OrderedDict[int, PosedPicture] = OrderedDict()
 
@@ -118,12 +118,12 @@ class Pictures:
         self._held.move_to_end(index)
         return self._held[index]
 
-    def _posed(self, shot: Shot) -> PosedPicture:
+    def _posed(self, shot: PosedImage) -> PosedPicture:
         rgb = raster_of(shot.image.camera_model, self._pixels).picture(shot.image.decode())
         return PosedPicture(rgb, shot.lens.intrinsic_matrix(), shot.world_SE3_camera, static_pixels(shot, self._pixels))
 
 
-def static_pixels(shot: Shot, pixels: Pixels) -> Bool:
+def static_pixels(shot: PosedImage, pixels: Pixels) -> Bool:
     """(H, W) True where a picture shows the static scene: within the lens, and neither its vehicle nor a road user.
 
     Road users are taken from masks of kind ``dynamic`` where the picture has some, else from its frame's boxes; without
@@ -142,7 +142,7 @@ def static_pixels(shot: Shot, pixels: Pixels) -> Bool:
     return ~excluded
 
 
-def _boxes(shot: Shot) -> Bool:
+def _boxes(shot: PosedImage) -> Bool:
     """The hulls of the frame's boxes, and a pixel round them for what boxes are off by."""
     excluded = np.zeros((shot.lens.height_px, shot.lens.width_px), np.bool_)
     boxes = shot.frame.boxes("world")

@@ -12,12 +12,12 @@ import numpy as np
 import pyarrow as pa
 
 from hybridworldsim.mvs.estimator import DepthEstimator
-from hybridworldsim.mvs.fusion import Cloud, Confirmed, PosedDepth, Voxels, cloud_of, confirm
+from hybridworldsim.mvs.fusion import Confirmed, PointCloud, PosedDepth, Voxels, cloud_of, confirm
 from hybridworldsim.mvs.ground import Ground, driven, fit_ground, wheel_places
 from hybridworldsim.mvs.methods import LEAST_CONFIDENCE
 from hybridworldsim.mvs.options import Options
 from hybridworldsim.mvs.pictures.pairs import choose_sources
-from hybridworldsim.mvs.pictures.shots import Pictures, Shot, shots_of
+from hybridworldsim.mvs.pictures.shots import Pictures, PosedImage, shots_of
 from hybridworldsim.mvs.sky import sky_mask
 from hybridworldsim.mvs.sparse import triangulate
 from hybridworldsim.mvs.writing.layers import Layers
@@ -77,7 +77,7 @@ class Scene:
             self._progress.advance(1)
         return len(todo)
 
-    def confirm(self) -> tuple[dict[str, Cloud], tuple[int, int]]:
+    def confirm(self) -> tuple[dict[str, PointCloud], tuple[int, int]]:
         """Write confirmed depth maps and sky masks.
 
         Returns:
@@ -86,7 +86,7 @@ class Scene:
         """
         self._progress.start("fusion", len(self._shots))
         voxels = Voxels(self._options.voxel_m)
-        clouds: dict[str, Cloud] = {}
+        clouds: dict[str, PointCloud] = {}
         known, static = 0, 0
         for traversal_id, numbers in self._by_traversal():
             if self._layers.has(traversal_id, "points"):
@@ -99,9 +99,9 @@ class Scene:
 
     def _confirm_traversal(
         self, traversal_id: str, numbers: Sequence[int], voxels: Voxels
-    ) -> tuple[Cloud, tuple[int, int]]:
+    ) -> tuple[PointCloud, tuple[int, int]]:
         depth, masks = self._layers.writer(traversal_id, "depth"), self._layers.writer(traversal_id, "masks")
-        parts: list[Cloud] = []
+        parts: list[PointCloud] = []
         depth_rows: list[dict[str, Any]] = []
         mask_rows: list[dict[str, Any]] = []
         known, static = 0, 0
@@ -123,9 +123,9 @@ class Scene:
             depth.finish(DEPTH, depth_rows, self._layers.made_of)
         if masks is not None:
             masks.finish(MASKS, mask_rows, self._layers.made_of)
-        return Cloud.together(parts), (known, static)
+        return PointCloud.together(parts), (known, static)
 
-    def triangulate(self) -> dict[str, Cloud]:
+    def triangulate(self) -> dict[str, PointCloud]:
         """Sparse points by the traversal that sees each first."""
         self._progress.start("sparse points", 1)
         found = triangulate(self._pictures.__getitem__, [own[: self._options.sources] for own in self._sources])
@@ -133,9 +133,9 @@ class Scene:
         self._progress.advance(1)
         return {traversal_id: found.cloud.only(owner == traversal_id) for traversal_id, _ in self._by_traversal()}
 
-    def write_points(self, clouds: Mapping[str, Cloud]) -> Ground:
+    def write_points(self, clouds: Mapping[str, PointCloud]) -> Ground:
         """Fit the ground, and write the layers of points with their kinds."""
-        every = Cloud.together(list(clouds.values()))
+        every = PointCloud.together(list(clouds.values()))
         ground = fit_ground(self._driven, every.position_m)
         for traversal_id, cloud in clouds.items():
             kind = self._kinds(cloud.position_m, ground)
@@ -187,7 +187,7 @@ class Scene:
         self._held.move_to_end(number)
         return self._held[number]
 
-    def _raw(self, shot: Shot) -> Path:
+    def _raw(self, shot: PosedImage) -> Path:
         return self._layers.work / shot.traversal_id / _name(shot)
 
     def _kinds(self, position: Float64, ground: Ground) -> AnyArray:
@@ -200,10 +200,10 @@ class Scene:
             kind[away > self._options.far_from_m] = "far"
         return kind
 
-    def _read_points(self, traversal_id: str) -> Cloud:
+    def _read_points(self, traversal_id: str) -> PointCloud:
         table = read_table(self._layers.folder(traversal_id, "points") / "points.parquet", POINTS)
         columns = {name: table.column(name).to_numpy() for name in ("x_m", "y_m", "z_m", "r", "g", "b", "views")}
-        return Cloud(
+        return PointCloud(
             np.stack([columns[name] for name in ("x_m", "y_m", "z_m")], axis=1),
             np.stack([columns[name] for name in ("r", "g", "b")], axis=1),
             columns["views"].astype(np.int32),
@@ -211,20 +211,20 @@ class Scene:
         )
 
 
-def _key(shot: Shot) -> dict[str, Any]:
+def _key(shot: PosedImage) -> dict[str, Any]:
     return {"camera": shot.image.camera, "timestamp_ns": shot.image.timestamp_ns}
 
 
-def _lens(shot: Shot) -> dict[str, Any]:
+def _lens(shot: PosedImage) -> dict[str, Any]:
     names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
     return {name: getattr(shot.lens, name) for name in names}
 
 
-def _name(shot: Shot) -> str:
+def _name(shot: PosedImage) -> str:
     return f"{shot.image.camera}/{shot.image.timestamp_ns}.png"
 
 
-def _rows(cloud: Cloud, kind: AnyArray) -> pa.Table:
+def _rows(cloud: PointCloud, kind: AnyArray) -> pa.Table:
     columns: dict[str, AnyArray | pa.Array] = {"point": np.arange(len(cloud), dtype=np.int32)}
     columns |= {name: cloud.position_m[:, axis] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
     columns |= {name: cloud.rgb[:, channel] for channel, name in enumerate("rgb")}
@@ -233,7 +233,7 @@ def _rows(cloud: Cloud, kind: AnyArray) -> pa.Table:
     return pa.table(columns)
 
 
-def _as_recorded(mask: Bool, shot: Shot) -> Bool:
+def _as_recorded(mask: Bool, shot: PosedImage) -> Bool:
     """A mask of the undistorted raster in that of the recorded picture; False where the former sees nothing."""
     lens = shot.image.camera_model
     u, v = shot.lens.undistort_maps(lens)

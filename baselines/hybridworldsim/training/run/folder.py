@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.learner import TrainableMethod
 from hybridworldsim.training.run.checkpoint import Position, read_checkpoint, write_checkpoint
 from hybridworldsim.training.run.curves import Row, read_curves, write_chart, write_curves
 from mirror.errors import DatasetError, UsageError
@@ -20,7 +20,7 @@ OUTCOME: Final = "outcome.json"
 MODEL: Final = "model.safetensors"
 
 
-class Seen(Document):
+class TrainedCamera(Document):
     """A traversal and camera that was trained on.
 
     Attributes:
@@ -97,7 +97,7 @@ class Run(Document):
     stage: str | None = None
     pictures: int
     withheld: tuple[str, ...] = ()
-    sources: tuple[Seen, ...]
+    sources: tuple[TrainedCamera, ...]
 
 
 class Outcome(Document):
@@ -201,7 +201,7 @@ class RunFolder:
                 left.unlink(missing_ok=True)
             yield
 
-    def resume(self, learner: Learner) -> Position:
+    def resume(self, learner: TrainableMethod) -> Position:
         """Take a learner to where the run is; the beginning, where there is no checkpoint yet.
 
         Raises:
@@ -231,7 +231,7 @@ class RunFolder:
             raise DatasetError("no report yet", file=self._curves, remedy="remove the run folder and train anew")
         return self._rows[-1]
 
-    def keep(self, learner: Learner, position: Position) -> None:
+    def keep(self, learner: TrainableMethod, position: Position) -> None:
         """Write a checkpoint."""
         write_checkpoint(self._checkpoint, learner.state(), position)
 

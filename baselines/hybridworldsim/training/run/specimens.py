@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import torch
 
-from hybridworldsim.training.learner import Learner
+from hybridworldsim.training.learner import TrainableMethod
 from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import UInt8
@@ -23,7 +23,7 @@ _QUALITY: Final = 90
 
 
 @dataclass(frozen=True, eq=False)
-class Specimen:
+class Preview:
     """One picture that is looked at again and again.
 
     Attributes:
@@ -37,7 +37,7 @@ class Specimen:
     source: Source
 
 
-def write_specimens(folder: Path, specimens: Sequence[Specimen], learner: Learner, step: int) -> None:
+def write_specimens(folder: Path, specimens: Sequence[Preview], learner: TrainableMethod, step: int) -> None:
     """Render all of them: ``<name>-<step>.jpg``, render | truth | depth.
 
     Raises:

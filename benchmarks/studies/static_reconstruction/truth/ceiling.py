@@ -9,7 +9,7 @@ from typing import Any, Final
 from benchmarks.studies.static_reconstruction.declared import NOVEL, TRAINING, Declared
 from benchmarks.studies.static_reconstruction.scoring import averaged, scored
 from benchmarks.studies.static_reconstruction.truth.asked import Asked, asked
-from hybridworldsim.training.appearance import Looks, seen_of
+from hybridworldsim.training.appearance import AppearanceSelector, seen_of
 from mirror.protocols.views.view import View
 
 POSES: Final = ("recorded", "true")
@@ -23,7 +23,7 @@ def ceiling_of(folder: Path, declaration: Declared, scene: str, width_px: int) -
     learns from pictures at erroneous poses may fit them better than the exact street does.
     """
     what = asked(folder, declaration, scene, declaration.split, width_px)
-    looks = Looks(seen_of(what.views(TRAINING)), declaration.policy, what.plan.views)
+    looks = AppearanceSelector(seen_of(what.views(TRAINING)), declaration.policy, what.plan.views)
 
     def own(view: View) -> str:
         return view.traversal_id

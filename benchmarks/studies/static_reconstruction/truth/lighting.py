@@ -7,7 +7,7 @@ from typing import Any, Final
 from benchmarks.studies.static_reconstruction.declared import TRAINING
 from benchmarks.studies.static_reconstruction.scoring import averaged, scored
 from benchmarks.studies.static_reconstruction.truth.trained import Trained
-from hybridworldsim.training.appearance import Looks
+from hybridworldsim.training.appearance import AppearanceSelector
 from hybridworldsim.training.run.specimens import pixels
 from mirror.protocols.views.view import View
 
@@ -22,7 +22,7 @@ def lighting_of(trained: Trained) -> list[dict[str, Any]]:
 
 def target_of(trained: Trained, light: str, view: View) -> str:
     """The traversal whose looks a view gets where a light is asked for."""
-    looks = Looks(trained.seen, light, trained.plan.views, everywhere=True)
+    looks = AppearanceSelector(trained.seen, light, trained.plan.views, everywhere=True)
     return looks.of(view).colours[0][0].traversal_id
 
 

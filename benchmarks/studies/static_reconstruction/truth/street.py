@@ -15,7 +15,7 @@ from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
 from mirror.metrics.images.psnr import psnr
 from mirror.protocols.truth.raster import raster_of
-from mirror.protocols.truth.source import TruthSource
+from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
 from mirror.synth.model import NO_OBJECT
@@ -77,7 +77,7 @@ class StreetTruth:
     def __init__(self, dataset: Dataset, plan: Plan, preset: str, seed: int) -> None:
         rows = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
         self._drive_ids = {row["traversal_id"]: row["drive_id"] for row in rows}
-        self.pictures = TruthSource(dataset, plan.protocol, plan.layers)
+        self.pictures = GroundTruth(dataset, plan.protocol, plan.layers)
         self._pixels, self._preset, self._seed = plan.protocol.pixels, preset, seed
         self._checked: set[str] = set()
         self._seen: dict[str, TrueView] = {}

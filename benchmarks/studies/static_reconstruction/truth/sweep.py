@@ -10,7 +10,7 @@ from benchmarks.studies.static_reconstruction.truth.lighting import EDITS, targe
 from benchmarks.studies.static_reconstruction.truth.trained import Trained
 from hybridworldsim.training.appearance import SWEEP
 from mirror.arrays import UInt8
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.protocols.png import encode_png
 from mirror.protocols.views.view import View
 from mirror.schema.files import write_bytes
@@ -35,6 +35,6 @@ def _renders(trained: Trained, view: View, target: str) -> list[UInt8]:
     """The view with looks that go from its own traversal's to another's."""
     # A sweep goes along frames: here they are all of one place.
     views = [view.model_copy(update={"frame_index": place}) for place in range(len(_SHARES))]
-    looking = Looking(f"{SWEEP}{view.traversal_id}:{target}", views, everywhere=True)
+    looking = AppearancePolicy(f"{SWEEP}{view.traversal_id}:{target}", views, everywhere=True)
     render = trained.entry.method.open(trained.model, looking)
     return [render(one) for one in views]

@@ -19,9 +19,9 @@ from benchmarks.studies.static_reconstruction.truth.asked import Asked, asked
 from benchmarks.studies.static_reconstruction.truth.street import StreetTruth
 from hybridworldsim.methods.opened import Renderer
 from hybridworldsim.methods.static import block_folders
-from hybridworldsim.training.run.folder import MODEL, Seen, read_run
+from hybridworldsim.training.run.folder import MODEL, TrainedCamera, read_run
 from mirror.errors import UsageError
-from mirror.methods.appearance import Looking
+from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.model_document import Costs, read_reconstruction
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
@@ -100,7 +100,7 @@ class Trained:
         return asked(self.folder, self.declaration, self.job.scene, split, self.job.width_px)
 
     @cached_property
-    def seen(self) -> tuple[Seen, ...]:
+    def seen(self) -> tuple[TrainedCamera, ...]:
         """What the first block was trained on."""
         return read_run(block_folders(self.model)[0]).sources
 
@@ -137,5 +137,5 @@ class Trained:
 
     def open(self, policy: str | None = None, *, everywhere: bool = False) -> Renderer:
         """Its renderer; pictures look as declared, or as a policy says."""
-        looking = Looking(policy or self.declaration.policy, self.plan.views, everywhere)
+        looking = AppearancePolicy(policy or self.declaration.policy, self.plan.views, everywhere)
         return self.entry.method.open(self.model, looking)

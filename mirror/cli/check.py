@@ -93,26 +93,25 @@ def _plain(report: CheckReport, arguments: Arguments) -> dict[str, object]:
 def _print(report: CheckReport, arguments: Arguments) -> None:
     from itertools import groupby
 
-    from rich.console import Console
-    from rich.markup import escape
+    from rich.text import Text
 
-    console = Console(highlight=False, soft_wrap=True)
+    from mirror.cli.output import plain_console
+
+    console = plain_console(soft_wrap=True)
     colours = {"error": "red", "warning": "yellow", "info": "blue"}
     for rule, own in groupby(report.findings, key=lambda hit: hit[0]):
         colour = colours[rule.severity]
-        console.print(f"[{colour}]{rule.rule_id} {rule.severity}[/{colour}] {escape(rule.doc)}")
+        console.print(Text(f"{rule.rule_id} {rule.severity}", style=colour), rule.doc)
         findings = [finding for _, finding in own]
         for finding in findings[:_SHOWN]:
             place = f": {finding.place}" if finding.place else ""
             more = f" ({finding.count} in all)" if finding.count > 1 else ""
-            console.print(escape(f"  {finding.file}{place}: {finding.message}{more}"))
+            console.print(f"  {finding.file}{place}: {finding.message}{more}")
         if len(findings) > _SHOWN:
             console.print(f"  ... and in {len(findings) - _SHOWN} more files; --json lists all")
-        console.print(escape(f"  remedy: {rule.remedy}"))
+        console.print(f"  remedy: {rule.remedy}")
     for error in report.unread:
-        console.print(f"[red]could not read[/red] {escape(str(error))}")
+        console.print(Text("could not read", style="red"), str(error))
     counts = report.counts()
     parts = [f"{counts[name]} {name}{'s' * (counts[name] != 1)}" for name in ("error", "warning", "info")]
-    console.print(
-        escape(f"{len(report.rules)} rule{'s' * (len(report.rules) != 1)}: {', '.join(parts)}: {arguments.dataset}")
-    )
+    console.print(f"{len(report.rules)} rule{'s' * (len(report.rules) != 1)}: {', '.join(parts)}: {arguments.dataset}")

@@ -40,20 +40,20 @@ def main(argv: Sequence[str]) -> int:
         print(json.dumps({"protocol": first.protocol.name, "split": first.dataset.split, **plain}))
         return ExitCode.DONE
 
-    from rich.console import Console
-    from rich.markup import escape
     from rich.measure import Measurement
     from rich.table import Table
 
-    console = Console(highlight=False)
+    from mirror.cli.output import plain_console
+
+    console = plain_console()
     window = console.width
     for other in others:
-        title = escape(f"{other.name} against {first.submission.method.name}")
+        title = f"{other.name} against {first.submission.method.name}"
         table = Table(title=title, title_justify="left", box=None, pad_edge=False)
         for name in ("group", "metric"):
             table.add_column(name, no_wrap=True)
         for name in (first.submission.method.name, other.name, "difference", "interval", "p", "n", "better"):
-            table.add_column(escape(name), justify="right", no_wrap=True)
+            table.add_column(name, justify="right", no_wrap=True)
         reasons: dict[str, int] = {}
         for row in other.rows:
             interval = "" if row.low is None or row.high is None else f"{row.low:+.4f} to {row.high:+.4f}"
@@ -66,14 +66,14 @@ def main(argv: Sequence[str]) -> int:
                 interval,
                 _number(row.p_value),
                 str(row.n or ""),
-                escape(better) or (f"\\[{reasons.setdefault(row.reason, len(reasons) + 1)}]" if row.reason else ""),
+                better or (f"[{reasons.setdefault(row.reason, len(reasons) + 1)}]" if row.reason else ""),
             )
         # A figure is never cut: a narrow window wraps the line, and a pipe has no edge.
         unbounded = console.options.update(width=_UNBOUNDED, max_width=_UNBOUNDED)
         console.width = max(window, Measurement.get(console, unbounded, table).maximum)
         console.print(table)
         for reason, number in reasons.items():
-            console.print(f"\\[{number}] {escape(reason)}", soft_wrap=True)
+            console.print(f"[{number}] {reason}", soft_wrap=True)
     return ExitCode.DONE
 
 

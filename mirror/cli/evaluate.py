@@ -126,14 +126,12 @@ def _report(done: Evaluation, out: Path) -> Path:
 
 
 def _print(result: Result, out: Path, page: Path | None) -> None:
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
-    console = Console(highlight=False)
-    table = Table(
-        title=escape(f"{result.submission.method.name}: {result.protocol.name}, split {result.dataset.split}")
-    )
+    from mirror.cli.output import plain_console
+
+    console = plain_console()
+    table = Table(title=f"{result.submission.method.name}: {result.protocol.name}, split {result.dataset.split}")
     for name in ("group", "metric"):
         table.add_column(name)
     for name in ("value", f"{100 * result.protocol.intervals.level:g} % interval", "n"):
@@ -144,19 +142,17 @@ def _print(result: Result, out: Path, page: Path | None) -> None:
             value, interval, count = figure_words(figure)
             if figure.low is None and figure.interval_reason is not None:
                 interval = f"[{reasons.setdefault(figure.interval_reason, len(reasons) + 1)}]"
-            table.add_row(*map(escape, (figure.group, figure.metric, value, interval, count)))
+            table.add_row(figure.group, figure.metric, value, interval, count)
     console.print(table)
     for reason, number in reasons.items():
-        console.print(escape(f"[{number}] no interval: {reason}"), soft_wrap=True)
+        console.print(f"[{number}] no interval: {reason}", soft_wrap=True)
     for metric, how in result.unavailable.items():
-        console.print(escape(f"{metric}: unavailable: {how}"), soft_wrap=True)
+        console.print(f"{metric}: unavailable: {how}", soft_wrap=True)
     for warning in result.warnings:
-        console.print(escape(f"note: {warning}"), soft_wrap=True)
-    console.print(
-        escape(f"{out / 'result.json'} has all figures, {out / 'images.parquet'} every picture"), soft_wrap=True
-    )
+        console.print(f"note: {warning}", soft_wrap=True)
+    console.print(f"{out / 'result.json'} has all figures, {out / 'images.parquet'} every picture", soft_wrap=True)
     if page is not None:
-        console.print(escape(f"report: {page}"), soft_wrap=True)
+        console.print(f"report: {page}", soft_wrap=True)
 
 
 def figure_words(figure: Figure) -> tuple[str, str, str]:

@@ -52,11 +52,13 @@ def main(argv: Sequence[str]) -> int:
         plain, lines = dataset.to_dict(), _dataset_lines(dataset)
         kind = "dataset"
     else:
+        from mirror.recordings.boundary import reader_errors
         from mirror.recordings.registry import open_recording
         from mirror.recordings.summary import summarise as summarise_recording
 
         options = reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns)
-        recording = summarise_recording(open_recording(path, arguments.reader, options))
+        with reader_errors(path):
+            recording = summarise_recording(open_recording(path, arguments.reader, options))
         plain, lines = recording.to_dict(), _recording_lines(recording)
         kind = "recording"
     if arguments.json:

@@ -89,7 +89,9 @@ class Arguments:
     copy: bool = False
     """Copy pictures. Default: hard links where the file systems allow it, copies elsewhere."""
     hash: bool = True
-    """Read and hash every picture, and refuse truncated ones."""
+    """Read and hash every picture, and refuse truncated and broken ones; without it only their headers are read."""
+    verify_images: bool = False
+    """Decode every image, and refuse those that no decoder reads."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Threads."""
     dry_run: bool = False
@@ -130,7 +132,9 @@ def main(argv: Sequence[str]) -> int:
         trigger=given(arguments.trigger),
         cleaning=given(arguments.cleaning),
         weather_plugin=arguments.weather_from,
-        write=WriteOptions(transfer="copy" if arguments.copy else "link", hashing=arguments.hash),
+        write=WriteOptions(
+            transfer="copy" if arguments.copy else "link", hashing=arguments.hash, decoding=arguments.verify_images
+        ),
         workers=arguments.workers,
         dry_run=arguments.dry_run,
         verify=arguments.verify,
@@ -202,11 +206,13 @@ def _told(path: Path, error: MirrorError) -> str:
 
 
 def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
-    from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
+
+    from mirror.cli.output import plain_console
 
     # Piped, a line is a line: nothing is folded or cut for want of a screen.
-    console = Console() if sys.stdout.isatty() else Console(width=10_000)
+    console = plain_console(width=None if sys.stdout.isatty() else 10_000)
     table = Table(box=None, pad_edge=False)
     for name in ("drive", "poses", "cleaned away", "passes", "accepted", "refused because"):
         table.add_column(name, justify="right" if name in ("poses", "cleaned away", "passes", "accepted") else "left")
@@ -229,7 +235,7 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
     if report.unchanged:
         console.print(f"{len(report.unchanged)} drives unchanged, nothing to do for them")
     for path, error in report.failures:
-        console.print(f"[red]failed[/red] {_told(path, error)}", highlight=False)
+        console.print(Text("failed", style="red"), _told(path, error))
     if dry_run:
         console.print("dry run: nothing was written")
         return

@@ -104,10 +104,11 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _print(found: Sequence[Proposal], arguments: Propose) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    from mirror.cli.output import plain_console
+
+    console = plain_console()
     if not found:
         console.print(f"no place has {arguments.min_traversals} traversals: lower --min-traversals or the thresholds")
         return

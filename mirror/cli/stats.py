@@ -54,9 +54,9 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _print(found: Statistics) -> None:
-    from rich.console import Console
+    from mirror.cli.output import plain_console
 
-    console = Console(highlight=False)
+    console = plain_console()
     if not console.is_terminal:
         # A file or a pipe has no edge to wrap at.
         console.width = _UNBOUNDED

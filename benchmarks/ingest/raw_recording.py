@@ -15,8 +15,8 @@ _SPEED_MPS = 8.0
 _PERIOD_NS = 100_000_000
 _CENTRE = (8.4037, 49.0069)
 _METRES_A_DEGREE = 73_100.0
-# SOI, and a baseline frame header of three components: 1920 x 1080.
-_HEADER = bytes.fromhex("ffd8 ffc0 0011 08 0438 0780 03 012200 021101 031101")
+# SOI, a baseline frame header of three components (1920 x 1080), and the header of their scan.
+_HEADER = bytes.fromhex("ffd8 ffc0 0011 08 0438 0780 03 012200 021101 031101 ffda 000c 03 0100 0211 0311 003f00")
 _END = b"\xff\xd9"
 
 

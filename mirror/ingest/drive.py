@@ -16,6 +16,7 @@ from mirror.ingest.staging import Staging
 from mirror.ingest.tables import pass_table
 from mirror.ingest.traversal import images_without_pose, traversal_id
 from mirror.ingest.weather import weather_from_traversals
+from mirror.recordings.boundary import reader_errors
 from mirror.recordings.protocol import Recording
 from mirror.schema.documents import DriveDocument, Rig, RigCamera
 from mirror.schema.files import encode_table, read_json, read_table, write_bytes, write_json
@@ -99,25 +100,26 @@ def seal_drive(
     info = drive.info
     names = [traversal_id(info.drive_id, one) if one.accepted else None for one in drive.passes]
     _write_rig(staging, drive)
-    rig = drive.recording.rig
-    document = DriveDocument(
-        drive_id=info.drive_id,
-        vehicle_id=info.vehicle_id,
-        vehicle_type=info.vehicle_type,
-        rig_id=rig.rig_id if rig else None,
-        source=drive.source,
-        configuration=configuration,
-        scenes=tuple(sorted(scenes)),
-        frame=info.frame,
-        time_base=info.time_base,
-        body_frame=info.body_frame,
-        is_clip=info.is_clip,
-        city=info.city,
-        start_ns=drive.start_ns,
-        end_ns=drive.end_ns,
-        cleaning=drive.cleaning,
-        images_without_pose=sum(images_without_pose(drive, number) for number in drive.slices),
-    )
+    with reader_errors(drive.path):
+        rig = drive.recording.rig
+        document = DriveDocument(
+            drive_id=info.drive_id,
+            vehicle_id=info.vehicle_id,
+            vehicle_type=info.vehicle_type,
+            rig_id=rig.rig_id if rig else None,
+            source=drive.source,
+            configuration=configuration,
+            scenes=tuple(sorted(scenes)),
+            frame=info.frame,
+            time_base=info.time_base,
+            body_frame=info.body_frame,
+            is_clip=info.is_clip,
+            city=info.city,
+            start_ns=drive.start_ns,
+            end_ns=drive.end_ns,
+            cleaning=drive.cleaning,
+            images_without_pose=sum(images_without_pose(drive, number) for number in drive.slices),
+        )
     weather = weather_from_traversals(staging, drive, names, weather_plugin) if weather_plugin else {}
     ledger = encode_table(pass_table(drive, names, weather, weather_plugin), PASSES)
     folder = staging.layout.drive(info.drive_id)

@@ -165,16 +165,17 @@ def judge_drive(
     with reader_errors(path):
         info = recording.info
         recorded = recording.track()
-    track, cleaned, report = clean_usable(recorded, cleaning, trigger.options, is_clip=info.is_clip)
-    kept = cleaned.kept()
+        track, cleaned, report = clean_usable(recorded, cleaning, trigger.options, is_clip=info.is_clip)
+        kept = cleaned.kept()
     if cleaned.geodetic:
         middle = kept[len(kept) // 2]
         refuse_swapped(rois, float(cleaned.first[middle]), float(cleaned.second[middle]))
-    passes = trigger.passes(cleaned, frame=info.frame, is_clip=info.is_clip)
     max_gap_ns = round(trigger.options.max_gap_s * 1e9)
-    slices = {
-        number: _slice(track, cleaned, kept, one, max_gap_ns) for number, one in enumerate(passes) if one.accepted
-    }
+    with reader_errors(path):
+        passes = trigger.passes(cleaned, frame=info.frame, is_clip=info.is_clip)
+        slices = {
+            number: _slice(track, cleaned, kept, one, max_gap_ns) for number, one in enumerate(passes) if one.accepted
+        }
     return DrivePasses(
         path=path,
         recording=recording,

@@ -13,7 +13,9 @@ from typing import Literal
 import numpy as np
 
 from mirror.arrays import Int64
+from mirror.dataset.pictures.still import decode_rgb
 from mirror.errors import RecordingError
+from mirror.recordings.opening import read_plain, read_start, unreadable
 from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.recordings.raster import raster_size, require_whole
 from mirror.schema.files import unwritable
@@ -21,6 +23,7 @@ from mirror.schema.files import unwritable
 Transfer = Literal["link", "copy"]
 _SUFFIX = {"jpeg": "jpg", "png": "png"}
 _TOLD_EVERY = 16
+_HEADER_BYTES = 4096
 _NOT_LINKABLE = (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.ENOTSUP)
 
 
@@ -33,8 +36,8 @@ class Placed:
         sizes: bytes of each.
         sha256: digest of each, or None where hashing is off or the pictures lie elsewhere.
         codec: ``jpeg`` or ``png``.
-        width_px: (N,) of each; of files, of the first.
-        height_px: (N,) of each; of files, of the first.
+        width_px: (N,) of each, as its header says.
+        height_px: (N,) of each.
         linked: how many are hard links to the recording's own files.
     """
 
@@ -70,6 +73,7 @@ def place_pictures(
     *,
     transfer: Transfer,
     hashing: bool,
+    decoding: bool = False,
     advance: Callable[[int], None],
 ) -> Placed:
     """Put a camera's selected pictures into a folder.
@@ -80,14 +84,15 @@ def place_pictures(
         stamps_ns: (N,) their mid-exposure stamps, which name the files.
         folder: made here.
         transfer: hard links where the file systems allow it and copies elsewhere, or always copies.
-        hashing: read every byte: hash it, and refuse truncated pictures.
+        hashing: read every byte: hash it, and refuse images whose structure is broken; else only headers are read.
+        decoding: decode every image, and refuse those that no decoder reads.
         advance: called with the number of pictures done since the last call.
 
     Returns:
         What lies in the folder now.
 
     Raises:
-        RecordingError: a picture is missing, truncated or no picture.
+        RecordingError: an image is missing, truncated, broken or no image.
         DatasetError: the folder cannot be written.
     """
     codec = stream.codec if stream.codec in _SUFFIX else "jpeg"
@@ -100,7 +105,8 @@ def place_pictures(
     except OSError as error:
         raise unwritable(folder, error) from error
     try:
-        return _place(stream, indices, names, _Target(folder, descriptor), codec, transfer, hashing, advance)
+        inspection = _Inspection(codec, hashing, decoding)
+        return _place(stream, indices, names, _Target(folder, descriptor), transfer, inspection, advance)
     finally:
         os.close(descriptor)
 
@@ -113,103 +119,119 @@ class _Target:
     descriptor: int
 
 
+@dataclass(frozen=True)
+class _Image:
+    """What is known of one placed image."""
+
+    size: int
+    sha256: bytes | None
+    width_px: int
+    height_px: int
+
+
+@dataclass(frozen=True)
+class _Inspection:
+    """How images are inspected on their way; see `place_pictures`."""
+
+    codec: str
+    hashing: bool
+    decoding: bool
+
+    @property
+    def headers_only(self) -> bool:
+        """No byte behind the headers is wanted."""
+        return not (self.hashing or self.decoding)
+
+    def bytes_of(self, data: bytes, file: str | Path) -> _Image:
+        """Inspect an image's bytes."""
+        width, height = require_whole(data, file)
+        if self.decoding:
+            pixels = decode_rgb(data, self.codec)
+            if pixels is None or pixels.shape[:2] != (height, width):
+                raise RecordingError(
+                    "cannot be decoded",
+                    file=file,
+                    expected=f"an image of {width} x {height} px, as its header says",
+                    remedy="restore the file, or take it out of the recording",
+                )
+        return _Image(len(data), hashlib.sha256(data).digest() if self.hashing else None, width, height)
+
+
 def _place(
     stream: ImageStream,
     indices: Sequence[int],
     names: list[str],
     target: _Target,
-    codec: str,
     transfer: Transfer,
-    hashing: bool,
+    inspection: _Inspection,
     advance: Callable[[int], None],
 ) -> Placed:
-    sizes: list[int] = []
-    digests: list[bytes | None] = []
-    linked, width, height = 0, 0, 0
-    own_files = stream.path(indices[0]) is not None
-    if own_files:
-        width, height = _first_size(stream.path(indices[0]))
+    given: dict[int, _Image] = {}
+    linked = 0
+    if stream.path(indices[0]) is not None:
         for index, name in zip(indices, names):
             source = stream.path(index)
             if source is None:
                 raise RecordingError("the picture has no file, though others of its camera do", place=f"image {index}")
-            size, digest, was_linked = _transfer(source, target, name, transfer, hashing)
-            sizes.append(size)
-            digests.append(digest)
+            given[index], was_linked = _transfer(source, target, name, transfer, inspection)
             linked += was_linked
-            if len(sizes) % _TOLD_EVERY == 0:
+            if len(given) % _TOLD_EVERY == 0:
                 advance(_TOLD_EVERY)
     else:
-        given: dict[int, tuple[int, bytes | None]] = {}
         name_of = dict(zip(indices, names))
         for index, data in stream.read(indices):
             if index not in name_of or index in given:
                 raise RecordingError(f"gave picture {index} unasked or twice", place=f"camera {stream.camera}")
-            if not given:
-                width, height = raster_size(data, f"{stream.camera} at {name_of[index]}")
+            given[index] = inspection.bytes_of(data, f"{stream.camera} at {name_of[index]}")
             _write(target, name_of[index], data)
-            given[index] = len(data), hashlib.sha256(data).digest() if hashing else None
             if len(given) % _TOLD_EVERY == 0:
                 advance(_TOLD_EVERY)
-        for index in indices:
-            if index in given:
-                size, digest = given[index]
-                sizes.append(size)
-                digests.append(digest)
-    advance(len(sizes) % _TOLD_EVERY)
-    if len(sizes) != len(indices):
-        raise RecordingError(f"gave {len(sizes)} of {len(indices)} pictures", place=f"camera {stream.camera}")
-    widths, heights = np.full(len(sizes), width), np.full(len(sizes), height)
-    return Placed(names, sizes, digests, codec, widths, heights, linked)
-
-
-def _first_size(source: str | Path | None) -> tuple[int, int]:
-    if source is None:
-        raise RecordingError("the picture has no file")
-    return raster_size(_read(source), source)
+    advance(len(given) % _TOLD_EVERY)
+    if len(given) != len(indices):
+        raise RecordingError(f"gave {len(given)} of {len(indices)} pictures", place=f"camera {stream.camera}")
+    images = [given[index] for index in indices]
+    return Placed(
+        names,
+        [one.size for one in images],
+        [one.sha256 for one in images],
+        inspection.codec,
+        np.array([one.width_px for one in images], np.int64),
+        np.array([one.height_px for one in images], np.int64),
+        linked,
+    )
 
 
 def _transfer(
-    source: str | Path, target: _Target, name: str, transfer: Transfer, hashing: bool
-) -> tuple[int, bytes | None, bool]:
-    """Link or copy one picture; its size, its digest if asked for, and whether it is a link."""
+    source: str | Path, target: _Target, name: str, transfer: Transfer, inspection: _Inspection
+) -> tuple[_Image, bool]:
+    """Link or copy one image; what is known of it, and whether it is a link."""
     if transfer == "link":
         try:
             # With a descriptor, the file that a symbolic link stands for is linked, and not the symbolic link.
             os.link(source, name, dst_dir_fd=target.descriptor)
         except FileNotFoundError as error:
-            raise _unreadable(source, error) from error
+            raise unreadable(Path(source), error) from error
         except OSError as error:
             if error.errno not in _NOT_LINKABLE:
                 raise unwritable(target.path / name, error) from error
         else:
-            if not hashing:
-                return os.stat(name, dir_fd=target.descriptor).st_size, None, True
-            data = _read(source)
-            require_whole(data, source)
-            return len(data), hashlib.sha256(data).digest(), True
-    data = _read(source)
-    require_whole(data, source)
-    digest = hashlib.sha256(data).digest() if hashing else None
+            if inspection.headers_only:
+                return _header(source), True
+            return inspection.bytes_of(read_plain(source), source), True
+    data = read_plain(source)
+    image = inspection.bytes_of(data, source)
     _write(target, name, data)
-    return len(data), digest, False
+    return image, False
 
 
-def _read(source: str | Path) -> bytes:
+def _header(source: str | Path) -> _Image:
+    """An image of which its header alone is read, or what comes before it if that is long."""
+    data, size = read_start(source, _HEADER_BYTES)
     try:
-        descriptor = os.open(source, os.O_RDONLY)
-    except OSError as error:
-        raise _unreadable(source, error) from error
-    try:
-        size = os.fstat(descriptor).st_size
-        data = os.read(descriptor, size)
-        while len(data) < size and (more := os.read(descriptor, size - len(data))):
-            data += more
-        return data
-    except OSError as error:
-        raise _unreadable(source, error) from error
-    finally:
-        os.close(descriptor)
+        width, height = raster_size(data, source)
+    except RecordingError:
+        width, height = raster_size(read_plain(source), source)
+    return _Image(size, None, width, height)
 
 
 def _write(target: _Target, name: str, data: bytes) -> None:
@@ -223,12 +245,3 @@ def _write(target: _Target, name: str, data: bytes) -> None:
             os.close(descriptor)
     except OSError as error:
         raise unwritable(target.path / name, error) from error
-
-
-def _unreadable(source: str | Path, error: OSError) -> RecordingError:
-    return RecordingError(
-        f"cannot be read: {error.strerror}",
-        file=source,
-        expected="a picture",
-        remedy="restore the file, or take it out of the recording",
-    )

@@ -97,7 +97,8 @@ def _is_unchanged(
             remedy="give the recording another drive id, or add --replace to ingest it anew",
         )
     if options.verify:
-        verify_source(layout, recording, document.drive_id)
+        with reader_errors(path):
+            verify_source(layout, recording, document.drive_id)
     return set(document.scenes) >= settings.scenes and traversals_intact(layout, document.drive_id)
 
 

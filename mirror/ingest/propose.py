@@ -24,6 +24,7 @@ from mirror.ingest.request import IngestOptions, thresholds
 from mirror.ingest.trigger import Trigger
 from mirror.ingest.usable import clean_usable
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.recordings.boundary import reader_errors
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 
@@ -104,9 +105,10 @@ def propose_rois(
 
     def read(path: Path) -> _Driven | tuple[Path, MirrorError]:
         try:
-            recording = open_recording(path, reader=options.reader, options=options.reader_options)
-            info = recording.info
-            _, track, _ = clean_usable(recording.track(), cleaning, trigger_options, is_clip=info.is_clip)
+            with reader_errors(path):
+                recording = open_recording(path, reader=options.reader, options=options.reader_options)
+                info = recording.info
+                _, track, _ = clean_usable(recording.track(), cleaning, trigger_options, is_clip=info.is_clip)
         except RecordingError as error:
             return path, error
         finally:

@@ -44,8 +44,8 @@ _FATAL = (UsageError, DatasetError)
 """What is not one recording's fault, and would meet the next one too."""
 
 
-class _StoppedError(Exception):
-    """Ends a job whose run has ended."""
+class _StoppedError(BaseException):
+    """Ends a job whose run has ended, past all that takes the errors of a recording."""
 
 
 def ingest(

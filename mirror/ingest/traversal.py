@@ -17,9 +17,11 @@ from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError
 from mirror.ingest.judge import DrivePasses
 from mirror.ingest.pictures import Placed, Transfer, place_pictures, refer_to_pictures
+from mirror.ingest.refusals import refuse_boxes, refuse_other_rasters
 from mirror.ingest.staging import Staging
 from mirror.ingest.tables import assign_frames, pose_table
 from mirror.ingest.trigger import Pass
+from mirror.recordings.boundary import reader_errors
 from mirror.recordings.calibration import require_covariance
 from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.schema.documents import Pictures, Roi, is_identifier
@@ -34,10 +36,12 @@ class WriteOptions:
     Attributes:
         transfer: hard links where possible, or copies.
         hashing: read and hash every picture.
+        decoding: decode every image.
     """
 
     transfer: Transfer = "link"
     hashing: bool = True
+    decoding: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,8 @@ def write_traversal(
             without_pose = images_without_pose(drive, number)
             return Written(name, pictures.count, pictures.bytes, 0, reused=True, without_pose=without_pose)
     with staging.attempt() as attempt:
-        written = _write(attempt, name, drive, number, roi, derived_from, options, threads, advance)
+        with reader_errors(drive.path):
+            written = _write(attempt, name, drive, number, roi, derived_from, options, threads, advance)
         staging.complete(attempt, name)
     return written
 
@@ -137,7 +142,14 @@ def _write(
         if isinstance(stream, ReferencedStream):
             return refer_to_pictures(stream, indices, advance)
         return place_pictures(
-            stream, indices, stamps, folder, transfer=options.transfer, hashing=options.hashing, advance=advance
+            stream,
+            indices,
+            stamps,
+            folder,
+            transfer=options.transfer,
+            hashing=options.hashing,
+            decoding=options.decoding,
+            advance=advance,
         )
 
     with ThreadPoolExecutor(threads) as pool:
@@ -150,10 +162,20 @@ def _write(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+    calibrations = _calibration_table(drive)
+    for camera, (stream, indices, _) in streams.items():
+        here = placed[camera]
+        refuse_other_rasters(
+            camera,
+            here.width_px,
+            here.height_px,
+            [str(stream.path(index) or stored) for index, stored in zip(indices.tolist(), here.names)],
+            calibrations,
+        )
     tables: list[tuple[Table, pa.Table]] = [
         (EGO_POSES, pose_table(drive.slices[number], roi, drive)),
         (IMAGES, _image_table(name, drive, streams, placed)),
-        (CALIBRATIONS, _calibration_table(drive)),
+        (CALIBRATIONS, calibrations),
     ]
     files: dict[str, bytes] = {}
     for table, rows in tables:
@@ -311,6 +333,7 @@ def _write_boxes(layout: Layout, name: str, drive: DrivePasses, one: Pass, deriv
     if boxes is None:
         return
     boxes = conform(boxes, BOXES, file=drive.path)
+    refuse_boxes(boxes, drive.path)
     stamps = boxes.column("timestamp_ns")
     boxes = boxes.filter(pc.and_(pc.greater_equal(stamps, one.entry_ns), pc.less_equal(stamps, one.exit_ns)))
     origin = pa.table({key: boxes.column(key).cast(pa.string()) for key in ("source", "source_version")})

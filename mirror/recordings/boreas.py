@@ -28,11 +28,12 @@ from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_exp, quaternion_inverse, quaternion_multiply
 from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
+from mirror.recordings.opening import find_file, unreadable
 from mirror.recordings.paths import list_folder
 from mirror.recordings.placing import FLU_FROM_CAMERA, track_from_utm
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
-from mirror.recordings.tabular import Rows, read_rows, unreadable
+from mirror.recordings.tabular import Rows, read_rows
 
 _NAME: Final = re.compile(r"boreas-\d{4}-\d{2}-\d{2}-\d{2}-\d{2}")
 _POSES: Final = ("camera_poses.csv", "applanix/camera_poses.csv")
@@ -63,7 +64,7 @@ class BoreasReader:
 
 
 def _pose_file(path: Path) -> Path | None:
-    return next((path / name for name in _POSES if (path / name).is_file()), None)
+    return next((file for name in _POSES if (file := find_file(path, name))), None)
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ class BoreasRecording:
     def files(self) -> Sequence[tuple[str, Path]]:
         """The pose file, the camera's calibration and pictures; lidar and radar are not read."""
         found = [self.poses, *self._pictures.values()]
-        if self._projection.is_file():
+        if self._projection is not None:
             found.append(self._projection)
         return sorted((file.relative_to(self.path).as_posix(), file) for file in found)
 
@@ -139,23 +140,24 @@ class BoreasRecording:
         return quaternion_multiply(grid_from_camera, quaternion_inverse(FLU_FROM_CAMERA))
 
     @property
-    def _projection(self) -> Path:
-        return self.path / "calib" / "P_camera.txt"
+    def _projection(self) -> Path | None:
+        return find_file(self.path, "calib/P_camera.txt")
 
     def calibrations(self) -> pa.Table:
         """The rectified camera of ``calib/P_camera.txt``; the ego frame is the camera turned, so it does not move."""
         found: list[tuple[Stage, Calibration]] = []
-        if self.rig is not None and self._projection.is_file():
+        file = self._projection
+        if self.rig is not None and file is not None:
             try:
-                projection = np.loadtxt(self._projection)
+                projection = np.loadtxt(file)
             except (ValueError, OSError) as error:
-                raise unreadable(self._projection, error) from error
+                raise unreadable(file, error) from error
             if projection.shape not in ((3, 4), (4, 4)):
                 raise RecordingError(
-                    f"a matrix of shape {projection.shape}", file=self._projection, expected="3 or 4 rows of 4 numbers"
+                    f"a matrix of shape {projection.shape}", file=file, expected="3 or 4 rows of 4 numbers"
                 )
             calibration = checked_calibration(
-                self._projection,
+                file,
                 _CAMERA,
                 model="pinhole",
                 width_px=_RASTER_PX[0],

@@ -6,22 +6,37 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mirror.errors import RecordingError
-
-# What code meets that takes malformed data for good; anything else is a fault of ours, and ends the run.
-_MALFORMED = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
+from mirror.errors import MirrorError, RecordingError, UsageError
 
 
 @contextmanager
 def reader_errors(path: Path) -> Iterator[None]:
-    """Give what a reader did not foresee as a `RecordingError` of the recording, with its cause.
+    """Give whatever a reader did not foresee as a `RecordingError` of the recording, with its cause.
+
+    One bad recording never ends the run of the others, and what a library raises on damaged bytes belongs to no list:
+    NumPy's header of an ``.npy`` file alone gives `ValueError`, `tokenize.TokenError`, `MemoryError` and
+    `RecursionError`. A `MirrorError` passes as it is, but for a `UsageError`, which blames a call: numbers of a
+    recording that make no pose or camera are the recording's.
 
     Args:
         path: the recording.
+
+    Raises:
+        RecordingError: instead of any other exception.
     """
     try:
         yield
-    except _MALFORMED as error:
+    except UsageError as error:
+        raise RecordingError(
+            error.problem,
+            file=error.file or path,
+            place=error.place,
+            expected=error.expected,
+            remedy=error.remedy or "correct the recording",
+        ) from error
+    except MirrorError:
+        raise
+    except Exception as error:
         raise RecordingError(
             f"its reader failed ({type(error).__name__}: {error})",
             file=path,

@@ -22,16 +22,16 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from mirror.arrays import AnyArray, Bool, Float64, Int64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, quaternion_normalise
 from mirror.recordings.bad_rows import RowFaults
 from mirror.recordings.calibration import Calibration, Stage, calibration_table
+from mirror.recordings.opening import find_file, read_array, require_file
 from mirror.recordings.paths import identifier, natural_key
 from mirror.recordings.placing import FLU_FROM_CAMERA, FLU_FROM_FRD, no_rotations, track_from_ecef
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
-from mirror.recordings.tabular import unreadable
 from mirror.recordings.time import WEEK_S, unix_from_gps_week
 from mirror.recordings.video import VideoStream
 
@@ -43,6 +43,7 @@ _RASTER_PX: Final = (1164, 874)
 _ARRAYS: Final = ("frame_gps_times", "frame_positions", "frame_orientations")
 # In the year 2171.
 _LAST_WEEK: Final = 10_000
+_POSITIONS: Final = "global_pose/frame_positions"
 
 
 class Comma2k19Reader:
@@ -65,14 +66,10 @@ class Comma2k19Reader:
 
 
 def _segments(path: Path) -> list[Path]:
-    if _is_segment(path):
+    if find_file(path, _POSITIONS) is not None:
         return [path]
-    found = [child for child in path.iterdir() if child.name.isdecimal() and _is_segment(child)]
-    return sorted(found, key=lambda child: natural_key(child.name))
-
-
-def _is_segment(path: Path) -> bool:
-    return (path / "global_pose" / "frame_positions").is_file()
+    names = [child.name for child in path.iterdir() if child.name.isdecimal()]
+    return [path / name for name in sorted(names, key=natural_key) if find_file(path, f"{name}/{_POSITIONS}")]
 
 
 @dataclass(frozen=True)
@@ -107,18 +104,25 @@ class Comma2k19Recording:
 
     @cached_property
     def _videos(self) -> dict[int, Path]:
-        found = {index: segment / "video.hevc" for index, segment in enumerate(self.segments)}
-        return {index: file for index, file in found.items() if file.is_file()}
+        names = [self._name(segment, "video.hevc") for segment in self.segments]
+        found = {index: find_file(self.path, name) for index, name in enumerate(names)}
+        return {index: file for index, file in found.items() if file is not None}
 
     def files(self) -> Sequence[tuple[str, Path]]:
         """The pose arrays and videos; the car's bus and the raw GNSS are not read."""
-        found = [segment / "global_pose" / name for segment in self.segments for name in _ARRAYS]
+        found = [self._pose_file(segment, name) for segment in self.segments for name in _ARRAYS]
         found += self._videos.values()
         return sorted((file.relative_to(self.path).as_posix(), file) for file in found)
 
     @cached_property
     def _arrays(self) -> list[dict[str, Float64]]:
-        return [_load(segment) for segment in self.segments]
+        return [_load(segment, {name: self._pose_file(segment, name) for name in _ARRAYS}) for segment in self.segments]
+
+    def _name(self, segment: Path, name: str) -> str:
+        return (segment.relative_to(self.path) / name).as_posix()
+
+    def _pose_file(self, segment: Path, name: str) -> Path:
+        return require_file(self.path, self._name(segment, f"global_pose/{name}"))
 
     @cached_property
     def _no_stamps(self) -> list[Bool]:
@@ -223,17 +227,14 @@ class _Segments:
             start = end
 
 
-def _load(segment: Path) -> dict[str, Float64]:
+def _load(segment: Path, files: Mapping[str, Path]) -> dict[str, Float64]:
     arrays = {}
     for name, columns in zip(_ARRAYS, (2, 3, 4)):
-        file = segment / "global_pose" / name
-        try:
-            array: AnyArray = np.load(file, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise unreadable(file, error) from error
+        file = files[name]
+        array = read_array(file)
         if array.ndim != 2 or array.shape[1] != columns or not len(array):
             raise RecordingError(f"an array of shape {array.shape}", file=file, expected=f"(N, {columns}), N > 0")
-        arrays[name] = np.asarray(array, np.float64)
+        arrays[name] = array
     lengths = {name: len(array) for name, array in arrays.items()}
     if len(set(lengths.values())) > 1:
         raise RecordingError(f"arrays of different lengths {lengths}", file=segment, expected="one row a frame in each")

@@ -29,7 +29,8 @@ from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.bad_rows import RowFaults
 from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
-from mirror.recordings.dgp_datum import Datum, read_datum, read_json, read_pose
+from mirror.recordings.dgp_datum import Datum, read_datum, read_object, read_pose
+from mirror.recordings.opening import require_file
 from mirror.recordings.paths import identifier, inside
 from mirror.recordings.placing import no_rotations
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
@@ -55,15 +56,19 @@ class DgpReader:
 
     def recognises(self, path: Path) -> bool:
         """By the scene file."""
-        return path.is_dir() and len(list(path.glob("scene_*.json"))) == 1
+        return len(_scene_files(path)) == 1
 
     def open(self, path: Path, options: Mapping[str, str]) -> DgpRecording:
         """Open a scene; there are no options."""
         refuse_options(options, (), path)
-        found = sorted(path.glob("scene_*.json")) if path.is_dir() else []
+        found = _scene_files(path)
         if len(found) != 1:
             raise RecordingError(f"{len(found)} scene files", file=path, expected=self.expects)
-        return DgpRecording(path, found[0])
+        return DgpRecording(path, require_file(path, found[0]))
+
+
+def _scene_files(path: Path) -> list[str]:
+    return sorted(file.name for file in path.glob("scene_*.json")) if path.is_dir() else []
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ class DgpRecording:
 
     @cached_property
     def _scene(self) -> dict[str, Any]:
-        return read_json(self.scene_file)
+        return read_object(self.scene_file)
 
     @cached_property
     def _all_data(self) -> list[Datum]:
@@ -123,8 +128,9 @@ class DgpRecording:
         keys = sorted({datum.calibration for datum in self._data})
         files = {}
         for key in keys:
-            file = inside(self.path, f"calibration/{key}.json", file=self.scene_file, place="calibration_key")
-            files[key] = read_json(file)
+            inside(self.path, f"calibration/{key}.json", file=self.scene_file, place="calibration_key")
+            file = require_file(self.path, f"calibration/{key}.json")
+            files[key] = read_object(file)
             lengths = {len(files[key].get(name, ())) for name in ("names", "extrinsics", "intrinsics")}
             if len(lengths) != 1 or lengths == {0}:
                 raise RecordingError(
@@ -162,6 +168,10 @@ class DgpRecording:
 
     def _inside(self, name: str) -> Path:
         return inside(self.path, name, file=self.scene_file, place=name)
+
+    def _required(self, name: str) -> Path:
+        self._inside(name)
+        return require_file(self.path, name)
 
     def _extrinsic(self, key: str, sensor: str) -> Poses:
         if (key, sensor) not in self._extrinsics:
@@ -299,13 +309,13 @@ class DgpRecording:
         if not self._box_files or not self._ontology_keys:
             return None
         ontology = self._ontology_keys[0]
-        items = read_json(self._inside(f"ontology/{ontology}.json"))["items"]
+        items = read_object(self._required(f"ontology/{ontology}.json"))["items"]
         categories = {item["id"]: item["name"] for item in items}
         rows: list[dict[str, Any]] = []
         for datum, name in self._box_files:
             vehicle_SE3_sensor = self._extrinsic(datum.calibration, datum.sensor)
-            file = self._inside(name)
-            for index, annotation in enumerate(read_json(file)["annotations"]):
+            file = self._required(name)
+            for index, annotation in enumerate(read_object(file)["annotations"]):
                 try:
                     box = annotation["box"]
                     pose = vehicle_SE3_sensor @ read_pose(box["pose"])

@@ -12,9 +12,8 @@ import numpy as np
 
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
+from mirror.recordings.opening import read_json
 from mirror.recordings.placing import no_rotations
-from mirror.recordings.tabular import unreadable
-from mirror.schema.strict_json import decode_json
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_YEAR: Final = 2200
@@ -102,16 +101,13 @@ def _components(entry: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[floa
     )
 
 
-def read_json(file: Path) -> dict[str, Any]:
+def read_object(file: Path) -> dict[str, Any]:
     """A file that holds one JSON object.
 
     Raises:
         RecordingError: it does not.
     """
-    try:
-        found = decode_json(file.read_bytes())
-    except (OSError, ValueError) as error:
-        raise unreadable(file, error) from error
+    found = read_json(file)
     if not isinstance(found, dict):
         raise RecordingError("not a JSON object", file=file, expected="a DGP document")
     return found

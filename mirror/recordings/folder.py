@@ -18,6 +18,7 @@ from mirror.geometry.quaternions import quaternion_from_heading_pitch_roll
 from mirror.recordings.calibration import STAGES, Calibration, Stage, calibration_table
 from mirror.recordings.folder_document import NAME, FolderDocument, read_calibrations, read_document, recording_errors
 from mirror.recordings.folder_pictures import picture_stream
+from mirror.recordings.opening import find_file, read_plain, require_file
 from mirror.recordings.paths import inside, list_folder, natural_key, walk
 from mirror.recordings.placing import checked_quaternions, ego_track, track_from_ecef, track_from_utm
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
@@ -47,12 +48,12 @@ class FolderReader:
 
     def recognises(self, path: Path) -> bool:
         """By ``recording.json``."""
-        return (path / NAME).is_file()
+        return find_file(path, NAME) is not None
 
     def open(self, path: Path, options: Mapping[str, str]) -> FolderRecording:
         """Open a recording; there are no options, ``recording.json`` says everything."""
         refuse_options(options, (), path)
-        return FolderRecording(path, read_document(path / NAME))
+        return FolderRecording(path, read_document(require_file(path, NAME)))
 
 
 @dataclass(frozen=True)
@@ -97,12 +98,14 @@ class FolderRecording:
             return None
         import cv2
 
-        file = inside(self.path, name, file=self.path / NAME, place=f"cameras.{camera}.static_mask")
-        mask = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) if file.is_file() else None
+        inside(self.path, name, file=self.path / NAME, place=f"cameras.{camera}.static_mask")
+        file = find_file(self.path, name)
+        data = np.frombuffer(read_plain(file), np.uint8) if file is not None else np.empty(0, np.uint8)
+        mask = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
         if mask is None:
             raise RecordingError(
-                "the mask is missing or no picture" if file.is_file() else "the mask is missing",
-                file=file,
+                "the mask is missing" if file is None else "the mask is no image",
+                file=self.path / name,
                 place=f"camera {camera}",
                 expected="a PNG of the camera's raster",
                 remedy="restore it, or take static_mask out of recording.json",
@@ -115,7 +118,7 @@ class FolderRecording:
 
     @cached_property
     def _pose_files(self) -> list[Path]:
-        found = [self.path / f"poses{suffix}" for suffix in _TABLES if (self.path / f"poses{suffix}").is_file()]
+        found = [file for suffix in _TABLES if (file := find_file(self.path, f"poses{suffix}"))]
         folder = self.path / "poses"
         parts: list[Path] = []
         if folder.is_dir():
@@ -207,8 +210,8 @@ class FolderRecording:
         """All stages that have a file."""
         found: list[tuple[Stage, Calibration]] = []
         for stage in STAGES:
-            file = self.path / "calibrations" / f"{stage}.json"
-            if not file.is_file():
+            file = find_file(self.path, f"calibrations/{stage}.json")
+            if file is None:
                 continue
             for index, calibration in enumerate(read_calibrations(file)):
                 if calibration.camera not in self.document.cameras:
@@ -227,8 +230,8 @@ class FolderRecording:
 
     def boxes(self) -> pa.Table | None:
         """``boxes.parquet``, held against the `boxes` table."""
-        file = self.path / "boxes.parquet"
-        if not file.is_file():
+        file = find_file(self.path, "boxes.parquet")
+        if file is None:
             return None
         rows = read_rows([file], types={})
         with recording_errors():

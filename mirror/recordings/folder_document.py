@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from mirror.errors import RecordingError, SchemaError
 from mirror.recordings.calibration import SE3, Calibration
-from mirror.recordings.tabular import unreadable
+from mirror.recordings.opening import read_json
 from mirror.recordings.time import TIME_BASES
 from mirror.schema.documents import Document, Identifier
-from mirror.schema.strict_json import JsonError, decode_json
 
 NAME: Final = "recording.json"
 
@@ -93,7 +92,7 @@ def read_document(file: Path) -> FolderDocument:
         RecordingError: it is missing or broken, or a key is not as specified; the key is named.
     """
     with _named(file):
-        return FolderDocument.model_validate(_json(file))
+        return FolderDocument.model_validate(read_json(file))
 
 
 def read_calibrations(file: Path) -> list[Calibration]:
@@ -103,7 +102,7 @@ def read_calibrations(file: Path) -> list[Calibration]:
         RecordingError: the file is broken, or an entry is not as specified; entry and key are named.
     """
     with _named(file):
-        return TypeAdapter(list[Calibration]).validate_python(_json(file))
+        return TypeAdapter(list[Calibration]).validate_python(read_json(file))
 
 
 @contextmanager
@@ -114,22 +113,6 @@ def recording_errors() -> Iterator[None]:
     except SchemaError as error:
         raise RecordingError(
             error.problem, file=error.file, place=error.place, expected=error.expected, remedy=error.remedy
-        ) from error
-
-
-def _json(file: Path) -> Any:
-    try:
-        text = file.read_bytes()
-    except OSError as error:
-        raise unreadable(file, error) from error
-    try:
-        return decode_json(text)
-    except JsonError as error:
-        raise RecordingError(
-            str(error),
-            file=file,
-            place=error.place,
-            remedy="correct it, or copy the file again: a truncated file ends before its last bracket",
         ) from error
 
 

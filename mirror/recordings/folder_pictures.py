@@ -12,6 +12,7 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.folder_document import FolderCamera
+from mirror.recordings.opening import find_file
 from mirror.recordings.paths import is_elsewhere, list_folder, list_names
 from mirror.recordings.protocol import FileStream, ImageStream, ReferencedStream
 from mirror.recordings.tabular import Rows, read_rows
@@ -38,8 +39,8 @@ def picture_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
     folder = root / "images" / camera
     listed = list_folder(root, root / "videos") if (root / "videos").is_dir() else {}
     videos = [file for name, file in sorted(listed.items()) if file.stem == camera and file.suffix.lower() in _VIDEOS]
-    table = root / "images" / f"{camera}.csv"
-    elsewhere = table.is_file() and not folder.is_dir()
+    table = find_file(root, f"images/{camera}.csv")
+    elsewhere = table is not None and not folder.is_dir()
     if folder.is_dir() + elsewhere + len(videos) != 1:
         found = [str(file.relative_to(root)) for file in videos]
         found += [f"images/{camera}"] * folder.is_dir() + [f"images/{camera}.csv"] * elsewhere
@@ -50,17 +51,16 @@ def picture_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
             expected=f"the folder images/{camera}, one video videos/{camera}.mp4, or images/{camera}.csv with uris",
             remedy="put its pictures there, or take the camera out of recording.json",
         )
-    if elsewhere:
-        return _referenced(root, camera, table)
-    return _video(root, camera, entry, videos[0]) if videos else _files(root, camera, folder)
+    if table is not None and elsewhere:
+        return _referenced(camera, table)
+    return _video(root, camera, entry, videos[0]) if videos else _files(root, camera, folder, table)
 
 
-def _files(root: Path, camera: str, folder: Path) -> FileStream:
+def _files(root: Path, camera: str, folder: Path, table: Path | None) -> FileStream:
     pictures = list_names(root, folder)
     if not pictures:
         raise RecordingError(f"camera {camera} has no pictures", file=folder, expected="<timestamp_ns>.jpg or .png")
-    table = root / "images" / f"{camera}.csv"
-    if table.is_file():
+    if table is not None:
         start, end, names = _listed(table, set(pictures))
     else:
         names = pictures
@@ -71,8 +71,7 @@ def _files(root: Path, camera: str, folder: Path) -> FileStream:
     return FileStream(camera, codec, start[order], end[order], tuple(f"{folder}/{name}" for name in ordered))
 
 
-def _referenced(root: Path, camera: str, table: Path) -> ReferencedStream:
-    list_folder(root, table.parent)
+def _referenced(camera: str, table: Path) -> ReferencedStream:
     columns = ("uri", *_EXPOSURES, *_SIZES)
     texts = dict.fromkeys(("uri", *_EXPOSURES), pa.string())
     rows = read_rows([table], types={**texts, **dict.fromkeys(_SIZES, pa.int64())}, columns=columns)
@@ -178,8 +177,8 @@ def _exposures(rows: Rows) -> tuple[Int64, Int64]:
 
 
 def _video(root: Path, camera: str, entry: FolderCamera, video: Path) -> VideoStream:
-    table = root / "videos" / f"{camera}.csv"
-    if table.is_file():
+    table = find_file(root, f"videos/{camera}.csv")
+    if table is not None:
         names = ("pts", *_EXPOSURES)
         rows = read_rows([table], types={"pts": pa.int64(), **dict.fromkeys(_EXPOSURES, pa.string())}, columns=names)
         missing = np.asarray(rows.column("pts").is_null())

@@ -20,6 +20,7 @@ import pyarrow.compute as pc
 from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
 from mirror.recordings.calibration import calibration_table
+from mirror.recordings.opening import require_file
 from mirror.recordings.paths import identifier, list_folder, natural_key
 from mirror.recordings.protocol import DriveInfo, ImageStream, Track
 from mirror.recordings.registry import refuse_options
@@ -82,7 +83,7 @@ class CsvReader:
         others = [child for child in children if child not in tables and child.suffix.lower() not in _NOTES]
         if not tables or others or any(child.is_dir() for child in children):
             return False
-        usual = _usual_columns(header(tables[0])[0])
+        usual = _usual_columns(header(require_file(path, tables[0].name))[0])
         return "time" in usual and any({*axes[:2]} <= usual.keys() for axes in (_GEODETIC, _LOCAL))
 
     def open(self, path: Path, options: Mapping[str, str]) -> CsvRecording:

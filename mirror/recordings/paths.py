@@ -36,7 +36,18 @@ def inside(root: Path, name: str, *, file: Path, place: str) -> Path:
     if climbs or name.startswith("/") or "\\" in name or windows.drive:
         raise _outside(name, file, place)
     path = root / name
-    if not path.resolve().is_relative_to(root.resolve()):
+    try:
+        found = path.resolve()
+    except (OSError, RuntimeError) as error:
+        # Links in a circle: the system's word is an OSError, pathlib's a RuntimeError.
+        raise RecordingError(
+            f"{name!r} cannot be followed ({error})",
+            file=file,
+            place=place,
+            expected="a file, or a link to one inside the recording's folder",
+            remedy="remove the link, or put the file in its place",
+        ) from error
+    if not found.is_relative_to(root.resolve()):
         raise _outside(name, file, place)
     return path
 
@@ -48,6 +59,16 @@ def _outside(name: str, file: Path, place: str) -> RecordingError:
         place=place,
         expected="a relative path without '..' to a file inside the recording's folder",
         remedy="copy the file into the recording and name it there",
+    )
+
+
+def not_plain(path: Path) -> RecordingError:
+    """The error for a folder, pipe, socket or device where a file belongs."""
+    return RecordingError(
+        "is no plain file: a folder, pipe or device, or a link to nothing",
+        file=path,
+        expected="a file",
+        remedy="put the file in its place, or remove it",
     )
 
 
@@ -74,7 +95,8 @@ def list_names(root: Path, folder: Path) -> list[str]:
         folder: a folder inside it.
 
     Raises:
-        RecordingError: the folder or an entry is a link that leads out of the recording.
+        RecordingError: the folder or an entry is a link that leads out of the recording, or an entry is a pipe, a
+            device or a link to nothing.
     """
     if folder != root:
         inside(root, folder.relative_to(root).as_posix(), file=folder, place="folder")
@@ -82,12 +104,15 @@ def list_names(root: Path, folder: Path) -> list[str]:
     with os.scandir(folder) as entries:
         for entry in entries:
             name = entry.name
-            if name.startswith(".") or not entry.is_file():
+            if name.startswith("."):
                 continue
             if entry.is_symlink():
                 path = folder / name
                 inside(root, path.relative_to(root).as_posix(), file=path, place="link")
-            found.append(name)
+            if entry.is_file():
+                found.append(name)
+            elif not entry.is_dir():
+                raise not_plain(folder / name)
     return found
 
 
@@ -100,7 +125,7 @@ def walk(root: Path) -> list[tuple[str, str]]:
         root: a recording's folder.
 
     Raises:
-        RecordingError: a link leads out of the recording.
+        RecordingError: a link leads out of the recording or to nothing, or there is a pipe or device.
     """
     found: list[tuple[str, str]] = []
     open_folders = [("", str(root))]
@@ -118,6 +143,8 @@ def walk(root: Path) -> list[tuple[str, str]]:
                     open_folders.append((relative + "/", path))
                 elif entry.is_file():
                     found.append((relative, path))
+                elif not entry.is_dir():
+                    raise not_plain(Path(path))
     return sorted(found)
 
 

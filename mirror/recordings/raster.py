@@ -1,11 +1,20 @@
-"""What a picture's encoded bytes say of themselves, without decoding them."""
+"""What an image's encoded bytes say of themselves, without decoding them: JPEG (ITU T.81) and PNG (ISO 15948).
+
+The structure is walked from marker to marker and from chunk to chunk. In a JPEG's entropy-coded data every byte 0xFF is
+stuffed or a restart marker, so that foreign bytes between intact markers show; in a PNG every critical chunk has a
+checksum. What only a decoder sees is left to it.
+"""
 
 from __future__ import annotations
 
 import struct
+import zlib
 from pathlib import PurePath
 from typing import Final
 
+import numpy as np
+
+from mirror.arrays import Int64
 from mirror.errors import RecordingError
 
 TAIL_BYTES: Final = 4096
@@ -13,37 +22,41 @@ TAIL_BYTES: Final = 4096
 
 _STARTS: Final = {"jpeg": b"\xff\xd8", "png": b"\x89PNG\r\n\x1a\n"}
 _ENDS: Final = {"jpeg": b"\xff\xd9", "png": b"IEND\xaeB`\x82"}
-_NO_SIZE: Final = {0xC4, 0xC8, 0xCC}
+_SOI, _EOI, _SOS, _TEM = 0xD8, 0xD9, 0xDA, 0x01
+_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+# Tables, comments and application data; markers below 0xC0 and 0xF0 to 0xFD are reserved.
+_SEGMENTS: Final = frozenset((0xC4, 0xCC, *range(0xDB, 0xF0), 0xFE))
+# What behind 0xFF in image data is a marker: not a stuffed zero, not one of the eight restart markers, not padding.
+_ENDS_SCAN: Final = np.array([byte not in (0x00, 0xFF) and not 0xD0 <= byte <= 0xD7 for byte in range(256)])
+# Bits a sample that PNG allows, by colour type.
+_PNG_DEPTHS: Final = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+_LARGEST: Final = 2**31 - 1
+
+
+class _CutError(Exception):
+    """The bytes end before the picture does."""
+
+
+class _BrokenError(Exception):
+    """The bytes are not what they should be."""
 
 
 def raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
-    """Width and height in pixels, from the header of a JPEG (ITU T.81) or PNG (ISO 15948).
+    """Width and height in pixels, from the header; what lies behind it may be missing.
 
     Raises:
-        RecordingError: neither, or cut off before its size.
+        RecordingError: neither a JPEG nor a PNG, or broken or cut off before its size.
     """
-    if data.startswith(_STARTS["png"]) and len(data) >= 24:
-        width, height = struct.unpack(">II", data[16:24])
-        return int(width), int(height)
-    if data.startswith(_STARTS["jpeg"]):
-        position = 2
-        while position + 9 <= len(data):
-            if data[position] != 0xFF:
-                break
-            marker = data[position + 1]
-            if marker == 0xFF:
-                position += 1
-                continue
-            if 0xC0 <= marker <= 0xCF and marker not in _NO_SIZE:
-                height, width = struct.unpack(">HH", data[position + 5 : position + 9])
-                return int(width), int(height)
-            position += 2 + struct.unpack(">H", data[position + 2 : position + 4])[0]
-    raise RecordingError(
-        "neither a JPEG nor a PNG, or cut off in its header",
-        file=file,
-        expected="an encoded picture",
-        remedy="restore the file, or take it out of the recording",
-    )
+    return _walk(data, file, whole=False)
+
+
+def require_whole(data: bytes, file: str | PurePath) -> tuple[int, int]:
+    """Width and height in pixels of an image whose structure is whole from its start to its end marker.
+
+    Raises:
+        RecordingError: it is empty, of another kind, cut short, or broken between its markers; the byte is named.
+    """
+    return _walk(data, file, whole=True)
 
 
 def has_end(data: bytes, codec: str) -> bool:
@@ -57,18 +70,120 @@ def has_end(data: bytes, codec: str) -> bool:
     return end is None or data.rfind(end, max(0, len(data) - TAIL_BYTES)) >= 0
 
 
-def require_whole(data: bytes, file: str | PurePath) -> None:
-    """Refuse a picture that is empty, of another kind, or lacks its end marker: a truncated copy.
-
-    Raises:
-        RecordingError: naming the file.
-    """
+def _walk(data: bytes, file: str | PurePath, *, whole: bool) -> tuple[int, int]:
     codec = next((codec for codec, start in _STARTS.items() if data.startswith(start)), None)
-    if codec is not None and has_end(data, codec):
-        return
-    raise RecordingError(
-        f"truncated: {len(data)} bytes and no end marker" if codec is not None else "neither a JPEG nor a PNG",
-        file=file,
-        expected="a whole JPEG or PNG",
-        remedy="restore the file, or take it out of the recording",
-    )
+    try:
+        if codec is None:
+            raise _BrokenError("neither a JPEG nor a PNG")
+        size = _walk_jpeg(data, whole=whole) if codec == "jpeg" else _walk_png(data, whole=whole)
+        if whole and not has_end(data, codec):
+            raise _BrokenError(f"no end marker in its last {TAIL_BYTES} bytes")
+    except (_CutError, _BrokenError) as problem:
+        cut = f"truncated: {len(data)} bytes and no end marker" if whole else "cut off in its header"
+        raise RecordingError(
+            str(problem) if isinstance(problem, _BrokenError) else cut,
+            file=file,
+            expected="a whole JPEG or PNG",
+            remedy="restore the file, or take it out of the recording",
+        ) from None
+    return size
+
+
+def _walk_jpeg(data: bytes, *, whole: bool) -> tuple[int, int]:
+    position, size = 2, None
+    markers: Int64 | None = None
+    while True:
+        while data[position + 1 : position + 2] == b"\xff":
+            position += 1
+        if position + 2 > len(data):
+            raise _CutError
+        if data[position] != 0xFF:
+            raise _BrokenError(f"broken JPEG: no marker at byte {position}")
+        marker = data[position + 1]
+        if marker == _EOI:
+            if size is None or markers is None:
+                raise _BrokenError("broken JPEG: it ends before its image data")
+            return size
+        if marker == _TEM:
+            position += 2
+            continue
+        if marker not in _SEGMENTS and marker not in _FRAMES and marker != _SOS:
+            raise _BrokenError(f"broken JPEG: marker 0x{marker:02X} at byte {position}")
+        if position + 4 > len(data):
+            raise _CutError
+        length = int.from_bytes(data[position + 2 : position + 4])
+        end = position + 2 + length
+        if end > len(data):
+            raise _CutError
+        if marker in _FRAMES:
+            if size is not None:
+                raise _BrokenError(f"broken JPEG: a second frame at byte {position}")
+            size = _jpeg_frame(data[position + 4 : end], position)
+            if not whole:
+                return size
+        elif length < 2:
+            raise _BrokenError(f"broken JPEG: a segment of {length} bytes at byte {position}")
+        position = end
+        if marker == _SOS:
+            if size is None:
+                raise _BrokenError(f"broken JPEG: image data before its size at byte {position}")
+            if markers is None:
+                markers = _markers_from(data, position)
+            following = int(np.searchsorted(markers, position))
+            if following == len(markers):
+                raise _CutError
+            position = int(markers[following])
+
+
+def _markers_from(data: bytes, start: int) -> Int64:
+    """Where markers may be from a byte on, ascending; one pass over the bytes for all scans."""
+    values = np.frombuffer(data, np.uint8, offset=start) if start < len(data) else np.empty(1, np.uint8)
+    escapes = np.flatnonzero(values[:-1] == 0xFF)
+    return start + escapes[_ENDS_SCAN[values[1:][escapes]]]
+
+
+def _jpeg_frame(segment: bytes, position: int) -> tuple[int, int]:
+    if len(segment) < 6 or len(segment) != 6 + 3 * segment[5]:
+        raise _BrokenError(f"broken JPEG: a frame header of {len(segment)} bytes at byte {position}")
+    height, width = struct.unpack(">HH", segment[1:5])
+    if not width or not height or not segment[5]:
+        raise _BrokenError(f"a JPEG of {width} x {height} px and {segment[5]} components")
+    return int(width), int(height)
+
+
+def _walk_png(data: bytes, *, whole: bool) -> tuple[int, int]:
+    position, size, has_data = len(_STARTS["png"]), None, False
+    while True:
+        if position + 12 > len(data):
+            raise _CutError
+        length, kind = struct.unpack(">I4s", data[position : position + 8])
+        end = position + 12 + length
+        if size is None and (kind != b"IHDR" or length != 13):
+            raise _BrokenError("broken PNG: it does not begin with its header")
+        if not kind.isalpha() or length > _LARGEST:
+            raise _BrokenError(f"broken PNG: no chunk at byte {position}")
+        if end > len(data):
+            raise _CutError
+        # Critical chunks have an upper-case first letter; decoders pass over other ones that are broken.
+        if kind[:1].isupper() and zlib.crc32(memoryview(data)[position + 4 : end - 4]) != int.from_bytes(
+            data[end - 4 : end]
+        ):
+            raise _BrokenError(f"broken PNG: checksum of chunk {kind.decode()} at byte {position}")
+        if size is None:
+            size = _png_header(data[position + 8 : end - 4])
+            if not whole:
+                return size
+        has_data |= kind == b"IDAT"
+        if kind == b"IEND":
+            if not has_data:
+                raise _BrokenError("broken PNG: it ends before its image data")
+            return size
+        position = end
+
+
+def _png_header(header: bytes) -> tuple[int, int]:
+    width, height, depth, colour, compression, filtering, interlace = struct.unpack(">IIBBBBB", header)
+    known = depth in _PNG_DEPTHS.get(colour, ()) and compression == filtering == 0 and interlace <= 1
+    if not known or not 0 < width <= _LARGEST or not 0 < height <= _LARGEST:
+        raise _BrokenError(f"a PNG of {width} x {height} px, {depth} bits, colour type {colour}")
+    return int(width), int(height)

@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from mirror.errors import RecordingError
+from mirror.recordings.paths import not_plain
 from mirror.recordings.protocol import ENTRY_POINT_GROUP, Reader, Recording
 
 
@@ -68,6 +69,8 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
     path = Path(path)
     if not path.exists():
         raise RecordingError("there is nothing at this path", file=path, expected="a recording")
+    if not (path.is_file() or path.is_dir()):
+        raise not_plain(path)
     known = readers(reader)
     if reader is not None:
         if reader not in known:

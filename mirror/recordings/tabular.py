@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ import pyarrow.compute as pc
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.recordings.bad_rows import Reason, RowFaults
+from mirror.recordings.opening import unreadable
 from mirror.recordings.protocol import Track
 from mirror.recordings.time import StampError, to_unix_ns
 
@@ -283,13 +285,6 @@ def header(file: Path, delimiter: str | None = None) -> tuple[list[str], str]:
     return [name.strip().strip('"') for name in first.split(used)], used
 
 
-def unreadable(file: Path, error: Exception) -> RecordingError:
-    """The error for a file that is missing, truncated or of another kind."""
-    kind = "a complete Parquet file" if file.suffix == ".parquet" else "a readable, complete file"
-    reason = "missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({str(error).splitlines()[0]})"
-    return RecordingError(reason, file=file, expected=kind, remedy="copy the file again from the vehicle or archive")
-
-
 def _read(
     file: Path,
     types: Mapping[str, pa.DataType],
@@ -306,6 +301,15 @@ def _read(
             table = _read_csv(file, types, delimiter, torn)
     except (pa.ArrowInvalid, OSError) as error:
         raise unreadable(file, error) from error
+    repeated = [name for name, count in Counter(table.column_names).items() if count > 1]
+    if repeated:
+        raise RecordingError(
+            f"{table.column_names.count(repeated[0])} columns have this name",
+            file=file,
+            place=f"column {repeated[0]}",
+            expected="one column a name",
+            remedy="rename or remove the others: nothing says which of them is meant",
+        )
     if columns is None:
         return table
     absent = [name for name in columns if name not in table.column_names]

@@ -13,11 +13,12 @@ from mirror.errors import DatasetError, RecordingError
 from mirror.ingest.pictures import Placed, place_pictures
 from mirror.recordings.protocol import FileStream
 
-HEADER = bytes.fromhex("ffd8 ffc0 0011 08 0438 0780 03 012200 021101 031101")
+HEADER = bytes.fromhex("ffd8 ffc0 0011 08 0438 0780 03 012200 021101 031101 ffda 000c 03 0100 0211 0311 003f00")
 WAYS: list[tuple[Literal["link", "copy"], bool]] = [("link", False), ("link", True), ("copy", False), ("copy", True)]
 
 
 def picture(number: int) -> bytes:
+    """A JPEG whose structure is whole: no byte of its image data is 0xFF."""
     return HEADER + np.random.default_rng(number).integers(0, 255, 100 + number, np.uint8).tobytes() + b"\xff\xd9"
 
 
@@ -76,7 +77,7 @@ def test_a_missing_picture_is_named(
     stream: FileStream, tmp_path: Path, transfer: Literal["link", "copy"], hashing: bool
 ) -> None:
     stream.paths[20].unlink()
-    with pytest.raises(RecordingError, match="cannot be read") as error:
+    with pytest.raises(RecordingError, match="missing") as error:
         place(stream, tmp_path / "out", transfer, hashing)
     assert error.value.file == str(stream.paths[20])
 

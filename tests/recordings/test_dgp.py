@@ -241,7 +241,7 @@ def test_camera_models(copy: Callable[..., Path]) -> None:
 
 def test_not_json(tmp_path: Path) -> None:
     (tmp_path / "scene_1.json").write_text('{"data": [')
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(RecordingError, match="not valid JSON"):
         _ = DgpReader().open(tmp_path, {}).info
     (tmp_path / "scene_2.json").write_text("{}")
     with pytest.raises(RecordingError, match="2 scene files"):

@@ -208,7 +208,7 @@ def test_masks_are_read_inside_the_recording(tmp_path: Path) -> None:
     np.testing.assert_array_equal(rig.cameras[0].static_mask, mask)
     assert rig.cameras[0].source_name == "front_wide"
     (path / "masks" / "front.png").write_bytes(b"no picture")
-    assert "no picture" in refusal(path).problem
+    assert "no image" in refusal(path).problem
 
 
 def test_boxes_follow_the_table(tmp_path: Path) -> None:

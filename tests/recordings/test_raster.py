@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from mirror.dataset.pictures.still import decode_rgb
 from mirror.errors import RecordingError
-from mirror.recordings.raster import TAIL_BYTES, has_end, require_whole
+from mirror.recordings.raster import TAIL_BYTES, has_end, raster_size, require_whole
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
 PICTURES = {"jpeg": cv2.imencode(".jpg", PIXELS)[1].tobytes(), "png": cv2.imencode(".png", PIXELS)[1].tobytes()}
@@ -42,3 +44,73 @@ def test_other_codecs_have_no_marker() -> None:
     assert not has_end(b"", "png")
     with pytest.raises(RecordingError, match="neither a JPEG nor a PNG"):
         require_whole(b"", "p")
+
+
+def test_every_byte_of_the_structure_counts() -> None:
+    """Of a JPEG's markers and a PNG's chunks no byte can be lost or changed unnoticed."""
+    for codec, data in PICTURES.items():
+        assert require_whole(data, "p") == (32, 24) == raster_size(data[:200] if codec == "png" else data, "p")
+        for length in range(len(data)):
+            with pytest.raises(RecordingError):
+                require_whole(data[:length], "p")
+    data = PICTURES["png"]
+    for position in range(len(data)):
+        with pytest.raises(RecordingError):
+            require_whole(data[:position] + bytes([data[position] ^ 1]) + data[position + 1 :], "p")
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        [],
+        [cv2.IMWRITE_JPEG_PROGRESSIVE, 1],
+        [cv2.IMWRITE_JPEG_RST_INTERVAL, 1],
+        [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444],
+        [cv2.IMWRITE_JPEG_OPTIMIZE, 1],
+    ],
+)
+def test_what_encoders_write_is_whole(suffix: str, options: list[int]) -> None:
+    for pixels in (PIXELS, PIXELS[..., 0], np.zeros((70, 90, 3), np.uint8)):
+        data = cv2.imencode(suffix, pixels, options if suffix == ".jpg" else [])[1].tobytes()
+        assert require_whole(data, "p") == pixels.shape[1::-1]
+
+
+@pytest.mark.parametrize("quality", [50, 95])
+def test_pillow_writes_whole_images(quality: int) -> None:
+    """Another encoder, with EXIF, a profile, a comment, grey, 16 bits and a palette."""
+    import io
+
+    from PIL import Image
+
+    colour, grey = Image.fromarray(PIXELS), Image.fromarray(PIXELS[..., 0])
+    exif = Image.Exif()
+    exif[0x010E] = "x" * 20_000
+    written: list[tuple[Image.Image, dict[str, object]]] = [
+        (colour, {"format": "JPEG", "exif": exif, "icc_profile": bytes(100_000), "comment": "c" * 300}),
+        (grey, {"format": "JPEG", "quality": quality, "progressive": True}),
+        (colour.convert("CMYK"), {"format": "JPEG"}),
+        (colour.quantize(16), {"format": "PNG"}),
+        (grey.convert("I;16"), {"format": "PNG"}),
+        (colour.convert("RGBA"), {"format": "PNG"}),
+    ]
+    for made, options in written:
+        sink = io.BytesIO()
+        made.save(sink, **options)
+        assert require_whole(sink.getvalue(), "p") == (32, 24)
+
+
+def test_foreign_bytes_in_the_image_data_show() -> None:
+    data = cv2.imencode(".jpg", np.random.default_rng(1).integers(0, 255, (240, 320, 3), np.uint8))[1].tobytes()
+    garbage = np.random.default_rng(2).bytes(4096)
+    with pytest.raises(RecordingError, match="broken JPEG"):
+        require_whole(data[:9000] + garbage + data[9000 + 4096 :], "p")
+
+
+@pytest.mark.real_data
+def test_photos_of_real_cameras_are_whole(real_data: Path) -> None:
+    photos = [file for suffix in ("jpg", "png") for file in sorted(real_data.rglob(f"*.{suffix}"))]
+    assert len(photos) > 40
+    for file in photos:
+        height, width = cv2.imread(str(file), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION).shape[:2]
+        assert require_whole(file.read_bytes(), file) == (width, height)

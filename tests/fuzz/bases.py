@@ -1,0 +1,200 @@
+"""One small valid recording of every reader, with a ROI that it passes through: what is damaged in the tests."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyproj
+
+from mirror.geometry.geodesy import ecef_R_enu
+from mirror.geometry.quaternions import quaternion_from_matrix
+from mirror.schema.documents import Roi
+from mirror.schema.files import write_table
+from mirror.schema.tables import BOXES
+from tests.ingest.recordings import LAT, LON, START_NS, street, write_recording
+
+SECONDS = np.arange(0.0, 12.05, 0.1)
+SPEED_MPS = 8.0
+_POSITIONS = {"qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "tx_m": 9.0, "ty_m": 1.0, "tz_m": 0.8}
+_SIZES = {"length_m": 4.5, "width_m": 1.9, "height_m": 1.6}
+
+
+@dataclass(frozen=True)
+class Base:
+    """A valid recording.
+
+    Attributes:
+        reader: its format.
+        path: its folder or file.
+        roi: a scene that it passes through once.
+    """
+
+    reader: str
+    path: Path
+    roi: Roi
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file of it that its reader reads, sorted."""
+        return sorted(file for file in self.path.rglob("*") if file.is_file())
+
+
+def image(suffix: str, size: tuple[int, int], seed: int = 0) -> bytes:
+    """An encoded image of (width, height)."""
+    small = np.random.default_rng(seed).integers(0, 255, (6, 8, 3), np.uint8)
+    return cv2.imencode(suffix, cv2.resize(small, size))[1].tobytes()
+
+
+def box_rows(stamps: list[int]) -> pa.Table:
+    """One box of one car at each stamp."""
+    columns = {field.name: pa.nulls(len(stamps), field.type) for field in BOXES.schema}
+    for name, value in {**_POSITIONS, **_SIZES}.items():
+        columns[name] = pa.array([value] * len(stamps))
+    for name, text in {"track_id": "7", "category": "car", "source": "people", "source_version": "1.2"}.items():
+        columns[name] = pa.array([text] * len(stamps))
+    columns["timestamp_ns"] = pa.array(stamps, pa.int64())
+    return pa.table(columns)
+
+
+def folder(root: Path) -> Base:
+    """Two cameras, a mask, boxes, a quaternion for each pose."""
+    path = write_recording(root, "drive", from_m=-40.0, to_m=60.0)
+    lines = (path / "poses.csv").read_text().splitlines()
+    rows = [line.rpartition(",")[0] + ",1.0,0.0,0.0,0.0,0.1" for line in lines[1:]]
+    header = lines[0].rpartition(",")[0] + ",qw,qx,qy,qz,sigma_m"
+    (path / "poses.csv").write_text("\n".join([header, *rows]) + "\n")
+    document = json.loads((path / "recording.json").read_text())
+    document["cameras"]["front_wide"] = {"static_mask": "masks/front_wide.png"}
+    (path / "recording.json").write_text(json.dumps(document, indent=1))
+    (path / "masks").mkdir()
+    (path / "masks" / "front_wide.png").write_bytes(cv2.imencode(".png", np.zeros((48, 64), np.uint8))[1].tobytes())
+    stamps = sorted(int(file.stem) for file in (path / "images" / "rear").iterdir())
+    exposures = "file,exposure_start_ns,exposure_end_ns\n" + "".join(f"{t}.jpg,{t},{t + 2000}\n" for t in stamps)
+    (path / "images" / "rear.csv").write_text(exposures)
+    write_table(path / "boxes.parquet", box_rows(stamps), BOXES)
+    return Base("folder", path, Roi(scene_id="s", longitude_deg=LON, latitude_deg=LAT, radius_m=60.0))
+
+
+def csv(root: Path) -> Base:
+    """A GPS table of seconds since 1970."""
+    lon, lat = street(-40.0 + SPEED_MPS * SECONDS)
+    rows = [f"{1_700_000_000 + t:.1f},{x:.9f},{y:.9f},520.0,1.5,Clear" for t, x, y in zip(SECONDS, lon, lat)]
+    path = root / "drive"
+    path.mkdir(parents=True)
+    (path / "track.csv").write_text("timestamp,longitude,latitude,altitude,accuracy,weather\n" + "\n".join(rows) + "\n")
+    return Base("csv", path, Roi(scene_id="s", longitude_deg=LON, latitude_deg=LAT, radius_m=60.0))
+
+
+def boreas(root: Path) -> Base:
+    """A sequence with images and a calibration; eastward."""
+    path = root / "boreas-2021-08-05-13-34"
+    (path / "camera").mkdir(parents=True)
+    (path / "calib").mkdir()
+    stamps = (1_628_184_886_000_000 + SECONDS * 1e6).astype(np.int64)
+    header = "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,angvel_z,angvel_y,angvel_x"
+    rows = [
+        f"{t},{623400.0 + SPEED_MPS * s:.3f},4848821.131,153.6,8,0,0,1.71685,-1.32829,-0.15702,0,0,0"
+        for t, s in zip(stamps, SECONDS)
+    ]
+    (path / "camera_poses.csv").write_text("\n".join([header, *rows]) + "\n")
+    (path / "calib" / "P_camera.txt").write_text("1460.98 0 1230.0 0\n0 1460.93 1035.08 0\n0 0 1 0\n0 0 0 1\n")
+    data = image(".png", (2448, 2048))
+    for stamp in stamps[10:110:20]:
+        (path / "camera" / f"{stamp}.png").write_bytes(data)
+    lon, lat = pyproj.Transformer.from_crs(32617, 4326, always_xy=True).transform(623448.0, 4848821.131)
+    return Base("boreas", path, Roi(scene_id="s", longitude_deg=lon, latitude_deg=lat, radius_m=60.0))
+
+
+def comma2k19(root: Path) -> Base:
+    """A route of two segments; straight on along the ellipsoid's surface."""
+    path = root / "b0c9d2329ad1606b_2018-08-02--08-34-47"
+    lon, lat = street(-40.0 + SPEED_MPS * SECONDS)
+    to_ecef = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
+    position = np.column_stack(to_ecef.transform(lon, lat, np.full(len(lon), 520.0)))
+    # Forward east, right south, down: columns of enu_R_device, turned into ECEF.
+    enu_from_device = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+    east = quaternion_from_matrix(ecef_R_enu(LON, LAT) @ enu_from_device).reshape(4)
+    for number, rows in enumerate(np.array_split(np.arange(len(SECONDS)), 2)):
+        here = path / str(number) / "global_pose"
+        here.mkdir(parents=True)
+        arrays = {
+            "frame_gps_times": np.column_stack([np.full(len(rows), 2012.0), 404_000.0 + SECONDS[rows]]),
+            "frame_positions": position[rows],
+            "frame_orientations": np.tile(east, (len(rows), 1)),
+        }
+        for name, array in arrays.items():
+            with (here / name).open("wb") as file:
+                np.save(file, array)
+    return Base("comma2k19", path, Roi(scene_id="s", longitude_deg=LON, latitude_deg=LAT, radius_m=60.0))
+
+
+def dgp(root: Path) -> Base:
+    """A scene of one camera and one lidar with boxes; along x of its own frame."""
+    path = root / "scene"
+    for name in ("calibration", "ontology", "rgb/CAM", "bounding_box_3d/LIDAR"):
+        (path / name).mkdir(parents=True)
+    level = {"qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0}
+    forward = {"qw": 0.5, "qx": -0.5, "qy": 0.5, "qz": -0.5}
+    samples, data = [], []
+    for number, seconds in enumerate(SECONDS[::5]):
+        stamp = np.datetime64(START_NS + round(seconds * 1e9), "ns")
+        text = str(stamp.astype("datetime64[us]")) + "Z"
+        name = f"{number:06d}"
+        (path / "rgb" / "CAM" / f"{name}.jpg").write_bytes(image(".jpg", (64, 48), number))
+        place = {"x": SPEED_MPS * seconds - 40.0, "y": 0.0, "z": 0.0}
+        picture = {
+            "image": {
+                "filename": f"rgb/CAM/{name}.jpg", "width": 64, "height": 48, "channels": 3, "annotations": {},
+                "pose": {"rotation": forward, "translation": {**place, "z": 1.6}},
+            }
+        }  # fmt: skip
+        cloud = {
+            "point_cloud": {
+                "filename": f"point_cloud/LIDAR/{name}.npz",
+                "annotations": {"1": f"bounding_box_3d/LIDAR/{name}.json"},
+                "pose": {"rotation": level, "translation": place},
+            }
+        }
+        for sensor, content in (("CAM", picture), ("LIDAR", cloud)):
+            key = f"{sensor.lower()}{number}"
+            data.append({"id": {"name": sensor, "timestamp": text, "log": "l"}, "key": key, "datum": content})
+        samples.append({"calibration_key": "cal", "datum_keys": [f"cam{number}", f"lidar{number}"]})
+        box = {
+            "class_id": 1,
+            "instance_id": 7,
+            "box": {
+                "pose": {"rotation": level, "translation": {"x": 9.0, "y": 1.0, "z": 0.8}},
+                "length": 4.5, "width": 1.9, "height": 1.6,
+            },
+        }  # fmt: skip
+        (path / "bounding_box_3d" / "LIDAR" / f"{name}.json").write_text(json.dumps({"annotations": [box]}))
+    origin = {"x": 0.0, "y": 0.0, "z": 0.0}
+    calibration = {
+        "names": ["CAM", "LIDAR"],
+        "extrinsics": [
+            {"rotation": forward, "translation": {**origin, "z": 1.6}},
+            {"rotation": level, "translation": origin},
+        ],
+        "intrinsics": [{"fx": 50.0, "fy": 50.0, "cx": 31.5, "cy": 23.5}, {}],
+    }
+    (path / "calibration" / "cal.json").write_text(json.dumps(calibration))
+    (path / "ontology" / "ont.json").write_text(json.dumps({"items": [{"id": 1, "name": "Car"}]}))
+    scene = {"name": "s", "log": "l", "ontologies": {"1": "ont"}, "samples": samples, "data": data}
+    (path / "scene_0123456789.json").write_text(json.dumps(scene, indent=1))
+    roi = Roi(scene_id="s", frame="scene_01234567", x_m=0.0, y_m=0.0, radius_m=60.0)
+    return Base("dgp", path, roi)
+
+
+BASES: dict[str, Callable[[Path], Base]] = {
+    "folder": folder,
+    "csv": csv,
+    "boreas": boreas,
+    "dgp": dgp,
+    "comma2k19": comma2k19,
+}

@@ -28,7 +28,7 @@ class Arguments:
     split: str
     """Name of the split."""
     out: Path
-    """A new or an empty folder for the submission."""
+    """A new or an empty folder for the submission, or one in which the same was begun."""
     protocol: str = "static-reconstruction"
     """Name of the protocol, or the path of its .toml."""
 
@@ -42,11 +42,14 @@ def main(argv: Sequence[str]) -> int:
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
+    from mirror.version import __version__
 
     floor = import_module(f"mirror_baselines.{arguments.method}")
     dataset = mirror.open(arguments.dataset)
     plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)
     with progress_bar(quiet=False) as bar:
-        count = write_submission(dataset, plan, floor.render, floor.METHOD, floor.APPEARANCE, arguments.out, bar)
+        count = write_submission(
+            dataset, plan, floor.render, floor.METHOD, floor.APPEARANCE, arguments.out, bar, of=__version__
+        )
     print(f"{count} renders: {arguments.out}")
     return ExitCode.DONE

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from mirror.command_line import parsed
-from mirror.errors import ExitCode, UsageError
+from mirror.errors import ExitCode
 
 _FLOOR: Final = "nearest_frame"
 _BASELINES: Final = (_FLOOR, "mean_color")
@@ -181,10 +181,15 @@ def _clear(out: Path) -> None:
     Raises:
         UsageError: it holds something else.
     """
-    if out.exists() and not (out / _MARK).is_file() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError("not an empty folder, and no demo made it", file=out, remedy="name another one with --out")
-    if out.exists():
+    from mirror.schema.folders import Kind, require_own_folder
+
+    if require_own_folder(out, Kind.DEMO) is not None:
         print(f"{out}: what an earlier demo left there is removed", flush=True)
-        shutil.rmtree(out)
-    out.mkdir(parents=True)
+    out.mkdir(parents=True, exist_ok=True)
+    # First, and not removed in between: an interrupted demo is known as one.
     (out / _MARK).write_text(_NOTE)
+    for path in out.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        elif path.name != _MARK:
+            path.unlink()

@@ -82,9 +82,18 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError("no model", place="MODEL", expected="a folder that `mirror reconstruct` wrote")
 
     import mirror
+    from mirror.schema.folders import Kind, require_own_file, require_own_folder
 
+    if arguments.trajectory is not None and _is_film(arguments.out):
+        require_own_file(arguments.out)
+    else:
+        require_own_folder(arguments.out, Kind.SUBMISSION)
     dataset = mirror.open(arguments.dataset)
     return _trajectory(arguments, dataset) if arguments.trajectory is not None else _submission(arguments, dataset)
+
+
+def _is_film(out: Path) -> bool:
+    return out.suffix.lower() in _VIDEOS
 
 
 def _submission(arguments: Arguments, dataset: Dataset) -> int:
@@ -125,11 +134,9 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     def renderer(_: Dataset, asked: Plan) -> Iterator[Render]:
         for scene, model in models.items():
             own = [view for view in asked.views if view.scene_id == scene]
-            # What an interrupted run has rendered is there.
-            missing = [view for view in own if not (arguments.out / view.path).is_file()]
-            if missing:
+            if own:
                 render = installed_method(name).open(model, looking)
-                yield from (([view], render(view)) for view in missing)
+                yield from (([view], render(view)) for view in own)
 
     about = Method(name=name, licence=licence_of(name), trained_on=_trained_on(models.values()))
     with progress_bar(quiet=arguments.json) as bar:
@@ -210,12 +217,14 @@ def appearance_of(looking: AppearancePolicy) -> Appearance:
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.writing import begin_rendering
     from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.appearance import Looking
     from mirror.methods.by_camera import by_camera, opened_by_camera
     from mirror.methods.model_document import read_reconstruction, require_same_street
     from mirror.methods.registry import installed_method
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views.trajectories import named, views_along
+    from mirror.schema.begun import begin_folder
 
     pixels = load_protocol(arguments.protocol).pixels
     if arguments.width is not None:
@@ -233,7 +242,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     trajectory = named(own, str(arguments.trajectory), base, hz).at_rate(hz)
     views = views_along(own, base, trajectory, pixels, cameras)
     asked = sorted({view.camera for view in views})
-    filmed = arguments.out.suffix.lower() in _VIDEOS
+    filmed = _is_film(arguments.out)
     if filmed and len(asked) > 1 and len({(v.width_px, v.height_px) for v in views}) > 1:
         raise UsageError(
             f"cameras {', '.join(asked)} have pictures of different sizes", place="--cameras", expected="one of them"
@@ -250,7 +259,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
             rendered = len(views)
         else:
             of = (_hash(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)
-            begin_rendering(arguments.out, of)
+            begin_folder(arguments.out, of)
             rendered = _pictures(arguments.out, views, render, bar.advance)
     speed = rendered / (time.perf_counter() - begin)
     said = {"out": str(arguments.out), "pictures": len(views), "method": name, "frames_per_second": speed}
@@ -278,8 +287,8 @@ def _side_by_side(
 
 def _pictures(out: Path, views: Sequence[View], render: Callable[[View], UInt8], advance: Callable[[int], None]) -> int:
     """Render what is not there yet; how many that was."""
-    from mirror.evaluation.submission.writing import BEGUN
     from mirror.protocols.png import encode_png
+    from mirror.schema.begun import finish_folder
     from mirror.schema.files import write_bytes
 
     files = [(view, out / view.camera / f"{view.frame_index:05d}.png") for view in views]
@@ -288,5 +297,5 @@ def _pictures(out: Path, views: Sequence[View], render: Callable[[View], UInt8],
     for view, file in missing:
         write_bytes(file, encode_png(render(view)))
         advance(1)
-    (out / BEGUN).unlink()
+    finish_folder(out)
     return len(missing)

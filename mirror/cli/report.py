@@ -34,12 +34,12 @@ def main(argv: Sequence[str]) -> int:
     folder = arguments.out.absolute().parent
     if not folder.is_dir():
         raise UsageError("no such folder", file=folder, place="--out", remedy="make it first, or name another one")
-    if arguments.out.is_dir():
-        raise UsageError("a folder, not a file", file=arguments.out, place="--out", expected="the page, such as x.html")
 
     import mirror
+    from mirror.schema.folders import require_own_file
     from mirror.view.report import write_report
 
+    require_own_file(arguments.out)
     write_report(mirror.open(arguments.dataset), arguments.out, arguments.title)
     print(json.dumps({"report": str(arguments.out)}) if arguments.json else f"report: {arguments.out}")
     return ExitCode.DONE

@@ -31,7 +31,7 @@ class New:
     split: str
     """Name of the split."""
     out: Path
-    """A new or an empty folder."""
+    """A new or an empty folder, or one in which the same was begun."""
     blind: bool = False
     """Say nothing of where the recorded pictures lie: for whoever does not have the dataset."""
     json: bool = False
@@ -70,7 +70,7 @@ class Hidden:
     preset: str
     """That `mirror synth` was run with."""
     out: Path
-    """A new or an empty folder. Keep it to yourself."""
+    """A new or an empty folder, or one in which the same was begun. Keep it to yourself."""
     seed: int = 0
     """That `mirror synth` was run with."""
     protocol: str = "lane-shift"

@@ -31,6 +31,7 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.truth.hidden import require_hidden
 from mirror.protocols.views import Plan, plan_views
 from mirror.schema.files import write_bytes, write_json
+from mirror.schema.folders import Kind, require_own_folder
 from mirror.version import __version__
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import WeightResolver
@@ -111,15 +112,16 @@ def evaluate(
     Raises:
         UsageError: a required metric cannot be had, there is no such metric, weights that are named explicitly are not
             those, hidden truth or an extractor is asked for and not given or given and not asked for, there are no
-            workers, or `out` is a file.
+            workers, or `out` is something else.
         DatasetError: the truth is incomplete, or the results cannot be written.
         UntrustedError: the submission is refused as a whole.
     """
     options, progress = options or Options(), progress or NullProgress()
     if options.workers < 1:
         raise UsageError(f"{options.workers} workers", expected="at least one")
-    if out.exists() and not out.is_dir():
-        raise UsageError("a file, not a folder", file=out, remedy="name another folder for the results")
+    require_own_folder(out, Kind.RESULTS)
+    if options.features is not None:
+        require_own_folder(options.features, Kind.OTHER, place="--features")
     dataset = mirror.open(truth)
     plan = plan_views(dataset, protocol, split)
     _require_fitting(plan, options)

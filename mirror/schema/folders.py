@@ -42,6 +42,8 @@ class Kind(Enum):
     RUN = "a training run"
     RESULTS = "results of `mirror evaluate`"
     DEMO = "the folder of a demo"
+    BOARD = "a leaderboard's folder"
+    SITE = "the site of a leaderboard"
     OTHER = "a folder with other files"
 
 
@@ -72,6 +74,8 @@ _KINDS: Final[Mapping[Kind, _Signs]] = {
     Kind.RUN: _Signs({"run.json": "mirror-run"}),
     Kind.RESULTS: _Signs({"result.json": "mirror-result"}, marks=("work/scored.jsonl", "work/features")),
     Kind.DEMO: _Signs(marks=(".made-by-mirror-demo",)),
+    Kind.BOARD: _Signs(marks=("entries",)),
+    Kind.SITE: _Signs(marks=(".made-by-mirror-leaderboard",)),
 }
 
 

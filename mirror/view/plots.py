@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,7 +12,8 @@ import numpy.typing as npt
 from mirror.arrays import Float64
 from mirror.dataset.statistics import SceneRow, Speed, Statistics
 from mirror.errors import UsageError
-from mirror.schema.files import unwritable
+from mirror.schema.files import write_bytes
+from mirror.schema.folders import Kind, require_own_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 LIGHT_COLOURS: Final = {"day": "#f2b134", "dusk": "#c8553d", "night": "#2b3a67", "unknown": "#9aa0a6"}
 _INK, _GRID = "#333333", "#dddddd"
 _MOST_SCENES = 50
+_NAMES: Final = ("traversals", "conditions", "speed")
 _KMH = 3.6
 
 
@@ -35,9 +38,10 @@ def write_plots(statistics: Statistics, folder: Path) -> list[Path]:
         The files; a plot that there is no data for is left out.
 
     Raises:
-        UsageError: matplotlib is not installed.
+        UsageError: matplotlib is not installed, or the folder holds something else than such plots.
         DatasetError: the folder cannot be written.
     """
+    _require_own(folder)
     figures: dict[str, Figure] = {}
     if any(scene.traversals for scene in statistics.scenes):
         figures["traversals"] = traversals_figure(statistics)
@@ -47,13 +51,22 @@ def write_plots(statistics: Statistics, folder: Path) -> list[Path]:
     files = []
     for name, figure in figures.items():
         file = folder / f"{name}.png"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            figure.savefig(file, dpi=150)
-        except OSError as error:
-            raise unwritable(file, error) from error
+        drawn = io.BytesIO()
+        figure.savefig(drawn, dpi=150)
+        write_bytes(file, drawn.getvalue())
         files.append(file)
     return files
+
+
+def _require_own(folder: Path) -> None:
+    if require_own_folder(folder, Kind.OTHER, place="--plots") is not None:
+        others = sorted({path.name for path in folder.iterdir()} - {f"{name}.png" for name in _NAMES})
+        if others:
+            raise UsageError(
+                f"it holds {others[0]}, which is no such plot: nothing was written",
+                file=folder, place="--plots", expected="a new or an empty folder, or one with earlier plots",
+                remedy="name another folder with --plots",
+            )  # fmt: skip
 
 
 def traversals_figure(statistics: Statistics) -> Figure:

@@ -470,7 +470,7 @@ def test_without_points_the_remedy_is_named(
 def test_another_folder_is_left_alone(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     problem = said(capsys, *reconstruct(dataset, tmp_path), code=ExitCode.COULD_NOT_RUN)["problem"]
-    assert "not an empty folder" in problem
+    assert "a folder with other files" in problem
     problem = said(
         capsys, "render", tmp_path, "--dataset", dataset.root, "--split", "novel", "--out", tmp_path / "new",
         code=ExitCode.COULD_NOT_RUN,
@@ -601,7 +601,7 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
     assert {path.relative_to(out): path.read_bytes() for path in out.rglob("*.png")} == files
     assert len(drawn) == len(files) + 1 and not (out / ".rendering").exists()
     # Done is done: nothing goes on there.
-    done = "a submission is there already" if where == "split" else "not an empty folder"
+    done = "a submission is there already" if where == "split" else "a folder with other files"
     assert done in said(capsys, *words, "--out", out, code=ExitCode.COULD_NOT_RUN)["problem"]
 
 

@@ -96,26 +96,28 @@ def test_a_view_has_its_own_statistics(root: Path) -> None:
 
 
 def test_an_empty_dataset(tmp_path: Path) -> None:
-    Builder(tmp_path).scene("a")
-    build_index(tmp_path)
-    found = statistics(mirror.open(tmp_path))
+    root = tmp_path / "dataset"
+    Builder(root).scene("a")
+    build_index(root)
+    found = statistics(mirror.open(root))
     assert found.row.scenes == found.traversals == found.images == 0
     assert found.row.area_per_scene_km2 == 0.0
     assert found.row.conditions == "--"
     assert found.speed is None
     assert write_plots(found, tmp_path / "plots") == []
-    assert main(["stats", str(tmp_path)]) == 0
+    assert main(["stats", str(root)]) == 0
 
 
 def test_a_vehicle_that_stands(tmp_path: Path) -> None:
-    builder = Builder(tmp_path, cameras=())
+    root = tmp_path / "dataset"
+    builder = Builder(root, cameras=())
     builder.scene("a")
     builder.drive("d", [Pass("a", frames=100, frame_ns=SECOND, speed_mps=0.0)])
-    build_index(tmp_path)
-    speed = statistics(mirror.open(tmp_path)).speed
+    build_index(root)
+    speed = statistics(mirror.open(root)).speed
     assert speed is not None
     assert (speed.standing, speed.mean_mps) == (1.0, pytest.approx(0.0, abs=1e-9))
-    assert write_plots(statistics(mirror.open(tmp_path)), tmp_path / "plots")
+    assert write_plots(statistics(mirror.open(root)), tmp_path / "plots")
 
 
 def test_plots_are_pictures_of_the_figures(found: Statistics, tmp_path: Path) -> None:

@@ -118,5 +118,5 @@ def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     (other / "letter.txt").write_text("mine")
     monkeypatch.undo()
     assert main(["demo", "--out", str(other)]) == 2
-    assert "no demo made it" in capsys.readouterr().err
+    assert "a folder with other files" in capsys.readouterr().err
     assert (other / "letter.txt").read_text() == "mine"

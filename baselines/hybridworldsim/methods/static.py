@@ -25,7 +25,7 @@ from hybridworldsim.training.budget import Budget
 from hybridworldsim.training.data_loader import NoSupervisionError, Pictures
 from hybridworldsim.training.learner import TrainableMethod
 from hybridworldsim.training.loop import Options, train
-from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken
+from hybridworldsim.training.run.folder import Outcome, Run, RunFolder
 from hybridworldsim.training.run.parameters import write_parameters
 from hybridworldsim.training.run.specimens import Preview
 from hybridworldsim.training.viewpoint import Source
@@ -41,6 +41,7 @@ from mirror.protocols.document import Group
 from mirror.protocols.views import Plan, plan_views
 from mirror.protocols.views.view import View
 from mirror.schema.files import write_json
+from mirror.schema.folders import Kind, require_own_folder
 
 _SPECIMENS: Final = 2
 
@@ -298,9 +299,7 @@ def _chosen(names: Sequence[str], asked: frozenset[str]) -> frozenset[str]:
 
 def _require_own(out: Path, document: Reconstruction) -> None:
     """See that a folder is a new one, or of the same task."""
-    if not (out / DOCUMENT).exists():
-        if is_taken(out):
-            raise UsageError("not an empty folder, and no model", file=out, remedy="name a new one with --out")
+    if require_own_folder(out, Kind.MODEL) is None:
         return
     before = read_reconstruction(out)
     if before.model_copy(update={"done": None}) != document:

@@ -15,6 +15,7 @@ from mirror.errors import DatasetError
 from mirror.html import style_sheet
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
+from mirror.schema.folders import Kind, require_own_folder
 from mirror.version import __version__
 from mirror_leaderboard.boards import Board, boards_of
 from mirror_leaderboard.entry import PICTURES, Entry, Measured, identity, load_entries
@@ -24,6 +25,7 @@ from mirror_leaderboard.site.slider import board_slider, picture_files
 from mirror_leaderboard.site.tables import board_table
 
 _TITLE: Final = "MIRROR leaderboard"
+_MARK: Final = ".made-by-mirror-leaderboard"
 _KINDS: Final = (
     '<p><span class="tag measured">measured</span> was scored here; the hashes name the result, the protocol and the '
     'data. <span class="tag reported">reported</span> is what a paper prints, by its authors’ own evaluation: it is '
@@ -39,14 +41,18 @@ def build_site(entries: Sequence[Entry], pictures: Sequence[Path], out: Path) ->
     Args:
         entries: what stands on the board.
         pictures: folders of the pictures that entries name.
-        out: folder of the site; its page and pictures are replaced, other files are left alone.
+        out: folder of the site, new, empty, or written by an earlier run: its page and images are replaced, other files
+            are left alone.
 
     Returns:
         The page.
 
     Raises:
+        UsageError: the folder is something else.
         DatasetError: a picture is missing, or the folder cannot be written.
     """
+    require_own_folder(out, Kind.SITE)
+    write_bytes(out / _MARK, b"`mirror leaderboard build` writes this folder.\n")
     boards = boards_of(entries)
     _copy_pictures(picture_files(boards), pictures, out / PICTURES)
     page = out / "index.html"

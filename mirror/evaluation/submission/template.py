@@ -9,12 +9,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from mirror.errors import UsageError
 from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime, SubmissionManifest
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
+from mirror.schema.begun import begin_folder, finish_folder
 from mirror.schema.files import write_bytes, write_json
 
 VIEWS: Final = "views.json"
@@ -62,7 +62,7 @@ def write_template(
     """Write a template.
 
     Args:
-        out: a new or an empty folder.
+        out: a new or an empty folder, or one in which the same template was begun.
         plan: what is asked.
         truth: gives the masks; no picture is read.
         blind: say nothing of where the recorded pictures lie: for whoever does not have the dataset.
@@ -72,11 +72,10 @@ def write_template(
         How many files are expected.
 
     Raises:
-        UsageError: the folder holds something.
+        UsageError: the folder holds something else than a template of the same that was interrupted.
         DatasetError: a mask is missing, or the folder cannot be written.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
+    begin_folder(out, ("template", plan.hash, str(blind)), last=MANIFEST)
     expected = expected_files(plan)
     rows = []
     for view in plan.views:
@@ -91,6 +90,7 @@ def write_template(
     appearance = {"policy": "", "description": "", "held_out_pixels": []}
     manifest = {"format": "mirror-submission", "version": "1.0", **_answered(plan)}
     write_json(out / MANIFEST, {**manifest, "method": blank, "appearance": appearance, "runtime": None, "notes": ""})
+    finish_folder(out)
     return len(expected)
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
@@ -19,13 +18,11 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.png import encode_png
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
+from mirror.schema.begun import BEGUN, begin_folder, finish_folder
 from mirror.schema.files import write_bytes
 
 Render: TypeAlias = tuple[Sequence[View], UInt8]
 """A picture (H, W, 3), RGB, and the views that it is the render of."""
-
-BEGUN: Final = ".rendering"
-"""In a folder whose renders are not all there yet: a hash of what they are of."""
 
 Renderer: TypeAlias = Callable[[Dataset, Plan], Iterable[Render]]
 """Renders every view of a plan once, in any order."""
@@ -44,8 +41,8 @@ def write_submission(
 ) -> int:
     """Render a plan's views one by one and write them as a submission; the manifest is written last.
 
-    Where it is said what the pictures are of, a run that was interrupted goes on: the renderer may leave out views
-    whose files are there.
+    Where it is said what the images are of, a run that was interrupted goes on: the renderer is asked for the views
+    whose files are not there.
 
     Args:
         dataset: what the renderer may look at.
@@ -69,14 +66,15 @@ def write_submission(
     expected = expected_files(plan)
     if not expected or None in expected.values():
         raise UsageError(f"protocol {plan.protocol.name} asks for no renders", expected="a protocol that does")
-    begin_rendering(out, None if of is None else (plan.hash, repr(method), repr(appearance), of))
+    begin_folder(out, None if of is None else (plan.hash, repr(method), repr(appearance), of), last=MANIFEST)
     progress = progress or NullProgress()
     progress.start("rendering", len(plan.views))
-    there = sum((out / path).is_file() for path in expected)
+    missing = tuple(view for view in plan.views if not (out / view.path).is_file())
+    there = len(plan.views) - len(missing)
     progress.advance(there)
     written, timed, taken, begin = 0, 0, 0.0, time.perf_counter()
     scene = None
-    for views, picture in _nothing_left_behind(renderer(dataset, plan), out):
+    for views, picture in _nothing_left_behind(renderer(dataset, replace(plan, views=missing)), out):
         if views[0].scene_id == scene:
             taken += time.perf_counter() - begin
             timed += len(views)
@@ -93,7 +91,7 @@ def write_submission(
     if timed:
         runtime = runtime.model_copy(update={"frames_per_second": timed / max(taken, 1e-9)})
     write_manifest(out, manifest_for(plan, method, appearance, runtime))
-    (out / BEGUN).unlink(missing_ok=True)
+    finish_folder(out)
     return len(expected)
 
 
@@ -104,36 +102,9 @@ def _nothing_left_behind(renders: Iterable[Render], out: Path) -> Iterator[Rende
         first = next(coming, None)
     except MirrorError:
         if out.is_dir() and [path.name for path in out.iterdir()] == [BEGUN]:
-            (out / BEGUN).unlink()
+            finish_folder(out)
             out.rmdir()
         raise
     if first is not None:
         yield first
         yield from coming
-
-
-def begin_rendering(out: Path, of: Sequence[str] | None) -> None:
-    """See that a folder is new or empty, or that the same rendering was interrupted in it.
-
-    Args:
-        out: the folder; it is made.
-        of: what decides the pictures; None: nothing goes on.
-
-    Raises:
-        UsageError: it holds something else.
-        DatasetError: it cannot be written.
-    """
-    mark = hashlib.sha256(json.dumps(of).encode()).hexdigest()
-    begun = out / BEGUN
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        if (out / MANIFEST).is_file():
-            raise UsageError(
-                "a submission is there already", file=out, remedy="take it, or name a new folder with --out"
-            )
-        if of is None or not begun.is_file():
-            raise UsageError("not an empty folder", file=out, remedy="name a new one with --out")
-        if begun.read_text() != mark:
-            raise UsageError("renders of something else began here", file=out, remedy="name a new one with --out")
-        return
-    if of is not None:
-        write_bytes(begun, mark.encode())

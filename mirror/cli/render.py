@@ -215,9 +215,7 @@ def appearance_of(looking: AppearancePolicy) -> Appearance:
 
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
-    from mirror.evaluation.submission.writing import begin_rendering
     from mirror.methods.appearance import AppearancePolicy
-    from mirror.methods.appearance import Looking
     from mirror.methods.by_camera import by_camera, opened_by_camera
     from mirror.methods.model_document import read_reconstruction, require_same_street
     from mirror.methods.registry import installed_method

@@ -121,7 +121,7 @@ def report(name: str, groups: Mapping[str, Iterable[Row]], *, errors: str = "err
     try:
         plot(done, OUT / f"{name}.png", errors)
     except ModuleNotFoundError:
-        print("no plot: pip install 'mirror-dataset[view]'", file=sys.stderr)
+        print("no plot: pip install '.[view]'", file=sys.stderr)
     return int(any(row.missed for rows in done.values() for row in rows))
 
 

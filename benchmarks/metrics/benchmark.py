@@ -2,7 +2,7 @@
 
 ``python -m benchmarks metrics [--only GROUP ...]`` with the groups images, features and boxes. Bars on time are
 ratios: the figure that was asked for as part of the named peer's, times what the peer takes in this run. Peers:
-``pip install 'mirror-dataset[bench]'``, and ``pip install --no-deps piq`` (its torchvision does not import beside a CPU
+``pip install '.[bench]'``, and ``pip install --no-deps piq`` (its torchvision does not import beside a CPU
 torch). One that is absent is left out with a note.
 """
 

@@ -65,7 +65,9 @@ def main(argv: Sequence[str]) -> int:
         print(f"{out / 'block' / 'model'} is a reconstructed block, {out / 'block' / 'results'} what it scores:")
         return _compared(out / "block" / "results")
     if not arguments.quick:
-        print("Nothing was reconstructed: torch is not installed (pip install 'mirror-dataset[models]').")
+        from mirror.installation import install_command
+
+        print(f"Nothing was reconstructed: torch is not installed ({install_command('models')}).")
     return ExitCode.DONE
 
 

@@ -18,6 +18,9 @@ from mirror.schema.files import Model, parse_json
 
 Result = TypeVar("Result")
 
+_READERS: Final = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs", "https": "aiohttp"}
+"""Packages with which fsspec reads URLs."""
+
 _REMOTE_REQUESTS: Final = 16
 _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
 
@@ -226,7 +229,7 @@ class Store:
                     f"this uri cannot be opened: {error}",
                     file=uri,
                     expected="a uri that fsspec reads with the packages installed here",
-                    remedy="pip install the package that reads it (s3fs for s3://, gcsfs for gs://)",
+                    remedy=_how_to_read(uri),
                 ) from error
             return filesystem, path
         if uri.startswith("/"):
@@ -269,3 +272,10 @@ def unreadable(file: str, error: BaseException) -> SchemaError:
         expected="a complete Parquet file",
         remedy=_REMEDY,
     )
+
+
+def _how_to_read(url: str) -> str:
+    scheme = url.partition(":")[0]
+    if scheme in _READERS:
+        return f"pip install {_READERS[scheme]}"
+    return f"install the package with which fsspec reads {scheme}://"

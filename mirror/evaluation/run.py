@@ -26,6 +26,7 @@ from mirror.evaluation.submission.check import CheckReport, Problem, check_submi
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.evaluation.workers import Log, score_jobs
+from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
 from mirror.protocols.truth.hidden import require_hidden
@@ -40,7 +41,6 @@ WORK: Final = "work"
 _PACKAGES: Final = ("numpy", "opencv-contrib-python-headless", "scipy", "torch", "numba", "pyarrow")
 DEFAULT_EXTRACTOR: Final = "diff-grabcut"
 _EDITING: Final = "editing-accuracy"
-_NO_TORCH: Final = "torch is not installed: pip install 'mirror-dataset[models]'"
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) ->
             weights.update(found)
             stand_ins += [] if asked else [metric]
         elif asked:
-            unavailable[metric] = _NO_TORCH
+            unavailable[metric] = f"torch is not installed: {install_command('models')}"
     return _Availability(unavailable, tuple(stand_ins), weights)
 
 

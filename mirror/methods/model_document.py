@@ -108,7 +108,8 @@ def require_same_street(dataset: Dataset, split: str, model: Reconstruction) -> 
     if leaked:
         raise UsageError(
             f"it was trained on {', '.join(leaked)}, which split {split} holds out", place=place, file=dataset.root,
-            expected="a model that has not seen the test", remedy=f"train one: mirror reconstruct ... --split {split}",
+            expected="a model that has not seen the test",
+            remedy=f"train one: mirror reconstruct {dataset.root} --split {split} --out MODEL",
         )  # fmt: skip
 
 
@@ -122,7 +123,8 @@ def require_unseen(protocol: Protocol, model: Reconstruction) -> None:
     if recorded and all(set(roles) == {"train"} for roles in recorded) and not model.withheld:
         raise UsageError(
             f"it was trained on the pictures that protocol {protocol.name} asks for", place=f"model of {model.scene}",
-            expected="a model that has not seen the test", remedy="train one: mirror reconstruct ... --hold-out",
+            expected="a model that has not seen the test",
+            remedy=f"train one: mirror reconstruct DATASET --split {model.split} --out MODEL --hold-out",
         )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 from typing import Final
 
 from mirror.errors import UsageError
+from mirror.installation import install_command
 from mirror.methods.plugin import InstalledMethod
 
 GROUP: Final = "mirror.methods"
@@ -30,7 +31,7 @@ def installed_method(name: str) -> InstalledMethod:
         raise UsageError(
             f"method {name!r} needs {error.name}, which is not installed",
             place=f"entry point {found[name].value}",
-            remedy="install it: pip install 'mirror-dataset[models]', for rivals 'mirror-dataset[baselines]'",
+            remedy=f"install what it needs: {install_command('baselines')}",
         ) from error
     return method
 

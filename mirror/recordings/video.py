@@ -18,6 +18,7 @@ import numpy as np
 
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
+from mirror.installation import install_command
 from mirror.recordings.time import SECOND_NS
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ def _opened(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
         raise RecordingError(
             "videos are read with PyAV, which is not installed",
             file=file,
-            remedy="pip install 'mirror-dataset[video]'",
+            remedy=install_command("video"),
         ) from error
     try:
         container = av.open(str(file))

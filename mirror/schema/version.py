@@ -6,6 +6,7 @@ from pathlib import PurePath
 from typing import Final
 
 from mirror.errors import SchemaError
+from mirror.installation import upgrade_command
 
 SCHEMA_VERSION: Final = "1.0.0"
 
@@ -41,7 +42,7 @@ def require_readable(found: object, file: str | PurePath) -> None:
             file=file,
             place="schema_version",
             expected=f"at most {ours[0]}.{ours[1]}.x",
-            remedy="upgrade the toolkit: pip install --upgrade mirror-dataset",
+            remedy=f"upgrade the toolkit: {upgrade_command()}",
         )
     if theirs[0] < ours[0]:
         raise SchemaError(

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from mirror.arrays import Float64
 from mirror.dataset.statistics import SceneRow, Speed, Statistics
 from mirror.errors import UsageError
+from mirror.installation import install_command
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import Kind, require_own_folder
 
@@ -180,9 +181,7 @@ def _figure(width: float, height: float) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise UsageError(
-            "plots need matplotlib, which is not installed", remedy="pip install 'mirror-dataset[view]'"
-        ) from error
+        raise UsageError("plots need matplotlib, which is not installed", remedy=install_command("view")) from error
     return Figure(figsize=(width, height), layout="constrained")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
+from mirror.installation import install_command
 
 
 def write_video(path: Path, pictures: Iterable[UInt8], hz: float, quality: int = 20) -> int:
@@ -28,7 +29,7 @@ def write_video(path: Path, pictures: Iterable[UInt8], hz: float, quality: int =
     try:
         import av
     except ImportError as error:
-        raise UsageError("videos need PyAV", remedy="pip install mirror-dataset[video]") from error
+        raise UsageError("videos need PyAV", remedy=install_command("video")) from error
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.part{path.suffix}")
     count = 0

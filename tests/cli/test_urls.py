@@ -70,7 +70,7 @@ def test_an_unknown_protocol_is_named(verb: str, capsys: pytest.CaptureFixture[s
     assert main([verb, "foo://x"]) == 2
     error = capsys.readouterr().err
     assert "foo://x: this URL cannot be opened" in error
-    assert "Remedy: pip install" in error
+    assert "Remedy: install the package with which fsspec reads foo://, or correct the URL" in error
 
 
 def test_a_url_without_a_dataset(capsys: pytest.CaptureFixture[str]) -> None:

@@ -91,5 +91,5 @@ def test_what_gsplat_does_not_do_is_refused_before_it_is_called(gsplat):
 
 def test_a_missing_gsplat_is_said_with_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", None)
-    with pytest.raises(UsageError, match=r"mirror-dataset\[gpu\]"):
+    with pytest.raises(UsageError, match=r"pip install .*\[gpu\]"):
         cuda.rasterization(PRESETS["gsplat-1.5"], "raise")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("scipy", reason="scipy is absent: pip install 'mirror-dataset[calibration]'")
+pytest.importorskip("scipy", reason="scipy is absent: pip install '.[calibration]'")
 
 from benchmarks.synth_matching.adjustment import Spread, adjusted
 from benchmarks.synth_matching.benchmark import off
@@ -137,7 +137,7 @@ def test_one_rigid_alignment_is_taken_out_and_no_more() -> None:
 
 
 def test_pycolmap_triangulates_where_the_points_are() -> None:
-    pytest.importorskip("pycolmap", reason="pycolmap is absent: pip install 'mirror-dataset[calibration]'")
+    pytest.importorskip("pycolmap", reason="pycolmap is absent: pip install '.[calibration]'")
     rig = true_rig(COLMAPS, frames=4)
     exact = tracks_of(rig, 120)
     names = list(rig.cameras)

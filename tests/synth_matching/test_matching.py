@@ -15,7 +15,7 @@ from mirror.geometry.cameras import Camera
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import drives_of
 
-pytest.importorskip("pycolmap", reason="pycolmap is absent: pip install 'mirror-dataset[calibration]'")
+pytest.importorskip("pycolmap", reason="pycolmap is absent: pip install '.[calibration]'")
 
 CAMERAS = (
     Camera("pinhole", 640, 360, 410.0, 412.0, 318.0, 181.0),

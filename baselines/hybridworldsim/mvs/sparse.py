@@ -14,6 +14,7 @@ from hybridworldsim.mvs.estimator import PosedPicture
 from hybridworldsim.mvs.fusion import PointCloud
 from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.errors import UsageError
+from mirror.installation import install_command
 
 _MOST_FEATURES: Final = 2000
 _RATIO: Final = 0.8
@@ -215,7 +216,7 @@ def _colmap() -> Any:
         import pycolmap
     except ModuleNotFoundError as error:
         raise UsageError(
-            "pycolmap is not installed", remedy="pip install 'mirror-dataset[calibration]', or another method"
+            "pycolmap is not installed", remedy=f"{install_command('calibration')}, or another method"
         ) from error
     pycolmap.logging.minloglevel = 2
     return pycolmap

@@ -10,6 +10,7 @@ from torch import Tensor
 from hybridworldsim.rasterizer.inputs import NonFinite, refuse_nonfinite
 from hybridworldsim.rasterizer.presets import PRESETS, Preset
 from mirror.errors import UsageError
+from mirror.installation import install_command
 
 _DEFAULTS = {"camera_model": "pinhole", "segmented": False, "with_ut": False}
 
@@ -59,6 +60,6 @@ def _installed() -> ModuleType:
         raise UsageError(
             f"gsplat cannot be imported: {error}",
             place='backend="cuda"',
-            remedy='pip install "mirror-dataset[gpu]", or move the tensors to the CPU',
+            remedy=f"{install_command('gpu')}, or move the tensors to the CPU",
         ) from error
     return gsplat

@@ -15,6 +15,7 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError
+from mirror.installation import install_command
 
 if TYPE_CHECKING:
     import av
@@ -63,7 +64,7 @@ class _Decoder:
             raise DatasetError(
                 "pictures in videos are read with PyAV, which is not installed",
                 file=uri,
-                remedy="pip install 'mirror-dataset[video]'",
+                remedy=install_command("video"),
             ) from error
         self._container: Any = store.opened(
             uri,

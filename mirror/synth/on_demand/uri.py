@@ -46,7 +46,7 @@ def parsed(path: str) -> PictureName:
             f"the picture is of version {parts[0]} of the synthetic street, which is not drawn any more",
             file=f"{SCHEME}://{'/'.join(parts)}",
             expected=f"version {STREET}",
-            remedy="install the mirror-dataset that wrote the recordings, or write and ingest them anew",
+            remedy="install the version of the toolkit that wrote the recordings, or write and ingest them anew",
         )
     if len(parts) != 6 or not (parts[2].isdecimal() and parts[5].removesuffix(".png").isdecimal()):
         raise DatasetError("no picture's name", file=f"{SCHEME}://{'/'.join(parts)}", expected=_EXPECTED)

@@ -10,7 +10,9 @@ from mirror.dataset.check.rule import Finding, Severity, scene_rule
 from mirror.dataset.check.scene_view import SceneView
 
 
-@scene_rule("IDX003", Severity.ERROR, remedy="run `mirror index --force`, and report it: an index is a pure function")
+@scene_rule(
+    "IDX003", Severity.ERROR, remedy="run `mirror index DATASET --force`, and report it: an index is a pure function"
+)
 def index_rows(view: SceneView) -> Iterator[Finding]:
     """An up-to-date index has another number of rows than the tables it was derived from."""
     groups = view.dataset.index_row_groups

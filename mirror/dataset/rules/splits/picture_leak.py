@@ -9,7 +9,7 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 from mirror.dataset.rules.splits.leak_findings import leak_findings
 
 
-@dataset_rule("SPL004", Severity.ERROR, remedy="make the split anew: `mirror split --replace`")
+@dataset_rule("SPL004", Severity.ERROR, remedy="make the split anew: `mirror split DATASET NAME --replace`")
 def picture_leak(view: DatasetView) -> Iterator[Finding]:
     """The same picture is in two roles of a split."""
     yield from leak_findings(view, "bytes")

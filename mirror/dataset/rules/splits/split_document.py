@@ -9,7 +9,9 @@ from mirror.dataset.check.problems import unread
 from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
-@dataset_rule("SPL001", Severity.ERROR, remedy="restore the file, or make the split anew: `mirror split --replace`")
+@dataset_rule(
+    "SPL001", Severity.ERROR, remedy="restore the file, or make the split anew: `mirror split DATASET NAME --replace`"
+)
 def split_document(view: DatasetView) -> Iterator[Finding]:
     """A split's file is broken, or holds another split's name."""
     for name, split in view.splits.items():

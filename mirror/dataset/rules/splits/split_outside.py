@@ -8,7 +8,7 @@ from mirror.dataset.check.dataset_view import DatasetView
 from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
-@dataset_rule("SPL008", Severity.INFO, remedy="put them in train: `mirror split --extend`")
+@dataset_rule("SPL008", Severity.INFO, remedy="put them in train: `mirror split DATASET NAME --extend`")
 def split_outside(view: DatasetView) -> Iterator[Finding]:
     """Traversals came after a split was frozen, and are not in it."""
     for name, split in view.splits.items():

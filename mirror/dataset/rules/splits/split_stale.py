@@ -8,7 +8,7 @@ from mirror.dataset.check.dataset_view import DatasetView
 from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 
 
-@dataset_rule("SPL007", Severity.WARNING, remedy="make the split anew: `mirror split --replace`")
+@dataset_rule("SPL007", Severity.WARNING, remedy="make the split anew: `mirror split DATASET NAME --replace`")
 def split_stale(view: DatasetView) -> Iterator[Finding]:
     """A traversal was recorded anew after a split was frozen."""
     for name, split in view.splits.items():

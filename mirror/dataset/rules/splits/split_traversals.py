@@ -11,7 +11,7 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 @dataset_rule(
     "SPL002",
     Severity.ERROR,
-    remedy="make the split anew: `mirror split --replace`, or run the same `mirror ingest` again",
+    remedy="make the split anew: `mirror split DATASET NAME --replace`, or run the same `mirror ingest` again",
 )
 def split_traversals(view: DatasetView) -> Iterator[Finding]:
     """A split assigns a traversal that the dataset does not have."""

@@ -9,7 +9,7 @@ from mirror.dataset.check.rule import Finding, Severity, dataset_rule
 from mirror.dataset.rules.splits.leak_findings import leak_findings
 
 
-@dataset_rule("SPL005", Severity.ERROR, remedy="make the split anew: `mirror split --replace`")
+@dataset_rule("SPL005", Severity.ERROR, remedy="make the split anew: `mirror split DATASET NAME --replace`")
 def time_leak(view: DatasetView) -> Iterator[Finding]:
     """One vehicle is in two roles of a split at the same time."""
     yield from leak_findings(view, "time")

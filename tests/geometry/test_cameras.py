@@ -310,3 +310,30 @@ def test_survives_pickling_and_blocks(camera: Camera) -> None:
     whole = camera.project(points)
     again = pickle.loads(pickle.dumps(camera)).project(points[5000:5010])
     assert (again.uv_px == whole.uv_px[5000:5010]).all()
+
+
+@given(
+    st.sampled_from(["brown_conrady", "rational", "kannala_brandt", "f_theta"]),
+    st.lists(st.floats(), min_size=8, max_size=8),
+    st.floats(),
+)
+@settings(max_examples=300, deadline=None)
+def test_any_numbers_make_a_camera_or_are_refused(model: str, numbers: list[float], focal: float) -> None:
+    """A camera that is made has a lens that can be worked out: never a LinAlgError where it is first used."""
+    count = {"brown_conrady": 5, "rational": 8, "kannala_brandt": 4, "f_theta": 5}[model]
+    distortion = tuple(numbers[:count]) if model != "f_theta" else (0.0, *numbers[1:count])
+    try:
+        camera = Camera(model, 64, 48, focal, focal, 32.0, 24.0, distortion)
+    except UsageError:
+        return
+    with np.errstate(all="ignore"):
+        camera.rays()
+        camera.project(np.array([[0.1, 0.2, 1.0], [0.0, 0.0, 1.0]]))
+
+
+@pytest.mark.parametrize("coefficient", [1e308, -1e308, 1e150])
+@pytest.mark.parametrize("model", ["brown_conrady", "rational", "kannala_brandt", "f_theta"])
+def test_coefficients_beyond_any_lens_are_refused(model: str, coefficient: float) -> None:
+    count = {"brown_conrady": 5, "rational": 8, "kannala_brandt": 4, "f_theta": 4}[model]
+    with pytest.raises(UsageError, match="distortion"):
+        Camera(model, 64, 48, 50.0, 50.0, 32.0, 24.0, (0.0, 50.0, *[coefficient] * (count - 2)))

@@ -34,6 +34,7 @@ def rules_page() -> str:
         " take the letters of a group.",
         "- Exit codes: 0 no findings that count, 1 findings, 2 could not run (no dataset, no such rule, or a file that"
         " cannot be read and that no rule was asked to report).",
+        "- A rule that cannot be evaluated on the data is reported as an error of that rule, and the others go on.",
         "- A finding names the file, the first or worst place in it (rows count from 0), and how many rows are meant.",
         "",
     ]

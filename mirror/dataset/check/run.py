@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -82,14 +83,19 @@ def check(
     view = DatasetView(layout)
     findings: list[tuple[Rule, Finding]] = []
 
-    def collect(rule: Rule, found: Findings) -> None:
+    def collect(rule: Rule, run: Callable[[], Findings], file: str, place: str | None = None) -> None:
         # A number that is broken makes others NaN, which no comparison finds; rules of their own look for it.
         with np.errstate(all="ignore"):
-            findings.extend((rule, finding) for finding in found)
+            try:
+                findings.extend((rule, finding) for finding in run())
+            except Exception as error:  # noqa: BLE001
+                # Data that a rule cannot be computed on never ends the check: it is an error that the check reports.
+                problem = f"the rule cannot be evaluated on this data ({type(error).__name__}: {error})"
+                findings.append((replace(rule, severity=Severity.ERROR), Finding(file, place, problem)))
 
     for rule in rules:
         if rule.of_dataset is not None:
-            collect(rule, rule.of_dataset(view))
+            collect(rule, partial(rule.of_dataset, view), view.name(layout.document))
     of_scene = [rule for rule in rules if rule.of_scene is not None]
     scenes = list(view.scenes.values()) if of_scene else []
     start(len(scenes))
@@ -97,7 +103,8 @@ def check(
         scene_view = SceneView(view, scene)
         for rule in of_scene:
             if rule.of_scene is not None:
-                collect(rule, rule.of_scene(scene_view))
+                run = partial(rule.of_scene, scene_view)
+                collect(rule, run, view.name(layout.rois), f"scene {scene.scene_id}")
         advance(1)
     findings.sort(key=lambda hit: (_ORDER.index(hit[0].severity), hit[0].rule_id, hit[1].file, hit[1].place or ""))
     named = {finding.file for _, finding in findings}

@@ -26,6 +26,10 @@ COEFFICIENTS: Final = {
 
 Lens = Perspective | Fisheye
 
+# Products of coefficients beyond it overflow where a lens is worked out, and no camera has such numbers.
+_LARGEST_NUMBER: Final = 1e12
+_SMALLEST_SCALE: Final = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Projection:
@@ -250,7 +254,7 @@ def _require_camera(camera: Camera) -> None:
         raise UsageError(f"no camera model {camera.model!r}", expected=f"one of {', '.join(COEFFICIENTS)}")
     given = camera.distortion
     if camera.model == "f_theta":
-        fits = len(given) >= 2 and given[0] == 0.0 and given[1] > 0.0
+        fits = len(given) >= 2 and given[0] == 0.0 and given[1] >= _SMALLEST_SCALE
         expected = "c0 c1 c2 ... with c0 = 0 (the axis is imaged at the principal point) and c1 > 0"
     else:
         fits = len(given) == len(names.split())
@@ -258,9 +262,12 @@ def _require_camera(camera: Camera) -> None:
     if not fits:
         raise UsageError(f"distortion {list(given)}", place=place, expected=expected)
     numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *given)
-    if not np.isfinite(numbers).all() or camera.fx_px <= 0 or camera.fy_px <= 0:
+    in_range = (np.abs(numbers) <= _LARGEST_NUMBER).all()
+    if not in_range or min(camera.fx_px, camera.fy_px) < _SMALLEST_SCALE:
         raise UsageError(
-            f"focal lengths, principal point, distortion {numbers}", place=place, expected="finite, fx, fy > 0"
+            f"focal lengths, principal point, distortion {numbers}",
+            place=place,
+            expected=f"finite, no number beyond {_LARGEST_NUMBER:g}, fx, fy > 0",
         )
     if camera.width_px <= 0 or camera.height_px <= 0:
         raise UsageError(f"raster {camera.width_px} x {camera.height_px}", place=place, expected="at least one pixel")

@@ -62,7 +62,7 @@ class Store:
                 f"this URL cannot be opened: {error}",
                 file=self.root,
                 expected="a folder, or a URL that fsspec reads with the packages installed here",
-                remedy="pip install the package that reads it (s3fs for s3://, gcsfs for gs://), or correct the URL",
+                remedy=f"{_how_to_read(self.root)}, or correct the URL",
             ) from error
         return filesystem, base.rstrip("/")
 

@@ -32,15 +32,17 @@ class Mutant:
         file: path in the tree.
         row: number of the line, from 1.
         new_line: the whole line with the change.
-        line: text of the line without it, stripped.
+        after: text of the line of code before it, stripped.
+        line: text of the line without the change, stripped.
         becomes: text with it, stripped.
-        repeat: how many equal changes of equal lines the file has before this one.
+        repeat: how many equal changes of equal pairs of lines the file has before this one.
         function: first line of the innermost function that holds it; 0: none does.
     """
 
     file: str
     row: int
     new_line: str
+    after: str
     line: str
     becomes: str
     repeat: int
@@ -49,12 +51,17 @@ class Mutant:
     @property
     def name(self) -> str:
         """What its outcome is kept under: the same after the line has moved to another place or file."""
-        return f"{self.line} -> {self.becomes} #{self.repeat}"
+        return mutant_name(self.after, self.line, self.becomes, self.repeat)
 
     def applied(self, text: str) -> str:
         """The source file's text with the change."""
         lines = text.splitlines()
         return "\n".join([*lines[: self.row - 1], self.new_line, *lines[self.row :], ""])
+
+
+def mutant_name(after: str, line: str, becomes: str, repeat: int) -> str:
+    """The name of the mutant with these attributes."""
+    return f"{after} | {line} -> {becomes}" + (f" #{repeat}" if repeat else "")
 
 
 def compiles(text: str) -> bool:
@@ -75,7 +82,7 @@ def mutants(file: str, text: str) -> Iterator[Mutant]:
     lines = text.splitlines()
     tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type not in _LAYOUT]
     words = ["", *(token.string for token in tokens), ""]
-    repeats: Counter[tuple[str, str]] = Counter()
+    repeats: Counter[tuple[str, str, str]] = Counter()
     for index, token in enumerate(tokens):
         row, column = token.start
         if _holds(excluded, token.start) and not _holds(included, token.start):
@@ -84,7 +91,9 @@ def mutants(file: str, text: str) -> Iterator[Mutant]:
             line = lines[row - 1]
             rest = line[column + len(token.string) :]
             new_line = line[:column] + other + (rest if other else rest.lstrip())
-            change = line.strip(), new_line.strip()
+            above = (one.strip() for one in reversed(lines[: row - 1]))
+            after = next((one for one in above if one and not one.startswith("#")), "")
+            change = after, line.strip(), new_line.strip()
             inner = max((first for first, last in functions if first <= row <= last), default=0)
             yield Mutant(file, row, new_line, *change, repeats[change], inner)
             repeats[change] += 1

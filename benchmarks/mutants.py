@@ -4,8 +4,8 @@
 ``benchmarks/mutants.toml`` holds the survivors that are equivalent, each with its reason. Exit code 1: a survivor has
 no reason, less than 85 % are killed, or some have not run.
 
-The draw ranks all mutants by a hash of the line before and after the change; outcomes and reasons are kept under the
-same text. Lines that move to another place or file keep theirs.
+The draw ranks all mutants by a hash of the line before and after the change and of the line that it follows; outcomes
+and reasons are kept under the same text. Lines that move to another place or file keep theirs.
 
 Nothing runs in the checkout: every mutant gets a fresh copy of the tracked files and of the real recordings (of
 MIRROR_REAL_DATA). First the tests run without a mutant and must pass. This records how long each test takes and which
@@ -31,7 +31,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks._mutations import Mutant, compiles, mutants
+from benchmarks._mutations import Mutant, compiles, mutant_name, mutants
 from benchmarks.report import OUT
 from mirror.errors import ExitCode
 
@@ -248,7 +248,9 @@ def _reasons() -> dict[str, str]:
     if not _EQUIVALENT.exists():
         return {}
     found = tomllib.loads(_EQUIVALENT.read_text())["equivalent"]
-    return {f"{one['line']} -> {one['becomes']} #{one.get('repeat', 0)}": one["because"] for one in found}
+    return {
+        mutant_name(one["after"], one["line"], one["becomes"], one.get("repeat", 0)): one["because"] for one in found
+    }
 
 
 def _report(sample: Iterable[Mutant], outcomes: Mapping[str, Mapping[str, Any]], reasons: Mapping[str, str]) -> int:

@@ -99,7 +99,7 @@ class _Run:
 
     def __init__(self, state: Path) -> None:
         self.clean, self.work = state / "clean", state / "work"
-        self._state, self._file = state, state / "outcomes.jsonl"
+        self._state, self._file, self._record = state, state / "outcomes.jsonl", state / "tests.json"
         lines = self._file.read_text().splitlines() if self._file.exists() else []
         self.outcomes: dict[str, dict[str, Any]] = {one["mutant"]: one for one in map(json.loads, lines)}
         self._tests: dict[str, list[dict[str, Any]]] = {}
@@ -109,33 +109,44 @@ class _Run:
         return float(sum(one["cpu_s"] for one in self.outcomes.values())) / 3600
 
     def begin(self) -> None:
-        """Copy the tree if it has changed, and run in the copy the tests of rooms that have not passed yet."""
+        """Copy the tree, and run in the copy the tests of rooms that have not passed as they are now."""
         words = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
         listed = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\0")
-        files = [name for name in listed if name and (ROOT / name).is_file() and ROOT / name != _EQUIVALENT]
-        digest = hashlib.sha256(b"".join(name.encode() + (ROOT / name).read_bytes() for name in files)).hexdigest()
-        record = self._state / f"tests-{digest[:16]}.json"
-        if record.exists():
-            self._tests = json.loads(record.read_bytes())
-        else:
-            self._copy(files)
-        for room in [room for room in ROOMS if room not in self._tests]:
-            lines = self._state / "recorded.jsonl"
-            lines.unlink(missing_ok=True)
-            code, output = self._pytest(self.clean, room, {"record": str(lines)})
-            if code:
-                print(f"the tests of {room} fail without a mutant, so that its mutants do not run:\n{output[-3000:]}")
-                continue
-            self._tests[room] = [json.loads(line) for line in lines.read_text().splitlines()]
-            record.write_text(json.dumps(self._tests))
+        texts = {name: (ROOT / name).read_bytes() for name in listed if name and (ROOT / name).is_file()}
+        self._copy(texts)
+        recorded = json.loads(self._record.read_bytes()) if self._record.exists() else {}
+        for room in ROOMS:
+            digest = _digest(texts, room)
+            if recorded.get(room, {}).get("digest") != digest:
+                lines = self._state / "recorded.jsonl"
+                lines.unlink(missing_ok=True)
+                code, output = self._pytest(self.clean, room, {"record": str(lines)})
+                if code:
+                    print(
+                        f"the tests of {room} fail without a mutant, so that its mutants do not run:\n{output[-3000:]}"
+                    )
+                    continue
+                tests = [json.loads(line) for line in lines.read_text().splitlines()]
+                recorded[room] = {"digest": digest, "tests": tests}
+                self._record.write_text(json.dumps(recorded))
+            self._tests[room] = recorded[room]["tests"]
 
-    def _copy(self, files: Iterable[str]) -> None:
-        shutil.rmtree(self.clean, ignore_errors=True)
-        for name in files:
+    def _copy(self, texts: Mapping[str, bytes]) -> None:
+        """Bring the copy up to date; files that are as they were keep their compiled kernels."""
+        self.clean.mkdir(parents=True, exist_ok=True)
+        old = {path.relative_to(self.clean).as_posix(): path for path in self.clean.rglob("*") if path.is_file()}
+        for name, path in old.items():
+            if not name.startswith("real_data/") and "__pycache__" not in name and texts.get(name) != path.read_bytes():
+                path.unlink()
+        changed = [name for name in texts if not (self.clean / name).exists()]
+        for name in changed:
             (self.clean / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, self.clean / name)
+            shutil.copy(ROOT / name, self.clean / name)
+        for name in changed if old else ():
+            for importer in _importers(name, self.clean):
+                _forget_kernels(self.clean / importer)
         data = Path(os.environ.get("MIRROR_REAL_DATA", ROOT.parent / "shared" / "data"))
-        if data.is_dir():
+        if data.is_dir() and not (self.clean / "real_data").exists():
             shutil.copytree(data, self.clean / "real_data", copy_function=shutil.copy)
 
     def try_mutant(self, mutant: Mutant) -> None:
@@ -149,8 +160,7 @@ class _Run:
         file.write_text(mutant.applied(file.read_text()))
         importers = _importers(mutant.file, self.work)
         for importer in importers:
-            for kernel in (self.work / importer).parent.glob(f"__pycache__/{Path(importer).stem}.*.nb[ic]"):
-                kernel.unlink()
+            _forget_kernels(self.work / importer)
         function = f"{mutant.file}:{mutant.function}"
 
         def unlikely(test: Mapping[str, Any]) -> tuple[bool, bool, bool, float]:
@@ -237,6 +247,21 @@ def _importers(file: str, tree: Path) -> set[str]:
         fresh = {one for one, text in texts.items() if any(words in text for words in named)} - found
         found |= fresh
     return found
+
+
+def _forget_kernels(file: Path) -> None:
+    """Delete what numba has compiled of a source file."""
+    for kernel in file.parent.glob(f"__pycache__/{file.stem}.*.nb[ic]"):
+        kernel.unlink()
+
+
+def _digest(texts: Mapping[str, bytes], room: str) -> str:
+    """A hash of the source, of what tests share, and of the room's own tests."""
+    own = tuple(f"{folder}/" for folder in ("mirror", "baselines", *ROOMS[room]))
+    used = [
+        name for name in sorted(texts) if name.startswith(own) or (name.startswith("tests/") and "/test_" not in name)
+    ]
+    return hashlib.sha256(b"".join(name.encode() + texts[name] for name in used)).hexdigest()
 
 
 def _module(file: str) -> str:

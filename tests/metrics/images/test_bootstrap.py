@@ -1,4 +1,5 @@
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -43,6 +44,16 @@ def test_blocks_hold_what_single_images_do_not():
             held[how] += interval.low <= 0.0 <= interval.high
     assert held["blocks"] / 150 > 0.85
     assert held["single"] / 150 < 0.6
+
+
+def test_draws_of_many_blocks_take_little_memory():
+    scores = np.random.default_rng(0).random(5000)
+    tracemalloc.start()
+    mean_interval(scores, range(5000), resamples=3000)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # All 15 million draws at once would be 120 MB of numbers and twice as much of scores and counts.
+    assert peak < 60e6
 
 
 def test_results_are_repeatable():

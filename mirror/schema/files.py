@@ -10,7 +10,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
@@ -162,13 +162,15 @@ class TableWriter:
     Args:
         path: the file that it will be.
         table: the specification.
+        metadata: of the file, besides that of every table.
     """
 
-    def __init__(self, path: Path, table: Table) -> None:
+    def __init__(self, path: Path, table: Table, metadata: Mapping[bytes, bytes] | None = None) -> None:
         self.path = path
         self._table = table
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
-        self._metadata = {_VERSION_KEY: SCHEMA_VERSION.encode(), _TABLE_KEY: table.name.encode()}
+        own = {_VERSION_KEY: SCHEMA_VERSION.encode(), _TABLE_KEY: table.name.encode()}
+        self._metadata = {**(metadata or {}), **own}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = pq.ParquetWriter(
@@ -207,10 +209,12 @@ class TableWriter:
         return self._temporary
 
     def abandon(self) -> None:
-        """Remove what was written."""
+        """Remove what was written, and the folder that was made for it."""
         with suppress(OSError):
             self._writer.close()
         self._temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            self.path.parent.rmdir()
 
 
 def write_table(path: Path, data: pa.Table, table: Table, *, row_groups: Sequence[int] | None = None) -> None:

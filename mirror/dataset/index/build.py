@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -15,12 +16,12 @@ from mirror.dataset.generation import release, settle, supersede
 from mirror.dataset.index.global_tables import (
     accepted_passes,
     encode_global,
-    plain_schema,
     read_passes,
     rows_to_table,
 )
 from mirror.dataset.index.inputs import Inputs, read_inputs
-from mirror.dataset.index.scene_tables import scene_tables
+from mirror.dataset.index.scene_tables import plain_schema, scene_tables
+from mirror.dataset.index.traversal_table import EarlierTraversals, TraversalTable
 from mirror.dataset.layout import MANIFEST, Layout, read_manifest
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
@@ -80,39 +81,47 @@ def build_index(
         release(layout)
         return IndexReport((), tuple(inputs.scenes), _rows(layout), time.perf_counter() - start)
 
-    changed = [scene_id for scene_id in inputs.scenes if scene_id not in kept]
     passes = read_passes(layout, inputs)
     ledger = accepted_passes(passes)
     to_do = sum(traversal.scene_id not in kept for traversal in inputs.traversals.values())
     count = 0
 
-    def done() -> None:
+    def take(row: Mapping[str, Any]) -> None:
         nonlocal count
+        traversals.add(row)
         count += 1
         if progress is not None:
             progress(count, to_do)
 
     entries: dict[str, FileEntry] = {}
-    traversal_parts = [_kept_rows(layout, TRAVERSALS.name, kept)]
-    group_parts = [_kept_rows(layout, ROW_GROUPS.name, kept)]
-    for scene_id in changed:
-        own = [(item, ledger[key]) for key, item in inputs.traversals.items() if item.scene_id == scene_id]
-        derived = scene_tables(layout, scene_id, own, done)
-        for name, file in derived.files.items():
-            _publish(layout, f"{name}/{scene_id}.parquet", file, entries)
-        traversal_parts.append(rows_to_table(derived.traversals, TRAVERSALS))
-        group_parts.append(rows_to_table(derived.row_groups, ROW_GROUPS))
+    groups = [_kept_row_groups(layout, kept)]
+    traversals, earlier = TraversalTable(layout), EarlierTraversals(layout)
+    try:
+        for scene_id in inputs.scenes:
+            if scene_id in kept:
+                for row in earlier.of(scene_id):
+                    traversals.add(row)
+                continue
+            own = [(item, ledger[key]) for key, item in inputs.traversals.items() if item.scene_id == scene_id]
+            derived = scene_tables(layout, scene_id, own, take)
+            for name, file in derived.files.items():
+                _publish(layout, f"{name}/{scene_id}.parquet", file, entries)
+            groups.append(rows_to_table(derived.row_groups, ROW_GROUPS))
+    except BaseException:
+        traversals.abandon()
+        raise
+    _publish(layout, f"{TRAVERSALS.name}.parquet", traversals.finish(), entries)
     if previous is not None:
         entries.update({name: entry for name, entry in previous.files.items() if _scene_of(name) in kept})
-    row_groups = pa.concat_tables(group_parts)
-    for name, data in encode_global(inputs, passes, pa.concat_tables(traversal_parts), row_groups).items():
+    for name, data in encode_global(inputs, passes, traversals.rows, pa.concat_tables(groups)).items():
         _write(layout, f"{name}.parquet", data, entries)
 
     manifest = Manifest(derived_from=dict(sorted(inputs.fingerprints.items())), files=dict(sorted(entries.items())))
     write_json(layout.index / MANIFEST, manifest)
     _remove_strays(layout, manifest)
     release(layout)
-    return IndexReport(tuple(changed), tuple(sorted(kept)), _rows(layout), time.perf_counter() - start)
+    changed = tuple(scene_id for scene_id in inputs.scenes if scene_id not in kept)
+    return IndexReport(changed, tuple(sorted(kept)), _rows(layout), time.perf_counter() - start)
 
 
 def _require_whole(layout: Layout, inputs: Inputs) -> None:
@@ -157,11 +166,11 @@ def _unchanged(previous: Manifest | None, inputs: Inputs) -> frozenset[str]:
     )
 
 
-def _kept_rows(layout: Layout, name: str, kept: frozenset[str]) -> pa.Table:
-    table = {TRAVERSALS.name: TRAVERSALS, ROW_GROUPS.name: ROW_GROUPS}[name]
+def _kept_row_groups(layout: Layout, kept: frozenset[str]) -> pa.Table:
     if not kept:
-        return plain_schema(table).empty_table()
-    data = read_table(layout.index / f"{name}.parquet", table).cast(plain_schema(table)).replace_schema_metadata(None)
+        return plain_schema(ROW_GROUPS).empty_table()
+    data = read_table(layout.index / f"{ROW_GROUPS.name}.parquet", ROW_GROUPS)
+    data = data.cast(plain_schema(ROW_GROUPS)).replace_schema_metadata(None)
     return data.filter(pc.is_in(data.column("scene_id"), value_set=pa.array(sorted(kept))))
 
 

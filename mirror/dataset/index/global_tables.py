@@ -10,12 +10,12 @@ import pyarrow.compute as pc
 
 from mirror.dataset.index.geoparquet import bounding_box, continuous, with_geo_metadata, wkb_polygon
 from mirror.dataset.index.inputs import Inputs
-from mirror.dataset.index.scene_tables import canonical
+from mirror.dataset.index.scene_tables import canonical, plain_schema
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
 from mirror.schema.documents import Roi
 from mirror.schema.files import encode_table, read_table
-from mirror.schema.tables import INDEX_PASSES, PASSES, ROW_GROUPS, SCENES, TRAVERSALS, Table
+from mirror.schema.tables import INDEX_PASSES, PASSES, ROW_GROUPS, SCENES, Table
 
 _VERTICES_A_CIRCLE = 256
 
@@ -52,12 +52,17 @@ def accepted_passes(passes: pa.Table) -> dict[str, dict[str, Any]]:
 
 
 def encode_global(inputs: Inputs, passes: pa.Table, traversals: pa.Table, row_groups: pa.Table) -> dict[str, bytes]:
-    """The files of the global tables by name."""
-    traversals = traversals.sort_by([(name, "ascending") for name in TRAVERSALS.sorted_by])
+    """The files of the global tables but that of the traversals, by name.
+
+    Args:
+        inputs: what the index is derived from.
+        passes: the ledgers of all drives.
+        traversals: rows of the table of traversals, without their geometries.
+        row_groups: rows of the table of row groups.
+    """
     row_groups = row_groups.sort_by([(name, "ascending") for name in ROW_GROUPS.sorted_by])
     return {
         SCENES.name: encode_table(with_geo_metadata(_scenes(inputs, traversals), "Polygon"), SCENES),
-        TRAVERSALS.name: encode_table(with_geo_metadata(canonical(traversals, TRAVERSALS), "LineString"), TRAVERSALS),
         INDEX_PASSES.name: encode_table(canonical(passes, INDEX_PASSES), INDEX_PASSES),
         ROW_GROUPS.name: encode_table(canonical(row_groups, ROW_GROUPS), ROW_GROUPS),
     }
@@ -66,13 +71,6 @@ def encode_global(inputs: Inputs, passes: pa.Table, traversals: pa.Table, row_gr
 def rows_to_table(rows: Sequence[Mapping[str, Any]], table: Table) -> pa.Table:
     """Rows as a table whose dictionary columns are still plain strings."""
     return pa.Table.from_pylist(list(rows), schema=plain_schema(table))
-
-
-def plain_schema(table: Table) -> pa.Schema:
-    """A table's schema with strings in the place of dictionaries."""
-    return pa.schema(
-        [field.with_type(pa.string()) if pa.types.is_dictionary(field.type) else field for field in table.schema]
-    )
 
 
 def _plain(data: pa.Table, table: Table) -> pa.Table:

@@ -48,19 +48,17 @@ class SceneTables:
     Attributes:
         files: complete files under temporary names, by table; a table without rows has none.
         row_groups: rows of the table ROW_GROUPS.
-        traversals: rows of the table TRAVERSALS.
     """
 
     files: Mapping[str, Path]
     row_groups: Sequence[Mapping[str, Any]]
-    traversals: Sequence[Mapping[str, Any]]
 
 
 def scene_tables(
     layout: Layout,
     scene_id: str,
     traversals: Iterable[tuple[TraversalInput, Mapping[str, Any]]],
-    done: Callable[[], None],
+    take: Callable[[Mapping[str, Any]], None],
 ) -> SceneTables:
     """Derive the tables of one scene, traversal by traversal: memory holds the tables of one at a time.
 
@@ -68,7 +66,7 @@ def scene_tables(
         layout: the dataset.
         scene_id: the scene.
         traversals: the scene's traversals in order of id, each with its accepted row of the ledger.
-        done: called after each traversal.
+        take: called with each traversal's row of the table TRAVERSALS.
 
     Raises:
         DatasetError: a table is missing, or poses do not cover a picture.
@@ -76,11 +74,10 @@ def scene_tables(
     """
     writers: dict[str, TableWriter] = {}
     groups: Counter[str] = Counter()
-    row_groups, rows = [], []
+    row_groups = []
     try:
         for traversal, ledger in traversals:
             own = _traversal_tables(layout, traversal)
-            rows.append(_traversal_row(traversal, ledger, own))
             for table in INDEX_BY_SCENE:
                 data = own[table.name]
                 if not data.num_rows:
@@ -91,13 +88,13 @@ def scene_tables(
                 writers[table.name].write(canonical(data, table))
                 row_groups.append(_row_group(table, traversal, groups[table.name], data))
                 groups[table.name] += 1
-            done()
+            take(_traversal_row(traversal, ledger, own))
         files = {name: writer.finish() for name, writer in writers.items()}
     except BaseException:
         for writer in writers.values():
             writer.abandon()
         raise
-    return SceneTables(files, row_groups, rows)
+    return SceneTables(files, row_groups)
 
 
 def canonical(data: pa.Table, table: Table) -> pa.Table:
@@ -109,6 +106,13 @@ def canonical(data: pa.Table, table: Table) -> pa.Table:
         for field in table.schema
     ]
     return pa.Table.from_arrays(columns, names=table.schema.names)
+
+
+def plain_schema(table: Table) -> pa.Schema:
+    """A table's schema with strings in the place of dictionaries."""
+    return pa.schema(
+        [field.with_type(pa.string()) if pa.types.is_dictionary(field.type) else field for field in table.schema]
+    )
 
 
 def _traversal_tables(layout: Layout, traversal: TraversalInput) -> dict[str, pa.Table]:

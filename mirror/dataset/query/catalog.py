@@ -66,9 +66,13 @@ class Catalog:
         self._by_traversal: dict[str, dict[int, int]] = {}
 
     def read_global(self, name: str, columns: Sequence[str]) -> pa.Table:
-        """Columns of a global table, all rows."""
-        arrays = self.columns.read(f"index/{name}.parquet", 0, columns)
-        return pa.Table.from_arrays(arrays, schema=pa.schema([TABLES[name].schema.field(key) for key in columns]))
+        """Columns of a global table, all rows, each column in one piece."""
+        path, schema = f"index/{name}.parquet", pa.schema([TABLES[name].schema.field(key) for key in columns])
+        parts = [
+            pa.Table.from_arrays(self.columns.read(path, group, columns), schema=schema)
+            for group in range(self.columns.row_groups(path))
+        ]
+        return parts[0] if len(parts) == 1 else pa.concat_tables(parts).unify_dictionaries().combine_chunks()
 
     @cached_property
     def traversal_ids(self) -> pa.Array:

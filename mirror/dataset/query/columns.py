@@ -36,6 +36,16 @@ class ColumnCache:
         """Bytes of decoded columns held now."""
         return self._held
 
+    def row_groups(self, path: str) -> int:
+        """How many row groups a file has.
+
+        Raises:
+            DatasetError: the file is missing, or not the one that the index's manifest names.
+            SchemaError: the file is broken.
+        """
+        with self._lock:
+            return int(self._files.parquet(path).metadata.num_row_groups)
+
     def read(self, path: str, row_group: int, names: Sequence[str]) -> list[pa.Array]:
         """Columns of one row group, each one contiguous array.
 

@@ -1,10 +1,11 @@
-"""How kernels are compiled, and when again."""
+"""Compilation of kernels with numba, and the stamp that decides when a cached kernel is compiled again."""
 
 from __future__ import annotations
 
 import hashlib
 import logging
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
@@ -13,51 +14,54 @@ from numba.core import event
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
+_KERNELS: Final = Path(__file__).parent
+_RASTERIZER: Final = _KERNELS.parent / "rasterizer"
+
 _log: Final = logging.getLogger("hybridworldsim.rasterizer")
-_kernels: Final[list[Any]] = []
+_dispatchers: Final[list[Any]] = []
 
 
 def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Function], _Function]:
-    """Compile a function that allocates nothing and lets go of Python's lock.
+    """Compile a function with numba; it must not allocate, and it runs without Python's global lock.
 
-    The machine code is kept on disk for as long as the rasterizer's sources stay as they are: a kernel holds what it
-    takes from other modules, which numba's own cache does not notice.
+    The machine code is cached on disk. It is compiled again after any change of a source file in `kernels/`, in
+    `rasterizer/` or in the folder of the function's own module: a kernel contains the helpers and constants that it
+    takes from other modules, and numba's own cache checks the function's own file only.
 
     Args:
-        inline: ``always``: into the kernels that call it.
+        inline: ``always``: inline the function into the kernels that call it.
     """
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "inline": inline, "_nrt": False}
 
-    def compiled(function: _Function) -> _Function:
+    def compile_kernel(function: _Function) -> _Function:
         dispatcher: Any = numba.njit(**options)(function)
-        dispatcher._cache._cache_file._source_stamp = _SOURCES
-        _kernels.append(dispatcher)
+        dispatcher._cache._cache_file._source_stamp = _source_stamp(Path(function.__code__.co_filename).parent)
+        _dispatchers.append(dispatcher)
         return dispatcher
 
-    return compiled
+    return compile_kernel
 
 
-def _sources() -> str:
-    """A hash of the sources that kernels are made of: this package and the rasterizer."""
-    packages = (Path(__file__).parent, Path(__file__).parents[1] / "rasterizer")
-    files = sorted(path for package in packages for path in package.rglob("*.py"))
-    return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()
+@lru_cache
+def _source_stamp(folder: Path) -> str:
+    """A hash of the source files in `kernels/`, in `rasterizer/` and in a folder with their subfolders."""
+    files = {path for root in (_KERNELS, _RASTERIZER, folder) for path in root.rglob("*.py")}
+    return hashlib.sha256(b"\0".join(path.read_bytes() for path in sorted(files))).hexdigest()
 
 
-class _Announcer(event.Listener):
-    """Says once a process that kernels are compiled, which takes a while."""
+class _CompilationNotice(event.Listener):
+    """Logs once a process that kernels are being compiled, because this takes a while."""
 
-    said = False
+    logged = False
 
     def on_start(self, compilation: Any) -> None:
-        """Numba begins to compile something that it has not on disk."""
-        if not self.said and any(compilation.data["dispatcher"] is one for one in _kernels):
-            self.said = True
-            _log.warning("compiling the rasterizer's kernels, which are then kept: up to half a minute")
+        """Log when numba starts to compile one of the kernels, which is then not in the cache."""
+        if not self.logged and any(compilation.data["dispatcher"] is one for one in _dispatchers):
+            self.logged = True
+            _log.warning("compiling the rasterizer's kernels and caching them: this takes up to half a minute")
 
     def on_end(self, compilation: Any) -> None:
-        """Numba is done."""
+        """Do nothing when numba has finished."""
 
 
-_SOURCES: Final = _sources()
-event.register("numba:compile", _Announcer())
+event.register("numba:compile", _CompilationNotice())

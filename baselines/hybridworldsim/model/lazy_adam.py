@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import AnyArray
 
@@ -146,7 +146,7 @@ _CORRECTIONS: Final = np.concatenate([[0.0], np.sqrt(1.0 - BETA2**_STEPS) / (1.0
 """By which Adam's first steps differ from its later ones, by step."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _await(begin: Any, end: Any, rows: Any, step: Any, last: Any, corrections: Any, past: Any) -> None:
     """What passed rows by since they were seen: (M, 3) how far they went on, and what is left of their moments."""
     ratio, settled = BETA1 / math.sqrt(BETA2), len(corrections) - 1
@@ -161,7 +161,7 @@ def _await(begin: Any, end: Any, rows: Any, step: Any, last: Any, corrections: A
         last[row] = step
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _take(
     begin: Any, end: Any, rows: Any, past: Any, rate: Any, table: Any, first: Any, second: Any, out: Any
 ) -> None:  # fmt: skip
@@ -178,7 +178,7 @@ def _take(
             out[place, column] = table[row, column]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _move(begin: Any, end: Any, rows: Any, gradients: Any, rate: Any, table: Any, first: Any, second: Any) -> None:
     """A step of Adam."""
     b1, b2 = np.float32(BETA1), np.float32(BETA2)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.memory import room
 from hybridworldsim.kernels.threads import in_parallel, spans
 from hybridworldsim.training.viewpoint import Viewpoint
@@ -52,7 +52,7 @@ def _pyramid(viewpoint: Viewpoint) -> Float32:
     return np.array((*matrix[:3, :3].ravel(), *matrix[:3, 3], NEAREST_M, *slopes, *lengths), np.float32)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def find_visible(begin: Any, end: Any, means: Any, reach: Any, view: Any, rows: Any) -> Any:
     """Find the rows in a range whose sphere a view's pyramid may meet.
 

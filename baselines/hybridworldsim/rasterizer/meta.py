@@ -20,7 +20,7 @@ from hybridworldsim.rasterizer.rows import rows, spread
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One picture's Gaussians as they were blended, for buffers made later.
+    """The Gaussians of one image as they were blended.
 
     Attributes:
         place: which scene and which camera.

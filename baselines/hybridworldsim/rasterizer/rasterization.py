@@ -120,7 +120,7 @@ def rasterization(
         Pictures (..., C, height, width, channels), alphas (..., C, height, width, 1) and `meta`: gsplat's keys
         `batch_ids, camera_ids, gaussian_ids, radii, means2d, depths, conics, opacities, tile_width, tile_height,
         tile_size, width, height, n_batches, n_cameras`; and, unless on CUDA, the `counts` of work done and left out
-        and `blending`, for `buffers`.
+        and `blending`: the Gaussians of each image as they were blended.
 
     Raises:
         UsageError: an argument cannot mean anything, or is one of gsplat's that is not done here; it is named.

@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.memory import filled, room
 from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import AnyArray, Float32
@@ -44,7 +44,7 @@ def assembled(
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def count_drawn(geometry: Any, begin: Any, end: Any) -> Any:
     """How many Gaussians of anchors in a range have an opacity above zero."""
     count = 0
@@ -54,7 +54,7 @@ def count_drawn(geometry: Any, begin: Any, end: Any) -> Any:
     return count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def assemble(
     geometry: Any, colours: Any, anchors: Any, offsets: Any, log_scales: Any, begin: Any, end: Any,
     first: Any, sizes: Any, means: Any, quats: Any, shares: Any, opacities: Any, tints: Any, slots: Any,
@@ -84,7 +84,7 @@ def assemble(
             place += 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def enlarge(begin: Any, end: Any, k: Any, slots: Any, sizes: Any, shares: Any, scales: Any) -> None:
     """Scales of Gaussians in a range: their shares of their anchors' sizes."""
     for place in range(begin, end):
@@ -93,7 +93,7 @@ def enlarge(begin: Any, end: Any, k: Any, slots: Any, sizes: Any, shares: Any, s
             scales[place, axis] = sizes[anchor, 3 + axis] * shares[place, axis]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def assemble_backward(
     offsets: Any, sizes: Any, shares: Any, opacities: Any, tints: Any, slots: Any, begin: Any, end: Any,
     to_means: Any, to_quats: Any, to_scales: Any, to_opacities: Any, to_tints: Any,

@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.memory import room
 from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import AnyArray
@@ -60,7 +60,7 @@ class _Told(torch.autograd.Function):
         return gradients[0][:, : ctx.size], None, None, None
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def tell(begin: Any, end: Any, codes: Any, means: Any, eye: Any, share: Any, out: Any) -> None:
     """Write what is told of rows in a range; `share` is of a metre in the radius, 0 if places are not told."""
     size = codes.shape[1]

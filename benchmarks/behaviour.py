@@ -59,7 +59,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _rules() -> list[list[str]]:
     """Ids, severities and costs of the integrity rules, in order."""
-    from mirror.dataset.check.registry import rules
+    from mirror.integrity.registry import rules
 
     return [[rule.rule_id, str(rule.severity), rule.cost.name] for rule in rules().values()]
 

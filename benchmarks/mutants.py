@@ -42,7 +42,8 @@ ROOMS: Final = {
     "mirror/ingest": ("tests/ingest",),
     "mirror/recordings": ("tests/recordings",),
     "mirror/schema": ("tests/schema",),
-    "mirror/dataset": ("tests/dataset", "tests/dataset_rules", "tests/dataset_split", "tests/dataset_stats"),
+    "mirror/dataset": ("tests/dataset", "tests/dataset_split", "tests/dataset_stats"),
+    "mirror/integrity": ("tests/integrity",),
     "mirror/evaluation": ("tests/evaluation",),
     "baselines/hybridworldsim/rasterizer": ("tests/rasterizer",),
 }

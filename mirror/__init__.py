@@ -10,13 +10,13 @@ from mirror.version import __version__ as __version__
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from mirror.dataset.check.run import check as check
     from mirror.dataset.dataset import Dataset as Dataset
     from mirror.dataset.dataset import open as open
     from mirror.dataset.frames import Frame as Frame
     from mirror.dataset.image import Image as Image
     from mirror.errors import MirrorError as MirrorError
     from mirror.evaluation.run import evaluate as evaluate
+    from mirror.integrity.run import check as check
     from mirror.protocols.document import load_protocol as load_protocol
 
 __all__ = ["Dataset", "Frame", "Image", "MirrorError", "__version__", "check", "evaluate", "load_protocol", "open"]
@@ -29,7 +29,7 @@ __getattr__, __dir__ = lazy_names(
         "Image": "mirror.dataset.image",
         "MirrorError": "mirror.errors",
         "__version__": "mirror.version",
-        "check": "mirror.dataset.check.run",
+        "check": "mirror.integrity.run",
         "evaluate": "mirror.evaluation.run",
         "load_protocol": "mirror.protocols.document",
         "open": "mirror.dataset.dataset",

@@ -14,7 +14,7 @@ from mirror.command_line import parsed
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
-    from mirror.dataset.check import CheckReport
+    from mirror.integrity import CheckReport
 
 _SHOWN = 5
 
@@ -48,7 +48,7 @@ def main(argv: Sequence[str]) -> int:
     if arguments.quick and arguments.full:
         raise UsageError("--quick and --full at once", expected="one of them, or neither")
 
-    from mirror.dataset.check import Cost, check
+    from mirror.integrity import Cost, check
     from mirror.progress import progress_bar
 
     cost = Cost.TABLES if arguments.quick else Cost.PICTURES if arguments.full else Cost.FILES
@@ -101,7 +101,7 @@ def _print(report: CheckReport, arguments: Arguments) -> None:
     colours = {"error": "red", "warning": "yellow", "info": "blue"}
     for rule, own in groupby(report.findings, key=lambda hit: hit[0]):
         colour = colours[rule.severity]
-        console.print(Text(f"{rule.rule_id} {rule.severity}", style=colour), rule.doc)
+        console.print(Text(f"{rule.rule_id} {rule.severity}", style=colour), rule.title)
         findings = [finding for _, finding in own]
         for finding in findings[:_SHOWN]:
             place = f": {finding.place}" if finding.place else ""

@@ -15,7 +15,7 @@ from mirror.command_line import parsed
 from mirror.errors import DatasetError, ExitCode
 
 if TYPE_CHECKING:
-    from mirror.dataset.summary import DatasetSummary
+    from mirror.integrity.summary import DatasetSummary
     from mirror.recordings.summary import RecordingSummary
 
 _LISTED = 12
@@ -46,7 +46,7 @@ def main(argv: Sequence[str]) -> int:
     if not path.exists():
         raise DatasetError("there is nothing at this path", file=path, expected="a dataset or a recording")
     if (path / "dataset.json").is_file():
-        from mirror.dataset.summary import summarise as summarise_dataset
+        from mirror.integrity.summary import summarise as summarise_dataset
 
         dataset = summarise_dataset(path)
         plain, lines = dataset.to_dict(), _dataset_lines(dataset)

@@ -1,4 +1,4 @@
-"""Datasets on disk: open, query, load, split, statistics, integrity rules.
+"""Datasets on disk: open, query, load, split, statistics.
 
 The names below are imported on first use, so that ``import mirror.dataset.layout`` stays light.
 """

@@ -10,8 +10,8 @@ import pytest
 from mirror.cli.main import main
 from mirror.dataset.index import build_index
 from mirror.dataset.splits import make_split
-from mirror.dataset.summary import summarise
 from mirror.errors import DatasetError, SchemaError
+from mirror.integrity.summary import summarise
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.tables import BOXES
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box

@@ -13,13 +13,13 @@ import pyarrow as pa
 import pytest
 
 import mirror
-from mirror.dataset.check import check
 from mirror.dataset.layout import Layout
 from mirror.dataset.splits import make_split
 from mirror.errors import UsageError
 from mirror.ingest.judge import DriveContent
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest
+from mirror.integrity import check
 from mirror.recordings import weather
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import NovelTraversal, SplitDocument

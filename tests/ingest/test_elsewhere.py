@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import mirror
-from mirror.dataset.check import Cost, check
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest
+from mirror.integrity import Cost, check
 from mirror.recordings import weather
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES

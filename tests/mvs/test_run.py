@@ -16,13 +16,13 @@ from hybridworldsim.mvs.methods import estimator_of
 from hybridworldsim.mvs.options import Options
 from hybridworldsim.mvs.run import initialise
 from hybridworldsim.mvs.writing.scene import Scene
-from mirror.dataset.check.run import check
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.splits import make_split
 from mirror.errors import DatasetError, UsageError
+from mirror.integrity.run import check
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
 from mirror.schema.documents import NovelTraversal

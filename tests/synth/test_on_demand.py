@@ -13,10 +13,10 @@ import pytest
 
 import mirror
 import mirror.synth
-from mirror.dataset.check import check
 from mirror.errors import DatasetError, UsageError
 from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest
+from mirror.integrity import check
 from mirror.recordings.raster import TAIL_BYTES, has_end, raster_size, require_whole
 from mirror.synth.fleet import PRESETS
 from mirror.synth.fleet.drive import SynthDrive

@@ -1,1 +1,0 @@
-"""Integrity rules, one a file, in folders by what they look at; `mirror.dataset.check.registry` finds them all."""

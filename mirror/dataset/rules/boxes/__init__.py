@@ -1,1 +1,0 @@
-"""BOX: 3D boxes; MSK: masks."""

@@ -1,1 +1,0 @@
-"""CAM: calibrations and rigs."""

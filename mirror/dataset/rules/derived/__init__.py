@@ -1,1 +1,0 @@
-"""IDX: the index, which is derived from everything else."""

@@ -1,1 +1,0 @@
-"""DS: the dataset's documents, folders and ids."""

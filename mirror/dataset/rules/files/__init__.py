@@ -1,1 +1,0 @@
-"""FIL: the files that manifests list."""

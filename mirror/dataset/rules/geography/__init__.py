@@ -1,1 +1,0 @@
-"""GEO: places on the globe, and the world that hangs on them."""

@@ -1,1 +1,0 @@
-"""IMG: pictures, their rows, files and pixels."""

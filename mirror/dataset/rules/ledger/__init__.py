@@ -1,1 +1,0 @@
-"""LED: the ledgers of passes, accepted and refused."""

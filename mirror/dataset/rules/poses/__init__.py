@@ -1,1 +1,0 @@
-"""POS: the ego poses of a traversal, recorded and in layers."""

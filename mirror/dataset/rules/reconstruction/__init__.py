@@ -1,1 +1,0 @@
-"""DEP: depth maps; PTS: points."""

@@ -1,1 +1,0 @@
-"""SPL: splits, and what leaks through them."""

@@ -1,1 +1,0 @@
-"""TAB: every table against its schema."""

@@ -1,1 +1,0 @@
-"""TIM: stamps of pictures, frames and drives."""

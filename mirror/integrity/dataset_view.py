@@ -1,0 +1,267 @@
+"""A dataset as the rules see it: everything that can be read, and why the rest could not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pyarrow as pa
+
+from mirror.dataset.index.inputs import Inputs, read_inputs, read_rois
+from mirror.dataset.layout import MANIFEST, Layout
+from mirror.dataset.pictures.still import usable_cores
+from mirror.dataset.splits.candidates import Candidate, Candidates
+from mirror.dataset.splits.leaks import Tie, ties
+from mirror.dataset.store import Store
+from mirror.errors import DatasetError, MirrorError, SchemaError
+from mirror.geometry.cameras import Camera
+from mirror.integrity.rows import Part, Rows
+from mirror.pools import thread_pool
+from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
+from mirror.schema.files import Model, read_json, read_table
+from mirror.schema.tables import PASSES, ROW_GROUPS, Table
+
+TRAVERSAL_KEY = "traversal:"
+
+
+@dataclass(frozen=True)
+class TraversalView:
+    """A traversal that a drive names and that is complete.
+
+    Attributes:
+        traversal_id: the traversal.
+        scene: its scene.
+        drive: its drive.
+        rig: the drive's rig; None if it has none, or if it cannot be read.
+        layers: complete layers as (kind, source, version).
+        passed: its accepted row of the ledger; None if there is none.
+    """
+
+    traversal_id: str
+    scene: Roi
+    drive: DriveDocument
+    rig: Rig | None
+    layers: Sequence[tuple[str, str, str]]
+    passed: Mapping[str, object] | None
+
+
+class DatasetView:
+    """Documents, manifests and ledgers of a dataset; what is broken is missing here, and its error is kept.
+
+    Args:
+        layout: the dataset.
+
+    Attributes:
+        problems: why a file could not be read, by the file relative to the root.
+        cameras: the cameras that were made so far, so that equal ones are made once.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.store = Store(layout.root)
+        self.problems: dict[str, MirrorError] = {}
+        self.cameras: dict[Camera, Camera] = {}
+
+    def name(self, path: Path) -> str:
+        """A path relative to the dataset's root."""
+        return path.relative_to(self.layout.root).as_posix()
+
+    @cached_property
+    def document(self) -> DatasetDocument | None:
+        """``dataset.json``."""
+        return self._read(self.layout.document, DatasetDocument)
+
+    @cached_property
+    def scenes(self) -> Mapping[str, Roi]:
+        """Regions of interest by scene id."""
+        try:
+            return read_rois(self.store)
+        except MirrorError as error:
+            self.problems[self.name(self.layout.rois)] = error
+            return {}
+
+    @cached_property
+    def drive_manifests(self) -> Mapping[str, Manifest]:
+        """Manifests of the complete drives, by the name of their folder."""
+        return {
+            folder.name: manifest
+            for folder, manifest in self.folder_manifests.items()
+            if folder.parent.name == "drives"
+        }
+
+    @cached_property
+    def drives(self) -> Mapping[str, DriveDocument]:
+        """Documents of the complete drives, by the name of their folder."""
+        found = {
+            name: self._read(self.layout.drive(name) / "drive.json", DriveDocument) for name in self.drive_manifests
+        }
+        return {name: drive for name, drive in found.items() if drive is not None}
+
+    @cached_property
+    def rigs(self) -> Mapping[str, Rig]:
+        """The rigs that drives name, by id."""
+        names = sorted({drive.rig_id for drive in self.drives.values() if drive.rig_id is not None})
+        found = {name: self._read(self.layout.rig(name), Rig) for name in names}
+        return {name: rig for name, rig in found.items() if rig is not None}
+
+    @cached_property
+    def folder_manifests(self) -> Mapping[Path, Manifest]:
+        """Manifests of all complete folders but the index's."""
+        found = {folder: self._manifest(folder) for folder in self.sealed_folders()}
+        return {folder: manifest for folder, manifest in found.items() if manifest is not None}
+
+    @cached_property
+    def recorded_manifests(self) -> Mapping[str, Manifest]:
+        """Manifests of the complete recorded folders, by the name of the traversal's folder."""
+        return {
+            folder.parent.name: manifest
+            for folder, manifest in self.folder_manifests.items()
+            if folder.name == "recorded"
+        }
+
+    @cached_property
+    def index_manifest(self) -> Manifest | None:
+        """The index's manifest."""
+        return self._manifest(self.layout.index)
+
+    @cached_property
+    def index_inputs(self) -> Inputs | None:
+        """What an index would be derived from; None: not whole, for which other rules look."""
+        try:
+            return read_inputs(self.store)
+        except MirrorError:
+            return None
+
+    @cached_property
+    def index_row_groups(self) -> pa.Table | None:
+        """The index's list of row groups; None where the index is missing, broken or stale."""
+        inputs, manifest = self.index_inputs, self.index_manifest
+        if inputs is None or manifest is None or manifest.derived_from != inputs.fingerprints:
+            return None
+        return self.table(self.layout.index / f"{ROW_GROUPS.name}.parquet", ROW_GROUPS)
+
+    @cached_property
+    def named(self) -> Mapping[str, tuple[str, str]]:
+        """Traversals that drives name: their drive's folder and the manifest's hash, by id."""
+        return {
+            key.removeprefix(TRAVERSAL_KEY): (drive, value)
+            for drive, manifest in self.drive_manifests.items()
+            for key, value in manifest.derived_from.items()
+            if key.startswith(TRAVERSAL_KEY)
+        }
+
+    @cached_property
+    def passes(self) -> Rows:
+        """The ledgers of all drives."""
+        folders = [(number, self.layout.drive(name)) for number, name in enumerate(self.drive_manifests)]
+        return Rows(PASSES, self.parts(PASSES, folders))
+
+    @cached_property
+    def traversals(self) -> Mapping[str, TraversalView]:
+        """Traversals that are named, complete, and of a scene and a drive that can be read; by id."""
+        accepted = {row["traversal_id"]: row for row in self.passes.data.to_pylist() if row["traversal_id"] is not None}
+        found = {}
+        for traversal_id, (drive_name, _) in sorted(self.named.items()):
+            scene, drive = self.scenes.get(traversal_id.partition(".")[0]), self.drives.get(drive_name)
+            if scene is not None and drive is not None and traversal_id in self.recorded_manifests:
+                found[traversal_id] = TraversalView(
+                    traversal_id,
+                    scene,
+                    drive,
+                    None if drive.rig_id is None else self.rigs.get(drive.rig_id),
+                    self.layout.layers(traversal_id),
+                    accepted.get(traversal_id),
+                )
+        return found
+
+    @cached_property
+    def splits(self) -> Mapping[str, SplitDocument]:
+        """Splits by name."""
+        found = {path.stem: self._read(path, SplitDocument) for path in sorted(self.layout.root.glob("splits/*.json"))}
+        return {name: split for name, split in found.items() if split is not None}
+
+    @cached_property
+    def candidates(self) -> Candidates:
+        """The traversals as splits see them."""
+        found = {
+            key: Candidate(
+                traversal_id=key,
+                scene_id=item.scene.scene_id,
+                drive_id=item.drive.drive_id,
+                vehicle_id=item.drive.vehicle_id,
+                entry_ns=int(str(item.passed["entry_ns"])),
+                exit_ns=int(str(item.passed["exit_ns"])),
+                light=str(item.passed["light"]),
+                weather=str(item.passed["weather"]),
+                content=self.recorded_manifests[key].content,
+            )
+            for key, item in self.traversals.items()
+            if item.passed is not None
+        }
+        return Candidates(self.layout, self.scenes, found, self.table)
+
+    @cached_property
+    def ties(self) -> Sequence[Tie]:
+        """What ties traversals together, scenes included."""
+        return ties(self.candidates, by_scene=True)
+
+    def folders(self, name: str) -> list[Path]:
+        """Folders of a folder of the dataset, sorted; hidden ones are passed over."""
+        parent = self.layout.root / name
+        found = parent.iterdir() if parent.is_dir() else ()
+        return sorted(folder for folder in found if folder.is_dir() and not folder.name.startswith("."))
+
+    def layer_folders(self, traversal: str) -> list[Path]:
+        """Folders of a traversal's layers, complete or not."""
+        kinds = self.folders(f"traversals/{traversal}/layers")
+        return [layer for kind in kinds for layer in self.folders(self.name(kind))]
+
+    def sealed_folders(self) -> Iterator[Path]:
+        """Folders that have a manifest when they are complete, but for the index."""
+        yield from self.folders("drives")
+        for folder in self.folders("traversals"):
+            yield folder / "recorded"
+            yield from self.layer_folders(folder.name)
+
+    def listed_files(self) -> Iterator[tuple[Path, FileEntry]]:
+        """The files that manifests list, the index's included."""
+        indexed = {} if self.index_manifest is None else {self.layout.index: self.index_manifest}
+        for folder, manifest in {**self.folder_manifests, **indexed}.items():
+            for name, entry in manifest.files.items():
+                yield folder / name, entry
+
+    def parts(self, table: Table, folders: Sequence[tuple[int, Path]]) -> list[Part]:
+        """A table of many folders; those that have none, or a broken one, are left out.
+
+        Args:
+            table: which.
+            folders: the folders, each with the number by which its rows are to be known.
+        """
+        paths = [folder / f"{table.name}.parquet" for _, folder in folders]
+        with thread_pool(usable_cores()) as pool:
+            tables = pool.map(lambda path: self.table(path, table), paths)
+        read = zip(paths, folders, tables)
+        return [(self.name(path), number, data) for path, (number, _), data in read if data is not None]
+
+    def table(self, path: Path, table: Table, columns: Sequence[str] | None = None) -> pa.Table | None:
+        """A table, or columns of it; None: the file is missing, or it is broken, which is kept as a problem."""
+        try:
+            return read_table(path, table, columns)
+        except SchemaError as error:
+            self.problems[self.name(path)] = error
+        except DatasetError:
+            # A missing file is what the manifest's rules look for.
+            pass
+        return None
+
+    def _manifest(self, folder: Path) -> Manifest | None:
+        return self._read(folder / MANIFEST, Manifest) if (folder / MANIFEST).is_file() else None
+
+    def _read(self, path: Path, model: type[Model]) -> Model | None:
+        try:
+            return read_json(path, model)
+        except (SchemaError, DatasetError) as error:
+            self.problems[self.name(path)] = error
+            return None

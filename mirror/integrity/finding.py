@@ -1,0 +1,39 @@
+"""What a rule finds, how much that matters and what finding it costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+
+class Severity(StrEnum):
+    """How much a finding matters: an error makes the dataset wrong, a warning doubtful; an info is worth knowing."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    INFO = "info"
+
+
+class Cost(IntEnum):
+    """What a rule has to read: tables and documents; the sizes and ends of files; all bytes, pictures decoded."""
+
+    TABLES = 0
+    FILES = 1
+    PICTURES = 2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One place that breaks a rule.
+
+    Attributes:
+        file: relative to the dataset's root.
+        place: row, key or camera in it; the first, if there are several.
+        message: what is wrong there, with the values.
+        count: how many rows of the file are wrong.
+    """
+
+    file: str
+    place: str | None
+    message: str
+    count: int = 1

@@ -1,0 +1,163 @@
+"""The files behind pictures: their sizes and ends, and what is in them; each file is opened once for all rules."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from threading import Lock
+from typing import Final, TypeVar
+
+import numpy as np
+
+from mirror.arrays import Bool, Int64, UInt8
+from mirror.dataset.pictures.still import decode_rgb, usable_cores
+from mirror.dataset.pictures.video import VideoDecoders
+from mirror.dataset.store import Store
+from mirror.errors import MirrorError
+from mirror.integrity.rows import Rows
+from mirror.pools import thread_pool
+from mirror.recordings.raster import TAIL_BYTES, has_end
+
+MISSING: Final = -1
+LEADS_OUT: Final = -2
+_CHUNK = 256
+_RANGE = 255
+_AS_IT_SHOULD_BE = (True, True, 0, 0, _RANGE)
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True)
+class PictureFiles:
+    """What the file system says.
+
+    Attributes:
+        size: (N,) bytes of the picture's file; `MISSING`, or `LEADS_OUT`: its uri leads out of the dataset.
+        ended: (N,) True if a still's bytes end as its codec asks; True for videos and where that cannot be seen.
+    """
+
+    size: Int64
+    ended: Bool
+
+
+@dataclass(frozen=True)
+class PictureContents:
+    """What is in the files; where a file is missing or short, everything is as it should be: other rules see that.
+
+    Attributes:
+        same_bytes: (N,) False if the bytes have another SHA-256 than the table says.
+        decodes: (N,) False if the picture cannot be decoded.
+        width_px: (N,) of the decoded picture; 0 where it was not decoded.
+        height_px: (N,) of the decoded picture.
+        spread: (N,) difference of its brightest and darkest value in 256; 255 where it was not decoded.
+    """
+
+    same_bytes: Bool
+    decodes: Bool
+    width_px: Int64
+    height_px: Int64
+    spread: Int64
+
+
+class PictureReader:
+    """Reads the files of pictures, several at once.
+
+    Args:
+        images: the pictures.
+        store: the dataset's files.
+    """
+
+    def __init__(self, images: Rows, store: Store) -> None:
+        self._store = store
+        self._uri: list[str] = images.data.column("uri").to_pylist()
+        self._offset = images.integers("byte_offset")
+        self._length = images.integers("byte_length")
+        codes, words = images.words("codec")
+        self._codec = [words[code] for code in codes.tolist()]
+        self._sha256: list[bytes | None] = images.data.column("sha256").to_pylist()
+        self._pts: list[int | None] = images.data.column("video_pts").to_pylist()
+        self._videos = VideoDecoders(store)
+        self._video_sha256: dict[str, bytes] = {}
+        self._lock = Lock()
+
+    def files(self) -> PictureFiles:
+        """Sizes and ends of the files."""
+        found = self._each(self._file)
+        return PictureFiles(
+            np.array([size for size, _ in found], np.int64), np.array([ended for _, ended in found], np.bool_)
+        )
+
+    def contents(self, files: PictureFiles) -> PictureContents:
+        """Hashes, sizes and spread of the pictures.
+
+        Args:
+            files: what `files` answered: a file that is too short is not read.
+        """
+        size = files.size.tolist()
+        read = [self._whole(row, size[row]) for row in range(len(size))]
+        rows = self._each(lambda row: self._content(row) if read[row] else _AS_IT_SHOULD_BE)
+        found = np.array(rows, np.int64).reshape(-1, 5)
+        return PictureContents(found[:, 0] > 0, found[:, 1] > 0, found[:, 2], found[:, 3], found[:, 4])
+
+    def _each(self, read: Callable[[int], Answer]) -> list[Answer]:
+        # A task for each picture would cost more than looking at its file.
+        chunks = [range(start, min(start + _CHUNK, len(self._uri))) for start in range(0, len(self._uri), _CHUNK)]
+        with thread_pool(usable_cores()) as pool:
+            return [answer for part in pool.map(lambda rows: [read(row) for row in rows], chunks) for answer in part]
+
+    def _file(self, row: int) -> tuple[int, bool]:
+        uri, end_of_bytes = self._uri[row], int(self._offset[row] + self._length[row])
+        if leads_out(uri):
+            return LEADS_OUT, True
+        try:
+            place = self._store.resolve(uri)
+            size = place.stat().st_size if isinstance(place, Path) else int(place[0].info(place[1])["size"])
+            if self._codec[row] == "video" or not self._whole(row, size):
+                return size, True
+            tail = min(int(self._length[row]), TAIL_BYTES)
+            return size, has_end(self._store.read_range(uri, end_of_bytes - tail, tail), self._codec[row])
+        except (OSError, MirrorError):
+            return MISSING, True
+
+    def _content(self, row: int) -> tuple[bool, bool, int, int, int]:
+        uri, length = self._uri[row], int(self._length[row])
+        try:
+            if self._codec[row] == "video":
+                same = self._same_video(uri, self._sha256[row])
+                pts = self._pts[row]
+                pixels = None if pts is None else self._videos.decode(uri, pts)
+            else:
+                data = self._store.read_range(uri, int(self._offset[row]), length)
+                expected = self._sha256[row]
+                same = expected is None or hashlib.sha256(data).digest() == expected
+                pixels = decode_rgb(data, self._codec[row])
+        except (OSError, MirrorError):
+            return _AS_IT_SHOULD_BE
+        if pixels is None:
+            return same, False, 0, 0, _RANGE
+        return same, True, pixels.shape[1], pixels.shape[0], _spread(pixels)
+
+    def _whole(self, row: int, size: int) -> bool:
+        """Whether a file of that size has all of a picture's bytes."""
+        offset, length = int(self._offset[row]), int(self._length[row])
+        return offset >= 0 and length > 0 and size >= offset + length
+
+    def _same_video(self, uri: str, expected: bytes | None) -> bool:
+        if expected is None:
+            return True
+        with self._lock:
+            if uri not in self._video_sha256:
+                self._video_sha256[uri] = hashlib.sha256(self._store.read(uri)).digest()
+            return self._video_sha256[uri] == expected
+
+
+def leads_out(uri: str) -> bool:
+    """Whether a picture's relative uri leads out of the dataset."""
+    return ".." in uri and ".." in PurePosixPath(uri).parts
+
+
+def _spread(pixels: UInt8) -> int:
+    """Difference of the brightest and darkest value; every fourth row and column tell."""
+    some = pixels[::4, ::4]
+    return int(some.max()) - int(some.min())

@@ -1,0 +1,61 @@
+"""The files behind rows of layers, masks and depth maps alike: whether they are there, and of a recorded picture."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from mirror.integrity.finding import Finding
+from mirror.integrity.images import leads_out
+from mirror.integrity.rows import Rows
+from mirror.integrity.scene_view import SceneView
+
+
+def missing_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
+    """Rows whose file is missing, or has another size than they say."""
+    length = rows.integers("byte_length")
+    places = [_place(view, uri) for uri in rows.data.column("uri").to_pylist()]
+    size = np.array([-1 if place is None else place.stat().st_size for place in places], np.int64)
+    yield from rows.findings(
+        size != length,
+        lambda row: (
+            f"{rows.word('uri', row)} "
+            + ("is missing" if size[row] < 0 else f"has {size[row]} bytes; expected {length[row]}")
+        ),
+    )
+
+
+def other_bytes(view: SceneView, rows: Rows) -> Iterator[Finding]:
+    """Rows whose file is there with the right size, but has other bytes than they say."""
+    other = np.zeros(len(rows), np.bool_)
+    length, sha256 = rows.integers("byte_length"), rows.data.column("sha256").to_pylist()
+    for row, uri in enumerate(rows.data.column("uri").to_pylist()):
+        place = _place(view, uri)
+        if place is not None and place.stat().st_size == length[row]:
+            other[row] = hashlib.sha256(place.read_bytes()).digest() != sha256[row]
+    yield from rows.findings(other, lambda row: f"{rows.word('uri', row)} has another SHA-256 than its row says")
+
+
+def lost_pictures(view: SceneView, rows: Rows) -> Iterator[Finding]:
+    """Rows of a picture that was never recorded."""
+    images = view.images
+    codes, names = images.words("camera")
+    code_of = {name: code for code, name in enumerate(names)}
+    own_codes, own_names = rows.words("camera")
+    camera = np.array([code_of.get(name, -1) for name in own_names], np.int64)[own_codes]
+    stamps, taken = rows.integers("timestamp_ns"), images.integers("timestamp_ns")
+    pictures = {number: part for _, number, part in images.slices()}
+    lost = np.zeros(len(rows), np.bool_)
+    for _, number, part in rows.slices():
+        own = pictures.get(number, slice(0, 0))
+        known = set(zip(codes[own].tolist(), taken[own].tolist()))
+        lost[part] = [key not in known for key in zip(camera[part].tolist(), stamps[part].tolist())]
+    yield from rows.findings(lost, lambda row: "no picture of this camera and instant")
+
+
+def _place(view: SceneView, uri: str) -> Path | None:
+    place = None if leads_out(uri) else view.dataset.store.resolve(uri)
+    return place if isinstance(place, Path) and place.is_file() else None

@@ -1,0 +1,229 @@
+"""Rules of IMG: pictures, their rows, files and pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from mirror.arrays import Bool, Int64
+from mirror.dataset.splits.candidates import hash_bytes
+from mirror.integrity.finding import Cost, Finding, Severity
+from mirror.integrity.images import MISSING, leads_out
+from mirror.integrity.rows import Rows
+from mirror.integrity.rule import scene_rule
+from mirror.integrity.scene_view import SceneView
+
+
+@scene_rule(
+    "IMG001",
+    Severity.ERROR,
+    title="A picture's file is missing.",
+    cost=Cost.FILES,
+    remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
+)
+def _missing(view: SceneView) -> Iterator[Finding]:
+    images = view.all_images
+    yield from images.findings(
+        view.picture_files.size == MISSING, lambda row: f"{images.word('uri', row)} is missing or cannot be opened"
+    )
+
+
+@scene_rule(
+    "IMG002",
+    Severity.ERROR,
+    title="A picture's file is shorter than its bytes, or, where it holds nothing else, longer.",
+    cost=Cost.FILES,
+    remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
+)
+def _byte_length(view: SceneView) -> Iterator[Finding]:
+    images, size = view.all_images, view.picture_files.size
+    offset, length = images.integers("byte_offset"), images.integers("byte_length")
+    short = (size >= 0) & (size < offset + length)
+    long = np.flatnonzero((size >= 0) & (offset == 0) & (size > length))
+    # A shard holds several pictures one behind the other, the frames of a video are one file.
+    shared = _repeated(images, long)
+    video = [images.word("codec", int(row)) == "video" for row in long]
+    short[long] |= np.array(video, np.bool_) | ~shared
+    yield from images.findings(
+        short, lambda row: f"{images.word('uri', row)} has {size[row]} bytes; expected {offset[row] + length[row]}"
+    )
+
+
+def _repeated(images: Rows, rows: Int64) -> Bool:
+    """Which of some rows have a uri that other rows of the table have too."""
+    uri = images.data.column("uri")
+    asked = uri.take(pa.array(rows))
+    found = pc.value_counts(uri.filter(pc.is_in(uri, value_set=asked.combine_chunks())))
+    count = {item["values"]: item["counts"] for item in found.to_pylist()}
+    return np.array([count[value] > 1 for value in asked.to_pylist()], np.bool_)
+
+
+@scene_rule(
+    "IMG003",
+    Severity.ERROR,
+    title="A JPEG or PNG is cut short: its end marker is missing.",
+    cost=Cost.FILES,
+    remedy="restore the file from the recording, or drop the picture",
+)
+def _cut_short(view: SceneView) -> Iterator[Finding]:
+    images = view.all_images
+    yield from images.findings(
+        ~view.picture_files.ended, lambda row: f"{images.word('uri', row)} has no end-of-image marker"
+    )
+
+
+@scene_rule(
+    "IMG004",
+    Severity.ERROR,
+    title="A picture's bytes are not those that were recorded: another SHA-256.",
+    cost=Cost.PICTURES,
+    remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
+)
+def _picture_hash(view: SceneView) -> Iterator[Finding]:
+    images = view.all_images
+    yield from images.findings(
+        ~view.picture_contents.same_bytes, lambda row: f"{images.word('uri', row)} has other bytes than were recorded"
+    )
+
+
+@scene_rule(
+    "IMG005",
+    Severity.ERROR,
+    title="A picture whose end is there cannot be decoded.",
+    cost=Cost.PICTURES,
+    remedy="restore the file from the recording, or drop the picture",
+)
+def _undecodable(view: SceneView) -> Iterator[Finding]:
+    images = view.all_images
+    yield from images.findings(
+        ~view.picture_contents.decodes & view.picture_files.ended,
+        lambda row: f"{images.word('uri', row)} cannot be decoded as {images.word('codec', row)}",
+    )
+
+
+@scene_rule(
+    "IMG006",
+    Severity.ERROR,
+    title="A decoded picture has another width or height than its row says.",
+    cost=Cost.PICTURES,
+    remedy="`mirror ingest RECORDING... --replace`: the table states another size",
+)
+def _picture_size(view: SceneView) -> Iterator[Finding]:
+    images, found = view.all_images, view.picture_contents
+    width, height = images.integers("width_px"), images.integers("height_px")
+    decoded = found.width_px > 0
+    yield from images.findings(
+        decoded & ((found.width_px != width) | (found.height_px != height)),
+        lambda row: (
+            f"{images.word('uri', row)} is {found.width_px[row]} x {found.height_px[row]} px;"
+            f" expected {width[row]} x {height[row]} px"
+        ),
+    )
+
+
+_LEAST = 3
+
+
+@scene_rule(
+    "IMG007",
+    Severity.WARNING,
+    title="A picture is blank: all its pixels have the same value, or nearly.",
+    cost=Cost.PICTURES,
+    remedy="look at the camera; drop the pictures if it was covered",
+)
+def _blank(view: SceneView) -> Iterator[Finding]:
+    images, spread = view.all_images, view.picture_contents.spread
+    yield from images.findings(
+        spread < _LEAST, lambda row: f"{images.word('uri', row)}: values differ by {spread[row]} of 255"
+    )
+
+
+@scene_rule(
+    "IMG008",
+    Severity.WARNING,
+    title="Two pictures of one camera and traversal have the same bytes: a frozen camera.",
+    remedy="look whether the camera froze; drop the repeated pictures in the recording",
+)
+def _repeated_picture(view: SceneView) -> Iterator[Finding]:
+    images = view.images
+    rows = np.flatnonzero(images.known("sha256"))
+    hashes = hash_bytes(images.data.column("sha256"))
+    words = np.ascontiguousarray(hashes).view(np.uint64)
+    camera = images.words("camera")[0]
+    keys = (*words.T, camera[rows], images.owner[rows])
+    # The rows of equal keys lie together, the first one first.
+    order = np.lexsort((rows, *keys))
+    same = np.all([key[order][1:] == key[order][:-1] for key in keys], axis=0) if len(rows) else np.empty(0, np.bool_)
+    bad = np.zeros(len(images), np.bool_)
+    bad[rows[order[1:][same]]] = True
+    yield from images.findings(bad, lambda row: "the bytes of an earlier picture of this camera")
+
+
+@scene_rule(
+    "IMG009",
+    Severity.INFO,
+    title="Pictures show faces and plates as recorded: they are raw, and no redaction layer replaces them.",
+    remedy="de-identify the dataset before it is passed on",
+)
+def _raw(view: SceneView) -> Iterator[Finding]:
+    images = view.images
+    codes, words = images.words("privacy")
+    redacted = {
+        number for number, item in enumerate(view.traversals) if any(kind == "redaction" for kind, *_ in item.layers)
+    }
+    is_raw = np.isin(codes, [code for code, word in enumerate(words) if word == "raw"])
+    yield from images.findings(is_raw & ~np.isin(images.traversal, list(redacted)), lambda row: "privacy is raw")
+
+
+@scene_rule(
+    "IMG010",
+    Severity.ERROR,
+    title="The uri of a picture or mask leads out of the dataset's folder.",
+    remedy="do not use this dataset: its tables have been tampered with",
+)
+def _uri_leads_out(view: SceneView) -> Iterator[Finding]:
+    for rows in (view.all_images, view.masks):
+        # Nearly no uri has two dots in a row; only those that have are taken apart.
+        suspects = np.flatnonzero(pc.match_substring(rows.data.column("uri"), "..").to_numpy())
+        outside = np.zeros(len(rows), np.bool_)
+        outside[suspects] = [leads_out(str(rows.word("uri", int(row)))) for row in suspects]
+        yield from rows.findings(
+            outside,
+            lambda row, rows=rows: f"uri {rows.word('uri', row)!r}",  # type: ignore[misc]
+        )
+
+
+@scene_rule(
+    "IMG011",
+    Severity.ERROR,
+    title="A traversal's manifest states another number or size of pictures than its images table.",
+    remedy="`mirror ingest RECORDING... --replace`",
+)
+def _picture_total(view: SceneView) -> Iterator[Finding]:
+    length = view.images.integers("byte_length")
+    for file, number, rows in view.images.slices():
+        stated = view.dataset.recorded_manifests[view.traversals[number].traversal_id].pictures
+        count, total = rows.stop - rows.start, int(length[rows].sum())
+        if (stated.count, stated.bytes) != (count, total) if stated is not None else count > 0:
+            says = f"{stated.count} pictures of {stated.bytes} bytes" if stated is not None else "nothing of pictures"
+            yield Finding(file, None, f"{count} pictures of {total} bytes, but the manifest says {says}")
+
+
+@scene_rule(
+    "IMG012",
+    Severity.ERROR,
+    title="A picture in a video has no `video_pts`, or one that lies in a file of its own has one.",
+    remedy="`mirror ingest RECORDING... --replace`",
+)
+def _video_stamp(view: SceneView) -> Iterator[Finding]:
+    images = view.all_images
+    codes, words = images.words("codec")
+    video = np.isin(codes, [code for code, word in enumerate(words) if word == "video"])
+    stamped = images.known("video_pts")
+    yield from images.findings(
+        video != stamped,
+        lambda row: f"codec {images.word('codec', row)} {'without' if video[row] else 'with'} video_pts",
+    )

@@ -1,0 +1,113 @@
+"""Running the rules over a dataset."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from mirror.dataset.layout import Layout, require_dataset
+from mirror.errors import ExitCode, MirrorError
+from mirror.integrity.dataset_view import DatasetView
+from mirror.integrity.finding import Cost, Finding, Severity
+from mirror.integrity.registry import selected
+from mirror.integrity.rule import Findings, Rule
+from mirror.integrity.scene_view import SceneView
+
+_ORDER = tuple(Severity)
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What a check found.
+
+    Attributes:
+        rules: the rules that ran.
+        findings: what they found: errors first, then by rule, file and place.
+        unread: errors of files that could not be read and that no finding names, because no rule that ran asks for it.
+    """
+
+    rules: Sequence[Rule]
+    findings: Sequence[tuple[Rule, Finding]]
+    unread: Sequence[MirrorError]
+
+    def counts(self) -> dict[str, int]:
+        """Number of findings by severity."""
+        found = Counter(rule.severity.value for rule, _ in self.findings)
+        return {severity.value: found[severity.value] for severity in _ORDER}
+
+    def exit_code(self, *, strict: bool = False) -> ExitCode:
+        """What the verb answers.
+
+        Args:
+            strict: warnings count as errors do.
+        """
+        failing = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
+        if any(rule.severity in failing for rule, _ in self.findings):
+            return ExitCode.FINDINGS
+        return ExitCode.COULD_NOT_RUN if self.unread else ExitCode.DONE
+
+
+def check(
+    root: str | Path,
+    *,
+    only: Iterable[str] = (),
+    skip: Iterable[str] = (),
+    cost: Cost = Cost.FILES,
+    start: Callable[[int], object] = lambda scenes: None,
+    advance: Callable[[int], object] = lambda scenes: None,
+) -> CheckReport:
+    """Hold a dataset against the integrity rules. Nothing is written.
+
+    Tables are read one scene at a time, so that memory does not grow with the number of scenes; pictures are opened
+    once for all rules.
+
+    Args:
+        root: the dataset's folder.
+        only: ids of rules, or letters of groups; these run whatever they cost. Empty: all up to ``cost``.
+        skip: ids of rules, or letters of groups, that do not run.
+        cost: the dearest rules that run.
+        start: called with the number of scenes.
+        advance: called with the number of scenes done since the last call.
+
+    Raises:
+        DatasetError: there is no dataset.
+        UsageError: there is no such rule.
+    """
+    layout = Layout(Path(root))
+    require_dataset(layout)
+    rules = selected(only, skip, cost)
+    view = DatasetView(layout)
+    findings: list[tuple[Rule, Finding]] = []
+
+    def collect(rule: Rule, run: Callable[[], Findings], file: str, place: str | None = None) -> None:
+        # A number that is broken makes others NaN, which no comparison finds; rules of their own look for it.
+        with np.errstate(all="ignore"):
+            try:
+                findings.extend((rule, finding) for finding in run())
+            except Exception as error:  # noqa: BLE001
+                # Data that a rule cannot be computed on never ends the check: it is an error that the check reports.
+                problem = f"the rule cannot be evaluated on this data ({type(error).__name__}: {error})"
+                findings.append((replace(rule, severity=Severity.ERROR), Finding(file, place, problem)))
+
+    for rule in rules:
+        if rule.of_dataset is not None:
+            collect(rule, partial(rule.of_dataset, view), view.name(layout.document))
+    of_scene = [rule for rule in rules if rule.of_scene is not None]
+    scenes = list(view.scenes.values()) if of_scene else []
+    start(len(scenes))
+    for scene in scenes:
+        scene_view = SceneView(view, scene)
+        for rule in of_scene:
+            if rule.of_scene is not None:
+                run = partial(rule.of_scene, scene_view)
+                collect(rule, run, view.name(layout.rois), f"scene {scene.scene_id}")
+        advance(1)
+    findings.sort(key=lambda hit: (_ORDER.index(hit[0].severity), hit[0].rule_id, hit[1].file, hit[1].place or ""))
+    named = {finding.file for _, finding in findings}
+    unread = [error for file, error in sorted(view.problems.items()) if file not in named]
+    return CheckReport(rules, findings, unread)

@@ -1,0 +1,208 @@
+"""One scene as the rules see it: the recorded tables and layers of its traversals, read when a rule asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from mirror.arrays import Bool, Int64
+from mirror.errors import UsageError
+from mirror.geometry.cameras import Camera, camera_from_row
+from mirror.integrity.dataset_view import DatasetView, TraversalView
+from mirror.integrity.frames import Frames, frames_of
+from mirror.integrity.images import PictureContents, PictureFiles, PictureReader
+from mirror.integrity.motion import Motion
+from mirror.integrity.rows import Part, Rows
+from mirror.schema.documents import Roi
+from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, POINTS, Table
+
+_LAYER_TABLES = {
+    "poses": EGO_POSES,
+    "calibrations": CALIBRATIONS,
+    "boxes": BOXES,
+    "masks": MASKS,
+    "depth": DEPTH,
+    "points": POINTS,
+    "redaction": IMAGES,
+}
+
+
+class SceneView:
+    """The tables of one scene.
+
+    Args:
+        dataset: the dataset.
+        scene: the scene.
+
+    Attributes:
+        traversals: its traversals, in order of id; rows name them by their number here.
+    """
+
+    def __init__(self, dataset: DatasetView, scene: Roi) -> None:
+        self.dataset = dataset
+        self.scene = scene
+        self.traversals: Sequence[TraversalView] = [
+            item for item in dataset.traversals.values() if item.scene.scene_id == scene.scene_id
+        ]
+
+    @cached_property
+    def poses(self) -> Rows:
+        """Recorded poses."""
+        return self._recorded(EGO_POSES)
+
+    @cached_property
+    def images(self) -> Rows:
+        """Recorded pictures."""
+        return self._recorded(IMAGES)
+
+    @cached_property
+    def calibrations(self) -> Rows:
+        """Recorded calibrations."""
+        return self._recorded(CALIBRATIONS)
+
+    @cached_property
+    def all_poses(self) -> Rows:
+        """Recorded poses and those of layers."""
+        return self._with_layers(self.poses, "poses")
+
+    @cached_property
+    def all_images(self) -> Rows:
+        """Recorded pictures and redacted ones."""
+        return self._with_layers(self.images, "redaction")
+
+    @cached_property
+    def all_calibrations(self) -> Rows:
+        """Recorded calibrations and those of layers."""
+        return self._with_layers(self.calibrations, "calibrations")
+
+    @cached_property
+    def boxes(self) -> Rows:
+        """Boxes of all layers."""
+        return Rows(BOXES, self._layers("boxes"))
+
+    @cached_property
+    def masks(self) -> Rows:
+        """Masks of all layers."""
+        return Rows(MASKS, self._layers("masks"))
+
+    @cached_property
+    def depth(self) -> Rows:
+        """Depth maps of all layers."""
+        return Rows(DEPTH, self._layers("depth"))
+
+    @cached_property
+    def points(self) -> Rows:
+        """Points of all layers."""
+        return Rows(POINTS, self._layers("points"))
+
+    @cached_property
+    def motion(self) -> Motion:
+        """How the vehicle moves, over `all_poses`."""
+        return Motion(self.all_poses)
+
+    @cached_property
+    def frames(self) -> Frames:
+        """Which of `images` make up frames."""
+        return frames_of(
+            self.images, [None if item.rig is None else item.rig.reference_camera for item in self.traversals]
+        )
+
+    @cached_property
+    def cameras(self) -> Mapping[int, Camera]:
+        """The cameras that rows of `all_calibrations` make."""
+        return self._made_cameras[0]
+
+    @cached_property
+    def camera_errors(self) -> Mapping[int, UsageError]:
+        """Why other rows of `all_calibrations` make none."""
+        return self._made_cameras[1]
+
+    @cached_property
+    def _made_cameras(self) -> tuple[dict[int, Camera], dict[int, UsageError]]:
+        made: dict[int, Camera] = {}
+        errors: dict[int, UsageError] = {}
+        for number, row in enumerate(self.all_calibrations.data.to_pylist()):
+            try:
+                # Most traversals have the same cameras: one of equals serves for all, with what it has worked out.
+                camera = camera_from_row(row)
+                made[number] = self.dataset.cameras.setdefault(camera, camera)
+            except UsageError as error:
+                errors[number] = error
+        return made, errors
+
+    @cached_property
+    def picture_files(self) -> PictureFiles:
+        """What the file system says of `all_images`."""
+        return PictureReader(self.all_images, self.dataset.store).files()
+
+    @cached_property
+    def picture_contents(self) -> PictureContents:
+        """What is in the files of `all_images`."""
+        return PictureReader(self.all_images, self.dataset.store).contents(self.picture_files)
+
+    def calibrated_pictures(self) -> Iterator[tuple[int, slice, Bool]]:
+        """Each row of `calibrations`, the rows of `images` of its traversal, and which of these are its camera's."""
+        taken, names = self.images.words("camera")
+        code_of = {name: code for code, name in enumerate(names)}
+        cameras, camera_names = self.calibrations.words("camera")
+        pictures = {number: rows for _, number, rows in self.images.slices()}
+        for _, number, rows in self.calibrations.slices():
+            own = pictures.get(number, slice(0, 0))
+            for row in range(rows.start, rows.stop):
+                yield row, own, taken[own] == code_of.get(camera_names[cameras[row]], -1)
+
+    def pose_span(self) -> tuple[Int64, Int64]:
+        """(traversals,) first and last stamp of the recorded poses; where there are none, the first is the larger."""
+        stamps = self.poses.integers("timestamp_ns")
+        first = np.full(len(self.traversals), np.iinfo(np.int64).max)
+        last = np.full(len(self.traversals), np.iinfo(np.int64).min)
+        np.minimum.at(first, self.poses.traversal, stamps)
+        np.maximum.at(last, self.poses.traversal, stamps)
+        return first, last
+
+    def sound_poses(self, rows: slice) -> bool:
+        """Whether recorded poses can be interpolated: there are some, forward in time, finite and of unit length."""
+        motion = self.motion
+        return (
+            rows.stop > rows.start
+            and bool((motion.step_s[rows][1:] > 0).all() and motion.unit[rows].all())
+            and bool(np.isfinite(motion.position[rows]).all())
+        )
+
+    def tables(self) -> Sequence[Rows]:
+        """Every table, layers included."""
+        recorded = (self.all_poses, self.all_images, self.all_calibrations)
+        return (*recorded, self.boxes, self.masks, self.depth, self.points)
+
+    @cached_property
+    def entry_ns(self) -> Int64:
+        """(traversals,) entries; the smallest number where the ledger has none."""
+        return self._passed("entry_ns", np.iinfo(np.int64).min)
+
+    @cached_property
+    def exit_ns(self) -> Int64:
+        """(traversals,) exits; the largest number where the ledger has none."""
+        return self._passed("exit_ns", np.iinfo(np.int64).max)
+
+    def _passed(self, name: str, default: int) -> Int64:
+        values = [default if item.passed is None else item.passed[name] for item in self.traversals]
+        return np.array(values, np.int64)
+
+    def _recorded(self, table: Table) -> Rows:
+        folders = [(n, self.dataset.layout.recorded(item.traversal_id)) for n, item in enumerate(self.traversals)]
+        return Rows(table, self.dataset.parts(table, folders))
+
+    def _layers(self, kind: str) -> list[Part]:
+        folders = [
+            (number, self.dataset.layout.layer(item.traversal_id, kind, source, version))
+            for number, item in enumerate(self.traversals)
+            for layer_kind, source, version in item.layers
+            if layer_kind == kind
+        ]
+        return self.dataset.parts(_LAYER_TABLES[kind], folders)
+
+    def _with_layers(self, recorded: Rows, kind: str) -> Rows:
+        layers = self._layers(kind)
+        return Rows(recorded.table, [*recorded.parts, *layers]) if layers else recorded

@@ -1,0 +1,111 @@
+"""What a dataset holds, in brief; it needs no index, and says of one that is there whether it is current."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mirror.dataset.layout import Layout, require_dataset
+from mirror.errors import MirrorError
+from mirror.integrity.dataset_view import DatasetView
+from mirror.schema.documents import DatasetDocument
+
+
+@dataclass(frozen=True)
+class DatasetSummary:
+    """A dataset in brief.
+
+    Attributes:
+        document: ``dataset.json``.
+        scenes: traversals by scene.
+        drives: number of complete drives.
+        vehicles: drives by vehicle.
+        vehicle_types: drives by vehicle type.
+        rigs: camera names by rig.
+        traversals: number of traversals.
+        pictures: their number.
+        picture_bytes: their size.
+        first_ns: the earliest entry; None: no traversal.
+        last_ns: the latest exit.
+        hours: sum of the traversals' durations.
+        passes: passes by decision: ``accepted``, or the rule that refused them.
+        layers: traversals by layer, ``kind/source@version``.
+        splits: traversals by role, by split.
+        index: ``current``, ``stale`` or ``missing``.
+        problems: errors of files that cannot be read.
+    """
+
+    document: DatasetDocument
+    scenes: Mapping[str, int]
+    drives: int
+    vehicles: Mapping[str, int]
+    vehicle_types: Mapping[str, int]
+    rigs: Mapping[str, tuple[str, ...]]
+    traversals: int
+    pictures: int
+    picture_bytes: int
+    first_ns: int | None
+    last_ns: int | None
+    hours: float
+    passes: Mapping[str, int]
+    layers: Mapping[str, int]
+    splits: Mapping[str, Mapping[str, int]]
+    index: str
+    problems: tuple[MirrorError, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, for ``--json``."""
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        plain["document"] = self.document.model_dump(mode="json")
+        plain["problems"] = [error.to_dict() for error in self.problems]
+        return plain
+
+
+def summarise(root: str | Path) -> DatasetSummary:
+    """Look at a dataset's documents, manifests and ledgers.
+
+    Args:
+        root: its folder.
+
+    Raises:
+        DatasetError: there is no dataset.
+        SchemaError: its ``dataset.json`` is broken, or of another schema version.
+    """
+    layout = Layout(Path(root))
+    require_dataset(layout)
+    view = DatasetView(layout)
+    if view.document is None:
+        raise view.problems[view.name(layout.document)]
+    traversals = view.traversals.values()
+    pictures = [manifest.pictures for name in view.traversals if (manifest := view.recorded_manifests[name])]
+    passed = [item.passed for item in traversals if item.passed is not None]
+    rules = [rule or "accepted" for rule in view.passes.data.column("rule").to_pylist()]
+    return DatasetSummary(
+        document=view.document,
+        scenes={name: sum(item.scene.scene_id == name for item in traversals) for name in view.scenes},
+        drives=len(view.drive_manifests),
+        vehicles=dict(Counter(drive.vehicle_id for drive in view.drives.values())),
+        vehicle_types=dict(Counter(drive.vehicle_type for drive in view.drives.values())),
+        rigs={name: tuple(camera.name for camera in rig.cameras) for name, rig in view.rigs.items()},
+        traversals=len(traversals),
+        pictures=sum(item.count for item in pictures if item is not None),
+        picture_bytes=sum(item.bytes for item in pictures if item is not None),
+        first_ns=min((int(str(row["entry_ns"])) for row in passed), default=None),
+        last_ns=max((int(str(row["exit_ns"])) for row in passed), default=None),
+        hours=sum(int(str(row["exit_ns"])) - int(str(row["entry_ns"])) for row in passed) / 3.6e12,
+        passes=dict(Counter(rules)),
+        layers=dict(sorted(Counter(f"{k}/{s}@{v}" for item in traversals for k, s, v in item.layers).items())),
+        splits={name: dict(Counter(split.assignments.values())) for name, split in view.splits.items()},
+        index=_index_state(view),
+        problems=tuple(view.problems.values()),
+    )
+
+
+def _index_state(view: DatasetView) -> str:
+    if view.index_manifest is None:
+        return "missing"
+    inputs = view.index_inputs
+    return "current" if inputs is not None and inputs.fingerprints == view.index_manifest.derived_from else "stale"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import pytest
-
 from mirror.dataset.check import Cost, check
+
 from tests.dataset_rules.clean import Broken
 from tests.dataset_rules.edit import A0
 

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 import pyarrow as pa
 import pytest
-
 from mirror.dataset.check import Cost, check
 from mirror.dataset.check.registry import selected
 from mirror.dataset.check.rule import Finding, Rule, Severity
+
+from mirror.integrity import Cost, check
 from tests.dataset_rules.clean import TABLES, Broken
 from tests.dataset_rules.edit import A0, BOXES, MASKS
-from mirror.integrity import Cost, check
 from tests.integrity.clean import TABLES, Broken
 from tests.integrity.edit import A0, BOXES, MASKS
 

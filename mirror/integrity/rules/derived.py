@@ -47,7 +47,7 @@ def _index_stale(view: DatasetView) -> Iterator[Finding]:
     "IDX003",
     Severity.ERROR,
     title="An up-to-date index has another number of rows than the tables it was derived from.",
-    remedy="run `mirror index --force`, and report it: an index is a pure function",
+    remedy="run `mirror index DATASET --force`, and report it: an index is a pure function",
 )
 def _index_rows(view: SceneView) -> Iterator[Finding]:
     groups = view.dataset.index_row_groups

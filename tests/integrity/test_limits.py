@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import pytest
-from mirror.dataset.check import Cost, check
 
-from tests.dataset_rules.clean import Broken
-from tests.dataset_rules.edit import A0
+from mirror.integrity import Cost, check
+from tests.integrity.clean import Broken
+from tests.integrity.edit import A0
 
 
 def finds(broken: Broken, rule: str) -> bool:

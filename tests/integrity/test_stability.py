@@ -8,13 +8,11 @@ from collections.abc import Iterator
 import numpy as np
 import pyarrow as pa
 import pytest
-from mirror.dataset.check import Cost, check
-from mirror.dataset.check.registry import selected
-from mirror.dataset.check.rule import Finding, Rule, Severity
 
 from mirror.integrity import Cost, check
-from tests.dataset_rules.clean import TABLES, Broken
-from tests.dataset_rules.edit import A0, BOXES, MASKS
+from mirror.integrity.finding import Finding, Severity
+from mirror.integrity.registry import selected
+from mirror.integrity.rule import Rule
 from tests.integrity.clean import TABLES, Broken
 from tests.integrity.edit import A0, BOXES, MASKS
 
@@ -95,7 +93,7 @@ def test_a_rule_that_fails_is_a_finding_and_the_others_go_on(broken: Broken, mon
         Rule("ZZZ002", Severity.WARNING, Cost.TABLES, "A rule.", "none", of_scene=fails),
         *selected(("POS",)),
     ]
-    monkeypatch.setattr("mirror.dataset.check.run.selected", lambda *_: rules)
+    monkeypatch.setattr("mirror.integrity.run.selected", lambda *_: rules)
     report = check(broken.root)
     found = [(rule.rule_id, rule.severity, finding.file, finding.place) for rule, finding in report.findings]
     assert ("ZZZ001", Severity.ERROR, "dataset.json", None) in found

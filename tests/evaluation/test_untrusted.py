@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from mirror.errors import UsageError
+from mirror.evaluation.submission import untrusted
 from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted, parse_untrusted
 
 
@@ -70,6 +71,28 @@ def test_a_zip_is_read_in_place(tmp_path: Path) -> None:
     assert files.sizes == {"manifest.json": 2, "renders/a.png": 3}
     assert files.read("renders/a.png", 3) == b"abc"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.zip"]
+
+
+@pytest.mark.parametrize("zipped", [False, True])
+def test_a_submission_has_a_largest_number_of_files(
+    zipped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(untrusted, "MOST_ENTRIES", 3)
+    for count in (3, 4):
+        root = tmp_path / f"{count}"
+        root.mkdir()
+        for number in range(count):
+            (root / f"{number}.png").write_bytes(b"abc")
+        if zipped:
+            with archive(tmp_path / f"{count}.zip") as file:
+                for path in root.iterdir():
+                    file.write(path, path.name)
+            root = tmp_path / f"{count}.zip"
+        if count == 3:
+            assert open_untrusted(root).sizes == {f"{number}.png": 3 for number in range(3)}
+        else:
+            with pytest.raises(UntrustedError, match="more than 3 files"):
+                open_untrusted(root)
 
 
 @pytest.mark.parametrize(

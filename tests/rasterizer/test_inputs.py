@@ -52,6 +52,16 @@ def test_shapes_that_do_not_fit_are_named_with_what_fits(name, value, shape):
     assert str(tuple(value.shape)) in error.problem
 
 
+def test_a_background_has_a_channel_for_each_feature():
+    arguments = scene(count=7, views=2, channels=5) | {"backend": "reference"}
+    plain, alpha, _ = rasterization(**arguments)
+    backgrounds = torch.linspace(0.0, 1.0, 10).reshape(2, 5)
+    over = rasterization(**arguments, backgrounds=backgrounds)[0]
+    torch.testing.assert_close(over, plain + (1.0 - alpha) * backgrounds[:, None, None])
+    with pytest.raises(UsageError, match=r"\(2, 5\)"):
+        rasterization(**arguments, backgrounds=backgrounds[:, :3])
+
+
 @pytest.mark.parametrize(
     ("degree", "bases", "match"), [(2, 8, "K of at least 9"), (5, 36, "0 to 4"), (-1, 4, "0 to 4")]
 )

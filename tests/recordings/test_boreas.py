@@ -108,6 +108,15 @@ def test_pictures_and_calibration(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize("last", ["", "0 0 0 1\n"])
+def test_a_projection_may_leave_its_last_row_out(last: str, tmp_path: Path) -> None:
+    path = write_sequence(tmp_path, pictures=("1628184886438099.png",))
+    (path / "calib").mkdir()
+    (path / "calib" / "P_camera.txt").write_text("1460.98 0 1230.0 0\n0 1460.93 1035.08 0\n0 0 1 0\n" + last)
+    row = open_recording(path).calibrations().to_pylist()[0]
+    assert (row["fx_px"], row["fy_px"], row["cx_px"], row["cy_px"]) == (1460.98, 1460.93, 1230.5, 1035.58)
+
+
 def test_later_releases_have_a_local_frame(tmp_path: Path) -> None:
     path = tmp_path / SEQUENCES[0]
     (path / "applanix").mkdir(parents=True)

@@ -180,6 +180,38 @@ def test_right_stamps_are_kept(copy: Callable[..., Path], scene: Path) -> None:
 
 
 @pytest.mark.real_data
+def test_the_last_year_of_a_right_stamp(copy: Callable[..., Path]) -> None:
+    def change(document: dict[str, Any]) -> None:
+        for entry in document["data"]:
+            entry["id"]["timestamp"] = entry["id"]["timestamp"].replace("2464-11-12T01:04", "2200-06-27T14:30")
+
+    track = open_recording(copy(change)).track()
+    assert str(np.datetime64(int(track.timestamp_ns[0]), "ns")) == "2200-06-27T14:30:09.936530000"
+
+
+@pytest.mark.real_data
+def test_a_coordinate_that_is_left_out_is_zero(copy: Callable[..., Path]) -> None:
+    """Protocol buffers written as JSON leave zeros out."""
+
+    def change(document: dict[str, Any]) -> None:
+        for entry in document["data"]:
+            pose = next(iter(entry["datum"].values()))["pose"]
+            del pose["translation"]["z"], pose["rotation"]["qy"]
+
+    def explicit(document: dict[str, Any]) -> None:
+        for entry in document["data"]:
+            pose = next(iter(entry["datum"].values()))["pose"]
+            pose["translation"]["z"] = pose["rotation"]["qy"] = 0.0
+
+    without = open_recording(copy(change)).track()
+    assert without.file is not None
+    shutil.rmtree(without.file.parent)
+    stated = open_recording(copy(explicit)).track()
+    for name in ("x_m", "y_m", "height_m", "rotation"):
+        np.testing.assert_array_equal(getattr(without, name), getattr(stated, name))
+
+
+@pytest.mark.real_data
 def test_a_scene_without_point_clouds_has_no_boxes(copy: Callable[..., Path]) -> None:
     def change(document: dict[str, Any]) -> None:
         document["data"] = [entry for entry in document["data"] if "image" in entry["datum"]]

@@ -228,6 +228,13 @@ def test_the_time_base_says_which_zone_counted(stamp: str, zone: str, tmp_path: 
     assert "unknown time zone 'Mars/X'" in refusal(file, {"tz": "Mars/X"}).problem
 
 
+def test_the_time_base_of_rows_with_and_without_an_offset_names_both(tmp_path: Path) -> None:
+    rows = "2021-08-05T17:34:46Z,7,33\n2021-08-05T19:34:47,7,33\n"
+    recording = open_recording(write(tmp_path / "x.csv", "time,lon,lat\n" + rows), options={"tz": "Europe/Berlin"})
+    assert recording.info.time_base == "date and time with UTC offset, or else local in Europe/Berlin"
+    assert np.diff(recording.track().timestamp_ns).tolist() == [10**9]
+
+
 @pytest.mark.parametrize("names", ["x_m,y_m,z_m", "X,Y,Z"])
 def test_a_local_frame_is_read_as_the_folder_layout_reads_it(names: str, tmp_path: Path) -> None:
     rows = [(START_NS + index * 100_000_000, 1e5 + 0.1 * index, -3.25, 0.5 * index) for index in range(5)]

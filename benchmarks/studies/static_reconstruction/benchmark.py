@@ -11,13 +11,13 @@ from benchmarks.studies.static_reconstruction.arguments import Arguments
 
 def main(argv: Sequence[str]) -> int:
     """Run the benchmark."""
-    arguments = tyro.cli(Arguments, args=list(argv), prog="python -m benchmarks reconstruction")
+    arguments = tyro.cli(Arguments, args=list(argv), prog="python -m benchmarks static_reconstruction")
 
     # Torch and all methods: not for a line of help.
-    from benchmarks.studies.static_reconstruction.declared import declared
+    from benchmarks.studies.static_reconstruction.declaration import load_declaration
     from benchmarks.studies.static_reconstruction.verbs import VERBS
 
-    return VERBS[arguments.what](arguments, declared())
+    return VERBS[arguments.what](arguments, load_declaration())
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Choices beside rates and sizes, each changed alone: the rivals' taken back to what was released, and some of ours."""
+"""Single choices beside rates and sizes: those of baselines set back to the released ones, and some of ours."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mirror_baselines.splatting.scaled import faster
 from mirror_baselines.splatting.settings import Weights
 
 AS_TUNED: Final = "as-tuned"
-"""Nothing taken back: the tuned settings once more, within the hours of the others."""
+"""The tuned settings unchanged, trained within the hours of the other choices."""
 
 
-def name_of(package: ModuleType) -> str:
+def baseline_name(package: ModuleType) -> str:
     """The name of a baseline: that of its package."""
     return package.__name__.rpartition(".")[2]
 
@@ -27,8 +27,8 @@ def _absolute_errors(settings: Any) -> Any:
     return replace(settings, weights=replace(settings.weights, **colours))
 
 
-CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
-    name_of(vanilla_3dgs): {
+BASELINE_CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
+    baseline_name(vanilla_3dgs): {
         AS_TUNED: lambda settings: settings,
         "l1": _absolute_errors,
         "no-depth": lambda settings: replace(settings, weights=replace(settings.weights, depth=0.0)),
@@ -36,7 +36,7 @@ CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
             settings, densification=replace(settings.densification, resets=vanilla_3dgs.RELEASED.densification.resets)
         ),
     },
-    name_of(mtgs_style): {
+    baseline_name(mtgs_style): {
         AS_TUNED: lambda settings: settings,
         "l1": _absolute_errors,
         "exposure": lambda settings: replace(settings, exposure=mtgs_style.RELEASED.exposure),
@@ -51,21 +51,21 @@ CHOICES: Final[Mapping[str, Mapping[str, Callable[[Any], Any]]]] = {
             ),
         ),
     },
-    name_of(omnire_style): {
+    baseline_name(omnire_style): {
         AS_TUNED: lambda settings: settings,
         "l1": _absolute_errors,
         "degree3": lambda settings: replace(settings, sh_degree=omnire_style.RELEASED.sh_degree),
         "slow-affine": lambda settings: replace(settings, affine=omnire_style.RELEASED.affine),
     },
 }
-"""Of rivals, by method and name: what changes the tuned settings."""
+"""Changes of the baselines' tuned settings, by method and name."""
 
 
 def _grown_until(settings: Settings, end: float) -> Settings:
     return replace(settings, refinement=replace(settings.refinement, end=end))
 
 
-OWN: Final[Mapping[str, Callable[[Settings], Settings]]] = {
+OWN_CHOICES: Final[Mapping[str, Callable[[Settings], Settings]]] = {
     AS_TUNED: lambda settings: settings,
     "depth-as-rivals": lambda settings: replace(settings, depth_weight=0.02),
     "no-normals": lambda settings: replace(settings, normal_weight=0.0),
@@ -74,7 +74,7 @@ OWN: Final[Mapping[str, Callable[[Settings], Settings]]] = {
     ),
     "grown-longer": lambda settings: _grown_until(settings, 0.8),
 }
-"""Of ours; with its grid no more trials than any rival has."""
+"""Changes of our settings; with the grid, ours has no more trials than any baseline."""
 
 
 def choice(method: str, name: str) -> str:

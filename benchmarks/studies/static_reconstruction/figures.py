@@ -1,4 +1,4 @@
-"""The comparison to look at: what each method draws of the same views, and what a budget buys."""
+"""Figures of the study: what each method renders of the same views, and quality over the budget."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from typing import Final
 import cv2
 import numpy as np
 
-from benchmarks.studies.static_reconstruction.declared import NOVEL, TRAINING, declared
-from benchmarks.studies.static_reconstruction.job import Job
-from benchmarks.studies.static_reconstruction.scoring import scored
-from benchmarks.studies.static_reconstruction.tables import Outcome
+from benchmarks.studies.static_reconstruction.declaration import NOVEL, TRAINING, load_declaration
+from benchmarks.studies.static_reconstruction.jobs import Job
+from benchmarks.studies.static_reconstruction.scoring import score_image
+from benchmarks.studies.static_reconstruction.tables import JobResult
 from benchmarks.studies.static_reconstruction.tiles import sheet
-from benchmarks.studies.static_reconstruction.truth.trained import Trained
+from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
 from mirror.arrays import UInt8
 from mirror.schema.files import write_bytes
 
 _SHOWN: Final = ((NOVEL, "front_wide"), (NOVEL, "front_right"), (TRAINING, "front_wide"), (TRAINING, "rear_left"))
-_CURVES: Final = (("train PSNR", "training pictures, PSNR, dB"), ("novel PSNR*", "held-out traversal, PSNR*, dB"))
+_CURVES: Final = (("train PSNR", "training images, PSNR, dB"), ("novel PSNR*", "held-out traversal, PSNR*, dB"))
 
 
 def write_sheet(jobs: Sequence[Job], folder: Path, path: Path) -> None:
-    """Write what was recorded of a few views of a scene, and what the models of jobs draw of them, as JPEG.
+    """Write the recorded images of a few views of a scene beside the renders of models, as a JPEG sheet.
 
     Args:
-        jobs: of one scene, each trained to the end.
-        folder: of the comparison.
+        jobs: finished jobs of one scene.
+        folder: working folder of the study.
         path: of the sheet.
     """
-    models = [Trained(job, folder, declared()) for job in jobs]
+    models = [TrainedModel(job, folder, load_declaration()) for job in jobs]
     renderers = [model.open() for model in models]
     rows = []
     for group, camera in _SHOWN:
@@ -38,33 +38,33 @@ def write_sheet(jobs: Sequence[Job], folder: Path, path: Path) -> None:
         if not own:
             continue
         view = own[len(own) // 2]
-        true, mask = models[0].street.pictures.picture(view), models[0].street.pictures.scored(view)
+        true, mask = models[0].street.recorded.picture(view), models[0].street.recorded.scored(view)
         row = [(f"{group}, {view.light}, {view.weather}", _dimmed(true, mask))]
         for job, render in zip(jobs, renderers):
             drawn = render(view)
-            found = scored(view, drawn, true, mask)
+            found = score_image(view, drawn, true, mask)
             row.append((f"{job.entry} {found.psnr:.1f}, * {found.psnr_cc:.1f} dB", drawn))
         rows.append(row)
     sheet_bgr = np.ascontiguousarray(sheet(rows)[..., ::-1])
     write_bytes(path, bytes(cv2.imencode(".jpg", sheet_bgr, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]))
 
 
-def _dimmed(picture: UInt8, mask: np.ndarray) -> UInt8:
-    """A picture whose pixels that are not scored are dark."""
-    dark: UInt8 = np.where(mask[..., None], picture, picture // 4)
+def _dimmed(image: UInt8, mask: np.ndarray) -> UInt8:
+    """An image whose pixels that are not scored are dark."""
+    dark: UInt8 = np.where(mask[..., None], image, image // 4)
     return dark
 
 
-def write_budgets(found: Sequence[Outcome], entries: Sequence[str], path: Path) -> None:
-    """Draw quality over core-minutes, a line an entry, as PNG; means of what all entries that are drawn have whole.
+def write_budgets(results: Sequence[JobResult], entries: Sequence[str], path: Path) -> None:
+    """Plot quality over core-minutes, a line for each entry, as PNG; means over scenes and seeds that all entries have.
 
-    Nothing is written where no entry has several budgets.
+    Nothing is written if no entry has several budgets.
     """
-    budgets = {entry: {one.job.core_minutes for one in found if one.job.entry == entry} for entry in entries}
+    budgets = {entry: {one.job.core_minutes for one in results if one.job.entry == entry} for entry in entries}
     drawn = [entry for entry in entries if len(budgets[entry]) > 1]
     if not drawn:
         return
-    common = set.intersection(*(_whole(found, entry, budgets[entry]) for entry in drawn))
+    common = set.intersection(*(_complete(results, entry, budgets[entry]) for entry in drawn))
     import matplotlib
 
     matplotlib.use("Agg")
@@ -73,7 +73,7 @@ def write_budgets(found: Sequence[Outcome], entries: Sequence[str], path: Path) 
     figure, panels = pyplot.subplots(1, len(_CURVES), figsize=(10.0, 4.0), layout="constrained")
     for panel, (name, label) in zip(panels, _CURVES):
         for entry in drawn:
-            own = [one for one in found if one.job.entry == entry and (one.job.scene, one.job.seed) in common]
+            own = [one for one in results if one.job.entry == entry and (one.job.scene, one.job.seed) in common]
             if own:
                 along = sorted(budgets[entry])
                 means = [np.mean([one.figures[name] for one in own if one.job.core_minutes == at]) for at in along]
@@ -89,10 +89,10 @@ def write_budgets(found: Sequence[Outcome], entries: Sequence[str], path: Path) 
     pyplot.close(figure)
 
 
-def _whole(found: Sequence[Outcome], entry: str, budgets: set[float]) -> set[tuple[str, int]]:
+def _complete(results: Sequence[JobResult], entry: str, budgets: set[float]) -> set[tuple[str, int]]:
     """Scenes and seeds of which an entry has all its budgets."""
     there: dict[tuple[str, int], set[float]] = {}
-    for one in found:
+    for one in results:
         if one.job.entry == entry:
             there.setdefault((one.job.scene, one.job.seed), set()).add(one.job.core_minutes)
     return {key for key, own in there.items() if own == budgets}

@@ -1,4 +1,4 @@
-"""Rows that are run and shown together, and over what: which budgets, widths, scenes and seeds each group has."""
+"""Groups of rows that are run and shown together, with the budgets, width, scenes and seeds of each group."""
 
 from __future__ import annotations
 
@@ -8,46 +8,51 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias
 
 from benchmarks.studies.static_reconstruction.arguments import Arguments, GroupName
-from benchmarks.studies.static_reconstruction.choices import choice, name_of
-from benchmarks.studies.static_reconstruction.declared import Declared
-from benchmarks.studies.static_reconstruction.job import Job
+from benchmarks.studies.static_reconstruction.choices import baseline_name, choice
+from benchmarks.studies.static_reconstruction.declaration import Declaration
+from benchmarks.studies.static_reconstruction.jobs import Job
 from benchmarks.studies.static_reconstruction.methods import (
-    AGAIN,
+    BASELINES,
+    EQUAL_BYTES_EXPOSED,
     OURS,
-    RIVALS,
+    OURS_REPEATED,
     SINGLE,
-    SMALL_EXPOSED,
     STRUCTURE,
     entries,
     trials,
 )
+from benchmarks.studies.static_reconstruction.records import TUNING
 from mirror.errors import UsageError
 
 Name: TypeAlias = Literal[GroupName, "tuning"]
 
 COMPARISON: Final = "comparison"
-TUNING: Final = "tuning"
-"""Group of the trials, and folder of theirs."""
 
-_TUNED: Final = tuple(f"{name_of(package)}-tuned" for package in RIVALS)
+
+def _named(pattern: str) -> tuple[str, ...]:
+    """Rows of all baselines."""
+    return tuple(pattern.format(baseline_name(package)) for package in BASELINES)
+
+
+_TUNED: Final = _named("{}-tuned")
 _MTGS: Final = "mtgs_style-tuned"
 _EXPOSED: Final = choice("mtgs_style", "exposure")
-"""The one choice that MTGS-style is better without: each training picture has its exposure, as released."""
+"""MTGS-style with an exposure for each training image, as released; its trial was better than the tuned settings."""
 _LEAST_MINUTES: Final = 0.01
 _LEAST_PX: Final = 16
 
 
 @dataclass(frozen=True)
 class Group:
-    """What is run and shown together.
+    """Rows that are run and shown together.
 
     Attributes:
         rows: names of entries.
-        beside: of the comparison, shown with them.
-        against: rows that differences to the others are told of.
+        beside: rows of the comparison that are shown with them.
+        against: rows whose differences to all others are shown.
         minutes: core-minutes of training of a block.
-        width_px: of the pictures.
-        scenes: which.
+        width_px: of the images.
+        scenes: to train on.
         seeds: of the training.
     """
 
@@ -66,7 +71,7 @@ class Group:
 
     @property
     def jobs(self) -> list[Job]:
-        """Seed by seed and scene by scene, so that what is compared is trained within the same hour."""
+        """Seed by seed and scene by scene, so that rows that are compared are trained within the same hour."""
         return [
             Job(entry, scene, seed, minutes, self.width_px)
             for seed in self.seeds for minutes in self.minutes for scene in self.scenes for entry in self.rows
@@ -78,7 +83,7 @@ class Group:
         return own and job.entry in self.shown and job.scene in self.scenes and job.seed in self.seeds
 
 
-def groups(declaration: Declared) -> Mapping[Name, Group]:
+def groups(declaration: Declaration) -> Mapping[Name, Group]:
     """All groups, by name."""
     tuned = (OURS, _MTGS, STRUCTURE, *(name for name in _TUNED if name != _MTGS))
     whole = Group(
@@ -95,12 +100,14 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
     grid = declaration.tuning
     return {
         COMPARISON: whole,
-        "bytes": replace(whole, rows=(*(f"{name_of(package)}-bytes" for package in RIVALS), SMALL_EXPOSED)),
-        "released": replace(once, rows=tuple(f"{name_of(package)}-released" for package in RIVALS)),
+        "bytes": replace(
+            whole, rows=(*(f"{baseline_name(package)}-bytes" for package in BASELINES), EQUAL_BYTES_EXPOSED)
+        ),
+        "released": replace(once, rows=_named("{}-released")),
         "ablation": replace(
             once,
             rows=(
-                AGAIN,
+                OURS_REPEATED,
                 "no-appearance",
                 "no-anchors",
                 "no-depth",
@@ -110,7 +117,7 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
                 SINGLE,
             ),
             beside=(),
-            against=(AGAIN,),
+            against=(OURS_REPEATED,),
         ),
         "seam": replace(once, rows=("two-blocks",), beside=(OURS,), against=(OURS,)),
         "budgets": replace(one_block, rows=tuned, minutes=declaration.core_minutes_curve),
@@ -126,16 +133,16 @@ def groups(declaration: Declared) -> Mapping[Name, Group]:
     }
 
 
-def split_of(row: str, declaration: Declared) -> str:
-    """What a row is trained on."""
+def split_of(row: str, declaration: Declaration) -> str:
+    """The split that a row is trained on."""
     return entries()[row].split or declaration.split
 
 
-def asked(arguments: Arguments, declaration: Declared, name: Name | None = None) -> Group:
-    """The group that arguments name, or another, with what they say in place of its own.
+def select_group(arguments: Arguments, declaration: Declaration, name: Name | None = None) -> Group:
+    """The group that arguments name, or `name`, with what the arguments replace: entries, scenes, seeds and so on.
 
     Raises:
-        UsageError: a row or a scene that there is not, or no such budget, width or seed.
+        UsageError: an unknown row or scene, or a budget, width or seed that is too small.
     """
     group = groups(declaration)[name or arguments.group]
     scenes = {*declaration.scenes, declaration.tuning.scene}

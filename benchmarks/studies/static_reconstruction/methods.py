@@ -9,10 +9,10 @@ from functools import cache, partial
 from itertools import product
 from typing import Any, Final
 
-from benchmarks.studies.static_reconstruction.choices import CHOICES, OWN, choice, name_of
-from benchmarks.studies.static_reconstruction.declared import declared
-from benchmarks.studies.static_reconstruction.scaled import scaled_street
-from benchmarks.studies.static_reconstruction.small import as_small
+from benchmarks.studies.static_reconstruction.choices import BASELINE_CHOICES, OWN_CHOICES, baseline_name, choice
+from benchmarks.studies.static_reconstruction.declaration import load_declaration
+from benchmarks.studies.static_reconstruction.equal_bytes import with_equal_bytes
+from benchmarks.studies.static_reconstruction.scaling import scale_settings
 from hybridworldsim.methods.static import StaticMethod
 from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
 from hybridworldsim.methods.street import make as make_street
@@ -25,22 +25,22 @@ STRUCTURE: Final = "ours-structure"
 """With a loss of structure, which the paper does not have."""
 
 SINGLE: Final = "omnire_style-single"
-"""Of the traversal that is nearest to the held-out one, as OmniRe is meant."""
+"""OmniRe-style trained on the traversal nearest to the held-out one alone, as OmniRe is meant to be used."""
 
-SMALL_EXPOSED: Final = choice("mtgs_style-bytes", "exposure")
-"""MTGS-style with as many bytes as ours, and an exposure for each training picture."""
+EQUAL_BYTES_EXPOSED: Final = choice("mtgs_style-bytes", "exposure")
+"""MTGS-style with as many bytes as ours, and an exposure for each training image."""
 
-RIVALS: Final = (vanilla_3dgs, mtgs_style, omnire_style)
+BASELINES: Final = (vanilla_3dgs, mtgs_style, omnire_style)
 WIDER: Final[Mapping[str, tuple[tuple[float, float], ...]]] = {
     "vanilla_3dgs": ((1.0, 4.0),),
     "mtgs_style": ((1.0, 4.0), (2.0, 4.0), (4.0, 2.0)),
     "omnire_style": ((2.0, 4.0), (4.0, 2.0)),
 }
-"""Cells beyond the grid's edge that rivals try too, since their best ones lie on it."""
-FEWER: Final = (1, 2)
-"""Training traversals of rows that have fewer."""
-AGAIN: Final = "4-traversals"
-"""Ours once more, trained within the hours of the ablations: a core-minute is not the same at all hours."""
+"""Cells beyond the grid's edge that baselines try too, since their best cells lie on the edge."""
+REDUCED_COUNTS: Final = (1, 2)
+"""Numbers of training traversals of the rows that have fewer."""
+OURS_REPEATED: Final = "4-traversals"
+"""Ours trained once more within the hours of the ablations: the speed of a core differs between hours."""
 _TWO_BLOCKS_M: Final = 70.0
 """Each declared scene has two blocks of this size side by side."""
 
@@ -71,27 +71,34 @@ class Entry:
 @cache
 def entries() -> Mapping[str, Entry]:
     """All rows, by name."""
+    declared_split = load_declaration().split
     rows = [
         Entry(OURS, _street(_same)),
         Entry(STRUCTURE, _street(_with_structure)),
         *(
-            Entry(f"{name_of(package)}-{label}", _explicit(package, settings))
-            for package in RIVALS
+            Entry(f"{baseline_name(package)}-{label}", _explicit(package, settings))
+            for package in BASELINES
             for label, settings in (("released", package.RELEASED), ("tuned", package.TUNED))
         ),
-        *(Entry(f"{name_of(package)}-bytes", _explicit(package, as_small(package.TUNED))) for package in RIVALS),
-        Entry(SMALL_EXPOSED, _explicit(mtgs_style, _exposed(as_small(mtgs_style.TUNED)))),
+        *(
+            Entry(f"{baseline_name(package)}-bytes", _explicit(package, with_equal_bytes(package.TUNED)))
+            for package in BASELINES
+        ),
+        Entry(EQUAL_BYTES_EXPOSED, _explicit(mtgs_style, _exposed(with_equal_bytes(mtgs_style.TUNED)))),
         *(Entry(name, _street(change)) for name, change in _ABLATIONS.items()),
         Entry("two-blocks", replace(_street(_same), block_m=_TWO_BLOCKS_M)),
-        *(Entry(f"{count}-traversals", _street(_same), fewer(declared().split, count)) for count in FEWER),
-        Entry(AGAIN, _street(_same)),
-        Entry(SINGLE, _explicit(omnire_style, omnire_style.TUNED), fewer(declared().split, 1)),
+        *(
+            Entry(f"{count}-traversals", _street(_same), reduced_split(load_declaration().split, count))
+            for count in REDUCED_COUNTS
+        ),
+        Entry(OURS_REPEATED, _street(_same)),
+        Entry(SINGLE, _explicit(omnire_style, omnire_style.TUNED), reduced_split(declared_split, 1)),
         *trials().values(),
     ]
     return {row.name: row for row in rows}
 
 
-def fewer(split: str, traversals: int) -> str:
+def reduced_split(split: str, traversals: int) -> str:
     """The name of a split of so many training traversals a scene, those nearest to the held-out one."""
     return f"{split}-{traversals}"
 
@@ -102,23 +109,23 @@ def trial(name: str, rates: float, sizes: float) -> str:
 
 
 def trials() -> Mapping[str, Entry]:
-    """All trials of the tuning, by name: the grid, beyond its edge for rivals, and choices of theirs taken back."""
+    """All trials of the tuning, by name: the grid, cells beyond its edge for baselines, and single choices changed."""
     return {row.name: row for row in _trials()}
 
 
 def _trials() -> Iterator[Entry]:
-    grid = declared().tuning
+    grid = load_declaration().tuning
     cells = list(product(grid.rates, grid.sizes))
     for rates, sizes in cells:
-        yield Entry(trial(OURS, rates, sizes), _street(partial(scaled_street, rates=rates, sizes=sizes)))
-    for name, change in OWN.items():
+        yield Entry(trial(OURS, rates, sizes), _street(partial(scale_settings, rates=rates, sizes=sizes)))
+    for name, change in OWN_CHOICES.items():
         yield Entry(choice(OURS, name), _street(change))
-    for package in RIVALS:
-        for rates, sizes in (*cells, *WIDER[name_of(package)]):
+    for package in BASELINES:
+        for rates, sizes in (*cells, *WIDER[baseline_name(package)]):
             settings = scaled(package.BY_HAND, rates, sizes)
-            yield Entry(trial(name_of(package), rates, sizes), _explicit(package, settings))
-        for name, change in CHOICES[name_of(package)].items():
-            yield Entry(choice(name_of(package), name), _explicit(package, change(package.TUNED)))
+            yield Entry(trial(baseline_name(package), rates, sizes), _explicit(package, settings))
+        for name, change in BASELINE_CHOICES[baseline_name(package)].items():
+            yield Entry(choice(baseline_name(package), name), _explicit(package, change(package.TUNED)))
 
 
 def _as_many_bytes(settings: Settings) -> Refinement:
@@ -132,7 +139,7 @@ def _with_structure(settings: Settings) -> Settings:
 
 
 def _exposed(settings: Any) -> Any:
-    return CHOICES[name_of(mtgs_style)]["exposure"](settings)
+    return BASELINE_CHOICES[baseline_name(mtgs_style)]["exposure"](settings)
 
 
 def _same(settings: Settings) -> Settings:
@@ -153,5 +160,5 @@ def _street(change: Callable[[Settings], Settings]) -> StaticMethod:
 
 def _explicit(package: Any, settings: Any) -> StaticMethod:
     return StaticMethod(
-        name_of(package), package.make, lambda seed: replace(settings, seed=seed), sky=package is omnire_style
+        baseline_name(package), package.make, lambda seed: replace(settings, seed=seed), sky=package is omnire_style
     )

@@ -1,4 +1,4 @@
-"""Scores a trained model: each picture of training and of held-out traversals, as the protocol has them."""
+"""Score a trained model on the images of training and of held-out traversals, as the protocol defines it."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
 
 _PERCEIVED = 40
-"""ST-LPIPS takes half a second a picture: about so many of a group get it, evenly chosen."""
+"""ST-LPIPS takes half a second an image: about so many images of a group get it, evenly chosen."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Of one picture."""
+    """Scores of one image; `st_lpips` is None where it was not computed."""
 
     path: str
     group: str
@@ -35,39 +35,39 @@ class Scores:
     st_lpips: float | None = None
 
 
-def scores_of(
+def score_views(
     render: Callable[[View], UInt8],
     plan: Plan,
     truth: GroundTruth,
     groups: Sequence[str],
     network: PerceptualDistance | None = None,
 ) -> list[Scores]:
-    """Render and score the views of some groups; some of each by ST-LPIPS too, where its network is given."""
+    """Render and score the views of groups; some views of each group by ST-LPIPS too, if its network is given."""
     found = []
     for group in groups:
         views = [view for view in plan.views if view.group == group]
         every = max(len(views) // _PERCEIVED, 1)
         for place, view in enumerate(views):
             perceived = None if place % every else network
-            found.append(scored(view, render(view), truth.picture(view), truth.scored(view), perceived))
+            found.append(score_image(view, render(view), truth.picture(view), truth.scored(view), perceived))
     return found
 
 
-def scored(view: View, picture: UInt8, true: UInt8, mask: Bool, network: PerceptualDistance | None = None) -> Scores:
-    """Score a picture (H, W, 3) of a view by what is true of the pixels of a mask (H, W)."""
+def score_image(view: View, image: UInt8, true: UInt8, mask: Bool, network: PerceptualDistance | None = None) -> Scores:
+    """Score an image (H, W, 3) of a view against the true one (H, W, 3), over the pixels of a mask (H, W)."""
     return Scores(
         view.path,
         view.group,
         view.traversal_id,
-        float(psnr(picture, true, mask=mask)),
-        float(psnr_cc(picture, true, mask=mask).db),
-        float(ssim(picture, true, mask=mask, preset="gaussian11", mask_mode="map")),
-        None if network is None else float(st_lpips(picture, true, network, mask=mask)),
+        float(psnr(image, true, mask=mask)),
+        float(psnr_cc(image, true, mask=mask).db),
+        float(ssim(image, true, mask=mask, preset="gaussian11", mask_mode="map")),
+        None if network is None else float(st_lpips(image, true, network, mask=mask)),
     )
 
 
-def averaged(scores: Sequence[Scores], group: str) -> dict[str, float]:
-    """Means of pictures within traversals, then of traversals, as the protocol has it; NaN is left out."""
+def average_scores(scores: Sequence[Scores], group: str) -> dict[str, float]:
+    """Means over images within traversals, then over traversals, as the protocol defines it; NaN is left out."""
     own = [one for one in scores if one.group == group]
     traversals = sorted({one.traversal_id for one in own})
     means = {}
@@ -80,6 +80,6 @@ def averaged(scores: Sequence[Scores], group: str) -> dict[str, float]:
     return means
 
 
-def plain(scores: Sequence[Scores]) -> list[dict[str, Any]]:
-    """As JSON has it."""
+def scores_as_json(scores: Sequence[Scores]) -> list[dict[str, Any]]:
+    """Scores as JSON objects."""
     return [asdict(one) for one in scores]

@@ -1,4 +1,4 @@
-"""Settings of rows as Markdown: a table for all rows whose methods have most of them in common."""
+"""Settings of rows as Markdown tables; rows with mostly the same settings share a table."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _OF_EACH = ("seed", "method", "split")
 
 
 def settings_tables(rows: Sequence[str]) -> Iterator[str]:
-    """A column a row of the comparison, by names with dots; learning rates are first and last."""
+    """Tables with a column for each row of the comparison; learning rates show their first and last values."""
     tables: list[dict[str, Mapping[str, str]]] = []
     for row in rows:
         own = dict(_flat(entries()[row].settings(0)))

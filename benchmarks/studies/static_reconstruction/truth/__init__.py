@@ -1,1 +1,1 @@
-"""Trained models held against what is exactly known of the synthetic street."""
+"""TrainedModel models held against what is exactly known of the synthetic street."""

@@ -1,4 +1,4 @@
-"""How fast a trained model draws, decode included, and how many bytes a stretch of road takes."""
+"""Time of a render of a trained model, MLPs included, and bytes of the model for a length of road."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final
 import torch
 
 from benchmarks.street.benchmark import HEIGHT, PAPER_MS, WIDTH, timed
-from benchmarks.studies.static_reconstruction.truth.trained import Trained, spread
+from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel, evenly_chosen
 from mirror.protocols.views.view import View
 
 PAPER_FPS: Final = 1000.0 / PAPER_MS
@@ -18,9 +18,9 @@ PAPER_MB: Final = 400.0
 _MOST_VIEWS: Final = 12
 
 
-def costs_of(trained: Trained) -> dict[str, Any]:
-    """Times of whole pictures of views of a held-out traversal, as 8-bit pixels, and the size of the model."""
-    chosen = [_wide(view) for view in spread(trained.views("novel"), _MOST_VIEWS)]
+def measure_costs(trained: TrainedModel) -> dict[str, Any]:
+    """Times of 8-bit renders of held-out views, and the size of the model."""
+    chosen = [_wide(view) for view in evenly_chosen(trained.views("novel"), _MOST_VIEWS)]
     renderer = trained.open()
     _, wall_ms = timed(renderer, chosen)
     _, core_ms = timed(renderer, chosen, time.process_time)
@@ -38,7 +38,7 @@ def costs_of(trained: Trained) -> dict[str, Any]:
 
 
 def _wide(view: View) -> View:
-    """A view's place through a lens of the size that is timed, which sees 80 degrees across."""
+    """A view from the same pose with the lens of the timed size, 80 degrees wide."""
     lens = {
         "width_px": WIDTH, "height_px": HEIGHT, "fx_px": 0.6 * WIDTH, "fy_px": 0.6 * WIDTH, "cx_px": WIDTH / 2.0,
         "cy_px": HEIGHT / 2.0,

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from benchmarks.studies.static_reconstruction.truth.street import TrueView, world_points
-from benchmarks.studies.static_reconstruction.truth.trained import Trained
+from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
 from hybridworldsim.methods.street import OpenStreet
 from mirror.arrays import Bool, Float64
 from mirror.protocols.views.view import View
@@ -18,30 +18,30 @@ from mirror.synth.model import Label
 
 EDGES_M: Final = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0)
 GROUND_M: Final = 25.0
-"""Ground is looked at within this distance of a camera."""
+"""Ground is measured within this distance of a camera."""
 _OPAQUE: Final = 0.5
 
 
-def geometry_of(trained: Trained) -> dict[str, Any]:
+def measure_geometry(trained: TrainedModel) -> dict[str, Any]:
     """Errors of depth and of the ground's height, on views of training and of held-out traversals."""
     renderer, street = trained.open(), trained.street
     depth, ground = [], []
     for group in [one.name for one in trained.plan.protocol.groups]:
         relative, true, heights = [], [], []
         for view in trained.views(group):
-            truth, scored = street.of(view), street.pictures.scored(view)
+            truth, scored = street.true_view(view), street.recorded.scored(view)
             shown = renderer.drawn(view).depth_m.numpy().astype(np.float64)
             chosen = truth.static & scored
             true.append(truth.depth_m[chosen].astype(np.float64))
             relative.append(relative_error(shown[chosen], true[-1]))
-            points = world_points(shown, view)[road(truth, view) & scored]
+            points = world_points(shown, view)[nearby_road(truth, view) & scored]
             heights.append(points[:, 2] - street.height_m(view, points))
         rows = by_distance(np.concatenate(relative), np.concatenate(true))
         depth += [{"group": group, **row} for row in rows]
-        ground.append({"surface": f"as drawn, {group}", **height_row(np.concatenate(heights))})
+        ground.append({"surface": f"as drawn, {group}", **height_errors(np.concatenate(heights))})
     # Where there are no anchors, the background is of the ground's kind.
     if isinstance(renderer, OpenStreet) and trained.entry.settings(trained.job.seed)["hybrid"]:
-        ground.append({"surface": "Gaussians of the ground", **height_row(_node_heights(trained, renderer))})
+        ground.append({"surface": "Gaussians of the ground", **height_errors(_ground_node_errors(trained, renderer))})
     return {"depth": depth, "ground": ground}
 
 
@@ -51,9 +51,9 @@ def relative_error(depth_m: Float64, true_m: Float64) -> Float64:
 
 
 def by_distance(errors: Float64, true_m: Float64, edges_m: Sequence[float] = EDGES_M) -> list[dict[str, float]]:
-    """Median and 90 % of errors (N,) for each stretch of true depths (N,): from an edge to below the next.
+    """Median and 90th percentile of errors (N,) for each range of true depths (N,), from an edge to below the next.
 
-    A stretch without a pixel has NaN.
+    A range without a pixel has NaN.
     """
     rows = []
     for low, high in pairwise(edges_m):
@@ -63,8 +63,8 @@ def by_distance(errors: Float64, true_m: Float64, edges_m: Sequence[float] = EDG
     return rows
 
 
-def height_row(errors_m: Float64) -> dict[str, float]:
-    """Of signed errors (N,): median, and median and 90 % without their sign; NaN of none."""
+def height_errors(errors_m: Float64) -> dict[str, float]:
+    """Median of signed errors (N,), median and 90th percentile of their magnitudes; NaN without errors."""
     if not len(errors_m):
         return {"bias_m": np.nan, "median_m": np.nan, "p90_m": np.nan, "count": 0}
     middle, most = np.quantile(np.abs(errors_m), (0.5, 0.9))
@@ -73,14 +73,14 @@ def height_row(errors_m: Float64) -> dict[str, float]:
     }  # fmt: skip
 
 
-def road(truth: TrueView, view: View) -> Bool:
-    """(H, W) which pixels show the road near by."""
+def nearby_road(truth: TrueView, view: View) -> Bool:
+    """Mask (H, W) of pixels that show road within `GROUND_M` of the camera."""
     points = world_points(np.where(truth.static, truth.depth_m, 0.0), view)
     away = np.linalg.norm(points - view.pose.translation[0], axis=-1)
     return (truth.label == Label.ROAD) & truth.static & (away <= GROUND_M)
 
 
-def _node_heights(trained: Trained, street: OpenStreet) -> Float64:
+def _ground_node_errors(trained: TrainedModel, street: OpenStreet) -> Float64:
     """Signed errors of the ground's opaque Gaussians near training cameras."""
     from scipy.spatial import cKDTree
 

@@ -1,4 +1,4 @@
-"""What is seen of the boundary between two blocks that were trained by themselves on the same data."""
+"""Changes of images across the boundary of two blocks that were trained separately on the same data."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.street.seam import seam_rows
-from benchmarks.studies.static_reconstruction.truth.trained import Trained, spread
+from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel, evenly_chosen
 from hybridworldsim.methods.street import OpenStreet
 from hybridworldsim.model.blocks import Block
 from mirror.protocols.views.view import View
@@ -19,7 +19,7 @@ _NEAR_M: Final = 5.0
 _MOST_VIEWS: Final = 8
 
 
-def seam_of(trained: Trained) -> list[dict[str, Any]]:
+def measure_seams(trained: TrainedModel) -> list[dict[str, Any]]:
     """Rows of `seam_rows` for each two neighbouring blocks; none for a model of one block, or without blocks."""
     street = trained.open()
     if not isinstance(street, OpenStreet):
@@ -40,4 +40,4 @@ def _views(a: Block, b: Block, views: Sequence[View]) -> tuple[list[View], list[
     away = [abs(float((view.pose.translation[0, :2] - (here + there) / 2.0) @ way)) for view in views]
     near = [view for view, metres in zip(views, away) if metres <= _NEAR_M]
     inside = [view for view, metres in zip(views, away) if metres > a.overlap_m]
-    return spread(near, _MOST_VIEWS), spread(inside, _MOST_VIEWS)
+    return evenly_chosen(near, _MOST_VIEWS), evenly_chosen(inside, _MOST_VIEWS)

@@ -1,4 +1,4 @@
-"""The truth of views of the synthetic street: how far everything is, and how it looks in another light."""
+"""The exact truth of views of the synthetic street: depth, labels, and the image in another light."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from mirror.synth.writing.shots import Shots
 
 _LEAST_DB: Final = 28.0
-"""What is rendered again of a picture differs from it by noise and what JPEG loses; another street's has 20 dB."""
+"""A recorded image and its second rendering differ by noise and JPEG loss; another street has about 20 dB."""
 _GROUND_M: Final = 500.0
 """The ground of a scene reaches further than this from its middle, along either axis."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrueView:
-    """What a view's pixels show.
+    """Exact truth of a view's pixels.
 
     Attributes:
         depth_m: (H, W) float32 camera z at the pixels' centres; infinite in the sky.
@@ -71,54 +71,54 @@ class StreetTruth:
         seed: that the recordings were made with.
 
     Attributes:
-        pictures: what was recorded, and which pixels of it are scored.
+        recorded: the recorded images, and which of their pixels are scored.
     """
 
     def __init__(self, dataset: Dataset, plan: Plan, preset: str, seed: int) -> None:
         rows = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
         self._drive_ids = {row["traversal_id"]: row["drive_id"] for row in rows}
-        self.pictures = GroundTruth(dataset, plan.protocol, plan.layers)
+        self.recorded = GroundTruth(dataset, plan.protocol, plan.layers)
         self._pixels, self._preset, self._seed = plan.protocol.pixels, preset, seed
         self._checked: set[str] = set()
-        self._seen: dict[str, TrueView] = {}
-        self._lit: dict[tuple[str, str, bool], UInt8] = {}
+        self._views: dict[str, TrueView] = {}
+        self._relit: dict[tuple[str, str, bool], UInt8] = {}
 
-    def of(self, view: View) -> TrueView:
-        """How far everything is from the pose that the view asks for, through its lens; kept for the next model.
+    def true_view(self, view: View) -> TrueView:
+        """Depth and labels from the pose and lens of a view; kept for the next model.
 
         Raises:
-            DatasetError: the street is not the one that was recorded.
+            DatasetError: the recordings are of another street.
         """
-        if view.path not in self._seen:
-            self._seen[view.path] = self._see(view)
-        return self._seen[view.path]
+        if view.path not in self._views:
+            self._views[view.path] = self._trace(view)
+        return self._views[view.path]
 
-    def lit_as(self, view: View, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
-        """The view's picture (H, W, 3), RGB, with the light, weather, leaves and cameras' looks of a traversal.
+    def relit(self, view: View, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
+        """The view's image (H, W, 3), RGB, with the light, weather, leaves and camera response of a traversal.
 
-        Lens and road users are those of the view's own traversal, headlights those of its vehicle. It is rendered as
-        recorded pictures are, brought into the view's raster as they are, and kept.
+        Lens, road users and headlights are those of the view's own traversal. The image is rendered and resampled as
+        recorded images are, and kept.
 
         Args:
-            view: whence.
-            traversal_id: whose light.
-            as_recorded: from the pose that was recorded, which is all that a method is told, not from the true one.
+            view: pose, lens and moment.
+            traversal_id: of the light.
+            as_recorded: use the recorded pose, which is all that a method knows, in place of the true one.
 
         Raises:
-            DatasetError: the street is not the one that was recorded.
+            DatasetError: the recordings are of another street.
         """
         key = (view.path, traversal_id, as_recorded)
-        if key not in self._lit:
+        if key not in self._relit:
             self._require(view)
-            self._lit[key] = self._lit_as(view, traversal_id, as_recorded=as_recorded)
-        return self._lit[key]
+            self._relit[key] = self._render_relit(view, traversal_id, as_recorded=as_recorded)
+        return self._relit[key]
 
     def height_m(self, view: View, points_m: Float64) -> Float64:
         """Heights (...,) of the ground under or above points (..., 3) of a view's scene."""
         x, y = (np.clip(points_m[..., axis], -_GROUND_M, _GROUND_M) for axis in (0, 1))
         return self._drive(view.traversal_id).drive.world.height_m(x, y)
 
-    def _see(self, view: View) -> TrueView:
+    def _trace(self, view: View) -> TrueView:
         from mirror.synth.render.lens import make_lens
         from mirror.synth.render.view import see
 
@@ -131,22 +131,22 @@ class StreetTruth:
         return TrueView(depth, seen.label, np.isfinite(depth) & (seen.object == NO_OBJECT))
 
     def _require(self, view: View) -> None:
-        """The first view of each traversal, rendered as it was taken, is what was recorded."""
+        """Check that the first view of each traversal, rendered again, equals the recorded image."""
         if view.traversal_id in self._checked:
             return
-        alike = float(psnr(self._lit_as(view, view.traversal_id), self.pictures.picture(view)))
+        alike = float(psnr(self._render_relit(view, view.traversal_id), self.recorded.picture(view)))
         if alike < _LEAST_DB:
             raise DatasetError(
-                f"preset {self._preset}, seed {self._seed}, is not what was recorded ({alike:.1f} dB)",
+                f"preset {self._preset}, seed {self._seed}, is not the recorded street ({alike:.1f} dB)",
                 place=view.path,
-                expected=f"a picture that is rendered again within {_LEAST_DB:g} dB",
+                expected=f"{_LEAST_DB:g} dB or more between a recorded image and its second rendering",
                 remedy="make the recordings again",
             )
         self._checked.add(view.traversal_id)
 
-    def _lit_as(self, view: View, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
+    def _render_relit(self, view: View, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
         own, other, moment = self._drive(view.traversal_id), self._drive(traversal_id), self._moment(view)
-        stage = own.lit_by(other)
+        stage = own.stage_lit_by(other)
         stamps = np.array([moment.true_ns])
         drive = own.drive
         picture = stage.picture(
@@ -156,7 +156,7 @@ class StreetTruth:
             look=other.drive.looks[view.camera],
             seed=moment.true_ns % (1 << 31),
         )
-        _, image = self.pictures.recorded(view)
+        _, image = self.recorded.recorded(view)
         raster = raster_of(image.camera_model, self._pixels)
         return raster.picture(np.ascontiguousarray(picture.bgr[..., ::-1]))
 
@@ -165,7 +165,7 @@ class StreetTruth:
         at = np.flatnonzero(drive.shots.recorded_ns[view.camera] == view.timestamp_ns)
         if not len(at):
             raise DatasetError(
-                f"preset {self._preset}, seed {self._seed}, has no picture at {view.timestamp_ns}", place=view.path
+                f"preset {self._preset}, seed {self._seed}, has no image at {view.timestamp_ns}", place=view.path
             )
         true_ns = int(drive.shots.true_ns[view.camera][at[0]])
         return _Moment(true_ns, float(drive.drive.seconds(np.array([true_ns]))[0]))
@@ -194,8 +194,8 @@ class _Drive:
         return shots_of(self.drive, self.drive.preset.errors)
 
     @cache  # noqa: B019 - as many as the dataset has traversals
-    def lit_by(self, other: _Drive) -> Scene:
-        """Its traffic in the light of another drive."""
+    def stage_lit_by(self, other: _Drive) -> Scene:
+        """The stage of this drive in the light of another drive."""
         from mirror.synth.render.scene import Scene
 
         if other is self:

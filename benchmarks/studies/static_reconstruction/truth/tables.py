@@ -1,34 +1,34 @@
-"""What was measured, as Markdown."""
+"""Errors against exact truth as Markdown tables; rows are means over the scenes and seeds of an entry."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final, TypeAlias
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.studies.static_reconstruction.groups import Group
+from benchmarks.studies.static_reconstruction.jobs import Job
+from benchmarks.studies.static_reconstruction.records import EXACT_STREET_ROWS, Document
 from benchmarks.studies.static_reconstruction.truth.costs import PAPER_FPS, PAPER_MB, PAPER_SIZE
-
-Measured: TypeAlias = dict[str, Any]
-"""As `benchmarks.studies.static_reconstruction.truth.run` writes it down."""
 
 _MOVED: Final = "moved_m"
 
 
-def tables(found: Sequence[Measured]) -> str:
-    """All tables; rows are means over the scenes and seeds of an entry."""
-    parts = (
-        ("Relative error of depth, median / 90 %", depth_table),
-        ("Height of the ground, metres", ground_table),
-        ("Edits of the light", light_table),
-        ("Seams between blocks", seam_table),
-        ("Costs", cost_table),
-    )  # fmt: skip
-    return "\n\n".join(f"### {title}\n\n{text}" for title, table in parts if (text := table(found)))
+def select_truth(truth: Sequence[Document], group: Group) -> list[Document]:
+    """Records of models that a group shows, in the order of its rows."""
+    found = [one for one in truth if group.has(Job(**one["job"]))]
+    return sorted(found, key=lambda one: group.shown.index(one["job"]["entry"]))
 
 
-def depth_table(found: Sequence[Measured]) -> str:
-    """A row an entry and group, a column a stretch of true depths."""
+def all_tables(found: Sequence[Document]) -> str:
+    """All tables under their titles; empty without records."""
+    parts = ((_TITLES[name], table(found)) for name, table in TABLES.items())
+    return "\n\n".join(f"### {title}\n\n{text}" for title, text in parts if text)
+
+
+def depth_table(found: Sequence[Document]) -> str:
+    """A row for each entry and group of views, a column for each range of true depths."""
     stretches = {(row["from_m"], row["to_m"]): None for one in found for row in one["depth"]}
     keys = {(one["job"]["entry"], row["group"]): None for one in found for row in one["depth"]}
 
@@ -42,8 +42,8 @@ def depth_table(found: Sequence[Measured]) -> str:
     return _markdown(["method", "views", *titles], rows)
 
 
-def ground_table(found: Sequence[Measured]) -> str:
-    """A row an entry and surface."""
+def ground_table(found: Sequence[Document]) -> str:
+    """A row for each entry and surface."""
     names = ("bias_m", "median_m", "p90_m")
     rows = _rows(
         found, "ground", "surface", names, lambda name, value: f"{value:+.3f}" if name == "bias_m" else f"{value:.3f}"
@@ -51,24 +51,25 @@ def ground_table(found: Sequence[Measured]) -> str:
     return _markdown(["method", "surface", "bias", "median error", "90 %"], rows)
 
 
-def ceiling_table(found: Sequence[Measured]) -> str:
-    """A row a scene, group, light and kind of poses, and their means over several scenes."""
-    by_kind: dict[tuple[str, str, str], list[tuple[str, Measured]]] = {}
+def exact_street_table(found: Sequence[Document], group: Group) -> str:
+    """A row for each scene of a group, kind of views, light and kind of poses, and means over several scenes."""
+    by_kind: dict[tuple[str, str, str], list[tuple[str, Document]]] = {}
     for one in found:
-        for row in one["ceiling"]:
-            by_kind.setdefault((row["group"], row["light"], row["poses"]), []).append((one["scene"], row))
+        if one["scene"] in group.scenes and one["width_px"] == group.width_px:
+            for row in one[EXACT_STREET_ROWS]:
+                by_kind.setdefault((row["group"], row["light"], row["poses"]), []).append((one["scene"], row))
     rows = []
     for kind, own in sorted(by_kind.items()):
         mean = {name: _mean(row[name] for _, row in own) for name in ("psnr", "psnr_cc", "ssim")}
-        pictures = sum(row["pictures"] for _, row in own)
-        for scene, row in own if len(own) == 1 else (*own, ("mean", {**mean, "pictures": pictures})):
+        images = sum(row["pictures"] for _, row in own)
+        for scene, row in own if len(own) == 1 else (*own, ("mean", {**mean, "pictures": images})):
             numbers = (f"{row['psnr']:.2f}", f"{row['psnr_cc']:.2f}", f"{row['ssim']:.3f}", str(row["pictures"]))
             rows.append([*kind, scene, *numbers])
-    return _markdown(["views", "light", "poses", "scene", "PSNR", "PSNR*", "SSIM", "pictures"], rows)
+    return _markdown(["views", "light", "poses", "scene", "PSNR", "PSNR*", "SSIM", "images"], rows)
 
 
-def light_table(found: Sequence[Measured]) -> str:
-    """A row an entry and edit: what is edited, what is not, and the pictures that were recorded in that light."""
+def light_table(found: Sequence[Document]) -> str:
+    """A row for each entry and edit: scores with and without the edit, and of images recorded in that light."""
     flat = [
         {"job": one["job"], "lighting": [_flat_edit(row) for row in one["lighting"]]} for one in found
     ]  # fmt: skip
@@ -84,8 +85,8 @@ def light_table(found: Sequence[Measured]) -> str:
     )  # fmt: skip
 
 
-def seam_table(found: Sequence[Measured]) -> str:
-    """A row a figure of each model."""
+def seam_table(found: Sequence[Document]) -> str:
+    """A row for each figure of each model."""
     rows = [
         [one["job"]["entry"], one["job"]["scene"], str(one["job"]["seed"]), row["name"], row["size"],
          f"{row['ms']:.2f}",
@@ -95,8 +96,8 @@ def seam_table(found: Sequence[Measured]) -> str:
     return _markdown(["method", "scene", "seed", "figure", "of", "value", "other"], rows)
 
 
-def cost_table(found: Sequence[Measured]) -> str:
-    """A row an entry, and the paper's."""
+def cost_table(found: Sequence[Document]) -> str:
+    """A row for each entry, and the paper's."""
     names = ("fps", "wall_ms", "core_ms", "mb_per_100_m", "threads")
     rows = []
     for entry in {one["job"]["entry"]: None for one in found}:
@@ -104,14 +105,14 @@ def cost_table(found: Sequence[Measured]) -> str:
         rows.append([entry, *(f"{_mean(row[name] for row in own):.4g}" for name in names)])
     rows.append(["paper, quoted", f"{PAPER_FPS:.4g} at {PAPER_SIZE}", "-", "-", f"{PAPER_MB:g}", "not stated"])
     width, height = found[0]["costs"]["size_px"] if found else (0, 0)
-    titles = [f"pictures a second, {width} x {height}", "ms", "core ms", "MB a 100 m", "threads"]
+    titles = [f"images a second, {width} x {height}", "ms", "core ms", "MB a 100 m", "threads"]
     return _markdown(["method", *titles], rows if found else [])
 
 
 def _rows(
-    found: Sequence[Measured], part: str, key: str, names: Sequence[str], text: Callable[[str, float], str]
+    found: Sequence[Document], part: str, key: str, names: Sequence[str], text: Callable[[str, float], str]
 ) -> list[list[str]]:
-    """A row an entry and key: means of what has them, and the most that anything moves."""
+    """A row for each entry and key: means over the models that have it, and the largest `moved_m`."""
     keys = {(one["job"]["entry"], row[key]): None for one in found for row in one[part]}
     rows = []
     for entry, value in keys:
@@ -129,7 +130,7 @@ def _flat_edit(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _mean(values: Iterable[float | None]) -> float:
-    """Of those that are known; NaN of none."""
+    """Mean of the values that are not None; NaN if all are."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else float("nan")
 
@@ -139,3 +140,20 @@ def _markdown(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         return ""
     lines = [titles, ["---"] * len(titles), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+TABLES: Final[Mapping[str, Callable[[Sequence[Document]], str]]] = {
+    "depth": depth_table,
+    "ground": ground_table,
+    "light": light_table,
+    "seams": seam_table,
+    "costs": cost_table,
+}
+"""By name."""
+_TITLES: Final[Mapping[str, str]] = {
+    "depth": "Relative error of depth, median / 90 %",
+    "ground": "Height of the ground, metres",
+    "light": "Edits of the light",
+    "seams": "Seams between blocks",
+    "costs": "Costs",
+}

@@ -1,9 +1,8 @@
-"""Models that jobs have trained, opened again."""
+"""Trained models of jobs, opened for measurement."""
 
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,10 +11,10 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from benchmarks.studies.static_reconstruction.declared import Declared
-from benchmarks.studies.static_reconstruction.job import RUNS, Job
+from benchmarks.studies.static_reconstruction.declaration import Declaration
+from benchmarks.studies.static_reconstruction.jobs import Job, model_folder, models_folder, parse_job
 from benchmarks.studies.static_reconstruction.methods import Entry, entries
-from benchmarks.studies.static_reconstruction.truth.asked import Asked, asked
+from benchmarks.studies.static_reconstruction.truth.request import TruthRequest, request_truth
 from benchmarks.studies.static_reconstruction.truth.street import StreetTruth
 from hybridworldsim.methods.opened import Renderer
 from hybridworldsim.methods.static import block_folders
@@ -26,58 +25,42 @@ from mirror.methods.model_document import Costs, read_reconstruction
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import View
 
-_NAME: Final = re.compile(
-    r"(?P<entry>.+)\.(?P<scene>[a-z][a-z-]*)\.(?P<minutes>[\d.]+)min\.(?P<width>\d+)px\.(?P<seed>\d+)"
-)
-
 FRAMES: Final = 4
-"""Of each traversal are looked at."""
+"""Frames of each traversal that are measured."""
 
-_Thing = TypeVar("_Thing")
-
-
-def spread(things: Sequence[_Thing], most: int) -> list[_Thing]:
-    """At most so many of things, evenly chosen, the first and the last among them."""
-    places = np.unique(np.linspace(0, len(things) - 1, min(len(things), most)).round().astype(int))
-    return [things[place] for place in places]
+_Item = TypeVar("_Item")
 
 
-def job_of(name: str) -> Job:
-    """The job whose folder has a name.
-
-    Raises:
-        UsageError: no job is called so.
-    """
-    found = _NAME.fullmatch(name)
-    if found is None:
-        raise UsageError(f"a run called {name!r}", expected="ENTRY.SCENE.MINUTESmin.WIDTHpx.SEED")
-    return Job(found["entry"], found["scene"], int(found["seed"]), float(found["minutes"]), int(found["width"]))
+def evenly_chosen(items: Sequence[_Item], most: int) -> list[_Item]:
+    """At most `most` items, evenly chosen, with the first and the last."""
+    places = np.unique(np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int))
+    return [items[place] for place in places]
 
 
 def done_jobs(folder: Path) -> list[Job]:
-    """Jobs whose models are trained to the end, by name."""
-    models = sorted((folder / RUNS).glob("*/reconstruction.json"))
-    return [job_of(path.parent.name) for path in models if read_reconstruction(path.parent).done is not None]
+    """Jobs whose models are fully trained, by name."""
+    models = sorted(models_folder(folder).glob("*/reconstruction.json"))
+    return [parse_job(path.parent.name) for path in models if read_reconstruction(path.parent).done is not None]
 
 
 @dataclass(frozen=True, eq=False)
-class Trained:
-    """A trained model with the views that it is asked for.
+class TrainedModel:
+    """A trained model with the views that it renders.
 
     Attributes:
         job: that trained it.
-        folder: of the comparison.
-        declaration: of the comparison.
+        folder: working folder of the study.
+        declaration: of the study.
     """
 
     job: Job
     folder: Path
-    declaration: Declared
+    declaration: Declaration
 
     @property
     def model(self) -> Path:
         """Folder of the model."""
-        return self.folder / RUNS / self.job.name
+        return model_folder(self.folder, self.job)
 
     @property
     def entry(self) -> Entry:
@@ -87,34 +70,34 @@ class Trained:
     @property
     def plan(self) -> Plan:
         """Views of training and of held-out traversals."""
-        return self._asked.plan
+        return self._request.plan
 
     @property
     def street(self) -> StreetTruth:
-        """What is exactly known."""
-        return self._asked.street
+        """Exact truth of the views."""
+        return self._request.street
 
     @cached_property
-    def _asked(self) -> Asked:
+    def _request(self) -> TruthRequest:
         split = self.entry.split or self.declaration.split
-        return asked(self.folder, self.declaration, self.job.scene, split, self.job.width_px)
+        return request_truth(self.folder, self.declaration, self.job.scene, split, self.job.width_px)
 
     @cached_property
-    def seen(self) -> tuple[TrainedCamera, ...]:
-        """What the first block was trained on."""
+    def training_sources(self) -> tuple[TrainedCamera, ...]:
+        """Traversals and cameras that the first block was trained on."""
         return read_run(block_folders(self.model)[0]).sources
 
     @cached_property
     def costs(self) -> Costs:
-        """What the model costs.
+        """Training costs and size of the model.
 
         Raises:
-            UsageError: it is not trained to the end.
+            UsageError: it is not fully trained.
         """
         done = read_reconstruction(self.model).done
         if done is None:
             raise UsageError(
-                "not trained to the end", file=self.model, remedy="python -m benchmarks reconstruction run"
+                "not fully trained", file=self.model, remedy="python -m benchmarks static_reconstruction run"
             )
         return done
 
@@ -127,15 +110,15 @@ class Trained:
         return whole.hexdigest()
 
     def views(self, group: str) -> list[View]:
-        """Of the plan, those of a group: of each traversal a few frames, evenly chosen, with all their cameras."""
-        own = self._asked.views(group)
+        """Views of a group: a few evenly chosen frames of each traversal, with all their cameras."""
+        own = self._request.views(group)
         frames: dict[str, list[int]] = {}
         for view in own:
             frames.setdefault(view.traversal_id, []).append(view.frame_index)
-        chosen = {traversal: set(spread(sorted(set(there)), FRAMES)) for traversal, there in frames.items()}
+        chosen = {traversal: set(evenly_chosen(sorted(set(there)), FRAMES)) for traversal, there in frames.items()}
         return [view for view in own if view.frame_index in chosen[view.traversal_id]]
 
     def open(self, policy: str | None = None, *, everywhere: bool = False) -> Renderer:
-        """Its renderer; pictures look as declared, or as a policy says."""
-        looking = AppearancePolicy(policy or self.declaration.policy, self.plan.views, everywhere)
-        return self.entry.method.open(self.model, looking)
+        """Renderer of the model, with the declared appearance or that of a policy."""
+        appearance = AppearancePolicy(policy or self.declaration.policy, self.plan.views, everywhere)
+        return self.entry.method.open(self.model, appearance)

@@ -1,0 +1,24 @@
+"""Cells of the tuning's grid: our settings with all learning rates and all numbers of Gaussians multiplied."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hybridworldsim.model.settings import Settings
+from mirror_baselines.splatting.scaled import faster
+
+
+def scale_settings(settings: Settings, rates: float, sizes: float) -> Settings:
+    """Multiply all learning rates by `rates` and all numbers of Gaussians by `sizes`."""
+    grown = settings.refinement
+    return replace(
+        settings,
+        rates=faster(settings.rates, rates),
+        first_anchors=round(sizes * settings.first_anchors),
+        refinement=replace(
+            grown,
+            most=round(sizes * grown.most),
+            most_ground=round(sizes * grown.most_ground),
+            most_sky=round(sizes * grown.most_sky),
+        ),
+    )

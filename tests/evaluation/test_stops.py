@@ -15,7 +15,7 @@ import pytest
 from mirror.dataset.dataset import Dataset
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
 from tests.ingest.recordings import tree
-from tests.interruptions import MIRROR, hear_again, interrupt
+from tests.interruptions import MIRROR, MOST_S, hear_again, interrupt
 
 NEVER_S = 240.0
 # What a terminal sends, what `kill -INT` sends, and what a scheduler sends.
@@ -54,6 +54,9 @@ def test_evaluate(renders: Path, root: Path, tmp_path: Path) -> None:
     words = [*MIRROR, "evaluate", renders, "--truth", root, "--protocol", protocol, "--workers", "2", "--out"]
     whole_s = finish([*words, tmp_path / "whole"])
     stop_thrice([*words, tmp_path / "stopped"], 0.9 * whole_s, seed=1)
+    # Nobody can hear this one; the workers end all the same.
+    killed = interrupt([*words, tmp_path / "killed"], 0.4 * whole_s, signal.SIGKILL, group=False)
+    assert not killed.hit or (killed.code == -signal.SIGKILL and killed.taken_s < MOST_S), killed
     finish([*words, tmp_path / "stopped"])
     for name in ("result.json", "images.parquet"):
         assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

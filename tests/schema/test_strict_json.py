@@ -75,6 +75,8 @@ def test_no_other_reader_of_json_documents_comes_in() -> None:
         "mirror/schema/strict_json.py",
         # A line of a log that only this toolkit writes, and that is read for as far as it goes.
         "mirror/evaluation/workers.py",
+        # What pip wrote of this installation.
+        "mirror/installation.py",
         # Words of a command line, and texts inside of safetensors that were written by the same module.
         "baselines/hybridworldsim/methods/changed.py",
         "baselines/hybridworldsim/methods/static.py",

@@ -44,7 +44,10 @@ ROOMS: Final = {
     "mirror/schema": ("tests/schema",),
     "mirror/dataset": ("tests/dataset", "tests/dataset_split", "tests/dataset_stats"),
     "mirror/integrity": ("tests/integrity",),
+    "mirror/protocols": ("tests/evaluation",),
+    "mirror/methods": ("tests/evaluation",),
     "mirror/evaluation": ("tests/evaluation",),
+    "baselines/hybridworldsim/kernels": ("tests/rasterizer",),
     "baselines/hybridworldsim/rasterizer": ("tests/rasterizer",),
 }
 _EQUIVALENT: Final = ROOT / "benchmarks" / "mutants.toml"

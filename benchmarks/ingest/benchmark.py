@@ -1,6 +1,6 @@
 """The ROI trigger, copying and linking, and start-up: time, exactness, and what a plainer way would take.
 
-``python -m benchmarks ingest [trigger] [copy] [startup] [--poses N] [--rois N] [--megabytes N]``
+``python -m benchmarks ingest [trigger] [copy] [memory] [startup] [--poses N] [--rois N] [--megabytes N]``
 
 - trigger: generated city driving at 10 Hz, a little dirty, against ROIs of 200 m, from longitude and latitude, cleaning
   included, on one core. Errors against Karney's geodesics: distance of entries and exits from the circle; their times,
@@ -8,6 +8,8 @@
   The peer, numpy over all poses and ROIs on a sphere, neither cleans nor interpolates.
 - copy: a generated recording of seven cameras, against ``cp -r`` of the same bytes, in turns, each from a quiet disk;
   the error is the number of pictures whose bytes differ.
+- memory: the peak of an ingest and its index in a process of its own, of drives of an hour at 10 Hz; for "error" stands
+  how many MB more it is than of a tenth of the drives, at most 50. With few or all poses of a drive inside the ROI.
 - startup: fresh processes.
 """
 
@@ -40,14 +42,16 @@ from mirror.ingest.trigger import Pass, Trigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest import reference
+from tests.ingest.long_drives import RADIUS_M, peak_bytes, write_drives
 from tests.ingest.reference_cleaning import Fix
 from tests.ingest.surfaces import Globe, centre_of
 
-SECTIONS = ("trigger", "copy", "startup")
+SECTIONS = ("trigger", "copy", "memory", "startup")
 SUBSET = 200_000
 BLOCK = 16_384
 PAIRS = 5
 UTM_ZONE = 32
+MEMORY_POSES = 36_000
 
 
 @contextmanager
@@ -267,6 +271,24 @@ def quiet_ms(call: Callable[[], None], made: Path) -> float:
     return elapsed
 
 
+# --- memory -------------------------------------------------------------------------------------------------------
+
+
+def memory_rows(drives: int) -> Iterator[Row]:
+    """Peak memory of an ingest of many drives against that of a tenth of them."""
+    with tempfile.TemporaryDirectory() as temporary:
+        root = Path(temporary)
+        recordings = write_drives(root / "fleet", drives, MEMORY_POSES)
+        for name, radius_m in (("a sixth", 0.5 * RADIUS_M), ("all", 2.5 * RADIUS_M)):
+            few = peak_bytes(recordings[: drives // 10], root / f"few {name}", radius_m)
+            start = time.perf_counter()
+            many = peak_bytes(recordings, root / f"many {name}", radius_m)
+            elapsed = (time.perf_counter() - start) * 1e3
+            print(f"    {name} inside: {few / 1e6:.0f} MB of {drives // 10} drives, {many / 1e6:.0f} MB of {drives}")
+            size = f"{drives} x {MEMORY_POSES:,} poses"
+            yield Row(f"memory, {name} inside", size, elapsed, (many - few) / 1e6, unit="MB more", error_bar=50.0)
+
+
 # --- start-up -----------------------------------------------------------------------------------------------------
 
 
@@ -296,12 +318,14 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--poses", type=int, default=10_000_000)
     parser.add_argument("--rois", type=int, default=100)
     parser.add_argument("--megabytes", type=int, default=1500, help="of generated pictures")
+    parser.add_argument("--drives", type=int, default=100, help="whose peak memory is measured")
     parser.add_argument("--folder", type=Path, help="where the recording is generated; default: the temporary folder")
     options = parser.parse_args(argv)
     groups = {
         "trigger": lambda: trigger_rows(options.poses, options.rois),
         "conversion": lambda: conversion_rows(options.poses),
         "copy": lambda: copy_rows(options.megabytes, options.folder),
+        "memory": lambda: memory_rows(options.drives),
         "startup": startup_rows,
     }
     wanted = options.sections or SECTIONS

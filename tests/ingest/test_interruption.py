@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -36,14 +37,23 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.fixture(scope="module")
+def whole(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What comes of a run that nobody disturbs."""
+    out = tmp_path_factory.mktemp("undisturbed") / "whole"
+    ingest(sorted(fleet.glob("drive_*")), SCENES, out)
+    return out
+
+
 def command(fleet: Path, out: Path, *more: str) -> list[str]:
     recordings = [str(path) for path in sorted(fleet.glob("drive_*"))]
     rois = ["--rois", str(fleet / "rois.geojson")]
     return [sys.executable, "-m", "mirror.cli.main", "ingest", *recordings, *rois, "--out", str(out), *more]
 
 
-def test_killed_at_any_instant_and_run_again_it_ends_with_the_same_bytes(fleet: Path, tmp_path: Path) -> None:
-    ingest(sorted(fleet.glob("drive_*")), SCENES, tmp_path / "whole")
+def test_killed_at_any_instant_and_run_again_it_ends_with_the_same_bytes(
+    fleet: Path, whole: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "killed"
     interrupted = 0
     for files in (1, 60, 200, 400):
@@ -55,7 +65,7 @@ def test_killed_at_any_instant_and_run_again_it_ends_with_the_same_bytes(fleet: 
         running.wait()
     assert interrupted >= 2
     subprocess.run(command(fleet, out, "--copy"), check=True, capture_output=True)
-    assert tree(out) == tree(tmp_path / "whole")
+    assert tree(out) == tree(whole)
 
 
 def _files(root: Path) -> int:
@@ -89,3 +99,54 @@ def test_an_unwritable_place_is_an_error(fleet: Path, tmp_path: Path) -> None:
     run = subprocess.run(command(fleet, tmp_path / "file" / "d"), capture_output=True, text=True, check=False)
     assert run.returncode == 2
     assert "cannot be written" in run.stderr
+
+
+@pytest.mark.parametrize("share", [0.05, 0.4, 0.8])
+def test_ctrl_c_ends_it_at_once_and_the_same_command_goes_on(
+    fleet: Path, whole: Path, tmp_path: Path, share: float
+) -> None:
+    out = tmp_path / "stopped"
+    files = int(share * _files(whole))
+    running = subprocess.Popen(
+        command(fleet, out, "--copy"), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    while running.poll() is None and _files(out) < files:
+        time.sleep(0.002)
+    running.send_signal(signal.SIGINT)
+    start = time.monotonic()
+    _, error = running.communicate(timeout=30)
+    if running.returncode != 0:
+        assert running.returncode == 130
+        assert time.monotonic() - start < 5.0
+        assert "Traceback" not in error
+        assert "run the same command again" in error
+    assert not (out / ".lock").exists()
+    subprocess.run(command(fleet, out, "--copy"), check=True, capture_output=True)
+    assert tree(out) == tree(whole)
+
+
+def test_a_failed_ingest_leaves_nothing_at_all(fleet: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    words = [sys.executable, "-m", "mirror.cli.main", "ingest", str(tmp_path / "empty"), "--roi", "1,2", "--out"]
+    run = subprocess.run([*words, str(tmp_path / "a" / "b")], capture_output=True, text=True, check=False)
+    assert run.returncode == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty"]
+    # Also where it ends at the first error, and in a folder that was there.
+    (tmp_path / "there").mkdir()
+    run = subprocess.run([*words, str(tmp_path / "there"), "--fail-fast"], capture_output=True, text=True, check=False)
+    assert run.returncode == 2
+    assert list((tmp_path / "there").iterdir()) == []
+
+
+def test_a_folder_that_is_something_else_is_left_alone(fleet: Path, tmp_path: Path) -> None:
+    ingest(sorted(fleet.glob("drive_*"))[:1], SCENES, tmp_path / "dataset")
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "main.tex").write_text("")
+    before = tree(tmp_path), tree(fleet)
+    outs = [fleet, fleet / "drive_0", fleet / "drive_5" / "new", tmp_path / "thesis", tmp_path / "dataset" / "deeper"]
+    for out in outs:
+        run = subprocess.run(command(fleet, out), capture_output=True, text=True, check=False)
+        assert run.returncode == 2
+        assert str(out) in run.stderr
+        assert "--out" in run.stderr
+    assert (tree(tmp_path), tree(fleet)) == before

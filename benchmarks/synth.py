@@ -30,12 +30,12 @@ from mirror.synth.light.condition import Condition, Effects
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import Label, Material, Model
 from mirror.synth.render.coverage import OFFSETS
+from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
-from mirror.synth.render.develop.look import CameraLook
 from mirror.synth.render.lens import Lens, make_lens
 from mirror.synth.render.scene import Instant, Scene
-from mirror.synth.render.view import see
-from mirror.synth.render.wet import with_reflections
+from mirror.synth.render.view import rasterize_view
+from mirror.synth.render.wet import add_reflections
 from mirror.synth.street.world import World, build_world
 
 PLACE: Final = (8.41694, 49.01252)
@@ -119,21 +119,23 @@ def shots(world: World, light: str, weather: str, views: int, width: int) -> Ite
 
 def picture(shot: Shot) -> UInt8:
     """What the renderer makes of a view."""
-    return shot.scene.picture(shot.instant, shot.lens, shot.pose).bgr
+    return shot.scene.render(shot.instant, shot.lens, shot.pose).bgr
 
 
 def light_of(shot: Shot, offsets: Float32, footprint_px: float) -> Float32:
     """Radiance (H, W, 3) of a view with other rays a pixel."""
     surroundings = shot.instant.surroundings
-    radiance = see(surroundings, shot.lens, shot.rotation, shot.origin, offsets=offsets).radiance(footprint_px)
+    radiance = rasterize_view(surroundings, shot.lens, shot.rotation, shot.origin, offsets=offsets).radiance(
+        footprint_px
+    )
     if shot.scene.light.record["wet"] > 0.0:
-        radiance = with_reflections(radiance, surroundings, shot.lens, shot.rotation, shot.origin)
+        radiance = add_reflections(radiance, surroundings, shot.lens, shot.rotation, shot.origin)
     return np.ascontiguousarray(radiance[..., :3])
 
 
 def developed(shot: Shot, light: Float32) -> UInt8:
     """A picture of radiance, as the renderer develops it."""
-    return develop(light, shot.scene.light.record, CameraLook(), shot.scene.condition.effects, 0)
+    return develop(light, shot.scene.light.record, CameraResponse(), shot.scene.condition.effects, 0)
 
 
 def reference(shot: Shot) -> UInt8:
@@ -192,14 +194,14 @@ def truths(world: World, views: int) -> Iterator[Row]:
     """What depth, normals, classes and instances cost beside a picture."""
     alone, beside = [], []
     for shot in shots(world, "day", "clear", views, 960):
-        view = shot.scene.picture(shot.instant, shot.lens, shot.pose).view
+        view = shot.scene.render(shot.instant, shot.lens, shot.pose).view
 
         def truth(shot: Shot = shot) -> None:
-            view = see(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
+            view = rasterize_view(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
             _ = view.distance_m, view.normal, view.label, view.object
 
         def seen(shot: Shot = shot) -> None:
-            see(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
+            rasterize_view(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
 
         alone.append(_median_ms(lambda shot=shot: picture(shot)))
         beside.append(_median_ms(truth) - _median_ms(seen))
@@ -227,7 +229,7 @@ def preparations(world: World) -> Iterator[Row]:
 
     yield Row("shadows and leaves of a condition", "urban", _median_ms(prepared, 3))
     scene = Scene(world, condition, world.parked, Model.empty())
-    yield Row("an instant", f"{len(scene.users)} users", _median_ms(lambda: scene.around(1.0, np.zeros(3))))
+    yield Row("an instant", f"{len(scene.road_users)} users", _median_ms(lambda: scene.around(1.0, np.zeros(3))))
     with tempfile.TemporaryDirectory() as cache:
         for name in ("first picture, compiling", "first picture, compiled before"):
             took = _child(cache)

@@ -30,7 +30,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import Image
 from mirror.geometry.poses import COLUMNS, Poses
 from mirror.progress import progress_bar
-from mirror.synth.fleet.drives import drive_named
+from mirror.synth.fleet.drives import make_drive
 from mirror.synth.model import Label
 from mirror.synth.truth import Truth
 
@@ -185,7 +185,7 @@ def _ground(dataset: Dataset, preset: str) -> Iterator[Row]:
         for name in ("scene_id", "drive_id")
     )
     own = dataset.where(scene=scene)
-    world = drive_named(preset, 0, drive).world
+    world = make_drive(preset, 0, drive).world
     driven = wheel_places(Poses.from_columns(own.table("ego_poses", COLUMNS)))
     start = time.process_time()
     from_poses = fit_ground(driven)

@@ -17,7 +17,7 @@ from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.geometry.cameras.camera import camera_from_row
 from mirror.recordings.dgp import DgpReader
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from mirror.synth.render import render
 
 _OFFSETS_M: Final = (0.0, -1.0, 1.0, -2.0, 2.0)
@@ -52,7 +52,7 @@ def street_cases(width_px: int, height_px: int, count: int = 3) -> Iterator[Case
         height_px: of it.
         count: places a camera.
     """
-    drive = drives_of("reconstruction", 0, scenes=1, traversals=1)[1][0]
+    drive = make_drives("reconstruction", 0, scenes=1, traversals=1)[1][0]
     focal = 0.6 * width_px
     lens = Camera("pinhole", width_px, height_px, focal, focal, width_px / 2.0, height_px / 2.0, ())
     stamps = drive.condition.start_ns + np.arange(0, 60_000_000_000, 50_000_000)

@@ -17,12 +17,12 @@ from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import FACE, ROUND
 from mirror.synth.render.rendering import render
-from mirror.synth.render.view import View
+from mirror.synth.render.view import RenderView
+from mirror.synth.road_users.body import Placement, RoadUser, Still
+from mirror.synth.road_users.cars import car
+from mirror.synth.road_users.people import pedestrian
 from mirror.synth.street.world import World, build_world
 from mirror.synth.textures.catalogue import FACES, PLATES
-from mirror.synth.users.body import Placement, RoadUser, Still
-from mirror.synth.users.cars import car
-from mirror.synth.users.people import pedestrian
 
 _PLACE: Final = (8.41694, 49.01252)
 _VIEW_DEG: Final = 70.0
@@ -99,13 +99,13 @@ def crowded(world: World, condition: Condition, count: int, width_px: int, seed:
         ahead = lane.line[at + 1] - lane.line[at]
         course = math.atan2(ahead[1], ahead[0])
         pose = _pose(lane.line[at] + (0.0, 0.0, _EYE_M), course)
-        users = [
+        road_users = [
             user
             for user in world.parked
             if math.dist((user.motion.at(0.0).x_m, user.motion.at(0.0).y_m), lane.line[at, :2]) > _CLEAR_M
         ]
-        users += _placed(world, lane.line[at], course, _PEOPLE[number % 2], _CARS[number % 2], rng)
-        picture = render(world, pose, camera, 0.0, condition, users=users, seed=number)
+        road_users += _placed(world, lane.line[at], course, _PEOPLE[number % 2], _CARS[number % 2], rng)
+        picture = render(world, pose, camera, 0.0, condition, road_users=road_users, seed=number)
         yield Crowded(picture.bgr, _faces(picture.view, camera, pose), _plates(picture.view, camera, pose))
 
 
@@ -124,7 +124,7 @@ def _placed(
     world: World, origin: Float64, course: float, people: int, cars: int, rng: np.random.Generator
 ) -> list[RoadUser]:
     """Cars and people before the camera, clear of each other."""
-    users: list[RoadUser] = []
+    road_users: list[RoadUser] = []
     taken: list[tuple[float, float, float]] = []
     for number in range(people + cars):
         is_car = number >= people
@@ -142,11 +142,11 @@ def _placed(
         back = is_car and rng.random() < 0.5
         yaw = bearing + (0.0 if back else math.pi) + math.radians(rng.uniform(-50.0, 50.0))
         place = Placement(x, y, float(world.height_m(x, y)), yaw)
-        users.append(RoadUser(f"{body.category}-{number}", body, Still(place)))
-    return users
+        road_users.append(RoadUser(f"{body.category}-{number}", body, Still(place)))
+    return road_users
 
 
-def _faces(view: View, camera: Camera, pose: Poses) -> list[Target]:
+def _faces(view: RenderView, camera: Camera, pose: Poses) -> list[Target]:
     """Faces: of the front half of each head, from the chin to the brow."""
     rounds = view.scene.rounds.view(ROUND)
     high, low = _BROW_AND_CHIN
@@ -161,7 +161,7 @@ def _faces(view: View, camera: Camera, pose: Poses) -> list[Target]:
     return [target for target in found if target is not None]
 
 
-def _plates(view: View, camera: Camera, pose: Poses) -> list[Target]:
+def _plates(view: RenderView, camera: Camera, pose: Poses) -> list[Target]:
     """Number plates."""
     faces = view.scene.faces.view(FACE)
     along, up = (

@@ -15,7 +15,7 @@ from mirror.geometry.cameras import Camera
 from mirror.recordings.light import Light
 from mirror.synth.driving.trace import Moving
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from mirror.synth.light.condition import Condition, Weather
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import Label
@@ -96,7 +96,7 @@ def urban_drive(
         width_px: of a picture with share 1.
         visit: other traffic, leaves and billboards in each.
     """
-    preset, drives = drives_of("benchmark", 0, scenes=1)
+    preset, drives = make_drives("benchmark", 0, scenes=1)
     drive = next(one for one in drives if one.recipe.route == route)
     roi = drive.roi
     start = instant_of(date, light, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
@@ -114,12 +114,12 @@ def urban_drive(
 def taken(drive: SynthDrive, instants_ns: Int64, cameras: Sequence[str]) -> list[dict[str, Shot]]:
     """Pictures of a drive: of some cameras at some instants."""
     drive.prepare()
-    moving = [number for number, user in enumerate(drive.users) if isinstance(user.motion, Moving)]
+    moving = [number for number, user in enumerate(drive.road_users) if isinstance(user.motion, Moving)]
 
     def of(instant_ns: int) -> dict[str, Shot]:
         instant, shots = drive.at(instant_ns), {}
         for name in cameras:
-            picture = drive.picture(name, instant_ns, instant)
+            picture = drive.render(name, instant_ns, instant)
             view = picture.view
             shots[name] = Shot(
                 picture.bgr,

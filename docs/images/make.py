@@ -1,4 +1,4 @@
-"""Makes the pictures of this folder from the synthetic street: ``python docs/images/make.py``.
+"""Makes the images of this folder from the synthetic street: ``python docs/images/make.py``.
 
 ``report.png`` is a screenshot of the page that ``make demo`` ends with.
 """
@@ -15,7 +15,7 @@ from mirror.arrays import UInt8
 from mirror.geometry import Poses
 from mirror.geometry.box_projection import project_boxes
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from mirror.synth.writing.boxes import world_SE3_boxes
 
 HERE = Path(__file__).parent
@@ -33,7 +33,7 @@ COLOURS = {
 
 def drive(drive_id: str, width_px: int) -> SynthDrive:
     """One drive of the demo with cameras of another resolution."""
-    one = next(one for one in drives_of("demo", 0)[1] if one.drive_id == drive_id)
+    one = next(one for one in make_drives("demo", 0)[1] if one.drive_id == drive_id)
     return replace(one, vehicle=replace(one.vehicle, width_px=width_px))
 
 
@@ -53,21 +53,21 @@ def mosaic(one: SynthDrive, share: float) -> UInt8:
         strip = np.full((size[1], WIDTH_PX, 3), 255, np.uint8)
         for number, name in enumerate(names):
             x = number * (WIDTH_PX - width) // (len(names) - 1)
-            strip[:, x : x + width] = cv2.resize(one.picture(name, at).bgr, size, interpolation=cv2.INTER_AREA)
+            strip[:, x : x + width] = cv2.resize(one.render(name, at).bgr, size, interpolation=cv2.INTER_AREA)
         strips += [strip, np.full((GAP_PX, WIDTH_PX, 3), 255, np.uint8)]
     return np.concatenate(strips[:-1])
 
 
 def boxes(one: SynthDrive, share: float, camera: str) -> UInt8:
-    """One picture with the 3D boxes of what it shows."""
+    """One image with the 3D boxes of what it shows."""
     at = instant_ns(one, share)
     instant = one.at(at)
-    shown = one.picture(camera, at, instant)
-    seen, picture, lens = shown.view.object, shown.bgr.copy(), one.vehicle.cameras[camera]
+    shown = one.render(camera, at, instant)
+    objects, image, lens = shown.view.object, shown.bgr.copy(), one.vehicle.cameras[camera]
     pose = one.world_SE3_camera(camera, np.array([at]))
-    numbers = [number for number in instant.placements if (seen == number).sum() > 60]
+    numbers = [number for number in instant.placements if (objects == number).sum() > 60]
     for number in sorted(numbers, key=lambda number: -_away(instant.placements[number], pose)):
-        user = one.users[number]
+        user = one.road_users[number]
         world_SE3_box = world_SE3_boxes([user], [instant.placements[number]])
         projected = project_boxes(lens, pose.inverse() @ world_SE3_box, [user.body.size_m])
         steps = np.linspace(0.0, 1.0, 9)[:, None]
@@ -75,19 +75,19 @@ def boxes(one: SynthDrive, share: float, camera: str) -> UInt8:
             line = lens.project(start * (1 - steps) + end * steps).uv_px
             if np.isfinite(line).all():
                 points = np.round(8 * (line - 0.5)).astype(np.int32)
-                cv2.polylines(picture, [points], False, COLOURS[user.body.category], 1, cv2.LINE_AA, 3)
-    return picture
+                cv2.polylines(image, [points], False, COLOURS[user.body.category], 1, cv2.LINE_AA, 3)
+    return image
 
 
 def _away(place: object, pose: Poses) -> float:
     return float(np.hypot(place.x_m - pose.translation[0, 0], place.y_m - pose.translation[0, 1]))
 
 
-def write(name: str, picture: UInt8) -> None:
+def write(name: str, bgr: UInt8) -> None:
     """Write a PNG of 256 colours: a third of the size, and no difference that is seen."""
     from PIL import Image
 
-    image = Image.fromarray(np.ascontiguousarray(picture[..., ::-1]))
+    image = Image.fromarray(np.ascontiguousarray(bgr[..., ::-1]))
     image = image.quantize(256, Image.Quantize.MEDIANCUT, kmeans=1, dither=Image.Dither.FLOYDSTEINBERG)
     image.save(HERE / name, optimize=True)
     print(name, f"{(HERE / name).stat().st_size / 1e3:.0f} kB")

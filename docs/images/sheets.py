@@ -18,7 +18,7 @@ from mirror.arrays import AnyArray, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.schema.documents import CANONICAL_CAMERAS
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from mirror.synth.fleet.recipe import CONDITIONS
 from mirror.synth.light.condition import Condition, Effects
 from mirror.synth.light.sun import instant_of
@@ -51,7 +51,7 @@ LABEL_COLOURS = {
 
 
 class Cell(NamedTuple):
-    """One picture of a sheet."""
+    """One image of a sheet."""
 
     bgr: UInt8
     caption: str = ""
@@ -61,9 +61,9 @@ class Cell(NamedTuple):
 
 
 def drives(preset: str, width_px: int) -> list[SynthDrive]:
-    """The drives of a preset that record pictures, with cameras of another resolution."""
-    _, found = drives_of(preset, 0)
-    return [at_width(one, width_px) for one in found if one.recipe.pictures]
+    """The drives of a preset that record images, with cameras of another resolution."""
+    _, found = make_drives(preset, 0)
+    return [at_width(one, width_px) for one in found if one.recipe.images]
 
 
 def at_width(one: SynthDrive, width_px: int) -> SynthDrive:
@@ -79,12 +79,12 @@ def in_condition(one: SynthDrive, date: str, light: str, weather: str, *, visit:
 
 
 def moment_ns(one: SynthDrive) -> int:
-    """When the front camera sees the most varied picture, by the entropy of the classes."""
+    """When the front camera sees the most varied image, by the entropy of the classes."""
     small = make_lens(replace(one.vehicle, width_px=160).cameras[FRONT])
 
     def variety(at_ns: int) -> float:
         pose = one.world_SE3_camera(FRONT, np.array([at_ns]))
-        return _entropy(one.stage.picture(one.at(at_ns), small, pose).view.label)
+        return _entropy(one.stage.render(one.at(at_ns), small, pose).view.label)
 
     return max((at_share(one, share) for share in MOMENTS), key=variety)
 
@@ -113,10 +113,10 @@ def told(one: SynthDrive) -> str:
 
 
 def row_of_cameras(one: SynthDrive, at_ns: int) -> Iterator[Cell]:
-    """The seven pictures of an instant."""
+    """The seven images of an instant."""
     instant = one.at(at_ns)
     for name in CANONICAL_CAMERAS:
-        yield Cell(one.picture(name, at_ns, instant).bgr, name)
+        yield Cell(one.render(name, at_ns, instant).bgr, name)
 
 
 # How it is laid out
@@ -142,9 +142,9 @@ def sheet(
     for number, (cell, size) in enumerate(zip(cells, sizes)):
         x, y = number % columns * (width + GAP_PX), int(tops[number // columns])
         height = heights[number // columns]
-        picture = cv2.resize(cell.bgr, size, interpolation=cv2.INTER_AREA)[..., ::-1]
+        image = cv2.resize(cell.bgr, size, interpolation=cv2.INTER_AREA)[..., ::-1]
         place = (x + (width - size[0]) // 2, y + (height - size[1]) // 2)
-        page.paste(Image.fromarray(np.ascontiguousarray(picture)), place)
+        page.paste(Image.fromarray(np.ascontiguousarray(image)), place)
         if captions:
             pen.text((x + width // 2, y + height + 1), cell.caption, "black", font, anchor="ma")
     return np.asarray(page)[..., ::-1]
@@ -175,8 +175,8 @@ def conditions() -> UInt8:
             one = in_condition(first, DATES[light], light, weather, visit=visit)
             if place is None:
                 place = one.world_SE3_ego(np.array([moment_ns(one)])).translation
-            picture = one.picture(FRONT, passing_ns(one, place)).bgr
-            cells.append(Cell(picture, f"{one.roi.scene_type}, {told(one)}"))
+            image = one.render(FRONT, passing_ns(one, place)).bgr
+            cells.append(Cell(image, f"{one.roi.scene_type}, {told(one)}"))
     return sheet(cells, len(CONDITIONS))
 
 
@@ -227,7 +227,7 @@ def benchmark() -> UInt8:
     cells = []
     for one in drives("benchmark", 480):
         number = one.drive_id.rpartition("-")[2]
-        cells.append(Cell(one.picture(FRONT, moment_ns(one)).bgr, f"{one.roi.scene_type} {number}: {told(one)}"))
+        cells.append(Cell(one.render(FRONT, moment_ns(one)).bgr, f"{one.roi.scene_type} {number}: {told(one)}"))
         one.forget()
     return sheet(cells, 8)
 
@@ -236,7 +236,7 @@ def paper() -> UInt8:
     """All traversals, a scene a row."""
     rows: dict[int, list[Cell]] = {}
     for one in drives("paper", 320):
-        rows.setdefault(one.scene, []).append(Cell(one.picture(FRONT, at_share(one, 0.4)).bgr))
+        rows.setdefault(one.scene, []).append(Cell(one.render(FRONT, at_share(one, 0.4)).bgr))
         one.forget()
     most = max(map(len, rows.values()))
     blank = Cell(np.full((9, 16, 3), 255, np.uint8))
@@ -254,18 +254,18 @@ def effects() -> UInt8:
         if place is None:
             place = one.world_SE3_ego(np.array([moment_ns(one)])).translation
         at = passing_ns(one, place)
-        cells.append(Cell(one.picture(FRONT, at).bgr, f"all, {told(one)}"))
+        cells.append(Cell(one.render(FRONT, at).bgr, f"all, {told(one)}"))
         for name in names:
             off = replace(one, condition=replace(one.condition, effects=replace(Effects(), **{name: False})))
-            cells.append(Cell(off.picture(FRONT, at).bgr, f"no {name.replace('_', ' ')}"))
+            cells.append(Cell(off.render(FRONT, at).bgr, f"no {name.replace('_', ' ')}"))
     return sheet(cells, 5)
 
 
 def truth() -> UInt8:
-    """A picture and its truth."""
+    """An image and its truth."""
     one = drives("benchmark", 960)[0]
     at = moment_ns(one)
-    shown, lens = one.picture(FRONT, at), one.vehicle.cameras[FRONT]
+    shown, lens = one.render(FRONT, at), one.vehicle.cameras[FRONT]
     pose, later = (one.world_SE3_camera(FRONT, np.array([at + step])) for step in (0, 100_000_000))
     view = shown.view
     flow = static_flow(view.distance_m, lens, pose, lens, later)
@@ -324,8 +324,8 @@ def seasons() -> UInt8:
     cells = []
     for name, date, visit in wanted:
         there = in_condition(one, date, "day", "clear", visit=visit)
-        picture = render(there.world, pose, one.vehicle.cameras[FRONT], 0.0, there.condition)
-        cells.append(Cell(picture.bgr, f"{name}, visit {visit}"))
+        image = render(there.world, pose, one.vehicle.cameras[FRONT], 0.0, there.condition)
+        cells.append(Cell(image.bgr, f"{name}, visit {visit}"))
     return sheet(cells, 3)
 
 

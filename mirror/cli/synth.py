@@ -68,14 +68,14 @@ def main(argv: Sequence[str]) -> int:
             progress=bar,
         )
     rois = arguments.out / "rois.geojson"
-    counts = {name: getattr(written, name) for name in ("pictures", "lost", "boxes", "unseen")}
+    counts = {"pictures": written.images, "lost": written.lost, "boxes": written.boxes, "unseen": written.unseen}
     if arguments.json:
         paths = [str(path) for path in written.recordings]
         print(json.dumps({"recordings": paths, "rois": str(rois), **counts}))
     else:
         print(f"{len(written.recordings)} recordings in {arguments.out}, their regions of interest in {rois}")
         print(
-            f"{written.pictures} pictures ({written.lost} more were lost), {written.boxes} boxes"
-            f" ({written.unseen} more road users were near, and in no picture)"
+            f"{written.images} images ({written.lost} more were lost), {written.boxes} boxes"
+            f" ({written.unseen} more road users were near, and in no image)"
         )
     return ExitCode.DONE

@@ -5,6 +5,6 @@ from __future__ import annotations
 from mirror.synth.errors import Errors
 from mirror.synth.fleet import PRESETS
 from mirror.synth.light.condition import Condition, Effects
-from mirror.synth.writing import Written, write_recordings
+from mirror.synth.writing import SynthReport, write_recordings
 
-__all__ = ["PRESETS", "Condition", "Effects", "Errors", "Written", "write_recordings"]
+__all__ = ["PRESETS", "Condition", "Effects", "Errors", "SynthReport", "write_recordings"]

@@ -1,4 +1,4 @@
-"""How what is recorded differs from the truth: positions, attitude, calibrations, clocks, lost pictures."""
+"""How what is recorded differs from the truth: positions, attitude, calibrations, clocks, lost images."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mirror.geometry.cameras import Camera
 
 Stage = Literal["factory", "online"]
 
-FARTHEST_SIGMA: Final = 3.0
+MAX_SIGMA: Final = 3.0
 """Errors of a mounting are drawn again from farther out than this: calibrations are off up to a known angle."""
 
 
@@ -76,10 +76,10 @@ class Errors:
         factory: of the mountings in ``calibrations/factory.json``, the same in all drives of a vehicle.
         online: of those in ``calibrations/online.json``, others in every drive.
         focal_share: 1-sigma of the focal length, as a share of it; the same in both stages.
-        centre_share: 1-sigma of the principal point along each axis, as a share of the picture's width.
+        centre_share: 1-sigma of the principal point along each axis, as a share of the image's width.
         clock_offset_ns: 1-sigma of the cameras' clocks against the vehicle's.
         clock_error_ns: 1-sigma of what the vehicle does not know of that.
-        dropped: share of the pictures that are lost.
+        dropped: share of the images that are lost.
     """
 
     position_noise_m: float = 0.003
@@ -99,7 +99,7 @@ class Errors:
         numbers = [value for one in fields(self) if isinstance(value := getattr(self, one.name), int | float)]
         _require(self, min(numbers) >= 0.0, "numbers of at least 0")
         _require(self, self.drift_time_s > 0.0, "drift_time_s above 0")
-        _require(self, self.dropped < 1.0, "a share of dropped pictures below 1")
+        _require(self, self.dropped < 1.0, "a share of dropped images below 1")
 
     @classmethod
     def none(cls) -> Errors:
@@ -146,7 +146,7 @@ class Errors:
 
     def believed(self, camera: Camera, rng: np.random.Generator) -> Camera:
         """The intrinsics that are taken for a camera's own."""
-        return disturbed(camera, self.focal_share, self.centre_share, rng)
+        return perturb_intrinsics(camera, self.focal_share, self.centre_share, rng)
 
     def clocks(self, cameras: Sequence[str], rng: np.random.Generator) -> dict[str, Clock]:
         """The cameras' clocks."""
@@ -155,7 +155,7 @@ class Errors:
         return {name: Clock(int(offset), int(error)) for name, offset, error in zip(cameras, known, errors)}
 
     def lost(self, count: int, rng: np.random.Generator) -> Bool:
-        """Which of a camera's pictures (count,) are lost."""
+        """Which of a camera's images (count,) are lost."""
         return rng.random(count) < self.dropped
 
 
@@ -190,7 +190,7 @@ def drift(time_s: Float64, over_s: float, rng: np.random.Generator) -> Float64:
     return states[:, 0]
 
 
-def disturbed(camera: Camera, focal_share: float, centre_share: float, rng: np.random.Generator) -> Camera:
+def perturb_intrinsics(camera: Camera, focal_share: float, centre_share: float, rng: np.random.Generator) -> Camera:
     """A camera whose focal length and principal point are a little off.
 
     Args:
@@ -225,5 +225,5 @@ def _near(rng: np.random.Generator, sigma: float) -> Float64:
     """A normal vector (3,), none from farther out than FARTHEST_SIGMA."""
     while True:
         drawn = rng.normal(size=3)
-        if np.linalg.norm(drawn) <= FARTHEST_SIGMA:
+        if np.linalg.norm(drawn) <= MAX_SIGMA:
             return sigma * drawn

@@ -1,4 +1,4 @@
-"""True pictures of moved cameras of a synthetic street: what an organiser keeps, and nobody recorded."""
+"""True images of moved cameras of a synthetic street: what an organiser keeps, and nobody recorded."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from mirror.schema.folders import Kind, require_own_folder
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
     from mirror.synth.render.scene import Instant
-    from mirror.synth.writing.shots import Shots
+    from mirror.synth.writing.schedule import ImageSchedule
 
 _LEAST_DB: Final = 28.0
-"""What is rendered again of a recorded picture differs from it by what JPEG loses: 35 dB and more are usual, and
+"""What is rendered again of a recorded image differs from it by what JPEG loses: 35 dB and more are usual, and
 another street has 20 dB at most."""
 
 
@@ -44,11 +44,11 @@ def write_hidden_truth(
 ) -> int:
     """Render the truth of a plan's views, in the layout of a submission.
 
-    The street is rendered from the true pose of each picture, moved as the view's group says; the vehicle itself moves
-    with its cameras. The picture is then taken into the view's raster by the dataset's calibration, as recorded ones
-    are: what that is off by is part of the truth of both. First a recorded picture of each traversal is rendered where
+    The street is rendered from the true pose of each image, moved as the view's group says; the vehicle itself moves
+    with its cameras. The image is then taken into the view's raster by the dataset's calibration, as recorded ones
+    are: what that is off by is part of the truth of both. First a recorded image of each traversal is rendered where
     it was taken, and must be what was recorded: so another preset or seed is noticed. ``hidden.json`` says what the
-    pictures are of, and is written last.
+    images are of, and is written last.
 
     Args:
         dataset: of recordings that ``mirror synth`` wrote.
@@ -59,11 +59,11 @@ def write_hidden_truth(
         advance: told of each view.
 
     Returns:
-        How many pictures were written.
+        How many images were written.
 
     Raises:
         UsageError: a group edits vehicles, the folder holds something, or there is no such preset or drive.
-        DatasetError: a picture is not one of the preset and seed, or the folder cannot be written.
+        DatasetError: an image is not one of the preset and seed, or the folder cannot be written.
     """
     if any(group.vehicle_shift_m is not None or group.without_vehicles for group in plan.protocol.groups):
         raise UsageError(f"protocol {plan.protocol.name} edits vehicles", expected="one that only moves cameras")
@@ -91,7 +91,7 @@ def write_hidden_truth(
 
 
 def _require_recorded(view: View, truth: GroundTruth, preset: str, seed: int, drive_id: str) -> None:
-    """A picture that is rendered where it was taken is the one that was recorded."""
+    """An image that is rendered where it was taken is the one that was recorded."""
     there = truth.recorded(view)[1].decode()
     again = _rendered(view, 0.0, preset, seed, drive_id)
     alike = float(psnr(again, there)) if again.shape == there.shape else None
@@ -107,38 +107,38 @@ def _require_recorded(view: View, truth: GroundTruth, preset: str, seed: int, dr
 
 def _rendered(view: View, shift_m: float, preset: str, seed: int, drive_id: str) -> UInt8:
     """What the camera would have recorded so far to its vehicle's left, RGB."""
-    drive, shots = _drive(preset, seed, drive_id)
-    stamps = shots.recorded_ns.get(view.camera, np.empty(0, np.int64))
+    drive, schedule = _drive(preset, seed, drive_id)
+    stamps = schedule.recorded_ns.get(view.camera, np.empty(0, np.int64))
     at = np.flatnonzero(stamps == view.timestamp_ns)
     if not len(at):
         raise DatasetError(
-            f"drive {drive_id} of preset {preset}, seed {seed}, has no picture at {view.timestamp_ns}",
+            f"drive {drive_id} of preset {preset}, seed {seed}, has no image at {view.timestamp_ns}",
             place=f"camera {view.camera}",
             expected="the preset and seed that the recordings were made with",
         )
-    true_ns = int(shots.true_ns[view.camera][at[0]])
+    true_ns = int(schedule.true_ns[view.camera][at[0]])
     aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, shift_m, 0.0]]))
     instant = _instant(preset, seed, drive_id, true_ns, shift_m)
     world_SE3_ego = drive.world_SE3_ego(np.array([true_ns])) @ aside
-    picture = drive.stage.picture(
+    rendered = drive.stage.render(
         instant,
         drive.lenses[view.camera],
         world_SE3_ego @ drive.vehicle.ego_SE3_camera[view.camera],
-        look=drive.looks[view.camera],
+        response=drive.camera_responses[view.camera],
         seed=true_ns % (1 << 31),
         drops=drive.drops.get(view.camera),
     )
-    return np.ascontiguousarray(picture.bgr[..., ::-1])
+    return np.ascontiguousarray(rendered.bgr[..., ::-1])
 
 
 @lru_cache(2)
-def _drive(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, Shots]:
-    from mirror.synth.fleet.drives import drive_named
-    from mirror.synth.writing.shots import shots_of
+def _drive(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, ImageSchedule]:
+    from mirror.synth.fleet.drives import make_drive
+    from mirror.synth.writing.schedule import schedule_images
 
-    drive = drive_named(preset, seed, drive_id)
+    drive = make_drive(preset, seed, drive_id)
     drive.prepare()
-    return drive, shots_of(drive, drive.preset.errors)
+    return drive, schedule_images(drive, drive.preset.errors)
 
 
 @lru_cache(8)

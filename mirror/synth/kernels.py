@@ -13,7 +13,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 def per_pixel(
     *, inline: Literal["never", "always"] = "never", contract: bool = False
 ) -> Callable[[_Function], _Function]:
-    """Compile a function that allocates nothing, without reference counts: they would cost a fifth of a picture's time.
+    """Compile a function that allocates nothing, without reference counts: they would cost a fifth of an image's time.
 
     Args:
         inline: ``always``: into the kernels that call it.

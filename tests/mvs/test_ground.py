@@ -8,7 +8,7 @@ import pytest
 from hybridworldsim.mvs.ground import fit_ground, wheel_places
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 
 
 def line(length_m: float = 80.0, step_m: float = 0.5) -> np.ndarray:
@@ -59,7 +59,7 @@ def test_points_that_are_not_of_the_ground_do_not_lift_it() -> None:
 
 
 def test_the_synthetic_street_is_met_to_centimetres() -> None:
-    drive = drives_of("reconstruction", 0, scenes=1, traversals=1)[1][0]
+    drive = make_drives("reconstruction", 0, scenes=1, traversals=1)[1][0]
     stamps = drive.condition.start_ns + np.arange(0, 60_000_000_000, 100_000_000)
     poses = drive.world_SE3_ego(stamps)
     poses = poses[np.linalg.norm(poses.translation[:, :2], axis=1) < 45.0]

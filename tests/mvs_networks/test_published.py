@@ -8,7 +8,7 @@ import pytest
 from hybridworldsim.mvs.patchmatchnet.estimator import PatchmatchNetEstimator
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from mirror.synth.render import render
 from mirror.weights.resolve import WeightResolver
 from tests.mvs_networks.pictures import posed, wall
@@ -48,7 +48,7 @@ def test_what_the_public_implementation_gives(estimator):
 @pytest.fixture(scope="module")
 def street():
     """A picture of the synthetic street, four round it, a metre away each, and the true depth."""
-    drive = drives_of("reconstruction", 0, scenes=1, traversals=1)[1][0]
+    drive = make_drives("reconstruction", 0, scenes=1, traversals=1)[1][0]
     times = drive.condition.start_ns + np.arange(0, 40_000_000_000, 100_000_000)
     poses = drive.world_SE3_camera("front_wide", times)
     middle = int(np.argmin(np.linalg.norm(poses.translation[:, :2], axis=1)))

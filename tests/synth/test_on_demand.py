@@ -1,4 +1,4 @@
-"""Pictures that no file holds: named by a uri, rendered when they are read, the same every time."""
+"""Images that no file holds: named by a uri, rendered when they are read, the same every time."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from mirror.integrity import check
 from mirror.recordings.raster import TAIL_BYTES, has_end, raster_size, require_whole
 from mirror.synth.fleet import PRESETS
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.drives import drive_named
-from mirror.synth.on_demand.png import TAIL, stored_length, stored_png
-from mirror.synth.on_demand.uri import PictureName, parsed
+from mirror.synth.fleet.drives import make_drive
+from mirror.synth.on_demand.png import TAIL, encode_stored_png, stored_png_length
+from mirror.synth.on_demand.uri import ImageName, parse_image_name
 
-NAME = PictureName("tiny", 0, "guangzhou-urban-02", "rear", 0)
+NAME = ImageName("tiny", 0, "guangzhou-urban-02", "rear", 0)
 
 
 def at(seconds: float, camera: str = "rear") -> str:
-    start = drive_named("tiny", 0, NAME.drive_id).condition.start_ns
+    start = make_drive("tiny", 0, NAME.drive_id).condition.start_ns
     return NAME._replace(true_ns=start + round(seconds * 1e9), camera=camera).uri()
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (7, 5), (160, 90), (21845, 1), (300, 220)])
 def test_the_length_of_a_png_is_known_before_its_pixels(width: int, height: int) -> None:
     bgr = np.random.default_rng(width).integers(0, 256, (height, width, 3), np.uint8)
-    data = stored_png(bgr)
-    assert len(data) == stored_length(width, height)
+    data = encode_stored_png(bgr)
+    assert len(data) == stored_png_length(width, height)
     assert data.endswith(TAIL) and len(TAIL) > TAIL_BYTES
     np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR), bgr)
     assert raster_size(data, "it") == (width, height)
@@ -44,15 +44,15 @@ def test_the_length_of_a_png_is_known_before_its_pixels(width: int, height: int)
     assert not has_end(data[:-1], "png")
 
 
-def test_a_uri_says_which_picture() -> None:
-    assert parsed(at(6.0)) == parsed(at(6.0).removeprefix("mirror-synth://"))
-    assert parsed(NAME.uri()) == NAME
+def test_a_uri_says_which_image() -> None:
+    assert parse_image_name(at(6.0)) == parse_image_name(at(6.0).removeprefix("mirror-synth://"))
+    assert parse_image_name(NAME.uri()) == NAME
     with pytest.raises(DatasetError, match="version 7") as caught:
-        parsed(NAME.uri().replace("//1/", "//7/"))
+        parse_image_name(NAME.uri().replace("//1/", "//7/"))
     assert caught.value.remedy is not None and "install" in caught.value.remedy
     for wrong in ("mirror-synth://1/tiny/0/a/rear", "mirror-synth://1/tiny/x/a/rear/5.png", "mirror-synth://", "x"):
-        with pytest.raises(DatasetError, match="no picture's name"):
-            parsed(wrong)
+        with pytest.raises(DatasetError, match="no image's name"):
+            parse_image_name(wrong)
 
 
 def test_reading_renders_it_and_twice_the_same() -> None:
@@ -60,8 +60,8 @@ def test_reading_renders_it_and_twice_the_same() -> None:
     with ThreadPoolExecutor(3) as pool:
         first, again, third = pool.map(filesystem.cat_file, [path] * 3)
     assert first == again == third
-    drive = drive_named("tiny", 0, NAME.drive_id)
-    expected = drive.picture("rear", parsed(path).true_ns).bgr
+    drive = make_drive("tiny", 0, NAME.drive_id)
+    expected = drive.render("rear", parse_image_name(path).true_ns).bgr
     np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(first, np.uint8), cv2.IMREAD_COLOR), expected)
     assert filesystem.cat_file(path, start=8, end=200) == first[8:200]
     assert filesystem.open(path).read() == first
@@ -70,7 +70,7 @@ def test_reading_renders_it_and_twice_the_same() -> None:
 
 
 def test_sizes_and_ends_are_had_without_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SynthDrive, "picture", lambda *_: pytest.fail("rendered"))
+    monkeypatch.setattr(SynthDrive, "render", lambda *_: pytest.fail("rendered"))
     filesystem, path = fsspec.core.url_to_fs(at(7.0))
     size = filesystem.info(path)["size"]
     assert filesystem.exists(path)
@@ -94,15 +94,15 @@ def test_what_there_is_not_is_not_found(uri: str) -> None:
         filesystem.cat_file(path)
 
 
-def test_recordings_refer_to_pictures_and_a_dataset_loads_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recordings_refer_to_images_and_a_dataset_loads_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     referring = replace(PRESETS["tiny"], name="referring", on_demand=True)
     monkeypatch.setitem(PRESETS, "referring", referring)
     rendered: list[int] = []
-    picture = SynthDrive.picture
-    monkeypatch.setattr(SynthDrive, "picture", lambda self, *words: (rendered.append(1), picture(self, *words))[1])
+    render = SynthDrive.render
+    monkeypatch.setattr(SynthDrive, "render", lambda self, *words: (rendered.append(1), render(self, *words))[1])
     written = mirror.synth.write_recordings(tmp_path / "fleet", "referring", truth=("poses",))
     assert not list(tmp_path.rglob("*.jpg")) and not list(tmp_path.rglob("*.png"))[7:]
-    assert written.pictures > 100 and written.boxes > 100
+    assert written.images > 100 and written.boxes > 100
     report = ingest(written.recordings, read_rois(tmp_path / "fleet" / "rois.geojson"), tmp_path / "d")
     assert not report.failures
     found = check(tmp_path / "d")
@@ -115,6 +115,8 @@ def test_recordings_refer_to_pictures_and_a_dataset_loads_them(tmp_path: Path, m
     pixels = image.decode(verify=True)
     assert image.uri.startswith("mirror-synth://1/referring/0/") and image.sha256 is None
     assert pixels.shape == (image.height_px, image.width_px, 3)
-    drive = drive_named("referring", 0, parsed(image.uri).drive_id)
-    np.testing.assert_array_equal(pixels[:, :, ::-1], picture(drive, "front_left", parsed(image.uri).true_ns).bgr)
+    drive = make_drive("referring", 0, parse_image_name(image.uri).drive_id)
+    np.testing.assert_array_equal(
+        pixels[:, :, ::-1], render(drive, "front_left", parse_image_name(image.uri).true_ns).bgr
+    )
     assert len(rendered) == 1

@@ -8,14 +8,14 @@ import pytest
 from mirror.errors import UsageError
 from mirror.synth.driving.routes import ROUTES
 from mirror.synth.fleet import PRESETS
-from mirror.synth.fleet.drives import drive_named, drives_of
-from mirror.synth.fleet.presets import recipes_of
+from mirror.synth.fleet.drives import make_drive, make_drives
+from mirror.synth.fleet.presets import cycle_recipes
 from mirror.synth.rigs import VEHICLE_TYPES
 
 
 def recipes(name: str):
     preset = PRESETS[name]
-    return [recipe for site in preset.sites for recipe in recipes_of(site, preset.traversals)]
+    return [recipe for site in preset.sites for recipe in cycle_recipes(site, preset.traversals)]
 
 
 def test_the_paper_has_ten_scenes_in_six_cities_and_seven_types_of_vehicle() -> None:
@@ -34,7 +34,7 @@ def test_the_benchmark_has_four_kinds_of_scene_and_six_conditions_of_each() -> N
     assert [site.roi.scene_type for site in preset.sites] == ["urban", "highway", "rural", "campus"]
     assert len(recipes("benchmark")) == 32
     for site in preset.sites:
-        mine = recipes_of(site, preset.traversals)
+        mine = cycle_recipes(site, preset.traversals)
         assert len({(one.light, one.weather) for one in mine}) == 6
         assert {one.route for one in mine} >= {"along", "back"}
         assert len({one.vehicle for one in mine}) == 7
@@ -57,19 +57,19 @@ def test_every_recipe_is_of_a_known_route_and_vehicle(name: str) -> None:
 
 
 def test_a_drive_is_the_same_however_many_are_recorded() -> None:
-    few, many = drives_of("demo", 3, traversals=2)[1], drives_of("demo", 3, traversals=9)[1]
+    few, many = make_drives("demo", 3, traversals=2)[1], make_drives("demo", 3, traversals=9)[1]
     by_id = {drive.drive_id: drive for drive in many}
     assert len(by_id) == len(many)
     for drive in few:
         again = by_id[drive.drive_id]
         assert (again.condition, again.seed, again.recipe) == (drive.condition, drive.seed, drive.recipe)
         assert again.vehicle == drive.vehicle
-    named = drive_named("demo", 3, "guangzhou-urban-09")
+    named = make_drive("demo", 3, "guangzhou-urban-09")
     assert (named.condition, named.seed) == (by_id[named.drive_id].condition, by_id[named.drive_id].seed)
 
 
 def test_recipes_that_come_again_come_on_another_day() -> None:
-    drives = drives_of("demo", 0, scenes=1, traversals=16)[1][:16]
+    drives = make_drives("demo", 0, scenes=1, traversals=16)[1][:16]
     days = (drives[7].condition.start_ns - drives[0].condition.start_ns) / 86.4e12
     assert drives[7].recipe == drives[0].recipe
     assert days == pytest.approx(9.0, abs=0.01)
@@ -78,7 +78,7 @@ def test_recipes_that_come_again_come_on_another_day() -> None:
 
 def test_vehicles_of_a_scene_have_ids_of_their_own() -> None:
     seen = {}
-    for drive in drives_of("benchmark", 0)[1]:
+    for drive in make_drives("benchmark", 0)[1]:
         assert seen.setdefault(drive.vehicle.vehicle_id, (drive.vehicle.kind.name, drive.roi.scene_id)) == (
             drive.vehicle.kind.name,
             drive.roi.scene_id,
@@ -89,4 +89,4 @@ def test_vehicles_of_a_scene_have_ids_of_their_own() -> None:
 @pytest.mark.parametrize("drive_id", ["nowhere-01", "guangzhou-urban-corner", "guangzhou-urban-00", "guangzhou-urban"])
 def test_drives_that_are_none_are_refused(drive_id: str) -> None:
     with pytest.raises(UsageError, match="no drive"):
-        drive_named("demo", 0, drive_id)
+        make_drive("demo", 0, drive_id)

@@ -16,9 +16,9 @@ from mirror.geometry.poses import Poses
 from mirror.ingest.rois import read_rois
 from mirror.recordings.folder import FolderReader
 from mirror.schema.documents import CANONICAL_CAMERAS
-from mirror.synth import Errors, Written
+from mirror.synth import Errors, SynthReport
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from mirror.synth.model import Label
 from mirror.synth.truth import Truth
 from mirror.synth.writing.journal import journal
@@ -29,7 +29,7 @@ Recorded = tuple[Path, SynthDrive]
 
 
 @pytest.fixture(scope="module")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> Written:
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> SynthReport:
     return mirror.synth.write_recordings(tmp_path_factory.mktemp("synth") / "tiny", workers=2)
 
 
@@ -38,7 +38,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """The first recording again, by one thread, with all its truth beside it."""
     out = tmp_path_factory.mktemp("synth") / "again"
     written = mirror.synth.write_recordings(out, traversals=1, workers=1, truth=TRUTH_KINDS)
-    return written.recordings[0], drives_of("tiny", 0)[1][0]
+    return written.recordings[0], make_drives("tiny", 0)[1][0]
 
 
 def digest(folder: Path) -> dict[str, str]:
@@ -49,21 +49,23 @@ def digest(folder: Path) -> dict[str, str]:
     }
 
 
-def recordings(tiny: Written) -> list[Recorded]:
-    return list(zip(tiny.recordings, drives_of("tiny", 0)[1]))
+def recordings(tiny: SynthReport) -> list[Recorded]:
+    return list(zip(tiny.recordings, make_drives("tiny", 0)[1]))
 
 
-def test_files_depend_neither_on_the_number_of_threads_nor_on_truth_beside_them(tiny: Written, first: Recorded) -> None:
+def test_files_depend_neither_on_the_number_of_threads_nor_on_truth_beside_them(
+    tiny: SynthReport, first: Recorded
+) -> None:
     again = digest(first[0])
     assert len(again) > 100
     assert again == digest(tiny.recordings[0])
 
 
-def test_rois_are_those_of_the_scenes(tiny: Written) -> None:
-    assert read_rois(tiny.recordings[0].parent / "rois.geojson") == [drives_of("tiny", 0)[1][0].roi]
+def test_rois_are_those_of_the_scenes(tiny: SynthReport) -> None:
+    assert read_rois(tiny.recordings[0].parent / "rois.geojson") == [make_drives("tiny", 0)[1][0].roi]
 
 
-def test_recorded_poses_are_the_true_ones_within_the_stated_noise(tiny: Written) -> None:
+def test_recorded_poses_are_the_true_ones_within_the_stated_noise(tiny: SynthReport) -> None:
     for path, drive in recordings(tiny):
         track = FolderReader().open(path, {}).track()
         truth = drive.world_SE3_ego(track.timestamp_ns)
@@ -77,8 +79,8 @@ def test_recorded_poses_are_the_true_ones_within_the_stated_noise(tiny: Written)
         assert turned.max() < 0.2
 
 
-def test_without_errors_what_is_recorded_is_what_was(tiny: Written, tmp_path: Path) -> None:
-    drive = drives_of("tiny", 0)[1][2]
+def test_without_errors_what_is_recorded_is_what_was(tiny: SynthReport, tmp_path: Path) -> None:
+    drive = make_drives("tiny", 0)[1][2]
     (tmp_path / "recording.json").write_bytes((tiny.recordings[2] / "recording.json").read_bytes())
     write_poses(tmp_path, drive, Errors.none())
     track = FolderReader().open(tmp_path, {}).track()
@@ -88,8 +90,8 @@ def test_without_errors_what_is_recorded_is_what_was(tiny: Written, tmp_path: Pa
 
 
 @pytest.mark.parametrize("style", ["csv", "parquet", "parts", "gps", "heading"])
-def test_every_style_of_poses_is_read_back(tiny: Written, tmp_path: Path, style: str) -> None:
-    drive = drives_of("tiny", 0)[1][2]
+def test_every_style_of_poses_is_read_back(tiny: SynthReport, tmp_path: Path, style: str) -> None:
+    drive = make_drives("tiny", 0)[1][2]
     styled = replace(drive, recipe=replace(drive.recipe, poses=style))
     text = (tiny.recordings[2] / "recording.json").read_text()
     (tmp_path / "recording.json").write_text(text.replace("unix_ns", "gps_us") if style == "gps" else text)
@@ -102,12 +104,12 @@ def test_every_style_of_poses_is_read_back(tiny: Written, tmp_path: Path, style:
     assert angle_between_deg(track.rotation, truth.rotation).max() < (8.0 if style == "heading" else 0.5)
 
 
-def test_pictures_lie_within_the_poses_and_one_is_lost(tiny: Written) -> None:
+def test_images_lie_within_the_poses_and_one_is_lost(tiny: SynthReport) -> None:
     lost = 0
     for path, drive in recordings(tiny):
         recording = FolderReader().open(path, {})
         images, stamps = recording.images(), recording.track().timestamp_ns
-        assert (recording.rig is not None) == bool(images) == drive.recipe.pictures
+        assert (recording.rig is not None) == bool(images) == drive.recipe.images
         if not images:
             continue
         assert tuple(images) == CANONICAL_CAMERAS
@@ -116,14 +118,14 @@ def test_pictures_lie_within_the_poses_and_one_is_lost(tiny: Written) -> None:
         for name, stream in images.items():
             assert stamps[0] < stream.exposure_start_ns[0]
             assert stream.exposure_end_ns[-1] < stamps[-1]
-            picture, camera = cv2.imread(str(stream.path(3))), drive.vehicle.cameras[name]
-            assert picture.shape == (camera.height_px, camera.width_px, 3)
-            assert picture.std() > 5, name
+            image, camera = cv2.imread(str(stream.path(3))), drive.vehicle.cameras[name]
+            assert image.shape == (camera.height_px, camera.width_px, 3)
+            assert image.std() > 5, name
     assert lost == tiny.lost == 1
-    assert tiny.pictures == sum(1 for _ in tiny.recordings[0].parent.rglob("*.jpg"))
+    assert tiny.images == sum(1 for _ in tiny.recordings[0].parent.rglob("*.jpg"))
 
 
-def test_calibrations_are_off_the_truth_by_the_errors_of_their_stage(tiny: Written) -> None:
+def test_calibrations_are_off_the_truth_by_the_errors_of_their_stage(tiny: SynthReport) -> None:
     path, drive = recordings(tiny)[0]
     table = FolderReader().open(path, {}).calibrations().to_pandas()
     errors = {"factory": [], "online": []}
@@ -137,7 +139,7 @@ def test_calibrations_are_off_the_truth_by_the_errors_of_their_stage(tiny: Writt
     assert 0.01 < np.mean(errors["online"]) < 0.15
 
 
-def test_boxes_enclose_what_is_drawn(tiny: Written) -> None:
+def test_boxes_enclose_what_is_drawn(tiny: SynthReport) -> None:
     held = 0
     for path, drive in recordings(tiny)[:2]:
         boxes = FolderReader().open(path, {}).boxes().to_pandas()
@@ -147,14 +149,14 @@ def test_boxes_enclose_what_is_drawn(tiny: Written) -> None:
         clock = drive.preset.errors.clocks(CANONICAL_CAMERAS, np.random.default_rng([drive.seed, 2]))["front_wide"]
         true_ns = stamp - clock.error_ns
         instant = drive.at(true_ns)
-        names = [user.track_id for user in drive.users]
+        names = [user.track_id for user in drive.road_users]
         sizes = rows[["length_m", "width_m", "height_m"]].to_numpy()
         for camera, lens in drive.vehicle.cameras.items():
-            picture = drive.picture(camera, true_ns, instant)
+            image = drive.render(camera, true_ns, instant)
             mounting = drive.vehicle.ego_SE3_camera[camera]
             projected = project_boxes(lens, mounting.inverse() @ Poses.from_columns(rows), sizes)
             for place, track_id in enumerate(rows["track_id"]):
-                v, u = np.nonzero(picture.view.object == names.index(track_id))
+                v, u = np.nonzero(image.view.object == names.index(track_id))
                 if not len(u):
                     continue
                 assert projected.visible[place]
@@ -165,14 +167,14 @@ def test_boxes_enclose_what_is_drawn(tiny: Written) -> None:
     assert held > 500
 
 
-def test_the_mask_of_the_vehicle_itself_is_where_its_bonnet_is_drawn(tiny: Written) -> None:
+def test_the_mask_of_the_vehicle_itself_is_where_its_bonnet_is_drawn(tiny: SynthReport) -> None:
     path, drive = recordings(tiny)[0]
     rig = FolderReader().open(path, {}).rig
     masks = {camera.name: camera.static_mask for camera in rig.cameras if camera.static_mask is not None}
     mask = masks["front_wide"]
     assert 0.05 < (mask > 0).mean() < 0.4
     true_ns = drive.condition.start_ns + 3_000_000_000
-    label = drive.picture("front_wide", true_ns).view.label
+    label = drive.render("front_wide", true_ns).view.label
     assert (mask[label == Label.EGO] == 255).all()
     assert (label == Label.EGO).sum() > 0.8 * (mask > 0).sum()
 
@@ -196,8 +198,8 @@ def test_exact_poses_and_calibrations_lie_beside(first: Recorded) -> None:
     assert lenses["rear"].fx_px == drive.vehicle.cameras["rear"].fx_px
 
 
-def test_flow_leads_from_a_picture_to_the_next(first: Recorded) -> None:
-    """What flow says is held against distances of the next picture, at places that both see."""
+def test_flow_leads_from_a_image_to_the_next(first: Recorded) -> None:
+    """What flow says is held against distances of the next image, at places that both see."""
     path, drive = first
     truth, camera = Truth(path), "rear"
     poses = truth.poses().to_pandas()
@@ -228,7 +230,7 @@ def test_masks_and_boxes_of_the_truth_speak_of_the_same_objects(first: Recorded)
     truth = Truth(path)
     boxes = truth.boxes().to_pandas()
     objects = [one.track_id for one in truth.document.objects]
-    assert objects == [user.track_id for user in drive.users]
+    assert objects == [user.track_id for user in drive.road_users]
     shown = boxes[boxes["pixels"] > 0]
     assert len(shown) > 50
     assert shown["visibility"].between(0.0, 1.0).all() and (shown["visibility"] < 0.9).any()
@@ -258,21 +260,21 @@ def test_normals_are_those_of_the_distances(first: Recorded) -> None:
 
 
 class _Interrupted:
-    """Progress that is interrupted at a picture of a recording."""
+    """Progress that is interrupted at an image of a recording."""
 
-    def __init__(self, recording: int, picture: int) -> None:
-        self._recording, self._picture = recording, picture
+    def __init__(self, recording: int, image: int) -> None:
+        self._recording, self._image = recording, image
 
     def start(self, what: str, total: int) -> None:
         self._recording -= 1
 
     def advance(self, steps: int) -> None:
-        self._picture -= steps * (self._recording == 0)
-        if self._picture < 0:
+        self._image -= steps * (self._recording == 0)
+        if self._image < 0:
             raise KeyboardInterrupt
 
 
-def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: Written, tmp_path: Path) -> None:
+def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: SynthReport, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         mirror.synth.write_recordings(out, workers=2, progress=_Interrupted(2, 30))
@@ -287,7 +289,7 @@ def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: Written, tm
     again = mirror.synth.write_recordings(out, workers=2)
     assert kept.stat().st_mtime_ns == before
     assert digest(out) == digest(tiny.recordings[0].parent)
-    counts = [(one.pictures, one.lost, one.boxes, one.unseen) for one in (again, tiny)]
+    counts = [(one.images, one.lost, one.boxes, one.unseen) for one in (again, tiny)]
     assert counts[0] == counts[1]
     assert mirror.synth.write_recordings(out, workers=2) == again
 

@@ -13,7 +13,7 @@ from mirror.cli.demo import main as demo
 from mirror.cli.main import main
 from mirror.errors import ExitCode
 from mirror.synth import Effects
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from tests.leaderboard.test_add import result
 
 
@@ -34,13 +34,13 @@ def test_effects_are_left_out_by_name(tmp_path: Path, capsys: pytest.CaptureFixt
     out = tmp_path / "plain"
     words = ["synth", "--out", str(out), "--preset", "tiny", "--traversals", "1", "--json", "--errors", "none"]
     assert main([*words, "--without", "noise,traffic,vignetting"]) == 0
-    drive = drives_of("tiny", 0, traversals=1)[1][0]
+    drive = make_drives("tiny", 0, traversals=1)[1][0]
     effects = Effects(noise=False, traffic=False, vignetting=False)
     shown = replace(drive, condition=replace(drive.condition, effects=effects))
-    pictures = sorted((out / drive.drive_id / "images" / "front_wide").iterdir())
-    written = cv2.imread(str(pictures[0]))
-    stamp = int(pictures[0].stem)
-    apart = [np.abs(written - one.picture("front_wide", stamp).bgr.astype(int)).mean() for one in (shown, drive)]
+    images = sorted((out / drive.drive_id / "images" / "front_wide").iterdir())
+    written = cv2.imread(str(images[0]))
+    stamp = int(images[0].stem)
+    apart = [np.abs(written - one.render("front_wide", stamp).bgr.astype(int)).mean() for one in (shown, drive)]
     assert apart[0] < 0.75 * apart[1]
     assert main([*words[:2], str(tmp_path / "other"), "--without", "noise,fog"]) == 2
     said = capsys.readouterr().err
@@ -102,7 +102,7 @@ def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     assert "  nearest_frame PSNR 13.25 dB, PSNR* 16.25 dB on the held-out traversal" in told
     boards = [words[1:3] for words in ran if words[1] in ("baseline", "leaderboard")]
     street = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["baseline", "mean_color"], ["leaderboard", "add"]]
-    # The block and the nearest pictures of its street stand on the board too, which is built last.
+    # The block and the nearest images of its street stand on the board too, which is built last.
     block = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["leaderboard", "add"], ["leaderboard", "build"]]
     assert boards == [*street, *block]
     verbs = [words[1] for words in ran]

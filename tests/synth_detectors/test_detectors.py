@@ -13,7 +13,7 @@ from mirror.errors import UsageError
 
 
 @pytest.fixture(scope="module")
-def pictures() -> list[Crowded]:
+def images() -> list[Crowded]:
     return list(crowded(street(), condition_of("day", "clear"), 2, 640, 1))
 
 
@@ -51,8 +51,8 @@ def test_another_file_of_weights_is_refused(tmp_path: Path) -> None:
         AgentPlates(weights)
 
 
-def test_pictures_show_people_and_cars_from_before(pictures: list[Crowded]) -> None:
-    people, cars = pictures
+def test_images_show_people_and_cars_from_before(images: list[Crowded]) -> None:
+    people, cars = images
     assert sum(face.seen > 0.6 for face in people.faces) >= 3
     assert sum(plate.seen > 0.85 for plate in cars.plates) >= 1
     for face in people.faces:
@@ -65,9 +65,9 @@ def test_pictures_show_people_and_cars_from_before(pictures: list[Crowded]) -> N
             assert plate.size_px[0] < 7.0 * plate.size_px[1]
 
 
-def test_yunet_finds_clear_faces(pictures: list[Crowded], real_data: Path) -> None:
+def test_yunet_finds_clear_faces(images: list[Crowded], real_data: Path) -> None:
     detector = YuNet(real_data / "weights" / "yunet" / "yunet_n_dynamic.onnx")
-    found = judged([(detector.boxes(one.bgr), one.faces) for one in pictures], 1, 0.6)
+    found = judged([(detector.boxes(one.bgr), one.faces) for one in images], 1, 0.6)
     clear = found.size_px >= 20.0
     assert clear.sum() >= 2
     assert found.found[clear].mean() >= 0.8

@@ -36,12 +36,12 @@ def footprint(length, width, x, y, yaw) -> Polygon:
 @pytest.mark.parametrize("route", ["along", "turn", "left"])
 def test_nobody_overlaps_anybody(route) -> None:
     found = made(route)
-    assert sum(isinstance(user.motion, Moving) for user in found.users) > 15
+    assert sum(isinstance(user.motion, Moving) for user in found.road_users) > 15
     for time_s in np.arange(0.0, found.drive.duration_s, 0.5):
         along, _ = found.drive.schedule.at(np.array([time_s]))
         (x, y, _, yaw, _, _), ahead = found.drive.trace.at(along)[0][0], 0.5 * EGO.length_m - EGO.rear_overhang_m
         shapes = [footprint(EGO.length_m, EGO.width_m, x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw)]
-        for user in found.users:
+        for user in found.road_users:
             at = user.motion.at(float(time_s))
             if np.hypot(at.x_m, at.y_m) < street.RADIUS + 50.0:
                 shapes.append(footprint(*user.body.size_m[:2], at.x_m, at.y_m, at.yaw_rad))
@@ -84,7 +84,7 @@ def test_it_stands_on_the_ground() -> None:
 def test_others_stand_on_the_ground_and_drive_sanely() -> None:
     found = made("along")
     times = np.arange(0.0, found.drive.duration_s, 0.1)
-    for user in found.users:
+    for user in found.road_users:
         if not isinstance(user.motion, Moving):
             continue
         placed, _ = user.motion.trace.at(user.motion.schedule.at(times)[0])
@@ -125,15 +125,15 @@ def test_the_routes_meet_every_branch_of_the_trigger(route) -> None:
 def test_the_same_again_and_another_time() -> None:
     first, again, other = (journey(SITE, "turn", EGO, seed, fastest_mps=14.0) for seed in (4, 4, 5))
     assert np.array_equal(first.drive.schedule.along_m, again.drive.schedule.along_m)
-    assert [user.track_id for user in first.users] == [user.track_id for user in again.users]
-    for a, b in zip(first.users, again.users):
+    assert [user.track_id for user in first.road_users] == [user.track_id for user in again.road_users]
+    for a, b in zip(first.road_users, again.road_users):
         assert a.motion.at(7.3) == b.motion.at(7.3)
-    assert {user.motion.at(1.0) for user in first.users} != {user.motion.at(1.0) for user in other.users}
+    assert {user.motion.at(1.0) for user in first.road_users} != {user.motion.at(1.0) for user in other.road_users}
 
 
 def test_at_night_there_are_few() -> None:
     quiet = journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=Bustle(0.15, 0.1))
-    moving = [user for user in quiet.users if isinstance(user.motion, Moving)]
-    assert len(moving) < 0.5 * sum(isinstance(user.motion, Moving) for user in made("along").users)
+    moving = [user for user in quiet.road_users if isinstance(user.motion, Moving)]
+    assert len(moving) < 0.5 * sum(isinstance(user.motion, Moving) for user in made("along").road_users)
     alone = journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=Bustle(0.0, 0.0))
-    assert not any(isinstance(user.motion, Moving) for user in alone.users)
+    assert not any(isinstance(user.motion, Moving) for user in alone.road_users)

@@ -131,8 +131,8 @@ def test_a_pause_is_kept() -> None:
 
 
 def test_the_same_again() -> None:
-    users = [car(way, enter_s=2.0 * number) for number in range(5) for way in (EAST, NORTH, LEFT, WEST)]
-    once, again = (simulated(NETWORK, users, 5.0, 80.0) for _ in range(2))
+    road_users = [car(way, enter_s=2.0 * number) for number in range(5) for way in (EAST, NORTH, LEFT, WEST)]
+    once, again = (simulated(NETWORK, road_users, 5.0, 80.0) for _ in range(2))
     for a, b in zip(once, again):
         assert (a is None) == (b is None)
         if a is not None and b is not None:

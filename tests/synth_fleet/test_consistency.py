@@ -10,11 +10,11 @@ import pytest
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes, quaternion_from_matrix
 from mirror.schema.documents import CANONICAL_CAMERAS
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from mirror.synth.model import Label, Material, Model
 from mirror.synth.render.scene import Instant
-from mirror.synth.render.view import View, see
-from mirror.synth.truth.casting import cast
+from mirror.synth.render.view import RenderView, rasterize_view
+from mirror.synth.truth.casting import cast_rays
 
 MOMENTS = (0.35, 0.6)
 
@@ -22,8 +22,8 @@ MOMENTS = (0.35, 0.6)
 @cache
 def drives() -> list[SynthDrive]:
     """Two traversals of one scene, in different light and by different vehicles."""
-    _, found = drives_of("tiny", 0)
-    return [drive for drive in found if drive.recipe.pictures][:2]
+    _, found = make_drives("tiny", 0)
+    return [drive for drive in found if drive.recipe.images][:2]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Seen:
     camera: str
     instant: Instant
     world_SE3_camera: Poses
-    view: View
+    view: RenderView
 
     @property
     def rotation(self) -> np.ndarray:
@@ -52,7 +52,7 @@ def views(number: int, moment: float) -> list[Seen]:
     found = []
     for camera in CANONICAL_CAMERAS:
         pose = drive.world_SE3_camera(camera, np.array([stamp]))
-        view = see(
+        view = rasterize_view(
             instant.surroundings, drive.lenses[camera], matrix_from_quaternion(pose.rotation)[0], pose.translation[0]
         )
         found.append(Seen(drive, camera, instant, pose, view))
@@ -91,7 +91,7 @@ def test_a_point_of_one_view_is_where_the_others_see_it() -> None:
         for other in rng.permutation(np.array(list(everything()), object))[:3]:
             away = points - other.origin
             far = np.linalg.norm(away, axis=1)
-            distance, _ = cast(model, other.origin, away / far[:, None])
+            distance, _ = cast_rays(model, other.origin, away / far[:, None])
             # Nobody sees through it: it may be hidden, but the surface is there.
             assert (distance <= far + 1e-3).all()
             checked += len(points)
@@ -137,7 +137,7 @@ def test_boxes_enclose_their_masks_to_a_pixel(number: int) -> None:
         for seen in views(number, moment):
             mask, camera = seen.view.object, seen.drive.vehicle.cameras[seen.camera]
             for user in np.unique(mask[mask >= 0]):
-                place, body = seen.instant.placements[int(user)], seen.drive.users[int(user)].body
+                place, body = seen.instant.placements[int(user)], seen.drive.road_users[int(user)].body
                 middle = place.translation + place.rotation @ (0.0, 0.0, 0.5 * body.size_m[2])
                 box = Poses(quaternion_from_matrix(place.rotation[None]), middle[None])
                 found = project_boxes(camera, seen.world_SE3_camera.inverse() @ box, np.array([body.size_m]))
@@ -153,7 +153,7 @@ def test_boxes_enclose_their_masks_to_a_pixel(number: int) -> None:
 def test_the_masks_of_the_vehicle_hold_all_that_is_seen_of_it() -> None:
     own = 0
     for seen in everything():
-        mask = seen.drive.own_masks.get(seen.camera)
+        mask = seen.drive.ego_masks.get(seen.camera)
         ego = seen.view.label == Label.EGO
         own += int(ego.sum())
         assert not (ego & (mask == 0 if mask is not None else True)).any()

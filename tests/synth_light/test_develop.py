@@ -12,12 +12,12 @@ from mirror.errors import UsageError
 from mirror.synth.light.condition import Condition, Effects
 from mirror.synth.light.lighting import LIGHTING, lighting
 from mirror.synth.light.sun import instant_of
-from mirror.synth.render.develop import CameraLook, camera_look, develop, exposure_of, lens_drops
+from mirror.synth.render.develop import CameraResponse, compute_exposure, develop, draw_camera_response, lens_drops
 from mirror.synth.render.develop.curve import film, film_table, gaussian_table
-from mirror.synth.render.develop.drops import DROP, through_drops
+from mirror.synth.render.develop.drops import DROP, refract_drops
 from mirror.synth.render.develop.glare import glare
 
-PLAIN = CameraLook()
+PLAIN = CameraResponse()
 NONE = Effects.none()
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -61,7 +61,7 @@ def reference(radiance: np.ndarray, gains: np.ndarray, vignette: float, spilt: n
 
 @pytest.mark.parametrize("bright", [0.01, 1.0, 30.0])
 def test_levels_agree_with_double_precision_to_half_a_level(bright: float) -> None:
-    radiance, look = bright * street(), CameraLook(tint=(0.97, 1.01, 1.04), vignette=0.3)
+    radiance, look = bright * street(), CameraResponse(tint=(0.97, 1.01, 1.04), vignette=0.3)
     effects = replace(NONE, white_balance=True, vignetting=True)
     out = develop(radiance, fixed(0.7), look, effects, 0)
     exact = reference(radiance, 0.7 * np.array([1.2, 1.0, 0.8]) * look.tint, 0.3, None)
@@ -93,7 +93,7 @@ def test_the_film_is_smooth_and_rising() -> None:
 def test_noise_has_mean_zero_and_the_stated_variance() -> None:
     read, shot, exposure = 0.004, 0.0006, 0.5
     effects = replace(NONE, noise=True)
-    look = CameraLook(noise=1.5)
+    look = CameraResponse(noise=1.5)
     for value in (0.2, 0.5, 1.2):
         flat = np.full((400, 400, 3), value, np.float32)
         clean = reference(flat[:1, :1], np.full(3, exposure), 0.0, None)[0, 0, 0]
@@ -118,7 +118,7 @@ def test_the_table_of_the_noise_is_normal() -> None:
     assert (values**4).mean() == pytest.approx(3.0, abs=0.03)
 
 
-def test_pictures_have_other_noise_and_nothing_else() -> None:
+def test_images_have_other_noise_and_nothing_else() -> None:
     radiance, one = street(), record("night")
     first, again, second = (develop(radiance, one, PLAIN, Effects(), seed) for seed in (1, 1, 2))
     assert np.array_equal(first, again)
@@ -127,7 +127,7 @@ def test_pictures_have_other_noise_and_nothing_else() -> None:
 
 
 def test_threads_make_the_same_bytes() -> None:
-    one, look, drops = record("night", "rain"), camera_look(4), lens_drops(1, 0.5)
+    one, look, drops = record("night", "rain"), draw_camera_response(4), lens_drops(1, 0.5)
     motion = np.random.default_rng(0).normal(0.0, 3.0, (90, 160, 2)).astype(np.float32)
 
     def made(seed: int) -> bytes:
@@ -140,7 +140,7 @@ def test_threads_make_the_same_bytes() -> None:
 
 @pytest.mark.parametrize("effect", ["noise", "vignetting", "white_balance", "bloom", "motion_blur", "lens_drops"])
 def test_a_switch_that_is_off_is_as_if_there_were_no_such_thing(effect: str) -> None:
-    radiance, one, look = street(), record("night", "rain"), camera_look(7)
+    radiance, one, look = street(), record("night", "rain"), draw_camera_response(7)
     radiance[40:44, 70:90] = 40.0
     drops, motion = lens_drops(1, 90 / 160), np.full((90, 160, 2), 5.0, np.float32)
     assert len(drops)
@@ -164,7 +164,7 @@ def test_a_switch_that_is_off_is_as_if_there_were_no_such_thing(effect: str) -> 
 
 def test_a_vignette_depends_on_the_distance_from_the_middle_alone() -> None:
     flat = np.full((101, 151, 3), 0.5, np.float32)
-    out = develop(flat, fixed(0.5), CameraLook(vignette=0.4), replace(NONE, vignetting=True), 0)[..., 0].astype(int)
+    out = develop(flat, fixed(0.5), CameraResponse(vignette=0.4), replace(NONE, vignetting=True), 0)[..., 0].astype(int)
     assert np.array_equal(out, out[::-1])
     assert np.array_equal(out, out[:, ::-1])
     y, x = np.mgrid[-50:51, -75:76]
@@ -177,12 +177,12 @@ def test_a_vignette_depends_on_the_distance_from_the_middle_alone() -> None:
 @given(st.floats(1e-3, 1e3), st.floats(1.0, 4.0))
 def test_exposure_falls_with_brightness_and_keeps_to_its_limits(bright: float, more: float) -> None:
     radiance, one = street(24, 32), fixed(1.0)
-    low = exposure_of(np.float32(bright) * radiance, one, PLAIN, Effects())
-    high = exposure_of(np.float32(bright * more) * radiance, one, PLAIN, Effects())
+    low = compute_exposure(np.float32(bright) * radiance, one, PLAIN, Effects())
+    high = compute_exposure(np.float32(bright * more) * radiance, one, PLAIN, Effects())
     assert 1 / 2.3 - 1e-6 <= high <= low * (1 + 1e-5) <= 2.3 * (1 + 2e-5)
-    assert exposure_of(np.float32(bright) * radiance, one, PLAIN, NONE) == 1.0
-    assert exposure_of(radiance, one, CameraLook(exposure_ev=1.0), Effects()) == pytest.approx(
-        2 * exposure_of(radiance, one, PLAIN, Effects())
+    assert compute_exposure(np.float32(bright) * radiance, one, PLAIN, NONE) == 1.0
+    assert compute_exposure(radiance, one, CameraResponse(exposure_ev=1.0), Effects()) == pytest.approx(
+        2 * compute_exposure(radiance, one, PLAIN, Effects())
     )
 
 
@@ -193,7 +193,7 @@ def test_glare_is_made_only_where_something_is_brighter_than_white() -> None:
     dark[124:132, 188:196] = 5.1
     spilt = glare(dark, np.ones(3))
     assert spilt is not None
-    # What is above 1.1 times white is spread; some of it leaves the picture.
+    # What is above 1.1 times white is spread; some of it leaves the image.
     assert 0.2 < 16 * spilt.sum() / (3 * 64 * 4.0) < 0.27
     assert spilt[32, 48, 0] == spilt.max()
     assert np.abs(spilt - spilt[::-1, ::-1]).max() < 0.05 * spilt.max()
@@ -205,23 +205,23 @@ def test_drops_change_nothing_beside_them() -> None:
     radiance = street()
     drops = np.zeros(1, DROP)
     drops[0] = (0.5, 0.25, 0.06, 0.08, 0.2, 0.9)
-    out = through_drops(radiance, drops)
+    out = refract_drops(radiance, drops)
     y, x = np.mgrid[:90, :160] + 0.5
     inside = ((x / 160 - 0.5) / 0.06) ** 2 + ((y / 160 - 0.25) / 0.08) ** 2 < 1.0
     assert np.array_equal(out[~inside], radiance[~inside])
     assert (out[inside] != radiance[inside]).mean() > 0.9
-    assert np.array_equal(through_drops(radiance, drops[:0]), radiance)
+    assert np.array_equal(refract_drops(radiance, drops[:0]), radiance)
     # A drop shows above what is below.
     radiance[:] = np.linspace(0.0, 1.0, 90, dtype=np.float32)[:, None, None]
-    shown = through_drops(radiance, drops)[34:47, 80, 1]
+    shown = refract_drops(radiance, drops)[34:47, 80, 1]
     assert shown[0] > shown[-1]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (2, 2)])
-def test_the_smallest_pictures_come_out(shape: tuple[int, int]) -> None:
+def test_the_smallest_images_come_out(shape: tuple[int, int]) -> None:
     radiance = np.full((*shape, 3), 3.0, np.float32)
     motion = np.full((*shape, 2), 2.0, np.float32)
-    out = develop(radiance, record(), camera_look(1), Effects(), 0, motion=motion, drops=lens_drops(1, 1.0))
+    out = develop(radiance, record(), draw_camera_response(1), Effects(), 0, motion=motion, drops=lens_drops(1, 1.0))
     assert out.shape == (*shape, 3)
     assert out.min() > 100
 
@@ -254,8 +254,8 @@ def test_other_arrays_are_refused(radiance: np.ndarray) -> None:
 @settings(max_examples=30)
 @given(st.integers(0, 2**63 - 1))
 def test_cameras_differ_but_little(seed: int) -> None:
-    look = camera_look(seed)
-    assert look == camera_look(seed)
+    look = draw_camera_response(seed)
+    assert look == draw_camera_response(seed)
     assert abs(look.exposure_ev) < 1.0
     assert all(0.8 < gain < 1.2 for gain in look.tint)
     assert 0.1 <= look.vignette <= 0.3

@@ -1,11 +1,11 @@
-"""Motion in pictures against exact projection, and blur against its integral."""
+"""Motion in images against exact projection, and blur against its integral."""
 
 import numpy as np
 import pytest
 
 from mirror.geometry.cameras import Camera
-from mirror.synth.render.develop import image_jacobian, image_motion
-from mirror.synth.render.develop.motion import blurred
+from mirror.synth.render.develop import compute_image_jacobian, compute_image_motion
+from mirror.synth.render.develop.motion import apply_motion_blur
 
 LENSES = [
     Camera("pinhole", 480, 270, 300.0, 300.0, 240.0, 135.0, ()),
@@ -20,7 +20,7 @@ def test_what_stands_still_moves_as_its_projection(camera: Camera) -> None:
     rays = camera.rays().direction
     distance = rng.uniform(5.0, 40.0, (270, 480)).astype(np.float32)
     velocity, turn, exposure = np.array([3.0, -0.5, 12.0]), np.array([0.05, -0.4, 0.1]), 0.01
-    flow = image_motion(image_jacobian(rays), distance, velocity, turn, exposure)
+    flow = compute_image_motion(compute_image_jacobian(rays), distance, velocity, turn, exposure)
     points = rays * distance[..., None]
 
     def projected(time: float) -> np.ndarray:
@@ -36,35 +36,35 @@ def test_what_stands_still_moves_as_its_projection(camera: Camera) -> None:
 
 
 def test_the_sky_moves_by_turning_alone() -> None:
-    jacobian = image_jacobian(LENSES[0].rays().direction)
+    jacobian = compute_image_jacobian(LENSES[0].rays().direction)
     sky = np.full((270, 480), np.inf, np.float32)
-    assert not image_motion(jacobian, sky, (0.0, 0.0, 20.0), (0.0, 0.0, 0.0), 0.01).any()
-    # Turning right moves the picture left: 300 px a radian in the middle.
-    flow = image_motion(jacobian, sky, (0.0, 0.0, 20.0), (0.0, 1.0, 0.0), 0.05)
+    assert not compute_image_motion(jacobian, sky, (0.0, 0.0, 20.0), (0.0, 0.0, 0.0), 0.01).any()
+    # Turning right moves the image left: 300 px a radian in the middle.
+    flow = compute_image_motion(jacobian, sky, (0.0, 0.0, 20.0), (0.0, 1.0, 0.0), 0.05)
     assert flow[135, 240] == pytest.approx([-15.0, 0.0], abs=0.05)
 
 
 @pytest.mark.parametrize("length", [2.0, 4.0, 9.0])
 def test_an_edge_becomes_a_ramp_as_long_as_the_way(length: float) -> None:
-    picture = np.zeros((20, 60, 3), np.float32)
-    picture[:, 30:] = 1.0
+    image = np.zeros((20, 60, 3), np.float32)
+    image[:, 30:] = 1.0
     flow = np.zeros((20, 60, 2), np.float32)
     flow[..., 0] = length
     ramp = np.clip((np.arange(60) + 0.5 - 30.0) / length + 0.5, 0.0, 1.0)
-    out = blurred(picture, flow)
+    out = apply_motion_blur(image, flow)
     assert np.array_equal(out[0], out[19])
     assert np.abs(out[5, :, 0] - ramp).max() < 0.26
     assert np.abs(out[5, :, 0] - ramp).mean() < 0.02
     assert np.array_equal(
-        blurred(picture.swapaxes(0, 1).copy(), flow.swapaxes(0, 1)[..., ::-1].copy()), out.swapaxes(0, 1)
+        apply_motion_blur(image.swapaxes(0, 1).copy(), flow.swapaxes(0, 1)[..., ::-1].copy()), out.swapaxes(0, 1)
     )
 
 
-def test_even_pictures_and_short_ways_stay_as_they_are() -> None:
+def test_even_images_and_short_ways_stay_as_they_are() -> None:
     rng = np.random.default_rng(0)
-    picture = rng.random((30, 40, 3)).astype(np.float32)
-    assert np.array_equal(blurred(picture, np.full((30, 40, 2), 0.5, np.float32)), picture)
-    even = np.full_like(picture, 0.7)
+    image = rng.random((30, 40, 3)).astype(np.float32)
+    assert np.array_equal(apply_motion_blur(image, np.full((30, 40, 2), 0.5, np.float32)), image)
+    even = np.full_like(image, 0.7)
     flow = rng.normal(0.0, 30.0, (30, 40, 2)).astype(np.float32)
-    assert blurred(even, flow) == pytest.approx(even, rel=1e-5)
-    assert blurred(picture, flow).min() >= 0.0
+    assert apply_motion_blur(even, flow) == pytest.approx(even, rel=1e-5)
+    assert apply_motion_blur(image, flow).min() >= 0.0

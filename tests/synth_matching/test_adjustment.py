@@ -67,7 +67,7 @@ def tracks_of(rig: Rig, count: int = 500) -> Tracks:
     )
 
 
-def disturbed(rig: Rig, seed: int) -> Rig:
+def perturb_intrinsics(rig: Rig, seed: int) -> Rig:
     """A rig as it is recorded, off by the standard deviations of `SPREAD`."""
     rng = np.random.default_rng(seed)
 
@@ -84,7 +84,7 @@ def disturbed(rig: Rig, seed: int) -> Rig:
 def test_exact_tracks_give_the_rig_back() -> None:
     rig = true_rig(CAMERAS)
     tracks = tracks_of(rig)
-    recorded = disturbed(rig, 1)
+    recorded = perturb_intrinsics(rig, 1)
     start = replace(tracks, points=tracks.points + np.random.default_rng(2).normal(0.0, 0.05, tracks.points.shape))
     # As good as no errors of features, so that the tracks alone decide; the scale remains with what was recorded.
     found, residual = adjusted(recorded, start, replace(SPREAD, feature_px=1e-3))
@@ -120,7 +120,7 @@ def test_wrong_matches_do_little() -> None:
     rng = np.random.default_rng(6)
     wrong = rng.random(len(tracks.uv_px)) < 0.05
     noise = rng.normal(0.0, 0.15, tracks.uv_px.shape) + wrong[:, None] * rng.normal(0.0, 30.0, tracks.uv_px.shape)
-    found, _ = adjusted(disturbed(rig, 3), replace(tracks, uv_px=tracks.uv_px + noise), SPREAD)
+    found, _ = adjusted(perturb_intrinsics(rig, 3), replace(tracks, uv_px=tracks.uv_px + noise), SPREAD)
     angle, distance = off(found, rig)
     assert angle.max() < 0.05
     assert distance.max() < 4.0

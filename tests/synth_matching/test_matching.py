@@ -13,7 +13,7 @@ from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 
 pytest.importorskip("pycolmap", reason="pycolmap is absent: pip install '.[calibration]'")
 
@@ -26,7 +26,7 @@ CAMERAS = (
 
 
 def small_drive() -> SynthDrive:
-    return drives_of("tiny", 3)[1][0]
+    return make_drives("tiny", 3)[1][0]
 
 
 def pair_of_shots(width_px: int = 640) -> tuple[Shot, Shot]:
@@ -91,7 +91,7 @@ def test_without_features_nothing_matches(count: int) -> None:
     assert matches(none, none).shape == (0, 2)
 
 
-def test_points_of_a_picture_are_imaged_where_they_are_seen(shots: tuple[Shot, Shot]) -> None:
+def test_points_of_a_image_are_imaged_where_they_are_seen(shots: tuple[Shot, Shot]) -> None:
     for shot in shots:
         uv = np.random.default_rng(3).uniform((0.0, 0.0), (shot.camera.width_px, shot.camera.height_px), (2000, 2))
         points = shot.points(uv)
@@ -118,7 +118,7 @@ def test_a_wall_is_met_by_each_points_own_ray() -> None:
     assert np.abs(shot.points(uv) @ normal + 8.0).max() < 1e-4
 
 
-def test_neighbouring_pictures_have_hundreds_of_exact_matches(shots: tuple[Shot, Shot]) -> None:
+def test_neighbouring_images_have_hundreds_of_exact_matches(shots: tuple[Shot, Shot]) -> None:
     one, other = (features(shot) for shot in shots)
     pairs = verified(matches(one, other), one, shots[0].camera, other, shots[1].camera)
     errors = errors_px(pairs, one, shots[0], other, shots[1])

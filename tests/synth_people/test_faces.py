@@ -27,13 +27,13 @@ def test_no_two_faces_are_alike() -> None:
     assert apart[~np.eye(len(FACES), dtype=bool)].min() > 0.005
 
 
-def test_a_small_picture_is_the_large_one_reduced() -> None:
+def test_a_small_image_is_the_large_one_reduced() -> None:
     large, small = face_image(FACES[9], 256), face_image(FACES[9], 64)
     reduced = large.reshape(64, 4, 64, 4, 3).mean(axis=(1, 3))
     assert np.sqrt(((reduced - small) ** 2).mean()) < 0.03
 
 
-def test_other_pictures_and_sizes_are_refused() -> None:
+def test_other_images_and_sizes_are_refused() -> None:
     for number in (FACES.start - 1, FACES.stop):
         with pytest.raises(UsageError, match="156 to 187"):
             features(number)
@@ -55,13 +55,13 @@ def test_a_face_detector_finds_them(real_data: Path, size_px: int) -> None:
         high, wide = face.shape[:2]
         x, y = (np.arange(wide) + 0.5) / wide * 2 - 1, (np.arange(high) + 0.5) / high * 2 - 1
         skull = (x[None, :] ** 2 + y[:, None] ** 2 < 1.0)[..., None]
-        picture = np.full((edge, edge, 3), 0.3, np.float32)
+        image = np.full((edge, edge, 3), 0.3, np.float32)
         top, left = (edge - high) // 2, (edge - wide) // 2
         body = slice(top + high - high // 6, None), slice(max(left - wide // 2, 0), left + wide + wide // 2)
-        picture[body] = 0.08
-        part = picture[top : top + high, left : left + wide]
+        image[body] = 0.08
+        part = image[top : top + high, left : left + wide]
         part[:] = np.where(skull, face, part)
-        grey = np.where(picture < 0.0031308, 12.92 * picture, 1.055 * np.maximum(picture, 1e-6) ** (1 / 2.4) - 0.055)
+        grey = np.where(image < 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 1e-6) ** (1 / 2.4) - 0.055)
         boxes = detector.detect((255 * np.clip(grey[..., ::-1], 0.0, 1.0)).astype(np.uint8))[1]
         middles = np.empty((0, 2)) if boxes is None else boxes[:, :2] + 0.5 * boxes[:, 2:4]
         found += bool((np.abs(middles - 0.5 * edge).max(axis=1) < 0.5 * size_px).any()) if len(middles) else 0

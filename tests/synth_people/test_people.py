@@ -8,10 +8,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mirror.synth.model import Label, Model
+from mirror.synth.road_users.body import Placement, Saddle
+from mirror.synth.road_users.people import Pedestrian, pedestrian, person, rider
+from mirror.synth.road_users.skeleton import STRIDE, Skeleton, head_half_m, riding, walking
 from mirror.synth.textures.catalogue import FACES
-from mirror.synth.users.body import Placement, Saddle
-from mirror.synth.users.people import Pedestrian, pedestrian, person, rider
-from mirror.synth.users.skeleton import STRIDE, Skeleton, head_half_m, riding, walking
 
 _SADDLE = Saddle((-0.20, 0.0, 0.94), (0.42, 0.28, 1.02), (-0.02, 0.12, 0.12), (0.02, -0.12, 0.46))
 _SEEDS = st.integers(0, 2**32 - 1)

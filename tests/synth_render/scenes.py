@@ -12,7 +12,7 @@ from mirror.synth.light.condition import Condition, Effects
 from mirror.synth.light.lighting import LIGHTING, lighting
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import FACE, ROUND, Label, Material, Model, block, ellipsoid, flat, merged, polygons, tube
-from mirror.synth.render.binning import spheres_of
+from mirror.synth.render.binning import bounding_spheres
 from mirror.synth.render.lens import Lens, make_lens
 from mirror.synth.render.shadows import ShadowMap, sun_axes
 from mirror.synth.render.surroundings import MAPS, Surroundings
@@ -82,9 +82,9 @@ def surroundings(
     maps = np.zeros(1, MAPS)
     maps["sun_axes"] = sun_axes(np.array(given.record["sun"]))
     shadow = ShadowMap.none() if shadow is None else shadow
-    maps["still_origin"] = shadow.origin
+    maps["static_shadow_origin"] = shadow.origin
     faces, rounds = model.faces.view(flat(FACE)), model.rounds.view(flat(ROUND))
-    spheres = spheres_of(faces, model.corners, rounds)
+    spheres = bounding_spheres(faces, model.corners, rounds)
     marks = np.zeros((1, 2), MARK).view(flat(MARK))
     return Surroundings(
         faces, model.corners, rounds, spheres, shadow.height, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING,

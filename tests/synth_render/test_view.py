@@ -7,8 +7,8 @@ import pytest
 
 from mirror.synth.model import Label, Material, Model, block, ellipsoid, merged, polygon
 from mirror.synth.render.coverage import SKY
-from mirror.synth.render.view import see
-from mirror.synth.truth.casting import cast
+from mirror.synth.render.view import rasterize_view
+from mirror.synth.truth.casting import cast_rays
 from tests.synth_render.scenes import AHEAD, LENSES, ground, lens_of, random_model, surroundings, turned
 
 
@@ -23,8 +23,8 @@ def test_the_centres_of_pixels_meet_what_rays_meet(name: str) -> None:
     for _ in range(6):
         model, rotation = random_model(rng), turned(rng)
         origin = rng.uniform(-1.0, 1.0, 3)
-        view = see(surroundings(model), lens_of(name), rotation, origin)
-        distance, index = cast(model, origin, directions(name, rotation))
+        view = rasterize_view(surroundings(model), lens_of(name), rotation, origin)
+        distance, index = cast_rays(model, origin, directions(name, rotation))
         same = view.surface.ravel() == index
         # Another surface counts as right where both are met at one place: two blocks that touch.
         met = np.isclose(view.distance_m.ravel(), distance, rtol=1e-5) & (view.surface.ravel() != SKY)
@@ -39,7 +39,7 @@ def test_the_centres_of_pixels_meet_what_rays_meet(name: str) -> None:
 
 def test_distances_are_exact_to_a_tenth_of_a_millimetre_on_ground_seen_flat() -> None:
     model = ground(400.0, 30)
-    view = see(surroundings(model), lens_of("pinhole"), AHEAD, np.array([3.0, 2.0, 0.0]))
+    view = rasterize_view(surroundings(model), lens_of("pinhole"), AHEAD, np.array([3.0, 2.0, 0.0]))
     rays = directions("pinhole", AHEAD)
     truth = np.where(rays[:, 2] < 0, -1.5 / rays[:, 2], np.inf)
     seen = view.surface.ravel() != SKY
@@ -53,7 +53,7 @@ def test_normals_are_unit_and_exact_and_look_at_the_camera() -> None:
     rng = np.random.default_rng(8)
     model = random_model(rng)
     origin = np.zeros(3)
-    view = see(surroundings(model), lens_of("kannala_brandt"), AHEAD, origin)
+    view = rasterize_view(surroundings(model), lens_of("kannala_brandt"), AHEAD, origin)
     normals, index = view.normal.reshape(-1, 3), view.surface.ravel()
     seen = index != SKY
     rays = directions("kannala_brandt", AHEAD)
@@ -65,7 +65,7 @@ def test_normals_are_unit_and_exact_and_look_at_the_camera() -> None:
     assert np.abs(normals[flat] - truth).max() < 1e-6
     ball = seen & ~flat
     rounds = model.rounds[index[ball] - len(model.faces)]
-    distance, _ = cast(model, origin, rays[ball])
+    distance, _ = cast_rays(model, origin, rays[ball])
     local = np.einsum("nij,nj->ni", rounds["axes"], distance[:, None] * rays[ball] + origin - rounds["centre"])
     gradient = np.einsum("nij,ni->nj", rounds["axes"], local / rounds["half"] ** 2)
     gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
@@ -90,7 +90,7 @@ def test_no_ray_slips_between_faces_that_share_an_edge() -> None:
     rng = np.random.default_rng(3)
     for name in ("pinhole", "kannala_brandt", "brown_conrady"):
         for _ in range(5):
-            view = see(scene, lens_of(name), turned(rng), rng.uniform(-1.0, 1.0, 3))
+            view = rasterize_view(scene, lens_of(name), turned(rng), rng.uniform(-1.0, 1.0, 3))
             assert not (view.surface == SKY).any()
             assert not (view.which[:, 1] == SKY).any()
 
@@ -106,11 +106,11 @@ def test_shares_of_a_pixel_are_the_areas_that_surfaces_cover() -> None:
             corners[1] + 4000 * np.array([-along[1], along[0]]),
             corners[0] + 4000 * np.array([-along[1], along[0]]),
         ]
-        # Drawn in the picture's plane, 120 px before the camera.
+        # Drawn in the image's plane, 120 px before the camera.
         points = np.array([(120.0, -x, -y * 120.0 / 121.0) for x, y in corners])
         points = points if np.cross(points[1] - points[0], points[2] - points[1])[0] < 0 else points[::-1]
         model = polygon(points, (0.5, 0.5, 0.5), Material.PLAIN, Label.BUILDING)
-        view = see(surroundings(model), lens, AHEAD, np.zeros(3))
+        view = rasterize_view(surroundings(model), lens, AHEAD, np.zeros(3))
         share = (view.surface == 0).astype(float)
         share[view.mixed > 0] = 0.0
         np.add.at(share.ravel(), view.which[view.which[:, 1] == 0, 0], view.share[view.which[:, 1] == 0, 0])
@@ -131,7 +131,8 @@ def test_only_what_a_view_can_see_is_tried() -> None:
     near = random_model(rng, 20)
     behind = random_model(rng, 60).standing(-120.0, 0.0)
     alone, both = (
-        see(surroundings(model), lens_of("pinhole"), AHEAD, np.zeros(3)) for model in (near, merged([near, behind]))
+        rasterize_view(surroundings(model), lens_of("pinhole"), AHEAD, np.zeros(3))
+        for model in (near, merged([near, behind]))
     )
     assert both.counts["surfaces"] > 3 * alone.counts["surfaces"]
     assert both.counts["tried"] <= 1.02 * alone.counts["tried"]
@@ -141,7 +142,7 @@ def test_only_what_a_view_can_see_is_tried() -> None:
     )
     far = merged([block((x, y, 0), (1, 1, 4), (0.5, 0.5, 0.5), Material.PLAIN, Label.BUILDING)
                   for x in range(8, 60, 4) for y in range(-30, 30, 3)])  # fmt: skip
-    hidden = see(surroundings(merged([far, wall])), lens_of("pinhole"), AHEAD, np.zeros(3))
+    hidden = rasterize_view(surroundings(merged([far, wall])), lens_of("pinhole"), AHEAD, np.zeros(3))
     assert (hidden.label == Label.WALL).all()
     assert hidden.counts["facing"] > 100
     assert hidden.counts["tried"] == hidden.counts["near"] == hidden.counts["tiles"]
@@ -150,27 +151,27 @@ def test_only_what_a_view_can_see_is_tried() -> None:
 def test_the_same_view_is_the_same_to_the_bit_on_any_number_of_threads() -> None:
     scene = surroundings(random_model(np.random.default_rng(5)))
 
-    def picture(_: int) -> tuple[bytes, bytes, bytes]:
-        view = see(scene, lens_of("brown_conrady"), AHEAD, np.zeros(3))
+    def image(_: int) -> tuple[bytes, bytes, bytes]:
+        view = rasterize_view(scene, lens_of("brown_conrady"), AHEAD, np.zeros(3))
         return view.radiance().tobytes(), view.surface.tobytes(), view.distance_m.tobytes()
 
-    one = picture(0)
+    one = image(0)
     with ThreadPoolExecutor(4) as pool:
-        assert all(other == one for other in pool.map(picture, range(8)))
+        assert all(other == one for other in pool.map(image, range(8)))
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e5])
 def test_a_place_far_from_the_origin_is_seen_alike(shift: float) -> None:
     model, move = random_model(np.random.default_rng(6)), np.array([shift, -shift, 0.0])
-    here = see(surroundings(model), lens_of("pinhole"), AHEAD, np.zeros(3))
-    there = see(surroundings(model.placed(np.eye(3), move)), lens_of("pinhole"), AHEAD, move)
+    here = rasterize_view(surroundings(model), lens_of("pinhole"), AHEAD, np.zeros(3))
+    there = rasterize_view(surroundings(model.placed(np.eye(3), move)), lens_of("pinhole"), AHEAD, move)
     assert (here.surface != there.surface).mean() < 1e-3
     same = (here.surface == there.surface) & (here.surface != SKY)
     assert np.abs(here.distance_m[same] - there.distance_m[same]).max() < 1e-4
 
 
 def test_nothing_at_all_is_sky() -> None:
-    view = see(surroundings(Model.empty()), lens_of("pinhole"), AHEAD, np.zeros(3))
+    view = rasterize_view(surroundings(Model.empty()), lens_of("pinhole"), AHEAD, np.zeros(3))
     assert (view.surface == SKY).all()
     assert np.isinf(view.distance_m).all()
     assert (view.normal == 0).all()
@@ -184,7 +185,7 @@ def test_a_camera_on_a_plane_within_a_ball_and_among_slivers_sees_no_nonsense() 
     slivers = polygon([(5, 0, 0), (5, 1e-4, 0), (5, 0, 3)], (0.5, 0.5, 0.5), Material.PLAIN, Label.POLE, two_sided=True)
     level = ground(20.0, 3, height_m=0.0)
     ball = ellipsoid((0, 0, 0), (1, 1, 1), (0.5, 0.5, 0.5), Material.PLAIN, Label.FURNITURE)
-    view = see(surroundings(merged([slivers, level, ball])), lens_of("pinhole"), AHEAD, np.zeros(3))
+    view = rasterize_view(surroundings(merged([slivers, level, ball])), lens_of("pinhole"), AHEAD, np.zeros(3))
     assert np.isfinite(view.radiance()).all()
     assert (view.distance_m[view.surface != SKY] > 0).all()
     assert not (view.surface >= len(slivers.faces) + len(level.faces)).any()

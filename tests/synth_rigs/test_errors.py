@@ -6,7 +6,7 @@ import pytest
 from mirror.errors import UsageError
 from mirror.geometry import Poses, angle_between_deg
 from mirror.geometry.cameras import Camera
-from mirror.synth.errors import FARTHEST_SIGMA, Errors, MountingError, drift
+from mirror.synth.errors import MAX_SIGMA, Errors, MountingError, drift
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -87,14 +87,14 @@ def test_mountings_are_off_up_to_a_known_angle_and_with_the_stated_covariance() 
     error, source = MountingError(0.5, 0.02), rng()
     twists = np.concatenate([error.draw(source).log() for _ in range(4000)])
     angles = np.degrees(np.linalg.norm(twists[:, :3], axis=1))
-    assert FARTHEST_SIGMA * 0.5 * 0.9 < angles.max() <= FARTHEST_SIGMA * 0.5 + 1e-12
+    assert MAX_SIGMA * 0.5 * 0.9 < angles.max() <= MAX_SIGMA * 0.5 + 1e-12
     covariance = np.array(error.covariance()).reshape(6, 6)
     # Without its farthest 3 % a normal vector is a little narrower.
     assert np.cov(twists.T).diagonal() == pytest.approx(covariance.diagonal(), rel=0.15)
     assert np.abs(np.corrcoef(twists.T) - np.eye(6)).max() < 0.06
 
 
-def test_clocks_lenses_and_lost_pictures_have_the_stated_spread() -> None:
+def test_clocks_lenses_and_lost_images_have_the_stated_spread() -> None:
     errors = Errors(clock_offset_ns=2_000_000, clock_error_ns=50_000, focal_share=1e-3, centre_share=2e-3, dropped=0.1)
     names = [f"c{number}" for number in range(3000)]
     clocks = list(errors.clocks(names, rng()).values())

@@ -9,9 +9,9 @@ from mirror.schema.documents import CANONICAL_CAMERAS
 from mirror.synth.errors import Clock, Errors
 from mirror.synth.model import Label
 from mirror.synth.rigs import VEHICLE_TYPES, Vehicle
+from mirror.synth.rigs.ego_model import make_ego_model
 from mirror.synth.rigs.mount import Optics, Raster
-from mirror.synth.rigs.own import own_model
-from mirror.synth.truth.casting import cast, own_mask
+from mirror.synth.truth.casting import cast_rays, ego_mask
 
 RING = ("front_wide", "front_left", "rear_left", "rear", "rear_right", "front_right")
 CLOCKS = {name: Clock(100 * place, 0) for place, name in enumerate(CANONICAL_CAMERAS)}
@@ -128,14 +128,14 @@ def test_calibrations_are_valid_entries_and_exact_without_errors(name: str) -> N
 @types
 def test_own_masks_hold_every_pixel_whose_centre_sees_the_vehicle(name: str) -> None:
     one = vehicle(name, 120)
-    own = own_model(one.kind)
+    own = make_ego_model(one.kind)
     assert set(own.faces["label"]) == {Label.EGO}
     count = 0
     for camera, lens in one.cameras.items():
         pose = one.ego_SE3_camera[camera]
-        mask = own_mask(own, lens, pose) > 0
+        mask = ego_mask(own, lens, pose) > 0
         rays = lens.rays().direction @ matrix_from_quaternion(pose.rotation)[0].T
-        centres = cast(own, pose.translation[0], rays.reshape(-1, 3))[1].reshape(mask.shape) >= 0
+        centres = cast_rays(own, pose.translation[0], rays.reshape(-1, 3))[1].reshape(mask.shape) >= 0
         assert (centres <= mask).all()
         # Nowhere is it wider than by the pixels that its edge crosses.
         grown = np.pad(centres, 1)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.synth.model import FACE, flat
-from mirror.synth.render.carriageway import carriageway, covered, share
+from mirror.synth.render.carriageway import carriageway, mark_share, share
 from mirror.synth.roads.markings import (
     MOST_MARKS,
     Mark,
@@ -48,7 +48,7 @@ def sampled(mark, u, v, fu, fv, count=400):
 def test_share_of_a_mark_is_exact(name, u, v, fu, fv):
     mark = MARKS[name]
     row = layout_table([[mark]])[0]
-    assert covered(row[0], u, v, fu, fv) == pytest.approx(sampled(mark, u, v, fu, fv), abs=0.006)
+    assert mark_share(row[0], u, v, fu, fv) == pytest.approx(sampled(mark, u, v, fu, fv), abs=0.006)
 
 
 @settings(max_examples=25, deadline=None)
@@ -56,14 +56,14 @@ def test_share_of_a_mark_is_exact(name, u, v, fu, fv):
 def test_share_of_slanted_stripes(u, v, fu, fv):
     mark = hatched((-5.0, 5.0), (-1.0, 1.0), 0.8)
     row = layout_table([[mark]])[0]
-    assert covered(row[0], u, v, fu, fv) == pytest.approx(sampled(mark, u, v, fu, fv), abs=0.13)
+    assert mark_share(row[0], u, v, fu, fv) == pytest.approx(sampled(mark, u, v, fu, fv), abs=0.13)
 
 
 def test_mean_over_pixels_is_kept_at_every_footprint():
     row = layout_table([[MARKS["dashes"]]])[0]
     for fu in (0.05, 0.5, 2.0, 7.0):
         at = np.linspace(0.0, 90.0, 2000, endpoint=False)
-        mean = np.mean([covered(row[0], u, 0.0, fu, 0.1) for u in at])
+        mean = np.mean([mark_share(row[0], u, 0.0, fu, 0.1) for u in at])
         assert mean == pytest.approx(1.0 / 3.0, abs=0.004)
 
 

@@ -41,9 +41,9 @@ def test_small_things(maker: Maker, seed: int) -> None:
 
 def test_billboards_take_turns() -> None:
     faces = furniture.billboard(np.random.default_rng(4)).faces
-    pictures = faces[faces["material"] == Material.LIT_IMAGE]
-    assert len(pictures) == 1
-    np.testing.assert_allclose(pictures["normal"], [[1.0, 0.0, 0.0]], atol=1e-12)
+    images = faces[faces["material"] == Material.LIT_IMAGE]
+    assert len(images) == 1
+    np.testing.assert_allclose(images["normal"], [[1.0, 0.0, 0.0]], atol=1e-12)
     for number in range(60):
         faces = furniture.billboard(np.random.default_rng(number)).faces
         one = faces[faces["material"] == Material.LIT_IMAGE][0]
@@ -54,16 +54,16 @@ def test_billboards_take_turns() -> None:
 
 
 @pytest.mark.parametrize("sign", list(Sign))
-def test_signs_show_their_picture_upright(sign: Sign) -> None:
+def test_signs_show_their_image_upright(sign: Sign) -> None:
     model = furniture.traffic_sign((sign,), size_m=0.6)
-    picture = model.faces[model.faces["image"] == int(sign)]
-    assert len(picture) == 1
-    np.testing.assert_allclose(picture["normal"], [[1.0, 0.0, 0.0]], atol=1e-9)
-    np.testing.assert_allclose(picture["u_axis"], [[0.0, 1.0, 0.0]], atol=1e-9)
-    np.testing.assert_allclose(picture["v_axis"], [[0.0, 0.0, 1.0]], atol=1e-9)
-    np.testing.assert_allclose(picture["half"], [[0.3, 0.3]], atol=1e-9)
-    corners = model.corners[picture["first"][0] : picture["first"][0] + picture["count"][0]]
-    u, v = corners @ picture["u_axis"][0] + picture["u0"], corners @ picture["v_axis"][0] + picture["v0"]
+    image = model.faces[model.faces["image"] == int(sign)]
+    assert len(image) == 1
+    np.testing.assert_allclose(image["normal"], [[1.0, 0.0, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(image["u_axis"], [[0.0, 1.0, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(image["v_axis"], [[0.0, 0.0, 1.0]], atol=1e-9)
+    np.testing.assert_allclose(image["half"], [[0.3, 0.3]], atol=1e-9)
+    corners = model.corners[image["first"][0] : image["first"][0] + image["count"][0]]
+    u, v = corners @ image["u_axis"][0] + image["u0"], corners @ image["v_axis"][0] + image["v0"]
     assert np.abs(u).max() <= 0.3 + 1e-9
     assert np.abs(v).max() <= 0.3 + 1e-9
 

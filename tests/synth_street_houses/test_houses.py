@@ -84,11 +84,11 @@ def test_signs_and_doors_are_upright_and_look_out() -> None:
     for style in ("stucco", "shophouse", "brick"):
         for seed in range(6):
             faces = built(style, seed).faces
-            pictures = faces[np.isin(faces["material"], (Material.IMAGE, Material.LIT_IMAGE, Material.SHOPFRONT))]
-            found += len(pictures)
-            np.testing.assert_allclose(pictures["v_axis"], [[0.0, 0.0, 1.0]] * len(pictures), atol=1e-9)
-            right = np.cross(np.tile([0.0, 0.0, 1.0], (len(pictures), 1)), pictures["normal"])
-            np.testing.assert_allclose(pictures["u_axis"], right, atol=1e-9)
+            images = faces[np.isin(faces["material"], (Material.IMAGE, Material.LIT_IMAGE, Material.SHOPFRONT))]
+            found += len(images)
+            np.testing.assert_allclose(images["v_axis"], [[0.0, 0.0, 1.0]] * len(images), atol=1e-9)
+            right = np.cross(np.tile([0.0, 0.0, 1.0], (len(images), 1)), images["normal"])
+            np.testing.assert_allclose(images["u_axis"], right, atol=1e-9)
     assert found > 40
 
 

@@ -1,4 +1,4 @@
-"""Grains and pictures: means, seams, levels, the same in every process and thread."""
+"""Grains and images: means, seams, levels, the same in every process and thread."""
 
 import hashlib
 import subprocess
@@ -13,7 +13,7 @@ from mirror.synth.textures import atlas as module
 from mirror.synth.textures.atlas import Atlas, atlas
 from mirror.synth.textures.catalogue import COUNT, PERIOD_M, PLATES, Grain
 from mirror.synth.textures.grains import draw_grain
-from mirror.synth.textures.pictures import draw_picture
+from mirror.synth.textures.images import draw_image
 
 
 def levels_of(grain: Grain) -> list[np.ndarray]:
@@ -78,10 +78,10 @@ def test_contrast_falls_from_level_to_level_and_vanishes(grain: Grain) -> None:
 
 
 @pytest.mark.parametrize("number", [0, 27, 41, 57, 75, 92, 103, 125, 133, 141, 160, 200, 443])
-def test_levels_of_pictures_are_means_of_light(number: int) -> None:
+def test_levels_of_images_are_means_of_light(number: int) -> None:
     levels = levels_of_image(number)
     light = (levels[0] / 255.0) ** 2
-    np.testing.assert_array_equal(levels[0], draw_picture(number))
+    np.testing.assert_array_equal(levels[0], draw_image(number))
     for level in levels[1:]:
         h, w = light.shape[0] // 2, light.shape[1] // 2
         light = light[: 2 * h, : 2 * w].reshape(h, 2, w, 2, 3).mean(axis=(1, 3))
@@ -89,7 +89,7 @@ def test_levels_of_pictures_are_means_of_light(number: int) -> None:
         assert np.abs(np.sqrt(light) * 255.0 - level).max() < 0.502
 
 
-def test_pictures_are_neither_black_nor_blank() -> None:
+def test_images_are_neither_black_nor_blank() -> None:
     full = atlas()
     for number in range(COUNT):
         fine = levels_of_image(number)[0]
@@ -113,9 +113,9 @@ def test_threads_get_one_atlas_and_another_process_the_same_bytes() -> None:
 
 
 def test_drawing_does_not_depend_on_what_was_drawn_before() -> None:
-    again = [draw_picture(number) for number in (443, 103, 0)]
-    for number, picture in zip((443, 103, 0), again):
-        np.testing.assert_array_equal(picture, levels_of_image(number)[0])
+    again = [draw_image(number) for number in (443, 103, 0)]
+    for number, image in zip((443, 103, 0), again):
+        np.testing.assert_array_equal(image, levels_of_image(number)[0])
     np.testing.assert_array_equal(draw_grain(Grain.GRAVEL), levels_of(Grain.GRAVEL)[0])
 
 

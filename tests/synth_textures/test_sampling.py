@@ -89,12 +89,12 @@ def test_grains_meet_the_mean_over_the_pixel(grain: Grain, most: float, ratio: f
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0, 4.0, 8.0])
 @pytest.mark.parametrize("number", [SHOP_SIGNS[1], BILLBOARDS[3], TRAFFIC_SIGNS[0], DIRECTION_SIGNS[0], PLATES[7]])
-def test_pictures_meet_the_mean_over_the_pixel(number: int, ratio: float) -> None:
+def test_images_meet_the_mean_over_the_pixel(number: int, ratio: float) -> None:
     texels = light(number)
     high, wide = texels.shape[:2]
     at = pixels(3000, ratio, (0.7, min(8.0, high / (3 * ratio))), 6)
     at[:, :2] *= (wide, high)
-    # Within the picture: its face ends where it does.
+    # Within the image: its face ends where it does.
     reach = 0.5 * (np.abs(at[:, 2:4]) + np.abs(at[:, 4:6]))
     inside = ((at[:, :2] - reach > 0) & (at[:, :2] + reach < (wide, high))).all(axis=1)
     at = at[inside][:300]
@@ -145,7 +145,7 @@ def test_grains_repeat(
     st.floats(-3, 4), st.floats(-3, 4), *[st.floats(-3, 3)] * 4,
 )  # fmt: skip
 @settings(max_examples=150, deadline=None)
-def test_pictures_stay_within_their_colours(
+def test_images_stay_within_their_colours(
     number: int, s: float, t: float, s1: float, t1: float, s2: float, t2: float
 ) -> None:
     texels = light(number)
@@ -153,7 +153,7 @@ def test_pictures_stay_within_their_colours(
     assert (colour >= texels.min(axis=(0, 1)) - 0.01).all() and (colour <= texels.max(axis=(0, 1)) + 0.01).all()
 
 
-def test_a_picture_stands_upright_and_is_not_mirrored() -> None:
+def test_a_image_stands_upright_and_is_not_mirrored() -> None:
     texels = light(PLATES[0])
     for s, t in ((0.02, 0.97), (0.05, 0.5), (0.9, 0.1)):
         row, column = int((1 - t) * texels.shape[0]), int(s * texels.shape[1])

@@ -6,25 +6,25 @@ import pytest
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 from mirror.synth.model import Label, Material, block, ellipsoid
-from mirror.synth.truth.boxes import Standing, shown
-from mirror.synth.truth.casting import cast
+from mirror.synth.truth.boxes import PosedObject, measure_visibility
+from mirror.synth.truth.casting import cast_rays
 
 CAMERA = Camera("pinhole", 160, 120, 120.0, 120.0, 80.0, 60.0)
 FORWARD = Poses(np.array([[0.5, -0.5, 0.5, -0.5]]), np.array([[0.0, 0.0, 1.5]]))
 GREY = (0.5, 0.5, 0.5)
 
 
-def box(x: float, y: float, size: tuple[float, float, float], z: float = 1.5) -> Standing:
+def box(x: float, y: float, size: tuple[float, float, float], z: float = 1.5) -> PosedObject:
     model = block((x, y, z), size, GREY, Material.PLAIN, Label.CAR, without=())
-    return Standing(model, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[x, y, z]])), size)
+    return PosedObject(model, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[x, y, z]])), size)
 
 
-def drawn(standing: dict[int, Standing], camera: Camera = CAMERA, pose: Poses = FORWARD) -> np.ndarray:
+def drawn(standing: dict[int, PosedObject], camera: Camera = CAMERA, pose: Poses = FORWARD) -> np.ndarray:
     """The numbers of the objects at the pixels' centres."""
     rays = (camera.rays().direction @ matrix_from_quaternion(pose.rotation)[0].T).reshape(-1, 3)
     nearest, numbers = np.full(len(rays), np.inf), np.full(len(rays), -1, np.int32)
     for number, one in standing.items():
-        distance = cast(one.model, pose.translation[0], rays)[0]
+        distance = cast_rays(one.model, pose.translation[0], rays)[0]
         numbers[distance < nearest] = number
         nearest = np.minimum(nearest, distance)
     return numbers.reshape(camera.height_px, camera.width_px)
@@ -32,7 +32,7 @@ def drawn(standing: dict[int, Standing], camera: Camera = CAMERA, pose: Poses = 
 
 def test_what_nothing_hides_is_seen_wholly_and_has_its_projection_for_bounds() -> None:
     standing = {7: box(11.0, 0.0, (2.0, 1.0, 1.0))}
-    seen = shown(drawn(standing), CAMERA, FORWARD, standing)
+    seen = measure_visibility(drawn(standing), CAMERA, FORWARD, standing)
     # The front face at 10 m, half a metre to each side: 6 pixels.
     assert seen.number.tolist() == [7]
     assert seen.visibility.tolist() == [1.0]
@@ -46,7 +46,7 @@ def test_a_half_hidden_one_is_seen_by_half_and_a_hidden_one_not_at_all() -> None
         1: box(10.5, -2.0, (1.0, 4.0, 4.0)),
         2: box(16.5, -2.0, (1.0, 1.0, 1.0)),
     }
-    seen = shown(drawn(standing), CAMERA, FORWARD, standing)
+    seen = measure_visibility(drawn(standing), CAMERA, FORWARD, standing)
     assert seen.number.tolist() == [0, 1, 2]
     assert seen.visibility.tolist() == [0.5, 1.0, 0.0]
     assert seen.pixels[2] == 0
@@ -56,7 +56,7 @@ def test_a_half_hidden_one_is_seen_by_half_and_a_hidden_one_not_at_all() -> None
 
 def test_what_lies_outside_the_raster_counts_in_neither() -> None:
     half_out = {0: box(10.5, 80.0 / 120.0 * 10.0, (1.0, 2.0, 1.0)), 1: box(-9.0, 0.0, (1.0, 1.0, 1.0))}
-    seen = shown(drawn(half_out), CAMERA, FORWARD, half_out)
+    seen = measure_visibility(drawn(half_out), CAMERA, FORWARD, half_out)
     assert seen.number.tolist() == [0]
     assert seen.visibility.tolist() == [1.0]
     assert seen.bounds_px[0, 0] == 0.0
@@ -66,7 +66,7 @@ def test_large_ones_are_judged_by_a_coarser_grid() -> None:
     camera = Camera("kannala_brandt", 640, 480, 300.0, 300.0, 320.0, 240.0, (-0.01, 0.0, 0.0, 0.0))
     standing = {0: box(4.0, 0.3, (2.0, 3.0, 2.5)), 1: box(2.2, 0.0, (0.2, 0.4, 3.0))}
     numbers = drawn(standing, camera)
-    seen = shown(numbers, camera, FORWARD, standing)
+    seen = measure_visibility(numbers, camera, FORWARD, standing)
     alone = drawn({0: standing[0]}, camera) == 0
     assert seen.visibility[0] == pytest.approx((numbers == 0).sum() / alone.sum(), abs=0.01)
     assert seen.pixels.tolist() == [(numbers == 0).sum(), (numbers == 1).sum()]
@@ -74,25 +74,25 @@ def test_large_ones_are_judged_by_a_coarser_grid() -> None:
 
 def test_an_object_within_another_box_and_round_ones_are_told_apart() -> None:
     ball = ellipsoid((12.0, 1.0, 1.5), (1.0, 1.0, 1.0), GREY, Material.PLAIN, Label.PERSON)
-    standing = {3: Standing(ball, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[12.0, 1.0, 1.5]])), (1.0, 1.0, 1.0))}
+    standing = {3: PosedObject(ball, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[12.0, 1.0, 1.5]])), (1.0, 1.0, 1.0))}
     numbers = drawn(standing)
-    seen = shown(numbers, CAMERA, FORWARD, standing)
+    seen = measure_visibility(numbers, CAMERA, FORWARD, standing)
     assert seen.visibility.tolist() == [1.0]
     v, u = np.nonzero(numbers == 3)
     assert seen.bounds_px[0].tolist() == [u.min(), v.min(), u.max() + 1, v.max() + 1]
 
 
-def test_a_pixel_of_the_picture_counts_though_no_ray_met_it() -> None:
+def test_a_pixel_of_the_image_counts_though_no_ray_met_it() -> None:
     thin = {0: box(30.0, 0.02, (1.0, 0.001, 1.0))}
     numbers = np.full((120, 160), -1, np.int32)
-    assert len(shown(numbers, CAMERA, FORWARD, thin)) == 0
+    assert len(measure_visibility(numbers, CAMERA, FORWARD, thin)) == 0
     numbers[60, 79] = 0
-    seen = shown(numbers, CAMERA, FORWARD, thin)
+    seen = measure_visibility(numbers, CAMERA, FORWARD, thin)
     assert (seen.pixels.tolist(), seen.visibility.tolist()) == ([1], [1.0])
 
 
 def test_no_objects_are_none() -> None:
     nothing = np.full((120, 160), -1, np.int32)
-    assert len(shown(nothing, CAMERA, FORWARD, {})) == 0
-    hidden = shown(nothing, CAMERA, FORWARD, {0: box(9.0, 0.0, (1.0, 1.0, 1.0))})
+    assert len(measure_visibility(nothing, CAMERA, FORWARD, {})) == 0
+    hidden = measure_visibility(nothing, CAMERA, FORWARD, {0: box(9.0, 0.0, (1.0, 1.0, 1.0))})
     assert (hidden.pixels.tolist(), hidden.visibility.tolist()) == ([0], [0.0])

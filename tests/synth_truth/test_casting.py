@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.synth.model import Label, Material, Model, block, ellipsoid, merged, polygon
-from mirror.synth.truth.casting import NOTHING, cast, own_mask
+from mirror.synth.truth.casting import NOTHING, cast_rays, ego_mask
 
 GREY = (0.5, 0.5, 0.5)
 
@@ -31,7 +31,7 @@ def test_a_plane_is_met_where_the_ray_crosses_it() -> None:
     down = rays(4000) * (1, 1, -1)
     down[:, 2] = -np.abs(down[:, 2])
     origin = np.array([0.3, -0.2, 1.7])
-    distance, index = cast(square(6.0), origin, down)
+    distance, index = cast_rays(square(6.0), origin, down)
     expected = 1.7 / -down[:, 2]
     at = origin + expected[:, None] * down
     inside = (np.abs(at[:, :2]) <= 3.0).all(axis=1)
@@ -45,7 +45,7 @@ def test_a_sphere_is_met_where_algebra_says() -> None:
     centre, radius = np.array([5.0, 2.0, 1.0]), 1.5
     aim = centre + rays(3000) * np.linspace(0, 2.5, 3000)[:, None]
     directions = aim / np.linalg.norm(aim, axis=1, keepdims=True)
-    distance, index = cast(ball(tuple(centre), radius), np.zeros(3), directions)
+    distance, index = cast_rays(ball(tuple(centre), radius), np.zeros(3), directions)
     along = directions @ centre
     room = radius**2 - (centre @ centre - along**2)
     assert np.array_equal(index == 0, room > 0)
@@ -56,7 +56,7 @@ def test_a_sphere_is_met_where_algebra_says() -> None:
 def test_an_ellipsoid_far_away_keeps_its_distance() -> None:
     far = 1e5
     model = ellipsoid((far, 0, 0), (2.0, 4.0, 1.0), GREY, Material.PLAIN, Label.TERRAIN, yaw=0.0)
-    distance, index = cast(
+    distance, index = cast_rays(
         model, np.zeros(3), np.array([[1.0, 0.0, 0.0], [1.0, 1.9 / far, 0.0], [1.0, 2.1 / far, 0.0]])
     )
     assert index.tolist() == [0, 0, NOTHING]
@@ -67,22 +67,22 @@ def test_an_ellipsoid_far_away_keeps_its_distance() -> None:
 def test_the_nearest_surface_wins_and_rounds_count_on_after_faces() -> None:
     model = merged([square(z=0.0), square(z=-3.0), ball((0, 0, 4.0), 1.0)])
     down, up = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 2.0]])
-    assert [value[0] for value in cast(model, np.array([0.1, 0.0, 2.0]), down)] == [2.0, 0]
-    distance, index = cast(model, np.array([0.0, 0.0, 2.0]), up)
+    assert [value[0] for value in cast_rays(model, np.array([0.1, 0.0, 2.0]), down)] == [2.0, 0]
+    distance, index = cast_rays(model, np.array([0.0, 0.0, 2.0]), up)
     assert (distance[0], index[0]) == (0.5, 2)
 
 
 def test_faces_are_seen_from_outside_unless_they_have_two_sides() -> None:
     up = np.array([[0.0, 0.0, 1.0]])
     below = np.array([0.1, 0.2, -1.0])
-    assert cast(square(), below, up)[1][0] == NOTHING
-    assert cast(square(two_sided=True), below, up)[1][0] == 0
-    assert cast(square(), np.array([0.1, 0.2, 0.0]), up)[1][0] == NOTHING
+    assert cast_rays(square(), below, up)[1][0] == NOTHING
+    assert cast_rays(square(two_sided=True), below, up)[1][0] == 0
+    assert cast_rays(square(), np.array([0.1, 0.2, 0.0]), up)[1][0] == NOTHING
 
 
 def test_nothing_stands_in_an_empty_model_and_rays_may_be_none() -> None:
-    assert np.isinf(cast(Model.empty(), np.zeros(3), rays(5))[0]).all()
-    assert cast(square(), np.zeros(3), np.zeros((0, 3)))[1].shape == (0,)
+    assert np.isinf(cast_rays(Model.empty(), np.zeros(3), rays(5))[0]).all()
+    assert cast_rays(square(), np.zeros(3), np.zeros((0, 3)))[1].shape == (0,)
 
 
 @settings(max_examples=30, deadline=None)
@@ -92,11 +92,11 @@ def test_moving_everything_changes_nothing(seed: int, shift: float, yaw: float) 
         [block((4, 0, 1), (2, 3, 2), GREY, Material.PLAIN, Label.CAR, slope=(0.2, 0.1)), ball((-5, 1, 0), 2)]
     )
     directions = rays(200, seed)
-    first = cast(model, np.zeros(3), directions)
+    first = cast_rays(model, np.zeros(3), directions)
     cos, sin = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1.0]])
     moved = model.placed(turn, np.array([shift, -shift, 1.0]))
-    again = cast(moved, np.array([shift, -shift, 1.0]), directions @ turn.T)
+    again = cast_rays(moved, np.array([shift, -shift, 1.0]), directions @ turn.T)
     assert (first[1] != again[1]).sum() <= 1
     same = (first[1] == again[1]) & (first[1] != NOTHING)
     assert np.abs(first[0][same] - again[0][same]).max(initial=0.0) < 1e-9
@@ -112,5 +112,5 @@ def test_the_mask_of_a_plate_before_a_pinhole_is_its_projection() -> None:
     )
     expected = np.zeros((48, 64), np.uint8)
     expected[18:30, 26:38] = 255
-    assert np.array_equal(own_mask(plate, camera, forward), expected)
-    assert not own_mask(plate, camera, backward).any()
+    assert np.array_equal(ego_mask(plate, camera, forward), expected)
+    assert not ego_mask(plate, camera, backward).any()

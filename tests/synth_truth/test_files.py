@@ -10,7 +10,7 @@ from mirror.schema.documents import Roi
 from mirror.synth.model import Label
 from mirror.synth.truth import Truth
 from mirror.synth.truth.files import TruthObject, write_document
-from mirror.synth.truth.pictures import KINDS, read_truth_picture, truth_file
+from mirror.synth.truth.images import KINDS, read_truth_image, truth_file
 
 RNG = np.random.default_rng(3)
 
@@ -31,7 +31,7 @@ def distances() -> np.ndarray:
     return one
 
 
-PICTURES = {
+IMAGES = {
     "depth": (distances(), 0.0),
     "normals": (normals(), 0.51 / 32767),
     "semantic": (RNG.integers(0, 21, (20, 30)).astype(np.uint8), 0.0),
@@ -41,12 +41,12 @@ PICTURES = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_picture_of_every_kind_is_read_back(tmp_path: Path, kind: str) -> None:
-    given, least = PICTURES[kind]
+def test_a_image_of_every_kind_is_read_back(tmp_path: Path, kind: str) -> None:
+    given, least = IMAGES[kind]
     file = truth_file(tmp_path, kind, "rear", 12)
     file.parent.mkdir(parents=True)
     file.write_bytes(KINDS[kind].encode(given))
-    read = read_truth_picture(tmp_path, kind, "rear", 12)
+    read = read_truth_image(tmp_path, kind, "rear", 12)
     assert read.shape == given.shape
     assert np.array_equal(np.isnan(read), np.isnan(given))
     known = np.isfinite(given)
@@ -57,24 +57,24 @@ def test_a_picture_of_every_kind_is_read_back(tmp_path: Path, kind: str) -> None
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_missing_or_broken_picture_is_named(tmp_path: Path, kind: str) -> None:
+def test_a_missing_or_broken_image_is_named(tmp_path: Path, kind: str) -> None:
     with pytest.raises(RecordingError, match="missing") as caught:
-        read_truth_picture(tmp_path, kind, "rear", 12)
+        read_truth_image(tmp_path, kind, "rear", 12)
     assert caught.value.file == str(truth_file(tmp_path, kind, "rear", 12))
     file = truth_file(tmp_path, kind, "rear", 12)
     file.parent.mkdir(parents=True)
-    for data in (b"", b"rubbish", KINDS[kind].encode(PICTURES[kind][0])[:60]):
+    for data in (b"", b"rubbish", KINDS[kind].encode(IMAGES[kind][0])[:60]):
         file.write_bytes(data)
         with pytest.raises(RecordingError, match="broken"):
-            read_truth_picture(tmp_path, kind, "rear", 12)
+            read_truth_image(tmp_path, kind, "rear", 12)
 
 
 def test_a_mask_of_another_kind_is_refused(tmp_path: Path) -> None:
     file = truth_file(tmp_path, "semantic", "rear", 1)
     file.parent.mkdir(parents=True)
-    file.write_bytes(KINDS["instance"].encode(PICTURES["instance"][0]))
+    file.write_bytes(KINDS["instance"].encode(IMAGES["instance"][0]))
     with pytest.raises(RecordingError, match="broken"):
-        read_truth_picture(tmp_path, "semantic", "rear", 1)
+        read_truth_image(tmp_path, "semantic", "rear", 1)
 
 
 def test_the_document_says_what_the_masks_mean(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 from mirror.synth.truth import static_flow
-from mirror.synth.truth.casting import cast
+from mirror.synth.truth.casting import cast_rays
 
 from .test_casting import ball, square
 
@@ -65,7 +65,7 @@ def test_points_of_a_sphere_and_a_floor_land_on_themselves(offset_m: float) -> N
     def distances(camera: Camera, pose: Poses, uv: np.ndarray | None = None) -> np.ndarray:
         direction = (camera.rays() if uv is None else camera.unproject(uv)).direction
         world = direction @ matrix_from_quaternion(pose.rotation)[0].T
-        each = [cast(one, pose.translation[0], world.reshape(-1, 3))[0] for one in scene]
+        each = [cast_rays(one, pose.translation[0], world.reshape(-1, 3))[0] for one in scene]
         return np.minimum(*each).reshape(direction.shape[:-1])
 
     there = distances(PINHOLE, first)

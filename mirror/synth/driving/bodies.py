@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from mirror.synth.users.body import Body
+from mirror.synth.road_users.body import Body
 
 Kind = Literal["car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian"]
 KINDS: Final[tuple[Kind, ...]] = ("car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian")
@@ -32,25 +32,25 @@ def body_of(kind: Kind, number: int, umbrella: bool = False, warm: bool = False)
     """
     rng = np.random.default_rng([7, KINDS.index(kind), number])
     if kind == "pedestrian":
-        from mirror.synth.users.people import pedestrian
+        from mirror.synth.road_users.people import pedestrian
 
         return pedestrian(rng, child=rng.random() < _CHILD, umbrella=umbrella, warm=warm)
     if kind == "car":
-        from mirror.synth.users.cars import car
+        from mirror.synth.road_users.cars import car
 
         return car(rng)
     if kind == "van":
-        from mirror.synth.users.vans import van
+        from mirror.synth.road_users.vans import van
 
         return van(rng)
     if kind == "truck":
-        from mirror.synth.users.trucks import truck
+        from mirror.synth.road_users.trucks import truck
 
         return truck(rng)
     if kind == "bus":
-        from mirror.synth.users.buses import bus
+        from mirror.synth.road_users.buses import bus
 
         return bus(rng)
-    from mirror.synth.users.two_wheelers import bicycle, motorcycle
+    from mirror.synth.road_users.two_wheelers import bicycle, motorcycle
 
     return motorcycle(rng) if kind == "motorcycle" else bicycle(rng)

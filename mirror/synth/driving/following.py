@@ -68,28 +68,28 @@ def pace(ways: Ways, way: int, along: float) -> float:
 
 
 @inner
-def free(u: int, ways: Ways, users: Users, s: float, v: float) -> float:
+def free(u: int, ways: Ways, road_users: Users, s: float, v: float) -> float:
     """Acceleration without anybody else: towards one's own speed, in time for bends, letting up now and then."""
-    easing = 1.0 - 0.10 * (0.5 + 0.5 * math.sin(s / 17.0 + users.phase[u]))
-    own = users.eager[u] * easing
-    now = min(pace(ways, users.way[u], s) * own, users.fastest_mps[u])
-    soon = min(pace(ways, users.way[u], s + 0.8 * v) * own, users.fastest_mps[u])
-    return min(users.pick_up_mps2[u] * (1.0 - (v / now) ** 4), (soon - v) / 0.8)
+    easing = 1.0 - 0.10 * (0.5 + 0.5 * math.sin(s / 17.0 + road_users.phase[u]))
+    own = road_users.eager[u] * easing
+    now = min(pace(ways, road_users.way[u], s) * own, road_users.fastest_mps[u])
+    soon = min(pace(ways, road_users.way[u], s + 0.8 * v) * own, road_users.fastest_mps[u])
+    return min(road_users.pick_up_mps2[u] * (1.0 - (v / now) ** 4), (soon - v) / 0.8)
 
 
 @inner
-def follow(u: int, users: Users, v: float, gap: float, speed: float) -> float:
+def follow(u: int, road_users: Users, v: float, gap: float, speed: float) -> float:
     """Acceleration behind somebody at a gap who goes at a speed."""
     room = max(gap, 0.3)
-    ease = 2.0 * math.sqrt(users.pick_up_mps2[u] * users.brake_mps2[u])
-    wanted = STANDSTILL_M + max(0.0, v * users.headway_s[u] + v * (v - speed) / ease)
+    ease = 2.0 * math.sqrt(road_users.pick_up_mps2[u] * road_users.brake_mps2[u])
+    wanted = STANDSTILL_M + max(0.0, v * road_users.headway_s[u] + v * (v - speed) / ease)
     # The model brakes as hard at a short gap whether or not it closes: no harder than the closing asks for.
     closing = max(v - speed, 0.0)
     hardest = min(max(1.4 * closing * closing / (2.0 * room), _GENTLE_MPS2), _HARDEST_MPS2)
-    return max(users.pick_up_mps2[u] * (1.0 - (wanted / room) ** 2), -hardest)
+    return max(road_users.pick_up_mps2[u] * (1.0 - (wanted / room) ** 2), -hardest)
 
 
 @inner
-def halt(u: int, users: Users, v: float, gap: float) -> float:
+def halt(u: int, road_users: Users, v: float, gap: float) -> float:
     """Acceleration towards a line to stop at."""
-    return follow(u, users, v, gap + STANDSTILL_M, 0.0) if gap > -STANDSTILL_M else -_HARDEST_MPS2
+    return follow(u, road_users, v, gap + STANDSTILL_M, 0.0) if gap > -STANDSTILL_M else -_HARDEST_MPS2

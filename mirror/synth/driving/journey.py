@@ -24,7 +24,7 @@ from mirror.synth.driving.vehicles import Ways, cyclists, leaving, vehicles
 from mirror.synth.driving.walkers import standing, walkers
 from mirror.synth.driving.ways import STEP_M
 from mirror.synth.driving.zones import zones
-from mirror.synth.users.body import Body, Motion, RoadUser
+from mirror.synth.road_users.body import Body, Motion, RoadUser
 
 _WARM_UP_S: Final = 60.0
 _LONGEST_S: Final = 240.0
@@ -48,7 +48,7 @@ class Journey:
     """
 
     drive: Drive
-    users: tuple[RoadUser, ...]
+    road_users: tuple[RoadUser, ...]
 
 
 def journey(
@@ -233,12 +233,12 @@ def _users(
     fixed[0] = True
     kept = apart(places, 0.5 * sizes + _CLEARANCE_M, fixed, site.radius_m + _SEEN_M)
     counts: dict[str, int] = {}
-    users = []
+    road_users = []
     for (body, motion), stays in zip(everybody, kept[1:]):
         if stays:
             counts[body.category] = counts.get(body.category, 0) + 1
-            users.append(RoadUser(f"{body.category}-{counts[body.category]:03d}", body, motion))
-    return tuple(users)
+            road_users.append(RoadUser(f"{body.category}-{counts[body.category]:03d}", body, motion))
+    return tuple(road_users)
 
 
 def _middles(drive: Drive, chassis: Chassis, times: Float64) -> Float64:

@@ -11,8 +11,8 @@ import numpy as np
 from mirror.synth.driving.bodies import POPULATION, Kind, body_of
 from mirror.synth.driving.paths import lanes_of
 from mirror.synth.driving.site import Site
+from mirror.synth.road_users.body import Body, Placement, Still
 from mirror.synth.street.network import Lane
-from mirror.synth.users.body import Body, Placement, Still
 
 _PITCH_M: Final = 6.2
 _STAYS: Final = 0.42

@@ -102,16 +102,16 @@ def simulated(
         if not any(participant.way is way for way in ways):
             ways.append(participant.way)
     number = {id(way): place for place, way in enumerate(ways)}
-    users = _users(participants, number)
+    road_users = _users(participants, number)
     meetings = _meetings(participants, ways, number)
     if first_goes_first:
-        own = np.argmax(meetings.users == 0, axis=1)
-        meetings = meetings._replace(major=np.where((meetings.users == 0).any(axis=1), own, meetings.major))
+        own = np.argmax(meetings.road_users == 0, axis=1)
+        meetings = meetings._replace(major=np.where((meetings.road_users == 0).any(axis=1), own, meetings.major))
     green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
     ticks = int(longest_s / TICK_S)
     now = State(*np.zeros((len(State._fields), len(participants))))
     lengths, speeds = simulate(
-        _ways(ways), users, meetings, now, green, network.cycle_s, clock_s, ticks, first_goes_first
+        _ways(ways), road_users, meetings, now, green, network.cycle_s, clock_s, ticks, first_goes_first
     )
     found: list[Schedule | None] = []
     for place in range(len(participants)):

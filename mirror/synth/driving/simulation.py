@@ -35,7 +35,7 @@ def signal(green_s: Float64, cycle_s: float, group: int, clock_s: float) -> int:
 @njit(cache=True, nogil=True)
 def simulate(
     ways: Ways,
-    users: Users,
+    road_users: Users,
     meetings: Meetings,
     now: State,
     green_s: Float64,
@@ -48,7 +48,7 @@ def simulate(
 
     Args:
         ways: that they follow.
-        users: who they are.
+        road_users: the road users.
         meetings: where they are in each other's way.
         now: what they do: zeros to begin with.
         green_s: (groups, 2) of the network.
@@ -60,7 +60,7 @@ def simulate(
     Returns:
         Lengths (T, N) and speeds (T, N), NaN while a user is not there.
     """
-    count = len(users.way)
+    count = len(road_users.way)
     lengths = np.full((ticks, count), np.nan)
     speeds = np.full((ticks, count), np.nan)
     there = np.full(count, _WAITING)
@@ -71,29 +71,29 @@ def simulate(
     for tick in range(ticks):
         clock = clock_s + tick * TICK_S
         for u in range(count):
-            if there[u] == _WAITING and tick * TICK_S >= users.enter_s[u]:
-                speed = _entry_speed(u, ways, users, meetings, there, now, heedless and u == 0)
+            if there[u] == _WAITING and tick * TICK_S >= road_users.enter_s[u]:
+                speed = _entry_speed(u, ways, road_users, meetings, there, now, heedless and u == 0)
                 if speed >= 0.0:
-                    there[u], now.s[u], now.v[u] = _THERE, users.enter_m[u], speed
+                    there[u], now.s[u], now.v[u] = _THERE, road_users.enter_m[u], speed
                     now.stop_before[u] = now.shut_before[u] = FAR
                     changed = True
             if there[u] == _THERE:
-                now.wish[u] = free(u, ways, users, now.s[u], now.v[u])
+                now.wish[u] = free(u, ways, road_users, now.s[u], now.v[u])
                 now.stop[u], now.shut[u], now.lead[u], now.lead_speed[u] = FAR, FAR, FAR, 0.0
         if changed or tick % _SIFT == 0:
-            lives = _alive(users, meetings, there, now.s, live)
+            lives = _alive(road_users, meetings, there, now.s, live)
             changed = False
         for e in live[:lives]:
-            if there[meetings.users[e, 0]] == _THERE and there[meetings.users[e, 1]] == _THERE:
-                meet(e, users, meetings, ahead, now)
+            if there[meetings.road_users[e, 0]] == _THERE and there[meetings.road_users[e, 1]] == _THERE:
+                meet(e, road_users, meetings, ahead, now)
         if heedless and there[0] == _THERE:
-            now.wish[0], now.stop[0], now.lead[0] = free(0, ways, users, now.s[0], now.v[0]), FAR, FAR
+            now.wish[0], now.stop[0], now.lead[0] = free(0, ways, road_users, now.s[0], now.v[0]), FAR, FAR
         for u in range(count):
             if there[u] == _THERE:
-                _wait(u, ways, users, now, green_s, cycle_s, clock)
+                _wait(u, ways, road_users, now, green_s, cycle_s, clock)
                 _move(u, now)
                 lengths[tick, u], speeds[tick, u] = now.s[u], now.v[u]
-                if now.s[u] >= users.end_m[u]:
+                if now.s[u] >= road_users.end_m[u]:
                     there[u] = _GONE
         if there[0] == _GONE:
             done = tick + 1
@@ -102,14 +102,14 @@ def simulate(
 
 
 @inner
-def _alive(users: Users, meetings: Meetings, there: Int64, s: Float64, live: Int64) -> int:
+def _alive(road_users: Users, meetings: Meetings, there: Int64, s: Float64, live: Int64) -> int:
     """Put the meetings that both have still to get through into ``live``; returns how many they are."""
     count = 0
     for e in range(len(meetings.major)):
-        p, q = meetings.users[e, 0], meetings.users[e, 1]
+        p, q = meetings.road_users[e, 0], meetings.road_users[e, 1]
         if there[p] != _THERE or there[q] != _THERE:
             continue
-        if s[p] - users.length_m[p] > meetings.end_m[e, 0] or s[q] - users.length_m[q] > meetings.end_m[e, 1]:
+        if s[p] - road_users.length_m[p] > meetings.end_m[e, 0] or s[q] - road_users.length_m[q] > meetings.end_m[e, 1]:
             continue
         live[count] = e
         count += 1
@@ -118,26 +118,26 @@ def _alive(users: Users, meetings: Meetings, there: Int64, s: Float64, live: Int
 
 @inner
 def _entry_speed(
-    u: int, ways: Ways, users: Users, meetings: Meetings, there: Int64, now: State, heedless: bool
+    u: int, ways: Ways, road_users: Users, meetings: Meetings, there: Int64, now: State, heedless: bool
 ) -> float:
     """The speed at which a user can come in, or -1 while there is no room."""
-    at = users.enter_m[u]
-    speed = min(pace(ways, users.way[u], at) * users.eager[u], users.fastest_mps[u])
-    if users.pause_s[u] > 0.0 and users.pause_m[u] <= at:
+    at = road_users.enter_m[u]
+    speed = min(pace(ways, road_users.way[u], at) * road_users.eager[u], road_users.fastest_mps[u])
+    if road_users.pause_s[u] > 0.0 and road_users.pause_m[u] <= at:
         speed = 0.0
     if heedless:
         return speed
     for e in range(len(meetings.major)):
         for k in range(2):
-            other = meetings.users[e, 1 - k]
-            if meetings.users[e, k] != u or there[other] != _THERE:
+            other = meetings.road_users[e, 1 - k]
+            if meetings.road_users[e, k] != u or there[other] != _THERE:
                 continue
             inside = meetings.begin_m[e, k] <= at + 1.0
-            if not inside or now.s[other] - users.length_m[other] > meetings.end_m[e, 1 - k]:
+            if not inside or now.s[other] - road_users.length_m[other] > meetings.end_m[e, 1 - k]:
                 continue
             if now.s[other] < meetings.begin_m[e, 1 - k]:
                 continue
-            gap = limit(e, k, users, meetings, now.s) - at
+            gap = limit(e, k, road_users, meetings, now.s) - at
             if gap < 3.0:
                 return -1.0
             speed = min(speed, now.v[other] + 0.35 * (gap - 3.0))
@@ -145,16 +145,16 @@ def _entry_speed(
 
 
 @inner
-def _wait(u: int, ways: Ways, users: Users, now: State, green_s: Float64, cycle_s: float, clock: float) -> None:
+def _wait(u: int, ways: Ways, road_users: Users, now: State, green_s: Float64, cycle_s: float, clock: float) -> None:
     """What signals, crossings that are full, and own pauses ask of a user."""
-    if users.pause_s[u] > now.paused[u]:
-        gap = users.pause_m[u] - now.s[u]
+    if road_users.pause_s[u] > now.paused[u]:
+        gap = road_users.pause_m[u] - now.s[u]
         if gap < 80.0:
-            now.wish[u] = min(now.wish[u], halt(u, users, now.v[u], gap))
-            now.shut[u] = min(now.shut[u], users.pause_m[u])
+            now.wish[u] = min(now.wish[u], halt(u, road_users, now.v[u], gap))
+            now.shut[u] = min(now.shut[u], road_users.pause_m[u])
         if now.v[u] < 0.05 and gap < 1.5:
             now.paused[u] += TICK_S
-    way = users.way[u]
+    way = road_users.way[u]
     for h in range(ways.first_halt[way], ways.first_halt[way + 1]):
         gap = ways.halt_m[h] - now.s[u]
         if gap < -0.3 or gap > 90.0:
@@ -168,11 +168,11 @@ def _wait(u: int, ways: Ways, users: Users, now: State, green_s: Float64, cycle_
                 closed = light != 0
             if light == 1 and now.v[u] * now.v[u] > 2.0 * 3.2 * max(gap, 0.1):
                 closed = False
-        full = now.lead[u] < ways.halt_clear_m[h] + users.length_m[u] + 0.5 and now.lead_speed[u] < 1.5
+        full = now.lead[u] < ways.halt_clear_m[h] + road_users.length_m[u] + 0.5 and now.lead_speed[u] < 1.5
         if not closed and full and now.lead[u] > ways.halt_m[h] and not ways.halt_on_foot[h]:
             closed = now.v[u] * now.v[u] < 2.0 * 3.0 * max(gap, 0.1)
         if closed:
-            now.wish[u] = min(now.wish[u], halt(u, users, now.v[u], gap))
+            now.wish[u] = min(now.wish[u], halt(u, road_users, now.v[u], gap))
             now.shut[u] = min(now.shut[u], ways.halt_m[h])
 
 

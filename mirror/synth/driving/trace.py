@@ -12,7 +12,7 @@ from numba import njit
 
 from mirror.arrays import Float64
 from mirror.synth.driving.ways import STEP_M, Way
-from mirror.synth.users.body import Placement
+from mirror.synth.road_users.body import Placement
 
 HeightField = Callable[[Float64, Float64], Float64]
 """Height of the ground at x and y, metres: arrays in, array out."""

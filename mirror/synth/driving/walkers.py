@@ -15,8 +15,8 @@ from mirror.synth.driving.paths import Path, lanes_of, turn_rad
 from mirror.synth.driving.site import Bustle, Site
 from mirror.synth.driving.trace import Aside, Chassis
 from mirror.synth.driving.vehicles import Ways
+from mirror.synth.road_users.body import Body, Placement, Still
 from mirror.synth.street.network import Lane
-from mirror.synth.users.body import Body, Placement, Still
 
 _EVERY_M: Final = 75.0
 """Pavement a person, on a busy day; a group counts as one."""

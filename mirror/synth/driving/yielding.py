@@ -45,7 +45,7 @@ class Meetings(NamedTuple):
     ``counts`` how many; ``major`` 0 or 1: that one of the two goes first, -1: whoever is there first.
     """
 
-    users: Int64
+    road_users: Int64
     begin_m: Float64
     end_m: Float64
     hold_m: Float64
@@ -57,10 +57,10 @@ class Meetings(NamedTuple):
 
 
 @inner
-def limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> float:
+def limit(e: int, k: int, road_users: Users, meetings: Meetings, s: Float64) -> float:
     """How far user k of a meeting may come behind the other."""
-    other = meetings.users[e, 1 - k]
-    place = (s[other] - users.length_m[other] - meetings.begin_m[e, 1 - k]) / GRID_M
+    other = meetings.road_users[e, 1 - k]
+    place = (s[other] - road_users.length_m[other] - meetings.begin_m[e, 1 - k]) / GRID_M
     first = meetings.table[e, k]
     last = meetings.counts[e, k] - 1
     if place <= 0.0:
@@ -74,32 +74,32 @@ def limit(e: int, k: int, users: Users, meetings: Meetings, s: Float64) -> float
 
 
 @inner
-def meet(e: int, users: Users, meetings: Meetings, ahead: Int64, now: State) -> None:
+def meet(e: int, road_users: Users, meetings: Meetings, ahead: Int64, now: State) -> None:
     """What a meeting asks of its two users."""
-    p, q = meetings.users[e, 0], meetings.users[e, 1]
+    p, q = meetings.road_users[e, 0], meetings.road_users[e, 1]
     for k in range(2):
-        u = meetings.users[e, k]
-        if now.s[u] - users.length_m[u] > meetings.end_m[e, k]:
+        u = meetings.road_users[e, k]
+        if now.s[u] - road_users.length_m[u] > meetings.end_m[e, k]:
             return
     p_in, q_in = now.s[p] > meetings.begin_m[e, 0], now.s[q] > meetings.begin_m[e, 1]
     if ahead[e] >= 0 and not (p_in if ahead[e] == 0 else q_in):
-        first = meetings.users[e, ahead[e]]
+        first = meetings.road_users[e, ahead[e]]
         if now.shut_before[first] < meetings.begin_m[e, ahead[e]]:
             ahead[e] = -1
     if p_in and q_in and (ahead[e] < 0 or meetings.along[e]):
         # Whatever was agreed before: behind each other, the one in front is first.
-        p_over = now.s[p] - limit(e, 0, users, meetings, now.s)
-        ahead[e] = 0 if p_over >= now.s[q] - limit(e, 1, users, meetings, now.s) else 1
+        p_over = now.s[p] - limit(e, 0, road_users, meetings, now.s)
+        ahead[e] = 0 if p_over >= now.s[q] - limit(e, 1, road_users, meetings, now.s) else 1
     if ahead[e] < 0:
         if p_in or q_in:
             ahead[e] = 0 if p_in else 1
         else:
-            ahead[e] = _decide(e, users, meetings, now)
+            ahead[e] = _decide(e, road_users, meetings, now)
     if ahead[e] < 0:
         return
     k = 1 - ahead[e]
-    u, other = meetings.users[e, k], meetings.users[e, 1 - k]
-    upto = limit(e, k, users, meetings, now.s)
+    u, other = meetings.road_users[e, k], meetings.road_users[e, 1 - k]
+    upto = limit(e, k, road_users, meetings, now.s)
     if upto < now.s[u] - 3.0 and not meetings.along[e]:
         return
     speed = now.v[other] if meetings.along[e] else 0.0
@@ -107,7 +107,7 @@ def meet(e: int, users: Users, meetings: Meetings, ahead: Int64, now: State) -> 
         upto = max(min(upto, meetings.hold_m[e, k]), now.s[u]) if now.s[u] < meetings.hold_m[e, k] + 0.3 else upto
     if upto - now.s[u] > 120.0:
         return
-    now.wish[u] = min(now.wish[u], follow(u, users, now.v[u], upto - now.s[u], speed))
+    now.wish[u] = min(now.wish[u], follow(u, road_users, now.v[u], upto - now.s[u], speed))
     if upto < now.lead[u]:
         now.lead[u], now.lead_speed[u] = upto, now.v[other]
 
@@ -115,7 +115,7 @@ def meet(e: int, users: Users, meetings: Meetings, ahead: Int64, now: State) -> 
 @inner
 def _arrival(e: int, k: int, meetings: Meetings, now: State) -> float:
     """When user k of a meeting can be at the zone; `FAR` if it is far away, has to stop before it, or just stands."""
-    u = meetings.users[e, k]
+    u = meetings.road_users[e, k]
     gap = meetings.begin_m[e, k] - now.s[u]
     if gap > 90.0 or now.stop_before[u] < meetings.begin_m[e, k] - 0.2 or now.waited[u] > _YIELDS_S:
         return FAR
@@ -123,7 +123,7 @@ def _arrival(e: int, k: int, meetings: Meetings, now: State) -> float:
 
 
 @inner
-def _decide(e: int, users: Users, meetings: Meetings, now: State) -> int:
+def _decide(e: int, road_users: Users, meetings: Meetings, now: State) -> int:
     """Who goes first (0 or 1) when neither is in the zone yet; -1: it is left open."""
     major = meetings.major[e]
     if major < 0:
@@ -135,15 +135,15 @@ def _decide(e: int, users: Users, meetings: Meetings, now: State) -> int:
         if meetings.along[e] and max(t0, t1) < 6.0:
             return major
     minor = 1 - major
-    m, M = meetings.users[e, minor], meetings.users[e, major]
+    m, M = meetings.road_users[e, minor], meetings.road_users[e, major]
     to_hold = meetings.hold_m[e, minor] - now.s[m]
     if to_hold > 60.0 or now.shut_before[m] < meetings.begin_m[e, minor]:
         return -1
     arrives = _arrival(e, major, meetings, now)
     way_out = (meetings.begin_m[e, minor] + 1.0 if meetings.along[e] else meetings.end_m[e, minor]) - now.s[m]
-    way_out += users.length_m[m]
-    quick = 0.8 * users.pick_up_mps2[m]
-    reached = min(users.fastest_mps[m], max(now.v[m], 5.0))
+    way_out += road_users.length_m[m]
+    quick = 0.8 * road_users.pick_up_mps2[m]
+    reached = min(road_users.fastest_mps[m], max(now.v[m], 5.0))
     clears = (-now.v[m] + math.sqrt(now.v[m] * now.v[m] + 2.0 * quick * way_out)) / quick
     clears = max(clears, way_out / reached)
     margin = 1.2 if now.waited[m] < _PATIENCE_S else 0.4
@@ -155,6 +155,6 @@ def _decide(e: int, users: Users, meetings: Meetings, now: State) -> int:
     if cannot_stop or (accepts and near):
         return minor
     if not accepts:
-        now.wish[m] = min(now.wish[m], halt(m, users, now.v[m], to_hold))
+        now.wish[m] = min(now.wish[m], halt(m, road_users, now.v[m], to_hold))
         now.stop[m] = min(now.stop[m], meetings.hold_m[e, minor])
     return -1

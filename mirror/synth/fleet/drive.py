@@ -1,4 +1,4 @@
-"""One drive as it truly was: vehicle, motion, traffic and light, and any picture of it."""
+"""One drive as it truly was: vehicle, motion, traffic and light, and any image of it."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import season_of
 from mirror.synth.model import Model
 from mirror.synth.rigs import Vehicle, VehicleType
-from mirror.synth.rigs.own import own_model
+from mirror.synth.rigs.ego_model import make_ego_model
 
 if TYPE_CHECKING:
     from mirror.synth.driving.drive import Drive
     from mirror.synth.driving.journey import Journey
-    from mirror.synth.render.develop import CameraLook
+    from mirror.synth.render.develop import CameraResponse
     from mirror.synth.render.lens import Lens
-    from mirror.synth.render.scene import Instant, Picture, Scene
+    from mirror.synth.render.scene import Instant, RenderedImage, Scene
+    from mirror.synth.road_users.body import RoadUser
     from mirror.synth.street.world import World
-    from mirror.synth.users.body import RoadUser
 
 _WORLDS_HELD: Final = 2
 _VEHICLES_HELD: Final = 7
@@ -48,7 +48,7 @@ class SynthDrive:
         vehicle: that was driven.
         condition: start, light and weather.
         world_seed: of the scene.
-        seed: of the traffic, of measurement noise and of picture noise.
+        seed: of the traffic, of measurement noise and of image noise.
     """
 
     drive_id: str
@@ -118,9 +118,9 @@ class SynthDrive:
         return self._journey.drive
 
     @property
-    def users(self) -> tuple[RoadUser, ...]:
+    def road_users(self) -> tuple[RoadUser, ...]:
         """Everybody else, parked ones too."""
-        return self._journey.users
+        return self._journey.road_users
 
     @property
     def own(self) -> Model:
@@ -128,7 +128,7 @@ class SynthDrive:
         return _own(self.vehicle.kind)
 
     @property
-    def own_masks(self) -> dict[str, UInt8]:
+    def ego_masks(self) -> dict[str, UInt8]:
         """Masks (H, W) of the vehicle itself, 255 where it is seen, of the cameras that see it."""
         return _own_masks(self.vehicle)
 
@@ -138,11 +138,11 @@ class SynthDrive:
         return _lenses(self.vehicle)
 
     @cached_property
-    def looks(self) -> dict[str, CameraLook]:
+    def camera_responses(self) -> dict[str, CameraResponse]:
         """How the vehicle's cameras develop."""
-        from mirror.synth.render.develop import camera_look
+        from mirror.synth.render.develop import draw_camera_response
 
-        return {name: camera_look([self.vehicle.seed, place]) for place, name in enumerate(CANONICAL_CAMERAS)}
+        return {name: draw_camera_response([self.vehicle.seed, place]) for place, name in enumerate(CANONICAL_CAMERAS)}
 
     @cached_property
     def drops(self) -> dict[str, Records]:
@@ -158,15 +158,15 @@ class SynthDrive:
 
     @cached_property
     def stage(self) -> Scene:
-        """What makes its instants and pictures."""
+        """What makes its instants and images."""
         from mirror.synth.render.scene import Scene
 
-        return Scene(self.world, self.condition, self.users, self.own, clock_s=self.truth.clock_s)
+        return Scene(self.world, self.condition, self.road_users, self.own, clock_s=self.truth.clock_s)
 
     def prepare(self) -> None:
         """Make now what several threads will share: each would make it for itself."""
         self.stage.prepare()
-        _ = self.lenses, self.looks, self.drops
+        _ = self.lenses, self.camera_responses, self.drops
 
     def forget(self) -> None:
         """Let go of what takes memory; it is made again when it is asked for."""
@@ -203,7 +203,7 @@ class SynthDrive:
         stamps = np.array([timestamp_ns])
         return self.stage.at(float(self.seconds(stamps)[0]), self.world_SE3_ego(stamps))
 
-    def picture(self, camera: str, timestamp_ns: int, instant: Instant | None = None) -> Picture:
+    def render(self, camera: str, timestamp_ns: int, instant: Instant | None = None) -> RenderedImage:
         """Render what a camera takes.
 
         Args:
@@ -219,11 +219,11 @@ class SynthDrive:
         turn, velocity = ((poses[:1].inverse() @ poses[2:]).log()[0] / (2.0 * _STEP_S)).reshape(2, 3)
         twist = Twist(tuple(velocity.tolist()), tuple(turn.tolist()), self.vehicle.kind.exposure_ns * 1e-9)
         noise = np.random.SeedSequence([self.seed, place, timestamp_ns]).generate_state(1, np.uint64)[0]
-        return self.stage.picture(
+        return self.stage.render(
             self.at(timestamp_ns) if instant is None else instant,
             self.lenses[camera],
             poses[1:2],
-            look=self.looks[camera],
+            response=self.camera_responses[camera],
             seed=int(noise >> np.uint64(1)),
             drops=self.drops.get(camera),
             twist=twist,
@@ -240,15 +240,15 @@ def _world(preset: str, scene: int, seed: int) -> World:
 
 @lru_cache(_VEHICLES_HELD)
 def _own(kind: VehicleType) -> Model:
-    return own_model(kind)
+    return make_ego_model(kind)
 
 
 @lru_cache(_VEHICLES_HELD)
 def _own_masks(vehicle: Vehicle) -> dict[str, UInt8]:
-    from mirror.synth.truth.casting import own_mask
+    from mirror.synth.truth.casting import ego_mask
 
     own, mountings = _own(vehicle.kind), vehicle.ego_SE3_camera
-    masks = {name: own_mask(own, camera, mountings[name]) for name, camera in vehicle.cameras.items()}
+    masks = {name: ego_mask(own, camera, mountings[name]) for name, camera in vehicle.cameras.items()}
     return {name: mask for name, mask in masks.items() if mask.any()}
 
 

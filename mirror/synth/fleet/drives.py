@@ -8,7 +8,7 @@ import numpy as np
 
 from mirror.errors import UsageError
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.presets import Preset, planned, recipes_of
+from mirror.synth.fleet.presets import Preset, cycle_recipes, resolve_preset
 from mirror.synth.fleet.recipe import Recipe
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import instant_of
@@ -20,7 +20,7 @@ _TYPES: Final = tuple(VEHICLE_TYPES)
 _SEEDS: Final = 1 << 31
 
 
-def drives_of(
+def make_drives(
     preset: str, seed: int, scenes: int | None = None, traversals: int | None = None
 ) -> tuple[Preset, list[SynthDrive]]:
     """All drives of a preset; none is simulated before it is asked for its motion.
@@ -29,37 +29,37 @@ def drives_of(
         preset: one of `mirror.synth.fleet.PRESETS`.
         seed: of everything that is left to chance.
         scenes: how many scenes; default: all that the preset has.
-        traversals: how many drives with pictures through each; default: the preset's.
+        traversals: how many drives with images through each; default: the preset's.
 
     Raises:
         UsageError: there is no such preset, it has no so many scenes, or the seed is none.
     """
     if not 0 <= seed < _SEEDS:
         raise UsageError(f"seed {seed}", place="seed", expected=f"a whole number from 0 to {_SEEDS - 1}")
-    wanted, count, many = planned(preset, scenes, traversals)
+    wanted, count, many = resolve_preset(preset, scenes, traversals)
     drives = []
     for scene in range(count):
         site = wanted.sites[scene]
         drives += [
-            _traversal(wanted, scene, place, recipe, seed) for place, recipe in enumerate(recipes_of(site, many))
+            _traversal(wanted, scene, place, recipe, seed) for place, recipe in enumerate(cycle_recipes(site, many))
         ]
         drives += [_other(wanted, scene, place, recipe, seed) for place, recipe in enumerate(site.others)]
     return wanted, drives
 
 
-def drive_named(preset: str, seed: int, drive_id: str) -> SynthDrive:
-    """One drive with pictures of a preset, however many of those are recorded.
+def make_drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
+    """One drive with images of a preset, however many of those are recorded.
 
     Raises:
         UsageError: there is no such preset, or no such drive.
     """
-    wanted, _, _ = planned(preset)
+    wanted, _, _ = resolve_preset(preset)
     scene_id, _, number = drive_id.rpartition("-")
     scenes = [scene for scene, site in enumerate(wanted.sites) if site.roi.scene_id == scene_id]
     if not scenes or not number.isdecimal() or not 1 <= int(number) < _OTHERS:
         raise UsageError(f"no drive {drive_id!r} in preset {preset!r}", expected="<scene>-<number from 01>")
     place = int(number) - 1
-    recipe = recipes_of(wanted.sites[scenes[0]], place + 1)[-1]
+    recipe = cycle_recipes(wanted.sites[scenes[0]], place + 1)[-1]
     return _traversal(wanted, scenes[0], place, recipe, seed)
 
 

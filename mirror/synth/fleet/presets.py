@@ -10,7 +10,7 @@ from mirror.errors import UsageError
 from mirror.schema.documents import Roi
 from mirror.synth.errors import Errors
 from mirror.synth.fleet import places
-from mirror.synth.fleet.recipe import Recipe, programme
+from mirror.synth.fleet.recipe import Recipe, make_recipes
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Site:
         roi: where.
         yaw_deg: direction of its main street, counter-clockwise from east.
         fastest_mps: nobody who records drives faster.
-        recipes: drives with pictures, in this order, and from the first again.
+        recipes: drives with images, in this order, and from the first again.
         others: drives besides: the branches of the trigger, each of another route.
         bustle: share of the traffic of a busy day.
     """
@@ -41,11 +41,11 @@ class Preset:
     Attributes:
         name: its name.
         sites: the scenes, of which the first so many are recorded.
-        traversals: drives with pictures through each scene.
-        width_px: of a picture with share 1; `mirror.synth.rigs` says what the cameras make of that.
-        picture_hz: pictures a second and camera.
+        traversals: drives with images through each scene.
+        width_px: of an image with share 1; `mirror.synth.rigs` says what the cameras make of that.
+        image_hz: images a second and camera.
         pose_hz: poses a second.
-        on_demand: pictures are not written; recordings refer to them, and they are rendered when somebody loads them.
+        on_demand: images are not written; recordings refer to them, and they are rendered when somebody loads them.
         errors: by which what is recorded differs from the truth.
     """
 
@@ -53,7 +53,7 @@ class Preset:
     sites: tuple[Site, ...]
     traversals: int
     width_px: int
-    picture_hz: float
+    image_hz: float
     pose_hz: float = 20.0
     on_demand: bool = False
     errors: Errors = field(default_factory=Errors)
@@ -71,11 +71,11 @@ _SHOWN: Final = (
 """Traversals of the small presets: one of everything, early."""
 
 _SKIMS: Final = Recipe("corner", "day", "clear", "2025-05-15", "saloon")
-_SKIMS_UNSEEN: Final = Recipe("corner", "day", "clear", "2025-05-15", "saloon", pictures=False)
-_PASSES_FAST: Final = Recipe("edge", "dusk", "clear", "2025-05-16", "van", poses="heading", pictures=False)
-_STANDS: Final = Recipe("still", "day", "clear", "2025-05-17", "hatchback", poses="parquet", pictures=False)
-_TURNS_ROUND: Final = Recipe("uturn", "night", "clear", "2025-05-18", "suv", pictures=False)
-_POSES_ONLY: Final = Recipe("back", "day", "clouds", "2025-09-09", "bus", poses="heading", pictures=False)
+_SKIMS_UNSEEN: Final = Recipe("corner", "day", "clear", "2025-05-15", "saloon", images=False)
+_PASSES_FAST: Final = Recipe("edge", "dusk", "clear", "2025-05-16", "van", poses="heading", images=False)
+_STANDS: Final = Recipe("still", "day", "clear", "2025-05-17", "hatchback", poses="parquet", images=False)
+_TURNS_ROUND: Final = Recipe("uturn", "night", "clear", "2025-05-18", "suv", images=False)
+_POSES_ONLY: Final = Recipe("back", "day", "clouds", "2025-09-09", "bus", poses="heading", images=False)
 
 _URBAN: Final = (("along", 0), ("back", 0), ("turn", 0), ("across", 0), ("left", 0))
 _CAMPUS: Final = (("along", 0), ("back", 0), ("left", 0), ("turn", 0), ("across", 0))
@@ -91,7 +91,7 @@ def _turned(recipes: tuple[Recipe, ...], by: int) -> tuple[Recipe, ...]:
 
 def _benchmark() -> Preset:
     def site(number: int, roi: Roi, yaw_deg: float, fastest_mps: float, routes: tuple[tuple[str, int], ...]) -> Site:
-        return Site(roi, yaw_deg, fastest_mps, programme(routes, _SEVEN, 8, 5 * number))
+        return Site(roi, yaw_deg, fastest_mps, make_recipes(routes, _SEVEN, 8, 5 * number))
 
     return Preset(
         "benchmark",
@@ -103,14 +103,14 @@ def _benchmark() -> Preset:
         ),
         traversals=8,
         width_px=960,
-        picture_hz=2.0,
+        image_hz=2.0,
     )
 
 
 def _block(roi: Roi, yaw_deg: float, radius_m: float, first: int) -> Site:
     """A scene of one block, driven there and back in five conditions."""
     routes = (("along", 0), ("back", 0))
-    return Site(places.small(roi, radius_m), yaw_deg, 7.5, programme(routes, _SEVEN, 5, first), bustle=0.6)
+    return Site(places.small(roi, radius_m), yaw_deg, 7.5, make_recipes(routes, _SEVEN, 5, first), bustle=0.6)
 
 
 def _reconstruction() -> Preset:
@@ -119,7 +119,7 @@ def _reconstruction() -> Preset:
         _block(places.KARLSRUHE_RURAL, -38.0, 50.0, 1),
         _block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),
     )
-    return Preset("reconstruction", sites, traversals=5, width_px=480, picture_hz=1.0)
+    return Preset("reconstruction", sites, traversals=5, width_px=480, image_hz=1.0)
 
 
 def _paper() -> Preset:
@@ -136,10 +136,10 @@ def _paper() -> Preset:
         (places.GUANGZHOU_HIGHWAY, -22.0, 22.0, _HIGHWAY),
     )
     sites = tuple(
-        Site(roi, yaw_deg, fastest_mps, programme(routes, _SEVEN, 14, 3 * number))
+        Site(roi, yaw_deg, fastest_mps, make_recipes(routes, _SEVEN, 14, 3 * number))
         for number, (roi, yaw_deg, fastest_mps, routes) in enumerate(scenes)
     )
-    return Preset("paper", sites, traversals=14, width_px=960, picture_hz=10.0, pose_hz=100.0, on_demand=True)
+    return Preset("paper", sites, traversals=14, width_px=960, image_hz=10.0, pose_hz=100.0, on_demand=True)
 
 
 _TINY: Final = places.small(places.GUANGZHOU_URBAN, 62.0)
@@ -147,13 +147,13 @@ _TINY: Final = places.small(places.GUANGZHOU_URBAN, 62.0)
 PRESETS: Final = {
     preset.name: preset
     for preset in (
-        Preset("tiny", (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN,), bustle=0.5),), 2, 160, picture_hz=0.5),
+        Preset("tiny", (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN,), bustle=0.5),), 2, 160, image_hz=0.5),
         Preset(
             "quick",
             (Site(_TINY, 24.0, 9.0, _SHOWN, (_SKIMS_UNSEEN, _PASSES_FAST, _STANDS, _POSES_ONLY), bustle=0.5),),
             traversals=5,
             width_px=320,
-            picture_hz=0.3,
+            image_hz=0.3,
         ),
         Preset(
             "demo",
@@ -163,9 +163,9 @@ PRESETS: Final = {
             ),
             traversals=5,
             width_px=400,
-            picture_hz=0.3,
+            image_hz=0.3,
         ),
-        Preset("block", (_block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),), 5, 240, picture_hz=0.5),
+        Preset("block", (_block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),), 5, 240, image_hz=0.5),
         _reconstruction(),
         _benchmark(),
         _paper(),
@@ -173,16 +173,16 @@ PRESETS: Final = {
 }
 """By name. ``tiny`` for tests, ``quick`` and ``demo`` to look at, ``block`` and ``reconstruction`` with one and three
 blocks of a street, ``benchmark`` with four kinds of scene in six conditions, ``paper`` as large as the paper's dataset:
-ten scenes in six cities, seven types of vehicle; pictures on demand."""
+ten scenes in six cities, seven types of vehicle; images on demand."""
 
 
-def planned(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:
+def resolve_preset(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:
     """A preset, and how many scenes and traversals of it are meant.
 
     Args:
         preset: one of `PRESETS`.
         scenes: how many scenes; default: all that the preset has.
-        traversals: how many drives with pictures through each; default: the preset's.
+        traversals: how many drives with images through each; default: the preset's.
 
     Raises:
         UsageError: there is no such preset, or it has no so many scenes.
@@ -199,6 +199,6 @@ def planned(preset: str, scenes: int | None = None, traversals: int | None = Non
     return wanted, count, many
 
 
-def recipes_of(site: Site, traversals: int) -> list[Recipe]:
-    """The drives with pictures through a scene, in order; after the last the first comes again."""
+def cycle_recipes(site: Site, traversals: int) -> list[Recipe]:
+    """The drives with images through a scene, in order; after the last the first comes again."""
     return list(islice(cycle(site.recipes), traversals))

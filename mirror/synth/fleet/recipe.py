@@ -36,9 +36,9 @@ class Recipe:
         vehicle: type of the vehicle, of `mirror.synth.rigs.VEHICLE_TYPES`.
         variant: where a scene has several such routes (lanes beside each other, crossings to turn at): which.
         poses: how its poses are written.
-        pictures: whether it records pictures.
+        images: whether it records images.
         morning: whether the sun stands in the east.
-        lost: camera and number of a picture that was lost.
+        lost: camera and number of an image that was lost.
     """
 
     route: str
@@ -48,12 +48,12 @@ class Recipe:
     vehicle: str
     variant: int = 0
     poses: PoseStyle = "csv"
-    pictures: bool = True
+    images: bool = True
     morning: bool = False
     lost: tuple[str, int] | None = None
 
 
-def programme(
+def make_recipes(
     routes: Sequence[tuple[str, int]], vehicles: Sequence[str], count: int, first: int = 0
 ) -> tuple[Recipe, ...]:
     """Drives that go through routes, conditions, dates and vehicles, each in turn.

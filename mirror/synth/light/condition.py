@@ -29,7 +29,7 @@ class Effects:
         traffic: there are other road users than parked ones.
         exposure: each camera exposes by what it sees; else all by the condition.
         white_balance: cameras follow the colour of the light, each a little otherwise; else none does.
-        vignetting: pictures darken to their corners.
+        vignetting: images darken to their corners.
         noise: of the sensor.
         motion_blur: of the exposure time.
         bloom: glare about lights.

@@ -49,9 +49,9 @@ class Material(IntEnum):
     SIGNAL = 25
     """A lamp of a traffic light, that burns in its own colour while its face's lights are on."""
     IMAGE = 26
-    """A picture out of the catalogue, as wide and as high as its face."""
+    """An image out of the catalogue, as wide and as high as its face."""
     LIT_IMAGE = 27
-    """A picture that shines at night: shop signs, billboards."""
+    """An image that shines at night: shop signs, billboards."""
     SKYLINE = 28
     """A far house or wood: windows as a pattern."""
     WATER = 29

@@ -38,7 +38,7 @@ class Finish(NamedTuple):
         label: its semantic class.
         seed: tells its texture from its neighbours'.
         layout: row of markings or of windows.
-        image: picture of the catalogue.
+        image: image of the catalogue.
         images: as many from there on take turns from traversal to traversal.
         two_sided: seen from behind as well.
     """

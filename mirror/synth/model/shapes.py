@@ -47,7 +47,7 @@ def polygon(
         origin: (3,) where u and v are 0; default: the middle of the corners' extents in u and v.
         texture: (N, 2) u and v at the corners, instead of ``u_axis`` and ``origin``; the affine map of the first
             three that are not on a line is taken.
-        image: picture of the catalogue.
+        image: image of the catalogue.
         images: as many from there on take turns from traversal to traversal.
         layout: row of markings.
         seed: tells its texture from its neighbours'.
@@ -200,7 +200,7 @@ def block(
         without: sides that are left out.
         materials: of single sides.
         colours: of single sides.
-        images: pictures of single sides.
+        images: images of single sides.
     """
     x, y, z = (0.5 * extent for extent in size)
     middle_x, middle_y, middle_z = centre
@@ -423,7 +423,7 @@ def ellipsoid(
         label: semantic class.
         yaw: turn about z, radians, counter-clockwise.
         pitch: its own x axis upwards, radians, before the turn.
-        image: picture on the half towards its own +x.
+        image: image on the half towards its own +x.
         seed: of the texture.
     """
     one = np.zeros(1, ROUND)

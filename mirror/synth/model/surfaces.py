@@ -57,7 +57,7 @@ FACE: Final = np.dtype(
 
 ``normal . p = offset`` on its plane, the normal outwards; texture coordinates in metres are ``u = u_axis . p + u0`` and
 ``v = v_axis . p + v0``; ``half`` are half extents in them. ``first`` and ``count`` name its corners, counter-clockwise
-seen from outside. ``image`` is a picture of the catalogue or NO_IMAGE; where ``images`` is above 1, the picture is one
+seen from outside. ``image`` is an image of the catalogue or NO_IMAGE; where ``images`` is above 1, the image is one
 of as many from ``image`` on, another in each traversal. ``layout`` is a carriageway's row of markings.
 """
 
@@ -75,7 +75,7 @@ ROUND: Final = np.dtype(
     ]
 )
 """An ellipsoid. ``axes`` are its own directions as rows, in the frame that it stands in; ``half`` its half axes. An
-``image`` covers the half towards its own +x, as seen from there: the right of the picture is +y."""
+``image`` covers the half towards its own +x, as seen from there: the right of the image is +y."""
 
 
 @lru_cache

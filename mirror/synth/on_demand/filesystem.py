@@ -1,4 +1,4 @@
-"""The pictures as a file system of fsspec: reading one renders it."""
+"""The images as a file system of fsspec: reading one renders it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 from fsspec import AbstractFileSystem
 
 from mirror.errors import UsageError
-from mirror.synth.on_demand.png import TAIL, stored_length, stored_png
-from mirror.synth.on_demand.uri import SCHEME, PictureName, parsed
+from mirror.synth.on_demand.png import TAIL, encode_stored_png, stored_png_length
+from mirror.synth.on_demand.uri import SCHEME, ImageName, parse_image_name
 
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
@@ -23,7 +23,7 @@ _INSTANTS_HELD: Final = 2
 
 
 class SynthFileSystem(AbstractFileSystem):
-    """Read only. Sizes and the last bytes of pictures are had without rendering."""
+    """Read only. Sizes and the last bytes of images are had without rendering."""
 
     protocol = SCHEME
     root_marker = ""
@@ -33,28 +33,28 @@ class SynthFileSystem(AbstractFileSystem):
         return str(path).removeprefix(f"{SCHEME}://").rstrip("/")
 
     def info(self, path: str, **kwargs: Any) -> dict[str, Any]:
-        """Name, size and type of a picture.
+        """Name, size and type of an image.
 
         Raises:
             DatasetError: the name is none, or of another version of the street.
             FileNotFoundError: there is no such drive or camera.
         """
         name = self._strip_protocol(path)
-        return {"name": name, "size": _length(parsed(name)), "type": "file"}
+        return {"name": name, "size": _length(parse_image_name(name)), "type": "file"}
 
     def ls(self, path: str, detail: bool = True, **kwargs: Any) -> list[Any]:
-        """The picture alone; there are no folders to look into."""
+        """The image alone; there are no folders to look into."""
         info = self.info(path)
         return [info if detail else info["name"]]
 
     def cat_file(self, path: str, start: int | None = None, end: int | None = None, **kwargs: Any) -> bytes:
-        """Some bytes of a picture; it is rendered unless they are its last ones.
+        """Some bytes of an image; it is rendered unless they are its last ones.
 
         Raises:
             DatasetError: the name is none, or of another version of the street.
             FileNotFoundError: there is no such drive or camera, or the drive has no such instant.
         """
-        name = parsed(self._strip_protocol(path))
+        name = parse_image_name(self._strip_protocol(path))
         length = _length(name)
         first, last, _ = slice(start, end).indices(length)
         before = length - len(TAIL)
@@ -64,19 +64,19 @@ class SynthFileSystem(AbstractFileSystem):
 
     def _open(self, path: str, mode: str = "rb", **kwargs: Any) -> io.BytesIO:
         if mode != "rb":
-            raise UsageError(f"mode {mode!r}", file=path, expected="rb: pictures on demand are read only")
+            raise UsageError(f"mode {mode!r}", file=path, expected="rb: images on demand are read only")
         return io.BytesIO(self.cat_file(path))
 
 
 class _Open:
-    """A drive that pictures are asked of, from several threads."""
+    """A drive that images are asked of, from several threads."""
 
     def __init__(self, drive: SynthDrive) -> None:
         self.drive = drive
         self._instants: OrderedDict[int, Instant] = OrderedDict()
         self._lock = threading.Lock()
 
-    def encoded(self, name: PictureName) -> bytes:
+    def encoded(self, name: ImageName) -> bytes:
         # One builds the scene and the instant, which all cameras share; the others wait. They render side by side.
         with self._lock:
             drive = self.drive
@@ -89,7 +89,7 @@ class _Open:
                     self._instants.popitem(last=False)
             instant = self._instants[name.true_ns]
             drive.prepare()
-        return stored_png(drive.picture(name.camera, name.true_ns, instant).bgr)
+        return encode_stored_png(drive.render(name.camera, name.true_ns, instant).bgr)
 
 
 _OPENING = threading.Lock()
@@ -106,10 +106,10 @@ def _opened(preset: str, seed: int, drive_id: str) -> _Open:
 
 
 def _found(preset: str, seed: int, drive_id: str) -> SynthDrive:
-    from mirror.synth.fleet.drives import drive_named
+    from mirror.synth.fleet.drives import make_drive
 
     try:
-        return drive_named(preset, seed, drive_id)
+        return make_drive(preset, seed, drive_id)
     except UsageError as error:
         raise FileNotFoundError(str(error)) from error
 
@@ -121,8 +121,8 @@ def _raster(preset: str, seed: int, drive_id: str) -> dict[str, tuple[int, int]]
     return {name: (camera.width_px, camera.height_px) for name, camera in cameras.items()}
 
 
-def _length(name: PictureName) -> int:
+def _length(name: ImageName) -> int:
     rasters = _raster(name.preset, name.seed, name.drive_id)
     if name.camera not in rasters:
         raise FileNotFoundError(f"{name.uri()}: no camera {name.camera!r}")
-    return stored_length(*rasters[name.camera])
+    return stored_png_length(*rasters[name.camera])

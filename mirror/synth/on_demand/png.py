@@ -29,21 +29,21 @@ TAIL: Final = _chunk(b"tEXt", _NOTE.ljust(TAIL_BYTES, b" ")) + _chunk(b"IEND", b
 """How every one of them ends: a little longer than what is looked at for an end marker."""
 
 
-def stored_length(width_px: int, height_px: int) -> int:
-    """Bytes of a picture of that raster."""
+def stored_png_length(width_px: int, height_px: int) -> int:
+    """Bytes of an image of that raster."""
     raw = height_px * (3 * width_px + 1)
     packed = len(_ZLIB_HEADER) + raw + 5 * -(-raw // _BLOCK) + 4
     return len(_SIGNATURE) + _CHUNK + 13 + _CHUNK + packed + len(TAIL)
 
 
-def stored_png(bgr: UInt8) -> bytes:
-    """Encode a picture.
+def encode_stored_png(bgr: UInt8) -> bytes:
+    """Encode an image.
 
     Args:
         bgr: (H, W, 3), blue first.
 
     Returns:
-        `stored_length` bytes that end with `TAIL`; the same on every machine for the same pixels.
+        `stored_png_length` bytes that end with `TAIL`; the same on every machine for the same pixels.
     """
     height, width = bgr.shape[:2]
     rows = np.zeros((height, 3 * width + 1), np.uint8)

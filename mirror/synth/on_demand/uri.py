@@ -1,4 +1,4 @@
-"""How a picture on demand is named: ``mirror-synth://<street>/<preset>/<seed>/<drive>/<camera>/<true_ns>.png``."""
+"""How an image on demand is named: ``mirror-synth://<street>/<preset>/<seed>/<drive>/<camera>/<true_ns>.png``."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from mirror.errors import DatasetError
 
 SCHEME: Final = "mirror-synth"
 STREET: Final = 1
-"""Version of the street: another draws other pictures by the same names."""
+"""Version of the street: another draws other images by the same names."""
 _EXPECTED: Final = f"{SCHEME}://{STREET}/<preset>/<seed>/<drive>/<camera>/<true_ns>.png"
 
 
-class PictureName(NamedTuple):
-    """Which picture.
+class ImageName(NamedTuple):
+    """Which image.
 
     Attributes:
         preset: its recording's preset.
@@ -34,8 +34,8 @@ class PictureName(NamedTuple):
         return f"{SCHEME}://{STREET}/{self.preset}/{self.seed}/{self.drive_id}/{self.camera}/{self.true_ns}.png"
 
 
-def parsed(path: str) -> PictureName:
-    """The picture that a uri, or one without its scheme, names.
+def parse_image_name(path: str) -> ImageName:
+    """The image that a uri, or one without its scheme, names.
 
     Raises:
         DatasetError: it names none, or one of another version of the street.
@@ -43,11 +43,11 @@ def parsed(path: str) -> PictureName:
     parts = path.removeprefix(f"{SCHEME}://").split("/")
     if parts[0].isdecimal() and int(parts[0]) != STREET:
         raise DatasetError(
-            f"the picture is of version {parts[0]} of the synthetic street, which is not drawn any more",
+            f"the image is of version {parts[0]} of the synthetic street, which is not drawn any more",
             file=f"{SCHEME}://{'/'.join(parts)}",
             expected=f"version {STREET}",
             remedy="install the version of the toolkit that wrote the recordings, or write and ingest them anew",
         )
     if len(parts) != 6 or not (parts[2].isdecimal() and parts[5].removesuffix(".png").isdecimal()):
-        raise DatasetError("no picture's name", file=f"{SCHEME}://{'/'.join(parts)}", expected=_EXPECTED)
-    return PictureName(parts[1], int(parts[2]), parts[3], parts[4], int(parts[5].removesuffix(".png")))
+        raise DatasetError("no image's name", file=f"{SCHEME}://{'/'.join(parts)}", expected=_EXPECTED)
+    return ImageName(parts[1], int(parts[2]), parts[3], parts[4], int(parts[5].removesuffix(".png")))

@@ -16,7 +16,7 @@ _STACK: Final = 4 * LEVELS * FANOUT * FANOUT
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spheres_of(faces: Records, corners: Float64, rounds: Records) -> Float64:
+def bounding_spheres(faces: Records, corners: Float64, rounds: Records) -> Float64:
     """Spheres (F + R, 4) that hold the surfaces: centre and radius."""
     out = np.empty((len(faces) + len(rounds), 4))
     for index in range(len(faces)):
@@ -38,7 +38,7 @@ def spheres_of(faces: Records, corners: Float64, rounds: Records) -> Float64:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def facing(
+def find_facing(
     faces: Records,
     spheres: Float64,
     cones: Float64,
@@ -54,7 +54,7 @@ def facing(
 
     Args:
         faces: (F,) FACE, flat.
-        spheres: from `spheres_of`.
+        spheres: from `bounding_spheres`.
         cones: of the lens.
         levels: of the lens.
         rotation: (3, 3) world_R_camera.
@@ -69,7 +69,7 @@ def facing(
     """
     chosen, near = np.empty(len(spheres), np.int64), np.empty(len(spheres), np.float32)
     first, count = levels[LEVELS - 1, 0], levels[LEVELS - 1, 1] * levels[LEVELS - 1, 2]
-    turned = _turned(cones[first : first + count], rotation)
+    turned = _rotate_cones(cones[first : first + count], rotation)
     used = 0
     for index in range(len(spheres)):
         if index < len(faces):
@@ -97,7 +97,7 @@ def facing(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _turned(cones: Float64, rotation: Float64) -> Float64:
+def _rotate_cones(cones: Float64, rotation: Float64) -> Float64:
     turned = np.empty((len(cones), 5))
     for index in range(len(cones)):
         a, b, c = cones[index, 0], cones[index, 1], cones[index, 2]
@@ -109,7 +109,7 @@ def _turned(cones: Float64, rotation: Float64) -> Float64:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def planes_of(
+def build_ray_tests(
     faces: Records, corners: Float64, rounds: Records, order: Int64, x: float, y: float, z: float
 ) -> tuple[Int64, Float32]:
     """What decides whether a ray from a place meets a surface, and where.
@@ -182,7 +182,7 @@ def _quadric(one: Records, x: float, y: float, z: float, rows: Float32) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lists_of(
+def build_tile_lists(
     order: Int64,
     nearest: Float32,
     number: int,
@@ -206,8 +206,8 @@ def lists_of(
         nearest: (N,) their least distances.
         number: of faces: surfaces below it are faces.
         spheres: of all surfaces.
-        starts: from `planes_of`.
-        rows: from `planes_of`.
+        starts: from `build_ray_tests`.
+        rows: from `build_ray_tests`.
         cones: of the lens.
         levels: of the lens.
         rotation: (3, 3) world_R_camera.
@@ -218,7 +218,7 @@ def lists_of(
     Returns:
         (tiles + 1,) where each tile's list begins; the lists: places in ``order``.
     """
-    turned = _turned(cones, rotation)
+    turned = _rotate_cones(cones, rotation)
     tiles = levels[0, 1] * levels[0, 2]
     pairs = np.empty((8 * tiles + 4 * len(order) + 64, 2), np.int32)
     used = 0
@@ -248,7 +248,7 @@ def lists_of(
                 if near > limits[at] or not _may_meet(turned[at], dx, dy, dz, cosine, sine, rows, first, last):
                     continue
                 if index < number and sine > turned[at, 4]:
-                    limits[at] = min(limits[at], _covered_from(turned[at], rows, first, last))
+                    limits[at] = min(limits[at], _occlusion_distance(turned[at], rows, first, last))
                 if level == 0:
                     if used == len(pairs):
                         longer = np.empty((2 * used, 2), np.int32)
@@ -279,7 +279,7 @@ def lists_of(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _covered_from(cone: Float64, rows: Float32, first: int, last: int) -> float:
+def _occlusion_distance(cone: Float64, rows: Float32, first: int, last: int) -> float:
     """The distance beyond which a face hides all else in a cone; infinite where it does not cover the cone."""
     if cone[3] <= 0.0:
         return np.inf

@@ -1,7 +1,7 @@
 """What vehicles look like: paint with seams and dust, glass with what is seen through it, wheels and lamps.
 
 Every pattern is made of bands and stripes, averaged over the footprint ``fu`` by ``fv`` in closed form. What u and v
-mean on paint and glass is said by `mirror.synth.users.coachwork.sheets.Panel`, a face's ``layout``.
+mean on paint and glass is said by `mirror.synth.road_users.coachwork.sheets.Panel`, a face's ``layout``.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import math
 from mirror.arrays import Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.model import Material, Side
-from mirror.synth.render.looks import Look
+from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import band, chance, stripes
-from mirror.synth.users.coachwork.sheets import Panel
+from mirror.synth.road_users.coachwork.sheets import Panel
 
 
 @per_pixel()
-def bodywork(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
+def bodywork(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
     """A face of PAINT, GLASS, RIM, HEADLIGHT, TAIL_LIGHT or RUBBER.
 
     Args:
@@ -48,7 +48,7 @@ def _line(x: float, at: float, half: float, footprint: float) -> float:
 
 
 @per_pixel()
-def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
+def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
     r, g, b = one.colour_0, one.colour_1, one.colour_2
     panel = one.layout
     if panel == Panel.PLAIN:
@@ -91,7 +91,7 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
 
 
 @per_pixel()
-def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
+def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
     """Tinted glass: beyond seats and pillars the street on the other side is seen."""
     panel = one.layout
     pillar, hidden = 0.0, 0.0
@@ -139,7 +139,7 @@ def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
 
 
 @per_pixel()
-def _rim(one: Records, u: float, v: float, footprint: float) -> Look:
+def _rim(one: Records, u: float, v: float, footprint: float) -> Appearance:
     """A tyre about a wheel of one of four kinds."""
     step = max(footprint / one.half_0, 1e-4)
     away = math.sqrt(u * u + v * v) / one.half_0
@@ -169,7 +169,7 @@ def _rim(one: Records, u: float, v: float, footprint: float) -> Look:
 
 
 @per_pixel()
-def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Look:
+def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
     """Two lenses in a dark housing over a strip that burns by day."""
     wide, high = u / one.half_0, v / one.half_1
     across, up = fu / one.half_0, fv / one.half_1
@@ -185,7 +185,7 @@ def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: 
 
 
 @per_pixel()
-def _tail_light(one: Records, v: float, fv: float, setting: Records) -> Look:
+def _tail_light(one: Records, v: float, fv: float, setting: Records) -> Appearance:
     """Red, with a strip that burns."""
     strip = band(v / one.half_1, -0.1, 0.6, fv / one.half_1)
     tone = 0.40 + 0.60 * strip

@@ -11,10 +11,8 @@ from typing import Final
 
 from mirror.arrays import Records
 from mirror.synth.kernels import per_pixel
+from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import band, chance, grain, noise
-
-Look = tuple[float, float, float, float, float, float, float]
-"""Reflectance of red, green and blue; emission of them; share of light that is mirrored at normal incidence."""
 
 _BED_U_M: Final = 13.0
 _BED_V_M: Final = 3.4
@@ -26,7 +24,7 @@ _COVER_RADIUS_M: Final = 0.33
 
 
 @per_pixel(inline="always")
-def _filled(x: float, period: float, duty: float) -> float:
+def _striped_length(x: float, period: float, duty: float) -> float:
     """Length of the stripes between 0 and x."""
     whole = math.floor(x / period)
     return period * (whole * duty + min(x / period - whole, duty))
@@ -50,11 +48,11 @@ def share(x: float, width: float, low: float, high: float, period: float, duty: 
         return 0.0
     if period <= 0.0:
         return (end - start) / width
-    return max(_filled(end - phase, period, duty) - _filled(start - phase, period, duty), 0.0) / width
+    return max(_striped_length(end - phase, period, duty) - _striped_length(start - phase, period, duty), 0.0) / width
 
 
 @per_pixel()
-def covered(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
+def mark_share(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
     """Share of a footprint that a MARK covers."""
     across = share(v, fv + mark.soft, mark.v_low, mark.v_high, mark.v_period, mark.v_duty, mark.v_phase)
     if across <= 0.0:
@@ -65,7 +63,7 @@ def covered(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
 
 
 @per_pixel()
-def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float, fu: float, fv: float) -> Look:
+def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float, fu: float, fv: float) -> Appearance:
     """A carriageway at a place of its street.
 
     Args:
@@ -87,7 +85,7 @@ def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float
         mark = layouts[layout, place]
         if mark.strength <= 0.0:
             break
-        part = covered(mark, u, v, fu, fv)
+        part = mark_share(mark, u, v, fu, fv)
         if part > 0.0:
             if rubbed < 0.0:
                 rubbed = (
@@ -107,9 +105,9 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     wide = max(fu, fv)
     tone = 1.0
     if wide < 0.5 * _BED_V_M:
-        tone *= _repaired(seed, u, v, fu, fv)
+        tone *= _patch_tone(seed, u, v, fu, fv)
     if wide < 0.25:
-        tone *= _cracked(seed, u, v, wide)
+        tone *= _crack_tone(seed, u, v, wide)
     if wide < _COVER_RADIUS_M:
         cell = math.floor(u / _COVER_U_M)
         luck = chance(cell, 3, seed)
@@ -125,7 +123,7 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
 
 
 @per_pixel()
-def _cracked(seed: int, u: float, v: float, wide: float) -> float:
+def _crack_tone(seed: int, u: float, v: float, wide: float) -> float:
     """Jagged cracks, here and there: contours of a noise over places that another noise shifts."""
     strength = noise(u / 17.0, v / 6.0, seed + 8) - 0.15
     if strength <= 0.0:
@@ -137,7 +135,7 @@ def _cracked(seed: int, u: float, v: float, wide: float) -> float:
 
 
 @per_pixel()
-def _repaired(seed: int, u: float, v: float, fu: float, fv: float) -> float:
+def _patch_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     """Patches of younger or older asphalt, with a dark seam."""
     i, j = math.floor(u / _BED_U_M), math.floor(v / _BED_V_M)
     if chance(i, j, seed + 21) >= _PATCHED:

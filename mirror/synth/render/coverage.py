@@ -30,7 +30,7 @@ OFFSETS: Final = np.array(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def cover(
+def compute_coverage(
     rays: Float64,
     rotation: Float64,
     offsets: Float32,
@@ -51,13 +51,13 @@ def cover(
         rotation: (3, 3) world_R_camera.
         offsets: (S, 2) rays of a pixel, pixels right and down of its centre.
         cones: of the lens; the first are the tiles'.
-        begins: from `binning.lists_of`.
-        lists: from `binning.lists_of`.
+        begins: from `binning.build_tile_lists`.
+        lists: from `binning.build_tile_lists`.
         order: (N,) surfaces.
         number: of faces: surfaces below it are faces.
         nearest: (N,) least distances of the surfaces in ``order``, ascending.
-        starts: from `binning.planes_of`.
-        rows: from `binning.planes_of`.
+        starts: from `binning.build_ray_tests`.
+        rows: from `binning.build_ray_tests`.
         wanted: (H, W) where it is 0, nothing is done; or (0, 0): everywhere.
 
     Returns:
@@ -82,10 +82,10 @@ def cover(
     used = 0
     for tile in range(down * across):
         top, left = tile // across * TILE_PX, tile % across * TILE_PX
-        if wanted.shape[0] > 0 and not _any(wanted, top, left):
+        if wanted.shape[0] > 0 and not _any_wanted(wanted, top, left):
             continue
         counts[0] += 1
-        _spread(rays, rotation, offsets, top, left, sx, sy, sz)
+        _spread_rays(rays, rotation, offsets, top, left, sx, sy, sz)
         i, j, k = cones[tile, 0], cones[tile, 1], cones[tile, 2]
         cx = rotation[0, 0] * i + rotation[0, 1] * j + rotation[0, 2] * k
         cy = rotation[1, 0] * i + rotation[1, 1] * j + rotation[1, 2] * k
@@ -151,7 +151,7 @@ def cover(
 
 
 @per_pixel()
-def _any(wanted: Float32, top: int, left: int) -> bool:
+def _any_wanted(wanted: Float32, top: int, left: int) -> bool:
     for row in range(top, min(top + TILE_PX, wanted.shape[0])):
         for column in range(left, min(left + TILE_PX, wanted.shape[1])):
             if wanted[row, column] > 0.0:
@@ -160,7 +160,7 @@ def _any(wanted: Float32, top: int, left: int) -> bool:
 
 
 @per_pixel()
-def steps(
+def ray_steps(
     rays: Float64, rotation: Float64, top: int, left: int, bottom: int, right: int
 ) -> tuple[float, float, float, float, float, float]:
     """How much a tile's rays change from pixel to pixel, rightwards and downwards, in the world."""
@@ -189,13 +189,13 @@ def steps(
 
 
 @per_pixel(contract=True)
-def _spread(
+def _spread_rays(
     rays: Float64, rotation: Float64, offsets: Float32, top: int, left: int, sx: Float32, sy: Float32, sz: Float32
 ) -> None:
     """The tile's rays in the world, sample by sample; the lens is taken as linear within a pixel."""
     height, width = rays.shape[:2]
     bottom, right = min(top + TILE_PX, height) - 1, min(left + TILE_PX, width) - 1
-    ax, ay, az, bx, by, bz = steps(rays, rotation, top, left, bottom, right)
+    ax, ay, az, bx, by, bz = ray_steps(rays, rotation, top, left, bottom, right)
     for pixel in range(_AREA):
         row, column = min(top + pixel // TILE_PX, bottom), min(left + pixel % TILE_PX, right)
         a, b, c = rays[row, column, 0], rays[row, column, 1], rays[row, column, 2]

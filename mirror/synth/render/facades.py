@@ -11,17 +11,15 @@ from typing import Final
 
 from mirror.arrays import Records
 from mirror.synth.kernels import per_pixel
+from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import chance, grain
-
-Look = tuple[float, float, float, float, float, float, float]
-"""Reflectance of red, green and blue; emission of them; share of light that is mirrored at normal incidence."""
 
 _LINTEL_M: Final = 0.13
 """Height of the shade under a window's head: panes stand back in the wall."""
 
 
 @per_pixel(inline="always")
-def _shared(low: float, high: float, start: float, end: float) -> float:
+def _overlap(low: float, high: float, start: float, end: float) -> float:
     """Length that two intervals share."""
     return max(min(high, end) - max(low, start), 0.0)
 
@@ -33,7 +31,7 @@ def _panes(low: float, high: float, start: float, width: float, count: int, fram
     length = 0.0
     for index in range(count):
         foot = start + frame + index * (pane + frame)
-        length += _shared(low, high, foot, foot + pane)
+        length += _overlap(low, high, foot, foot + pane)
     return length
 
 
@@ -41,9 +39,9 @@ def _panes(low: float, high: float, start: float, width: float, count: int, fram
 def _panes_up(low: float, high: float, foot: float, height: float, transom: float, frame: float) -> float:
     """Height of an interval that lies on panes: one, or two with a bar between."""
     if transom <= 0.0:
-        return _shared(low, high, foot + frame, foot + height - frame)
+        return _overlap(low, high, foot + frame, foot + height - frame)
     bar = foot + height * (1.0 - transom)
-    return _shared(low, high, foot + frame, bar - 0.5 * frame) + _shared(
+    return _overlap(low, high, foot + frame, bar - 0.5 * frame) + _overlap(
         low, high, bar + 0.5 * frame, foot + height - frame
     )
 
@@ -57,7 +55,7 @@ def wall_grain(one: Records, patterns: Records) -> int:
 @per_pixel()
 def facade(
     one: Records, patterns: Records, rough: float, u: float, v: float, fu: float, fv: float, setting: Records
-) -> Look:
+) -> Appearance:
     """A wall with windows.
 
     Args:
@@ -105,13 +103,13 @@ def _cell(
     y0: float,
     y1: float,
     setting: Records,
-) -> Look:
+) -> Appearance:
     """Sum over the part (x0, x1) by (y0, y1) of one window's piece of wall, in square metres."""
     cr, cg, cb = one.colour_0, one.colour_1, one.colour_2
     dx, dy = x1 - x0, y1 - y0
-    joint_x, joint_y = _shared(x0, x1, 0.0, row.joint_m), _shared(y0, y1, 0.0, row.joint_m)
+    joint_x, joint_y = _overlap(x0, x1, 0.0, row.joint_m), _overlap(y0, y1, 0.0, row.joint_m)
     joint = joint_x * dy + joint_y * dx - joint_x * joint_y
-    course = dx * _shared(y0, y1, row.joint_m, row.course_m)
+    course = dx * _overlap(y0, y1, row.joint_m, row.course_m)
     wall = dx * dy - joint - course
     plain = rough * (wall + 0.5 * joint)
     # Trim is nearer to a light stone's colour than the wall.
@@ -127,15 +125,15 @@ def _cell(
     if y1 <= foot - edge or y0 >= head + edge:
         return cr * plain + tr * trim, cg * plain + tg * trim, cb * plain + tb * trim, 0.0, 0.0, 0.0, 0.0
     start, end = middle - half, middle + half
-    across, up = _shared(x0, x1, start, end), _shared(y0, y1, foot, head)
+    across, up = _overlap(x0, x1, start, end), _overlap(y0, y1, foot, head)
     window = across * up
-    sill = _shared(x0, x1, start - edge, end + edge) * _shared(y0, y1, foot - edge, foot)
+    sill = _overlap(x0, x1, start - edge, end + edge) * _overlap(y0, y1, foot - edge, foot)
     surround = 0.0
     if row.surround_m > 0.0:
-        surround = _shared(x0, x1, start - edge, end + edge) * _shared(y0, y1, foot, head + edge) - window
+        surround = _overlap(x0, x1, start - edge, end + edge) * _overlap(y0, y1, foot, head + edge) - window
     shutter = (
-        _shared(x0, x1, start - edge - row.shutter_m, start - edge)
-        + _shared(x0, x1, end + edge, end + edge + row.shutter_m)
+        _overlap(x0, x1, start - edge - row.shutter_m, start - edge)
+        + _overlap(x0, x1, end + edge, end + edge + row.shutter_m)
     ) * up
     plain -= rough * (window + sill + surround + shutter)
     trim += sill + surround
@@ -148,8 +146,8 @@ def _cell(
     panes_x = _panes(x0, x1, start, row.width_m, row.panes, row.frame_m)
     panes_y = _panes_up(y0, y1, foot, row.height_m, row.transom, row.frame_m)
     glass = panes_x * panes_y
-    shade = across * _shared(y0, y1, head - _LINTEL_M, head)
-    frame = window - glass - 0.55 * max(shade - panes_x * _shared(y0, y1, head - _LINTEL_M, head - row.frame_m), 0.0)
+    shade = across * _overlap(y0, y1, head - _LINTEL_M, head)
+    frame = window - glass - 0.55 * max(shade - panes_x * _overlap(y0, y1, head - _LINTEL_M, head - row.frame_m), 0.0)
     frame *= row.frame
     r, g, b = r + frame, g + frame, b + 0.98 * frame
     if glass <= 0.0:
@@ -175,7 +173,7 @@ def _glazed(
     r: float,
     g: float,
     b: float,
-) -> Look:
+) -> Appearance:
     """What is behind a window's panes, added to the rest: curtains, blinds or a dark room; light at night."""
     glass = panes_x * panes_y
     own = i + 89 * j
@@ -226,12 +224,12 @@ def shopfront(
     fu: float,
     fv: float,
     setting: Records,
-) -> Look:
+) -> Appearance:
     """A shop window with its door, frames and what lies behind; lit in the evening.
 
     Args:
         one: the face, FACE flattened; its colour is the frames'.
-        red: of the picture of what lies behind, averaged over the footprint.
+        red: of the image of what lies behind, averaged over the footprint.
         green: of the same.
         blue: of the same.
         u: metres, 0 in the middle of the face.
@@ -257,12 +255,12 @@ def shopfront(
         if width > 0.4 and right > start and left < start + width:
             count = max(int(width / 2.1 + 0.5), 1)
             x = _panes(left, right, start, width, count, 0.07)
-            glass += x * (_shared(low, top, riser + 0.07, bar - 0.03) + _shared(low, top, bar + 0.03, high - 0.07))
-    x = _shared(left, right, door + 0.14, door + door_wide - 0.14)
-    y = _shared(low, top, 0.22, bar - 0.12) + _shared(low, top, bar + 0.03, high - 0.07)
+            glass += x * (_overlap(low, top, riser + 0.07, bar - 0.03) + _overlap(low, top, bar + 0.03, high - 0.07))
+    x = _overlap(left, right, door + 0.14, door + door_wide - 0.14)
+    y = _overlap(low, top, 0.22, bar - 0.12) + _overlap(low, top, bar + 0.03, high - 0.07)
     glass += x * y
     # A handle on the door.
-    grip = _shared(left, right, door + 0.17, door + 0.21) * _shared(low, top, 0.9, 1.5)
+    grip = _overlap(left, right, door + 0.17, door + 0.21) * _overlap(low, top, 0.9, 1.5)
     area = (right - left) * (top - low)
     glass, grip = glass / area, grip / area
     frame = 1.0 - glass
@@ -280,7 +278,7 @@ def shopfront(
 
 
 @per_pixel()
-def skyline(one: Records, u: float, v: float, fu: float, fv: float) -> Look:
+def skyline(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
     """A far wood: clumps that fade out where the footprint is wider than they are."""
     wide = 0.5 * (fu + fv)
     clump = 1.0 + 0.30 * grain(u, v, 2.6, wide, one.seed) + 0.25 * grain(u, v, 0.9, wide, one.seed + 1)

@@ -11,7 +11,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
-from mirror.synth.render.develop.motion import ImageJacobian, image_jacobian
+from mirror.synth.render.develop.motion import ImageJacobian, compute_image_jacobian
 
 TILE_PX: Final = 8
 LEVELS: Final = 4
@@ -40,7 +40,7 @@ class Lens:
     @cached_property
     def jacobian(self) -> ImageJacobian:
         """How directions become pixels."""
-        return image_jacobian(self.rays)
+        return compute_image_jacobian(self.rays)
 
 
 def make_lens(camera: Camera) -> Lens:

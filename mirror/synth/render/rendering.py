@@ -9,13 +9,13 @@ from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.synth.light.condition import Condition
 from mirror.synth.model import Model
-from mirror.synth.render.develop.look import CameraLook
+from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.lens import Lens, make_lens
-from mirror.synth.render.scene import Picture, Scene
+from mirror.synth.render.scene import RenderedImage, Scene
+from mirror.synth.road_users.body import RoadUser
 from mirror.synth.street.world import World
-from mirror.synth.users.body import RoadUser
 
-_PLAIN = CameraLook()
+_PLAIN = CameraResponse()
 
 
 def render(
@@ -25,10 +25,10 @@ def render(
     time_s: float,
     condition: Condition,
     *,
-    users: Sequence[RoadUser] | None = None,
-    look: CameraLook = _PLAIN,
+    road_users: Sequence[RoadUser] | None = None,
+    response: CameraResponse = _PLAIN,
     seed: int = 0,
-) -> Picture:
+) -> RenderedImage:
     """Render a view of a world.
 
     Move the pose for novel trajectories, the condition for another light, the users' motions for other traffic. What
@@ -40,24 +40,24 @@ def render(
         camera: the lens; every pixel has a ray.
         time_s: after the condition's start: moves clouds, signals and users.
         condition: light and weather.
-        users: who else is there; default: the parked vehicles.
-        look: how the camera develops.
+        road_users: other road users; default: the parked vehicles of the world.
+        response: the camera's response to light.
         seed: of the noise.
 
     Returns:
-        The picture, and the truth of its pixels in ``view``.
+        The image, and the truth of its pixels in ``view``.
 
     Raises:
         UsageError: the camera has a pixel that nothing is imaged at.
     """
-    scene = _scene(world, condition, tuple(world.parked if users is None else users))
+    scene = _scene(world, condition, tuple(world.parked if road_users is None else road_users))
     instant = scene.around(time_s, world_SE3_camera.translation[0])
-    return scene.picture(instant, _lens(camera), world_SE3_camera, look=look, seed=seed)
+    return scene.render(instant, _lens(camera), world_SE3_camera, response=response, seed=seed)
 
 
 @lru_cache(maxsize=4)
-def _scene(world: World, condition: Condition, users: tuple[RoadUser, ...]) -> Scene:
-    return Scene(world, condition, users, Model.empty())
+def _scene(world: World, condition: Condition, road_users: tuple[RoadUser, ...]) -> Scene:
+    return Scene(world, condition, road_users, Model.empty())
 
 
 @lru_cache(maxsize=16)

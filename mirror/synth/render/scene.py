@@ -17,24 +17,31 @@ from mirror.schema.documents import Roi
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.lighting import LIGHTING, Lighting, lighting
 from mirror.synth.model import FACE, NO_IMAGE, NO_OBJECT, ROUND, Label, Model, flat, merged
-from mirror.synth.render.binning import spheres_of
+from mirror.synth.render.binning import bounding_spheres
+from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
-from mirror.synth.render.develop.look import CameraLook
-from mirror.synth.render.develop.motion import image_motion
+from mirror.synth.render.develop.motion import compute_image_motion
 from mirror.synth.render.lens import Lens
-from mirror.synth.render.shadows import ShadowMap, shadow_map, sun_axes
-from mirror.synth.render.surroundings import BELOW_CELL_M, GLOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M, MAPS, Surroundings
-from mirror.synth.render.view import View, see
-from mirror.synth.render.wet import with_reflections
+from mirror.synth.render.shadows import ShadowMap, render_shadow_map, sun_axes
+from mirror.synth.render.surroundings import (
+    AMBIENT_OCCLUSION_CELL_M,
+    GLOW_CELL_M,
+    GROUND_CELL_M,
+    LAMP_CELL_M,
+    MAPS,
+    Surroundings,
+)
+from mirror.synth.render.view import RenderView, rasterize_view
+from mirror.synth.render.wet import add_reflections
+from mirror.synth.road_users.body import Body, Placement, RoadUser, Still
 from mirror.synth.roads.markings import MARK, narrowed
 from mirror.synth.street.foliage import foliage
-from mirror.synth.users.body import Body, Placement, RoadUser, Still
 
 _LAMP_REACH_M: Final = 22.0
 _DRAWN_WITHIN_M: Final = 220.0
 _SHADED_WITHIN_M: Final = 50.0
 _BEYOND_M: Final = 80.0
-_PLAIN: Final = CameraLook()
+_PLAIN: Final = CameraResponse()
 _HEADLIGHTS_M: Final = np.array([3.4, 0.0, 0.7])
 _AHEAD: Final = np.array([0.998, 0.0, -0.06])
 _DRIVEN: Final = frozenset({"car", "van", "truck", "bus", "motorcycle"})
@@ -101,8 +108,8 @@ class Twist(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
-    """A rendered picture.
+class RenderedImage:
+    """A rendered image.
 
     Attributes:
         bgr: (H, W, 3).
@@ -110,7 +117,7 @@ class Picture:
     """
 
     bgr: UInt8
-    view: View
+    view: RenderView
 
 
 class Scene:
@@ -119,30 +126,33 @@ class Scene:
     Args:
         world: what stands still.
         condition: light and weather.
-        users: everybody else, parked ones too; objects are numbered in this order.
+        road_users: all other road users, including the parked ones; object numbers follow this order.
         own: model of the recording vehicle in its ego frame.
         clock_s: of the signals, at the start.
     """
 
     def __init__(
-        self, world: Place, condition: Condition, users: Sequence[RoadUser], own: Model, *, clock_s: float = 0.0
+        self, world: Place, condition: Condition, road_users: Sequence[RoadUser], own: Model, *, clock_s: float = 0.0
     ) -> None:
         roi = world.roi
-        self.world, self.condition, self.users, self.own = world, condition, tuple(users), own
+        self.world, self.condition, self.road_users, self.own = world, condition, tuple(road_users), own
         self.clock_s = clock_s
         self.light: Lighting = lighting(condition, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
 
     @cached_property
-    def _still(self) -> _Still:
+    def _static(self) -> _StaticScene:
         world, condition = self.world, self.condition
         model = foliage(
             world.model, float(self.light.record["season"]), condition.visit if condition.effects.foliage else 0
         )
-        _turn_pictures(model, condition.visit if condition.effects.billboards else 0)
+        _change_images(model, condition.visit if condition.effects.billboards else 0)
         model, layouts = narrowed(model, world.layouts)
         # What stands as long as the drive lasts is placed once.
         model = merged(
-            [model, *(self._standing(number, user) for number, user in enumerate(self.users) if _stands(user))]
+            [
+                model,
+                *(self._stand_model(number, user) for number, user in enumerate(self.road_users) if _is_static(user)),
+            ]
         )
         maps = np.zeros(1, MAPS)
         sun = np.array(self.light.record["sun"])
@@ -151,19 +161,21 @@ class Scene:
         reach = world.roi.radius_m + _BEYOND_M
         if self.light.record["shadows"] and self.light.record["sunlight"].any():
             casting = model.faces["label"] > Label.TERRAIN
-            shadow = shadow_map(Model(model.faces[casting], model.corners, model.rounds), sun, np.zeros(3), reach)
-        maps["still_origin"] = shadow.origin
+            shadow = render_shadow_map(
+                Model(model.faces[casting], model.corners, model.rounds), sun, np.zeros(3), reach
+            )
+        maps["static_shadow_origin"] = shadow.origin
         lamps, maps["lamps_origin"] = _lamp_map(world.lamps, reach)
         grid = np.arange(-reach, reach + GROUND_CELL_M, GROUND_CELL_M)
         x, y = np.meshgrid(grid, grid)
         ground = np.asarray(world.height_m(x.ravel(), y.ravel())).reshape(x.shape).astype(np.float32)
         maps["ground_origin"] = -reach
-        spheres = spheres_of(model.faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)))
-        return _Still(model, spheres, shadow, lamps, ground, layouts, maps)
+        spheres = bounding_spheres(model.faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)))
+        return _StaticScene(model, spheres, shadow, lamps, ground, layouts, maps)
 
     def prepare(self) -> None:
         """Make now what all instants share."""
-        _ = self._still
+        _ = self._static
 
     def at(self, time_s: float, world_SE3_ego: Poses) -> Instant:
         """All that there is ``time_s`` after the start, round the recording vehicle at its pose."""
@@ -182,99 +194,101 @@ class Scene:
     def _moving(self, time_s: float, middle: Float64) -> tuple[Model, dict[int, Placement]]:
         placements = {}
         traffic = self.condition.effects.traffic
-        for number, user in enumerate(self.users):
-            if not (traffic or _stands(user)):
+        for number, user in enumerate(self.road_users):
+            if not (traffic or _is_static(user)):
                 continue
             place = user.motion.at(time_s)
             if math.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _DRAWN_WITHIN_M:
                 placements[number] = place
         drawn = []
         for number, place in placements.items():
-            if not _stands(self.users[number]):
-                model = self.users[number].body.posed(place).placed(place.rotation, place.translation, number)
+            if not _is_static(self.road_users[number]):
+                model = self.road_users[number].body.posed(place).placed(place.rotation, place.translation, number)
                 model.faces["lights"] = 1
                 drawn.append(model)
         return merged(drawn), placements
 
     @staticmethod
-    def _standing(number: int, user: RoadUser) -> Model:
+    def _stand_model(number: int, user: RoadUser) -> Model:
         place = user.motion.at(0.0)
         return user.body.posed(place).placed(place.rotation, place.translation, number)
 
-    def picture(
+    def render(
         self,
         instant: Instant,
         lens: Lens,
         world_SE3_camera: Poses,
         *,
-        look: CameraLook = _PLAIN,
+        response: CameraResponse = _PLAIN,
         seed: int = 0,
         drops: Records | None = None,
         twist: Twist | None = None,
-    ) -> Picture:
-        """Render one picture.
+    ) -> RenderedImage:
+        """Render one image.
 
         Args:
             instant: what there is.
             lens: the camera.
             world_SE3_camera: one pose, at mid-exposure.
-            look: how the camera develops.
+            response: the camera's response to light.
             seed: of the noise.
             drops: rain on the lens, from `lens_drops`.
             twist: how the camera moves; None: it stands.
         """
         surroundings, effects = instant.surroundings, self.condition.effects
         rotation, origin = matrix_from_quaternion(world_SE3_camera.rotation)[0], world_SE3_camera.translation[0]
-        view = see(surroundings, lens, rotation, origin)
+        view = rasterize_view(surroundings, lens, rotation, origin)
         radiance = view.radiance()
         if self.light.record["wet"] > 0.0:
-            radiance = with_reflections(radiance, surroundings, lens, rotation, origin)
+            radiance = add_reflections(radiance, surroundings, lens, rotation, origin)
         motion = None
         if twist is not None and effects.motion_blur:
-            motion = image_motion(
+            motion = compute_image_motion(
                 lens.jacobian, view.distance_m, twist.velocity_mps, twist.turn_radps, twist.exposure_s
             )
             # The vehicle itself moves with its cameras.
             motion[view.label == Label.EGO] = 0.0
         light = np.ascontiguousarray(radiance[..., :3])
-        return Picture(develop(light, self.light.record, look, effects, seed, motion=motion, drops=drops), view)
+        return RenderedImage(
+            develop(light, self.light.record, response, effects, seed, motion=motion, drops=drops), view
+        )
 
     def _instant(
         self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, beam: Float64
     ) -> Instant:
-        still, record = self._still, self.light.at(time_s)
-        model = merged([still.model, there])
+        static, record = self._static, self.light.at(time_s)
+        model = merged([static.model, there])
         faces = model.faces
         faces["lights"][self.world.burning(self.clock_s + time_s)] = 1
         # Ellipsoids come after all faces: the spheres of both models are interleaved.
-        spheres = spheres_of(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
-        split, first = len(still.model.faces), len(there.faces)
-        spheres = np.concatenate([still.spheres[:split], spheres[:first], still.spheres[split:], spheres[first:]])
-        maps = still.maps.copy()
+        spheres = bounding_spheres(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
+        split, first = len(static.model.faces), len(there.faces)
+        spheres = np.concatenate([static.spheres[:split], spheres[:first], static.spheres[split:], spheres[first:]])
+        maps = static.maps.copy()
         shadow = ShadowMap.none()
         if record["shadows"] and record["sunlight"].any():
-            shadow = shadow_map(moving, np.array(record["sun"]), ego, _DRAWN_WITHIN_M)
-        maps["moving_origin"] = shadow.origin
-        below, maps["below_origin"] = _below(
-            [(self.users[number].body, place) for number, place in placements.items()], ego
+            shadow = render_shadow_map(moving, np.array(record["sun"]), ego, _DRAWN_WITHIN_M)
+        maps["moving_shadow_origin"] = shadow.origin
+        occlusion, maps["ambient_occlusion_origin"] = _ambient_occlusion(
+            [(self.road_users[number].body, place) for number, place in placements.items()], ego
         )
         maps["beam"] = beam
-        glow, maps["glow_origin"] = _glow(
-            [(self.users[number].body, place) for number, place in placements.items()
-             if record["headlight"] > 0.0 and not _stands(self.users[number])],
+        glow, maps["glow_origin"] = _headlight_glow(
+            [(self.road_users[number].body, place) for number, place in placements.items()
+             if record["headlight"] > 0.0 and not _is_static(self.road_users[number])],
             ego,
         )  # fmt: skip
         surroundings = Surroundings(
             faces.view(flat(FACE)), model.corners, model.rounds.view(flat(ROUND)), spheres,
-            still.shadow.height, shadow.height, still.lamps, glow, below, still.ground,
-            self.light.dome, self.light.clouds, still.layouts.view(flat(MARK)),
+            static.shadow.height, shadow.height, static.lamps, glow, occlusion, static.ground,
+            self.light.dome, self.light.clouds, static.layouts.view(flat(MARK)),
             record.reshape(1).view(flat(LIGHTING))[0], maps.view(flat(MAPS))[0],
         )  # fmt: skip
         return Instant(surroundings, placements)
 
 
 @dataclass(frozen=True, eq=False)
-class _Still:
+class _StaticScene:
     model: Model
     spheres: Float64
     shadow: ShadowMap
@@ -284,12 +298,12 @@ class _Still:
     maps: Records
 
 
-def _stands(user: RoadUser) -> bool:
+def _is_static(user: RoadUser) -> bool:
     return isinstance(user.motion, Still)
 
 
-def _turn_pictures(model: Model, visit: int) -> None:
-    """Put up the pictures that a visit shows."""
+def _change_images(model: Model, visit: int) -> None:
+    """Put up the images that a visit shows."""
     faces = model.faces
     changing = (faces["images"] > 1) & (faces["image"] != NO_IMAGE)
     faces["image"][changing] += (faces["seed"][changing] + visit) % faces["images"][changing]
@@ -307,8 +321,8 @@ def _lamp_map(lights: Float64, edge: float) -> tuple[Float32, Float64]:
     return light.astype(np.float32), np.array([-edge, -edge])
 
 
-def _below(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
-    grid = np.arange(-_SHADED_WITHIN_M, _SHADED_WITHIN_M, BELOW_CELL_M)
+def _ambient_occlusion(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
+    grid = np.arange(-_SHADED_WITHIN_M, _SHADED_WITHIN_M, AMBIENT_OCCLUSION_CELL_M)
     shade = np.zeros((len(grid), len(grid)), np.float32)
     for body, place in bodies:
         x, y = place.x_m - ego[0], place.y_m - ego[1]
@@ -325,7 +339,7 @@ def _below(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Floa
     return shade, ego[:2] - _SHADED_WITHIN_M
 
 
-def _glow(vehicles: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
+def _headlight_glow(vehicles: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
     """Light of other vehicles' headlights on the ground: a bell ahead of each, wider and weaker with the distance."""
     grid = np.arange(-_SHADED_WITHIN_M - 20.0, _SHADED_WITHIN_M + 20.0, GLOW_CELL_M)
     light = np.zeros((len(grid), len(grid)), np.float32)

@@ -13,13 +13,13 @@ from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.synth.kernels import per_pixel
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Material
+from mirror.synth.render.appearance import image_surface, lamp_surface, plain_surface
 from mirror.synth.render.bodywork import bodywork
 from mirror.synth.render.carriageway import carriageway
-from mirror.synth.render.coverage import SKY, steps
+from mirror.synth.render.coverage import SKY, ray_steps
 from mirror.synth.render.facades import facade, shopfront, skyline, wall_grain
 from mirror.synth.render.lens import TILE_PX
-from mirror.synth.render.light_at import lit
-from mirror.synth.render.looks import lamp, picture, plain
+from mirror.synth.render.point_lighting import shade_point
 from mirror.synth.textures.catalogue import Grain
 from mirror.synth.textures.sampling import grain_at, image_at
 
@@ -27,14 +27,14 @@ _BRIGHTEST: Final = 4.0
 
 
 @per_pixel(inline="always")
-def shade(
+def shade_ray(
     faces: Records,
     rounds: Records,
-    still: Float32,
-    moving: Float32,
+    static_shadow: Float32,
+    moving_shadow: Float32,
     lamps: Float32,
     glow: Float32,
-    below: Float32,
+    ambient_occlusion: Float32,
     ground: Float32,
     dome: Float32,
     clouds: Float32,
@@ -63,11 +63,11 @@ def shade(
     Args:
         faces: (F,) FACE, flat.
         rounds: (R,) ROUND, flat.
-        still: shadow map of what stands still.
-        moving: shadow map of what moves.
+        static_shadow: shadow map of what never moves.
+        moving_shadow: shadow map of road users and the recording vehicle.
         lamps: light of the street lamps over the ground.
         glow: light of other vehicles' headlights over the ground.
-        below: what road users keep of the sky's light from the ground.
+        ambient_occlusion: share of the sky's light that road users keep from the ground.
         ground: heights of the ground.
         dome: of the clear sky.
         clouds: their field.
@@ -118,7 +118,7 @@ def shade(
             rough = grain_at(grains, grain_index, Grain.ASPHALT, u, v, u1, v1, u2, v2)
             fr, fg, fb, er, eg, eb, gloss = carriageway(one, layouts, rough, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2))
         elif (material == Material.IMAGE or material == Material.LIT_IMAGE) and one.image >= 0:
-            fr, fg, fb, er, eg, eb, gloss = picture(images, image_index, one, u, v, u1, v1, u2, v2, setting)
+            fr, fg, fb, er, eg, eb, gloss = image_surface(images, image_index, one, u, v, u1, v1, u2, v2, setting)
         elif (
             material >= Material.GLASS
             and material <= Material.TAIL_LIGHT
@@ -126,7 +126,7 @@ def shade(
         ):
             fr, fg, fb, er, eg, eb, gloss = bodywork(one, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting)
         elif material == Material.STREET_LAMP or material == Material.SIGNAL:
-            fr, fg, fb, er, eg, eb, gloss = lamp(one, setting)
+            fr, fg, fb, er, eg, eb, gloss = lamp_surface(one, setting)
         elif material == Material.FACADE:
             rough = grain_at(grains, grain_index, wall_grain(one, patterns), u, v, u1, v1, u2, v2)
             fr, fg, fb, er, eg, eb, gloss = facade(
@@ -144,7 +144,7 @@ def shade(
         elif material == Material.SKYLINE:
             fr, fg, fb, er, eg, eb, gloss = skyline(one, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2))
         else:
-            fr, fg, fb, er, eg, eb, gloss = plain(
+            fr, fg, fb, er, eg, eb, gloss = plain_surface(
                 grains, grain_index, material, one.seed, (one.colour_0, one.colour_1, one.colour_2),
                 u, v, u1, v1, u2, v2,
             )  # fmt: skip
@@ -186,25 +186,25 @@ def shade(
                 u, v = py * ball.half_1, pz * ball.half_2
             else:
                 u, v = px * ball.half_0, pz * ball.half_2
-            fr, fg, fb, er, eg, eb, gloss = plain(
+            fr, fg, fb, er, eg, eb, gloss = plain_surface(
                 grains, grain_index, material, ball.seed, (ball.colour_0, ball.colour_1, ball.colour_2),
                 u, v, wide, 0.0, 0.0, wide,
             )  # fmt: skip
-    return lit(
-        still, moving, lamps, glow, below, ground, dome, clouds, setting, maps, material, label,
-        t, x, y, z, nx, ny, nz, dx, dy, dz, fr, fg, fb, er, eg, eb, gloss,
+    return shade_point(
+        static_shadow, moving_shadow, lamps, glow, ambient_occlusion, ground, dome, clouds, setting, maps,
+        material, label, t, x, y, z, nx, ny, nz, dx, dy, dz, fr, fg, fb, er, eg, eb, gloss,
     )  # fmt: skip
 
 
 @per_pixel()
-def radiance_of(
+def render_radiance(
     faces: Records,
     rounds: Records,
-    still: Float32,
-    moving: Float32,
+    static_shadow: Float32,
+    moving_shadow: Float32,
     lamps: Float32,
     glow: Float32,
-    below: Float32,
+    ambient_occlusion: Float32,
     ground: Float32,
     dome: Float32,
     clouds: Float32,
@@ -228,16 +228,16 @@ def radiance_of(
     wanted: Float32,
     out: Float32,
 ) -> None:
-    """Radiance of a picture, from what `coverage.cover` found.
+    """Radiance of an image, from what `coverage.cover` found.
 
     Args:
         faces: (F,) FACE, flat.
         rounds: (R,) ROUND, flat.
-        still: shadow map of what stands still.
-        moving: shadow map of what moves.
+        static_shadow: shadow map of what never moves.
+        moving_shadow: shadow map of road users and the recording vehicle.
         lamps: light of the street lamps over the ground.
         glow: light of other vehicles' headlights over the ground.
-        below: what road users keep of the sky's light from the ground.
+        ambient_occlusion: share of the sky's light that road users keep from the ground.
         ground: heights of the ground.
         dome: of the clear sky.
         clouds: their field.
@@ -259,7 +259,7 @@ def radiance_of(
         which: from `cover`.
         share: from `cover`.
         wanted: as `cover` was given.
-        out: (H, W, 4) is filled with red, green, blue, and how much a mirrored picture adds, where that is wanted.
+        out: (H, W, 4) is filled with red, green, blue, and how much a mirrored image adds, where that is wanted.
     """
     height, width = rays.shape[:2]
     ox, oy, oz = origin[0], origin[1], origin[2]
@@ -267,7 +267,7 @@ def radiance_of(
     for top in range(0, height, TILE_PX):
         for left in range(0, width, TILE_PX):
             bottom, right = min(top + TILE_PX, height) - 1, min(left + TILE_PX, width) - 1
-            ax, ay, az, bx, by, bz = steps(rays, rotation, top, left, bottom, right)
+            ax, ay, az, bx, by, bz = ray_steps(rays, rotation, top, left, bottom, right)
             for row in range(top, bottom + 1):
                 for column in range(left, right + 1):
                     if wanted.shape[0] > 0 and wanted[row, column] <= 0.0:
@@ -289,9 +289,9 @@ def radiance_of(
                         if mixed[row, column]:
                             index, weight, u, v = which[piece, 1], share[piece, 0], share[piece, 1], share[piece, 2]
                         dx, dy, dz = x + u * ax + v * bx, y + u * ay + v * by, z + u * az + v * bz
-                        pr, pg, pb, pm = shade(
-                            faces, rounds, still, moving, lamps, glow, below, ground, dome, clouds, layouts,
-                            setting, maps, grains, grain_index, images, image_index, patterns,
+                        pr, pg, pb, pm = shade_ray(
+                            faces, rounds, static_shadow, moving_shadow, lamps, glow, ambient_occlusion, ground,
+                            dome, clouds, layouts, setting, maps, grains, grain_index, images, image_index, patterns,
                             index, ox, oy, oz, dx, dy, dz,
                             (scale * ax, scale * ay, scale * az), (scale * bx, scale * by, scale * bz),
                         )  # fmt: skip

@@ -41,7 +41,7 @@ def sun_axes(sun: Float64) -> Float64:
     return np.stack([across, np.cross(sun, across)])
 
 
-def shadow_map(model: Model, sun: Float64, centre: Float64, reach_m: float) -> ShadowMap:
+def render_shadow_map(model: Model, sun: Float64, centre: Float64, reach_m: float) -> ShadowMap:
     """The shadow map of a model.
 
     Args:
@@ -151,7 +151,7 @@ def _fill_round(one: Records, sun: Float64, axes: Float64, low: Float64, height:
 
 
 @per_pixel()
-def sunlit(height: Float32, column: float, row: float, along: float) -> float:
+def sun_visibility(height: Float32, column: float, row: float, along: float) -> float:
     """Share of the sun that reaches a place.
 
     Args:

@@ -1,4 +1,4 @@
-"""All that a picture depends on besides its camera, as arrays for compiled kernels."""
+"""All that an image depends on besides its camera, as arrays for compiled kernels."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from mirror.arrays import Float32, Float64, Records
 
 LAMP_CELL_M: Final = 1.0
-BELOW_CELL_M: Final = 0.2
+AMBIENT_OCCLUSION_CELL_M: Final = 0.2
 GLOW_CELL_M: Final = 0.5
 GROUND_CELL_M: Final = 2.0
 
 MAPS: Final = np.dtype(
     [
         ("sun_axes", np.float64, (2, 3)),
-        ("still_origin", np.float64, 2),
-        ("moving_origin", np.float64, 2),
+        ("static_shadow_origin", np.float64, 2),
+        ("moving_shadow_origin", np.float64, 2),
         ("lamps_origin", np.float64, 2),
         ("glow_origin", np.float64, 2),
-        ("below_origin", np.float64, 2),
+        ("ambient_occlusion_origin", np.float64, 2),
         ("ground_origin", np.float64, 2),
         ("beam", np.float64, 6),
     ]
@@ -30,18 +30,18 @@ recording vehicle's headlights."""
 
 
 class Surroundings(NamedTuple):
-    """All that a picture depends on besides its camera.
+    """All that an image depends on besides its camera.
 
     Attributes:
         faces: (F,) FACE, flat.
         corners: (C, 3).
         rounds: (R,) ROUND, flat.
-        spheres: (F + R, 4) from `binning.spheres_of`.
-        still: shadow map of what stands still.
-        moving: shadow map of what moves.
+        spheres: (F + R, 4) from `binning.bounding_spheres`.
+        static_shadow: shadow map of what never moves.
+        moving_shadow: shadow map of road users and the recording vehicle.
         lamps: (rows, columns) over the ground: light of the street lamps.
         glow: (rows, columns) over the ground: light of other vehicles' headlights.
-        below: (rows, columns) over the ground: share of the sky's light that road users keep from it.
+        ambient_occlusion: (rows, columns) over the ground: share of the sky's light that road users keep from it.
         ground: (rows, columns) heights of the ground.
         dome: of the clear sky.
         clouds: their field.
@@ -54,11 +54,11 @@ class Surroundings(NamedTuple):
     corners: Float64
     rounds: Records
     spheres: Float64
-    still: Float32
-    moving: Float32
+    static_shadow: Float32
+    moving_shadow: Float32
     lamps: Float32
     glow: Float32
-    below: Float32
+    ambient_occlusion: Float32
     ground: Float32
     dome: Float32
     clouds: Float32

@@ -11,10 +11,10 @@ from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.synth.model import Label
-from mirror.synth.render.binning import facing, lists_of, planes_of
-from mirror.synth.render.coverage import OFFSETS, SKY, cover
+from mirror.synth.render.binning import build_ray_tests, build_tile_lists, find_facing
+from mirror.synth.render.coverage import OFFSETS, SKY, compute_coverage
 from mirror.synth.render.lens import Lens
-from mirror.synth.render.shade import radiance_of
+from mirror.synth.render.shade import render_radiance
 from mirror.synth.render.surroundings import Surroundings
 from mirror.synth.street.houses.windows import pattern_table
 from mirror.synth.textures.atlas import atlas
@@ -25,7 +25,7 @@ _PATTERNS: Final = pattern_table()
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RenderView:
     """What a camera sees of a scene.
 
     Attributes:
@@ -56,17 +56,18 @@ class View:
     counts: dict[str, int]
 
     def radiance(self, footprint_px: float = 1.0) -> Float32:
-        """Light (H, W, 4) that the view's rays bring back: red, green, blue, and how much a mirrored picture adds.
+        """Light (H, W, 4) that the view's rays bring back: red, green, blue, and how much a mirrored image adds.
 
         Args:
             footprint_px: width that textures are averaged over.
         """
-        scene, pictures = self.scene, atlas()
+        scene, textures = self.scene, atlas()
         out = np.zeros((*self.lens.rays.shape[:2], 4), np.float32)
-        radiance_of(
-            scene.faces, scene.rounds, scene.still, scene.moving, scene.lamps, scene.glow, scene.below, scene.ground,
+        render_radiance(
+            scene.faces, scene.rounds, scene.static_shadow, scene.moving_shadow, scene.lamps, scene.glow,
+            scene.ambient_occlusion, scene.ground,
             scene.dome, scene.clouds, scene.layouts, scene.setting, scene.maps,
-            pictures.grains, pictures.grain_index, pictures.images, pictures.image_index, _PATTERNS,
+            textures.grains, textures.grain_index, textures.images, textures.image_index, _PATTERNS,
             self.lens.rays, self.rotation, self.origin, self.offsets[0], footprint_px,
             self.surface, self.mixed, self.which, self.share, self.wanted, out,
         )  # fmt: skip
@@ -103,7 +104,7 @@ class View:
         return self._of_surfaces("object", -1).astype(np.int32)
 
 
-def see(
+def rasterize_view(
     scene: Surroundings,
     lens: Lens,
     rotation: Float64,
@@ -112,7 +113,7 @@ def see(
     offsets: Float32 = OFFSETS,
     wanted: Float32 = _EVERYWHERE,
     ground: bool = True,
-) -> View:
+) -> RenderView:
     """Find what a camera sees.
 
     Args:
@@ -126,7 +127,7 @@ def see(
     """
     rotation = np.ascontiguousarray(rotation, np.float64)
     x, y, z = (float(value) for value in origin)
-    chosen, near = facing(
+    chosen, near = find_facing(
         scene.faces,
         scene.spheres,
         lens.cones,
@@ -140,18 +141,20 @@ def see(
     )
     by_distance = np.argsort(near, kind="stable")
     order, nearest = chosen[by_distance], near[by_distance]
-    starts, rows = planes_of(scene.faces, scene.corners, scene.rounds, order, x, y, z)
-    begins, lists = lists_of(
+    starts, rows = build_ray_tests(scene.faces, scene.corners, scene.rounds, order, x, y, z)
+    begins, lists = build_tile_lists(
         order, nearest, len(scene.faces), scene.spheres, starts, rows, lens.cones, lens.levels, rotation, x, y, z
     )
-    surface, mixed, which, share, counts = cover(
+    surface, mixed, which, share, counts = compute_coverage(
         lens.rays, rotation, offsets, lens.cones, begins, lists, order, len(scene.faces), nearest, starts, rows, wanted
     )
-    told = {
+    counted = {
         "surfaces": len(scene.spheres), "facing": len(order), "near": len(lists), "tried": int(counts[1]),
         "tiles": int(counts[0]),
     }  # fmt: skip
-    return View(scene, lens, rotation, np.array([x, y, z]), offsets, wanted, surface, mixed, which, share, told)
+    return RenderView(
+        scene, lens, rotation, np.array([x, y, z]), offsets, wanted, surface, mixed, which, share, counted
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

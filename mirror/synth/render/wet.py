@@ -11,23 +11,23 @@ from numba import njit
 from mirror.arrays import Float32, Float64
 from mirror.synth.render.lens import Lens
 from mirror.synth.render.surroundings import GROUND_CELL_M, Surroundings
-from mirror.synth.render.view import see
+from mirror.synth.render.view import rasterize_view
 
-_DRAWN_OUT_PX: Final = 12
+_STRETCH_PX: Final = 12
 _LEAST_SHARE: Final = 0.03
 _REACH_M: Final = 24.0
 _ONE_RAY: Final = np.zeros((1, 2), np.float32)
 # What a rough, wet surface loses of its own light where it mirrors.
-_HIDDEN: Final = 0.5
+_LOST_SHARE: Final = 0.5
 
 
-def with_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation: Float64, origin: Float64) -> Float32:
-    """A picture with what its wet ground mirrors.
+def add_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation: Float64, origin: Float64) -> Float32:
+    """An image with what its wet ground mirrors.
 
     The ground is taken as a plane, fitted to it round the camera.
 
     Args:
-        radiance: (H, W, 4) from `View.radiance`.
+        radiance: (H, W, 4) from `RenderView.radiance`.
         scene: what there is.
         lens: the camera.
         rotation: (3, 3) world_R_camera.
@@ -37,17 +37,17 @@ def with_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotatio
         (H, W, 4) radiance.
     """
     share = radiance[..., 3]
-    wanted = _reached(share)
+    wanted = _reflection_mask(share)
     if not wanted.any():
         return radiance
-    normal, offset = ground_plane(scene, origin)
+    normal, offset = fit_ground_plane(scene, origin)
     flip = np.eye(3) - 2.0 * np.outer(normal, normal)
     below = origin - 2.0 * (normal @ origin - offset) * normal
-    mirrored = see(scene, lens, flip @ rotation, below, offsets=_ONE_RAY, wanted=wanted, ground=False)
-    return _blended(radiance, _drawn_out(mirrored.radiance(2.0)))
+    mirrored = rasterize_view(scene, lens, flip @ rotation, below, offsets=_ONE_RAY, wanted=wanted, ground=False)
+    return _blend_reflection(radiance, _stretch_vertically(mirrored.radiance(2.0)))
 
 
-def ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, float]:
+def fit_ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, float]:
     """Normal (3,) and offset of the plane that fits the ground round a place best."""
     ground, left, low = scene.ground, float(scene.maps["ground_origin_0"]), float(scene.maps["ground_origin_1"])
     column, row = round((place[0] - left) / GROUND_CELL_M), round((place[1] - low) / GROUND_CELL_M)
@@ -67,26 +67,26 @@ def ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, float]:
     return normal, float(normal @ (place[0], place[1], height))
 
 
-def _reached(share: Float32) -> Float32:
-    """Where a mirrored picture is asked for: (H, W) 1 in pixels that mirror and those that are drawn over them."""
+def _reflection_mask(share: Float32) -> Float32:
+    """Where a mirrored image is asked for: (H, W) 1 in pixels that mirror and those that are drawn over them."""
     import cv2
 
-    rows = np.ones((2 * _DRAWN_OUT_PX + 1, 1), np.uint8)
+    rows = np.ones((2 * _STRETCH_PX + 1, 1), np.uint8)
     wanted: Float32 = cv2.dilate((share > _LEAST_SHARE).astype(np.uint8), rows).astype(np.float32)
     return wanted
 
 
-def _drawn_out(mirrored: Float32) -> Float32:
+def _stretch_vertically(mirrored: Float32) -> Float32:
     """Ripples and the roughness of the road draw a reflection out lengthwise."""
     import cv2
 
     # Twice a box: nearly a bell.
-    once = cv2.blur(mirrored, (1, _DRAWN_OUT_PX + 1), borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.blur(once, (1, _DRAWN_OUT_PX + 1), borderType=cv2.BORDER_REPLICATE), np.float32)
+    once = cv2.blur(mirrored, (1, _STRETCH_PX + 1), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.blur(once, (1, _STRETCH_PX + 1), borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _blended(radiance: Float32, mirrored: Float32) -> Float32:
+def _blend_reflection(radiance: Float32, mirrored: Float32) -> Float32:
     height, width = radiance.shape[:2]
     out = radiance.copy()
     for row in range(height):
@@ -94,6 +94,6 @@ def _blended(radiance: Float32, mirrored: Float32) -> Float32:
             share = radiance[row, column, 3]
             if share > _LEAST_SHARE:
                 for channel in range(3):
-                    own = radiance[row, column, channel] * (1.0 - _HIDDEN * share)
+                    own = radiance[row, column, channel] * (1.0 - _LOST_SHARE * share)
                     out[row, column, channel] = own + share * mirrored[row, column, channel]
     return out

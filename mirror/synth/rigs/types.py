@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from mirror.synth.rigs.mount import Mount, Optics, Raster
-from mirror.synth.users.ego import EgoKind
+from mirror.synth.road_users.ego import EgoKind
 
 Shutter = Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from mirror.synth.errors import Clock, Errors, MountingError, Stage, disturbed
+from mirror.synth.errors import Clock, Errors, MountingError, Stage, perturb_intrinsics
 from mirror.synth.rigs.types import VehicleType
 
 _INSTALLED: Final = MountingError(0.4, 0.01)
@@ -41,7 +41,7 @@ class Vehicle:
         """True lenses by camera name, in canonical order."""
         rng = np.random.default_rng([self.seed, 1])
         return {
-            mount.camera: disturbed(
+            mount.camera: perturb_intrinsics(
                 mount.optics.camera(mount.raster, self.width_px), _FOCAL_TOLERANCE, _CENTRE_TOLERANCE, rng
             )
             for mount in self.kind.mounts

@@ -1,1 +1,1 @@
-"""Pictures and grains that cover surfaces, made from seeds and filtered for any distance."""
+"""Images and grains that cover surfaces, made from seeds and filtered for any distance."""

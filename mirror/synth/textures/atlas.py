@@ -1,4 +1,4 @@
-"""All pictures and grains with their levels of detail, in flat arrays that compiled kernels read."""
+"""All images and grains with their levels of detail, in flat arrays that compiled kernels read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numba import njit
 from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.synth.textures.catalogue import PERIOD_M, Grain
 from mirror.synth.textures.grains import draw_grain
-from mirror.synth.textures.pictures import draw_pictures
+from mirror.synth.textures.images import draw_images
 
 _LEVELS: Final = 10
 _LEAST_CONTRAST: Final = 0.002
@@ -23,7 +23,7 @@ _BUILT: Final[list[Atlas]] = []
 
 @dataclass(frozen=True)
 class Atlas:
-    """Pictures and grains.
+    """Images and grains.
 
     Attributes:
         grains: (T,) every grain's levels, the finest first, each row by row; rows go along v.
@@ -49,7 +49,7 @@ def atlas() -> Atlas:
 
 def _built() -> Atlas:
     grains, index = _grains()
-    images, image_index = _images(draw_pictures())
+    images, image_index = _images(draw_images())
     return Atlas(grains, index, images, image_index)
 
 
@@ -71,28 +71,28 @@ def _grains() -> tuple[Float32, Float64]:
     return np.concatenate(chains), index
 
 
-def _images(pictures: list[UInt8]) -> tuple[UInt8, Int64]:
-    index = np.zeros((len(pictures), 3 + _LEVELS), np.int64)
+def _images(images: list[UInt8]) -> tuple[UInt8, Int64]:
+    index = np.zeros((len(images), 3 + _LEVELS), np.int64)
     first = 0
-    for number, picture in enumerate(pictures):
-        high, wide, _ = picture.shape
+    for number, image in enumerate(images):
+        high, wide, _ = image.shape
         levels = min(high, wide).bit_length()
         index[number, :3] = wide, high, levels
         for level in range(levels):
             index[number, 3 + level] = first
             first += (high >> level) * (wide >> level)
     texels = np.empty((first, 3), np.uint8)
-    for number, picture in enumerate(pictures):
-        high, wide, _ = picture.shape
-        texels[index[number, 3] : index[number, 3] + high * wide] = picture.reshape(-1, 3)
-        _fill(texels, index[number], picture)
+    for number, image in enumerate(images):
+        high, wide, _ = image.shape
+        texels[index[number, 3] : index[number, 3] + high * wide] = image.reshape(-1, 3)
+        _fill(texels, index[number], image)
     return texels, index
 
 
 @njit(cache=True, nogil=True)
-def _fill(texels: UInt8, index: Int64, picture: UInt8) -> None:
-    """Writes the halvings of a picture, averaged in linear light; each is rounded but once."""
-    high, wide = picture.shape[0] // 2, picture.shape[1] // 2
+def _fill(texels: UInt8, index: Int64, image: UInt8) -> None:
+    """Writes the halvings of an image, averaged in linear light; each is rounded but once."""
+    high, wide = image.shape[0] // 2, image.shape[1] // 2
     light = np.empty((high, wide, 3), np.float32)
     for level in range(1, index[2]):
         at = index[3 + level]
@@ -101,11 +101,11 @@ def _fill(texels: UInt8, index: Int64, picture: UInt8) -> None:
                 for channel in range(3):
                     if level == 1:
                         a, b = (
-                            np.float32(picture[2 * i, 2 * j, channel]),
-                            np.float32(picture[2 * i, 2 * j + 1, channel]),
+                            np.float32(image[2 * i, 2 * j, channel]),
+                            np.float32(image[2 * i, 2 * j + 1, channel]),
                         )
-                        c = np.float32(picture[2 * i + 1, 2 * j, channel])
-                        d = np.float32(picture[2 * i + 1, 2 * j + 1, channel])
+                        c = np.float32(image[2 * i + 1, 2 * j, channel])
+                        d = np.float32(image[2 * i + 1, 2 * j + 1, channel])
                         mean = np.float32(0.25) * (a * a + b * b + c * c + d * d)
                     else:
                         near = light[2 * i, 2 * j, channel] + light[2 * i, 2 * j + 1, channel]

@@ -1,4 +1,4 @@
-"""Which pictures and which grains there are: builders of models name them by number, the atlas holds them."""
+"""Which images and which grains there are: builders of models name them by number, the atlas holds them."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ BILLBOARDS: Final = range(40, 56)
 POSTERS: Final = range(56, 72)
 """2 wide to 3 high."""
 TRAFFIC_SIGNS: Final = range(72, 92)
-"""Square pictures; outside a round or three-cornered sign they are grey, its back shows there."""
+"""Square images; outside a round or three-cornered sign they are grey, its back shows there."""
 
 
 class Sign(IntEnum):
-    """Which picture of :data:`TRAFFIC_SIGNS` says what."""
+    """Which image of :data:`TRAFFIC_SIGNS` says what."""
 
     SPEED_30 = 72
     SPEED_50 = 73

@@ -1,4 +1,4 @@
-"""Faces of people, painted feature by feature: the picture on the front half of a head."""
+"""Faces of people, painted feature by feature: the image on the front half of a head."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Colour = tuple[float, float, float]
 Hair = Literal["short", "parted", "fringe", "long", "bun", "bald"]
 
 HEAD_ASPECT: Final = 0.68
-"""Width of a head by its height: the square picture is as much narrower once it is on one."""
+"""Width of a head by its height: the square image is as much narrower once it is on one."""
 _SKINS: Final[tuple[Colour, ...]] = (
     (0.62, 0.44, 0.35), (0.58, 0.39, 0.29), (0.55, 0.37, 0.27), (0.50, 0.33, 0.23), (0.44, 0.28, 0.19),
     (0.36, 0.22, 0.14), (0.27, 0.16, 0.10), (0.19, 0.11, 0.07),
@@ -71,10 +71,10 @@ def features(number: int) -> Features:
     """The features of a face.
 
     Args:
-        number: picture of the catalogue, one of FACES.
+        number: image of the catalogue, one of FACES.
 
     Raises:
-        UsageError: another picture.
+        UsageError: another image.
     """
     if number not in FACES:
         raise UsageError(f"face {number}", expected=f"{FACES.start} to {FACES.stop - 1}")
@@ -106,8 +106,8 @@ def face_image(number: int, size_px: int = 128) -> Float32:
     It is seen along the head's own -x axis and covers its extents in y and z: a circle in it is the head's outline.
 
     Args:
-        number: picture of the catalogue, one of FACES.
-        size_px: edge of the picture.
+        number: image of the catalogue, one of FACES.
+        size_px: edge of the image.
 
     Raises:
         UsageError: no such face, or a size below 16.
@@ -130,7 +130,7 @@ def face_image(number: int, size_px: int = 128) -> Float32:
 
 
 class _Canvas:
-    """A picture in head units: y from -1 at the chin to 1 at the crown, x from -HEAD_ASPECT to HEAD_ASPECT."""
+    """An image in head units: y from -1 at the chin to 1 at the crown, x from -HEAD_ASPECT to HEAD_ASPECT."""
 
     def __init__(self, size_px: int, ground: Colour) -> None:
         self.rgb = np.tile(np.array(ground), (size_px, size_px, 1))

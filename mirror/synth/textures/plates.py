@@ -11,8 +11,8 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.synth.textures.catalogue import PLATES
-from mirror.synth.textures.pictures.drawing import disc, plain, rounded
-from mirror.synth.textures.pictures.lettering import letter
+from mirror.synth.textures.images.drawing import disc, plain, rounded
+from mirror.synth.textures.images.lettering import letter
 
 _LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ"
 _UNUSED: Final = ("SS", "SA", "NS", "HJ", "KZ", "HH", "AH")
@@ -40,13 +40,13 @@ def plate_text(number: int) -> str:
     """What a number plate says.
 
     Args:
-        number: picture of the catalogue, one of PLATES.
+        number: image of the catalogue, one of PLATES.
 
     Returns:
         Two letters, two letters and three digits, parted by spaces, such as ``KB TR 482``; all plates differ.
 
     Raises:
-        UsageError: another picture.
+        UsageError: another image.
     """
     if number not in PLATES:
         raise UsageError(f"plate {number}", expected=f"{PLATES.start} to {PLATES.stop - 1}")
@@ -61,18 +61,18 @@ def plate_text(number: int) -> str:
 
 
 def plate_image(number: int, wide: int = 256, high: int = 64) -> UInt8:
-    """Picture of a number plate.
+    """Image of a number plate.
 
     Args:
-        number: picture of the catalogue, one of PLATES.
-        wide: pixels; the plate fills the picture, whatever its shape.
+        number: image of the catalogue, one of PLATES.
+        wide: pixels; the plate fills the image, whatever its shape.
         high: pixels.
 
     Returns:
         (H, W, 3) red, green and blue, 255 times the square root of linear reflectance.
 
     Raises:
-        UsageError: another picture.
+        UsageError: another image.
     """
     text = plate_text(number)
     image = _blank(_COUNTRIES[number % len(_COUNTRIES)]).copy()
@@ -85,7 +85,7 @@ def plate_image(number: int, wide: int = 256, high: int = 64) -> UInt8:
         left, top = round(at * _SCALE), round(_TOP_MM * _SCALE)
         image[top : top + stamp.shape[0], left : left + stamp.shape[1]] = stamp
         at += (_LETTER_MM if sign.isalpha() else _DIGIT_MM) + _GAP_MM
-    # Means over areas: letters keep their edges smooth when the picture is squeezed.
+    # Means over areas: letters keep their edges smooth when the image is squeezed.
     return cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""Means of grains and pictures over a pixel: taps spread over its parallelogram, each on a level that fits its share.
+"""Means of grains and images over a pixel: taps spread over its parallelogram, each on a level that fits its share.
 
 A tap reads the nearest level of detail bilinearly; that is a bell about 1.7 texels wide. Pixels up to about twice as
 long as wide get two rows of taps, longer ones a single row. Means over boxes are met to about a tenth of the contrast
@@ -117,13 +117,13 @@ def _grain_tap(grains: Float32, first: int, log: int, x: int, y: int) -> float:
 def image_at(
     images: UInt8, index: Int64, image: int, s: float, t: float, s1: float, t1: float, s2: float, t2: float
 ) -> Rgb:
-    """Mean of a picture over a pixel; beyond its edges the outermost texels go on.
+    """Mean of an image over a pixel; beyond its edges the outermost texels go on.
 
     Args:
         images: ``Atlas.images``.
         index: ``Atlas.image_index``.
         image: number in the catalogue.
-        s: middle of the pixel, 0 at the picture's left edge, 1 at its right one.
+        s: middle of the pixel, 0 at the image's left edge, 1 at its right one.
         t: 0 at its lower edge, 1 at its upper one.
         s1: how far s moves across the pixel from left to right.
         t1: how far t does.

@@ -1,4 +1,4 @@
-"""What of each object a picture shows: how much of it is hidden, and where its pixels lie."""
+"""What of each object an image shows: how much of it is hidden, and where its pixels lie."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from mirror.arrays import Float64, Int32, Int64
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
 from mirror.geometry.cameras import Camera
 from mirror.synth.model import Model
-from mirror.synth.truth.casting import NOTHING, cast
+from mirror.synth.truth.casting import NOTHING, cast_rays
 
 _MOST_RAYS: Final = 6000
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class PosedObject:
     """One object as it stands at an instant.
 
     Attributes:
@@ -33,8 +33,8 @@ class Standing:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """What a picture shows of N objects.
+class ObjectVisibility:
+    """What an image shows of N objects.
 
     Attributes:
         number: (N,) of the object, ascending.
@@ -53,12 +53,14 @@ class Shown:
         return len(self.number)
 
 
-def shown(objects: Int32, camera: Camera, world_SE3_camera: Poses, standing: Mapping[int, Standing]) -> Shown:
-    """Find what a picture shows of each object.
+def measure_visibility(
+    objects: Int32, camera: Camera, world_SE3_camera: Poses, standing: Mapping[int, PosedObject]
+) -> ObjectVisibility:
+    """Find what an image shows of each object.
 
     Args:
         objects: (H, W) number of the object at the centre of each pixel, below 0 where there is none.
-        camera: of the picture.
+        camera: of the image.
         world_SE3_camera: one pose.
         standing: the objects by number.
 
@@ -69,7 +71,7 @@ def shown(objects: Int32, camera: Camera, world_SE3_camera: Poses, standing: Map
     numbers = np.array(sorted(standing), np.int64)
     counts, bounds = _extents(objects, numbers)
     if not len(numbers):
-        return Shown(numbers, counts, np.zeros(0), bounds)
+        return ObjectVisibility(numbers, counts, np.zeros(0), bounds)
     ones = [standing[int(number)] for number in numbers]
     world_SE3_box = Poses(
         np.concatenate([one.world_SE3_box.rotation for one in ones]),
@@ -82,13 +84,13 @@ def shown(objects: Int32, camera: Camera, world_SE3_camera: Poses, standing: Map
         columns, rows = _grid(boxes.bounds_px[row])
         u, v = np.meshgrid(columns, rows)
         rays = camera.unproject(np.stack([u, v], axis=-1) + 0.5).direction.reshape(-1, 3) @ turn.T
-        there = cast(ones[row].model, origin, rays)[1] != NOTHING
+        there = cast_rays(ones[row].model, origin, rays)[1] != NOTHING
         if there.any():
             shares[row] = (objects[v, u].ravel()[there] == numbers[row]).mean()
     # A pixel that the renderer gives to it is there, even where the ray of the coarse grid or rounding missed it.
     shares = np.where(np.isnan(shares) & (counts > 0), 1.0, shares)
     known = ~np.isnan(shares)
-    return Shown(numbers[known], counts[known], shares[known], bounds[known])
+    return ObjectVisibility(numbers[known], counts[known], shares[known], bounds[known])
 
 
 def _grid(bounds_px: Float64) -> tuple[Int64, Int64]:

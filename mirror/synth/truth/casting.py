@@ -16,7 +16,7 @@ from mirror.synth.model import Model
 NOTHING: Final = -1
 
 
-def cast(model: Model, origin: Float64, directions: Float64) -> tuple[Float64, Int64]:
+def cast_rays(model: Model, origin: Float64, directions: Float64) -> tuple[Float64, Int64]:
     """The first surface on each ray. Faces are seen from outside, those with two sides from both.
 
     Args:
@@ -56,7 +56,7 @@ def cast(model: Model, origin: Float64, directions: Float64) -> tuple[Float64, I
     return distance, index
 
 
-def own_mask(own: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
+def ego_mask(own: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
     """Where a camera sees its own vehicle.
 
     Args:
@@ -79,7 +79,7 @@ def own_mask(own: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
     u, v = np.meshgrid(0.5 * np.arange(2 * left, 2 * right + 1), 0.5 * np.arange(2 * top, 2 * bottom + 1))
     rays = camera.unproject(np.stack([u, v], axis=-1))
     seen = np.zeros(u.shape, np.bool_)
-    seen[rays.valid] = cast(own, origin, rays.direction[rays.valid] @ turn.T)[1] != NOTHING
+    seen[rays.valid] = cast_rays(own, origin, rays.direction[rays.valid] @ turn.T)[1] != NOTHING
     mask[top:bottom, left:right] = np.where(_any_of_nine(seen), 255, 0)
     return mask
 

@@ -15,7 +15,7 @@ from mirror.recordings.folder_document import read_calibrations
 from mirror.schema.documents import Document, Roi
 from mirror.schema.files import read_json, read_table, write_json
 from mirror.synth.model import Label
-from mirror.synth.truth.pictures import Kind, read_truth_picture
+from mirror.synth.truth.images import Kind, read_truth_image
 from mirror.synth.truth.tables import BOXES, POSES
 
 FOLDER: Final = "truth"
@@ -38,7 +38,7 @@ class TruthDocument(Document):
 
     Attributes:
         scene: whose east-north-up frame at its centre is the world frame.
-        kinds: of the pictures' truth that is there.
+        kinds: of the images' truth that is there.
         labels: values of the semantic masks by name.
         objects: the k-th, counting from 1, has the value k in the instance masks.
     """
@@ -75,11 +75,11 @@ class Truth:
         return read_json(self.folder / "truth.json", TruthDocument)
 
     def poses(self) -> pa.Table:
-        """Exact poses of the vehicle and of all pictures: `mirror.synth.truth.tables.POSES`."""
+        """Exact poses of the vehicle and of all images: `mirror.synth.truth.tables.POSES`."""
         return read_table(self.folder / "poses.parquet", POSES)
 
     def boxes(self) -> pa.Table:
-        """Exact boxes with visibility, picture by picture: `mirror.synth.truth.tables.BOXES`."""
+        """Exact boxes with visibility, image by image: `mirror.synth.truth.tables.BOXES`."""
         return read_table(self.folder / "boxes.parquet", BOXES)
 
     def calibrations(self) -> list[Calibration]:
@@ -87,12 +87,12 @@ class Truth:
         return read_calibrations(self.folder / "calibrations.json")
 
     def read(self, kind: Kind, camera: str, timestamp_ns: int) -> AnyArray:
-        """The truth of one picture, by its recorded stamp; `mirror.synth.truth.pictures.KINDS` says what it is.
+        """The truth of one image, by its recorded stamp; `mirror.synth.truth.images.KINDS` says what it is.
 
         Raises:
             RecordingError: there is none, or it is broken.
         """
-        return read_truth_picture(self.folder, kind, camera, timestamp_ns)
+        return read_truth_image(self.folder, kind, camera, timestamp_ns)
 
 
 def write_document(

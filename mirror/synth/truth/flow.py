@@ -14,16 +14,16 @@ from mirror.geometry.cameras import Camera
 def static_flow(
     distance_m: npt.ArrayLike, camera: Camera, world_SE3_camera: Poses, later: Camera, world_SE3_later: Poses
 ) -> Float32:
-    """How far the point of the world that a pixel shows is away from that pixel in another picture.
+    """How far the point of the world that a pixel shows is away from that pixel in another image.
 
     The point is taken to stand still: for road users and the recording vehicle itself that is not what they do. Whether
-    it is hidden in the other picture is not considered. What is infinitely far moves by the rotation alone.
+    it is hidden in the other image is not considered. What is infinitely far moves by the rotation alone.
 
     Args:
         distance_m: (H, W) along the rays of the pixels' centres, infinite in the sky.
-        camera: of the picture.
+        camera: of the image.
         world_SE3_camera: one pose.
-        later: camera of the other picture, often the same.
+        later: camera of the other image, often the same.
         world_SE3_later: one pose.
 
     Returns:

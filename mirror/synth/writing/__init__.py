@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from mirror.synth.writing.recordings import Written, write_recordings
+from mirror.synth.writing.recordings import SynthReport, write_recordings
 
-__all__ = ["Written", "write_recordings"]
+__all__ = ["SynthReport", "write_recordings"]

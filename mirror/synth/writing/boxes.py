@@ -12,21 +12,21 @@ from mirror.arrays import Bool, Float64, Int64
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes, quaternion_from_heading_pitch_roll
 from mirror.schema.tables import BOXES
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.users.body import Placement, RoadUser
-from mirror.synth.writing.shots import Shots
+from mirror.synth.road_users.body import Placement, RoadUser
+from mirror.synth.writing.schedule import ImageSchedule
 from mirror.version import __version__
 
 SOURCE: Final = "synth"
 LEAST_SHARE: Final = 8e-5
-"""A road user that no picture shows in so large a share of a picture's pixels has no box."""
+"""A road user that no image shows in so large a share of an image's pixels has no box."""
 _FARTHEST_M: Final = 60.0
 _APART_NS: Final = 500_000_000
 
 
-def world_SE3_boxes(users: Sequence[RoadUser], placements: Sequence[Placement]) -> Poses:  # noqa: N802
+def world_SE3_boxes(road_users: Sequence[RoadUser], placements: Sequence[Placement]) -> Poses:  # noqa: N802
     """Poses (N,) of road users' boxes: their middles, with the bodies' axes."""
     rows = [(one.x_m, one.y_m, one.z_m, one.yaw_rad, one.pitch_rad, one.roll_rad) for one in placements]
-    return _boxes(np.array(rows).reshape(-1, 6), np.array([user.body.size_m[2] for user in users]))
+    return _boxes(np.array(rows).reshape(-1, 6), np.array([user.body.size_m[2] for user in road_users]))
 
 
 def _boxes(placed: Float64, height_m: Float64) -> Poses:
@@ -39,35 +39,35 @@ def _boxes(placed: Float64, height_m: Float64) -> Poses:
 
 
 def box_rows(
-    users: Sequence[RoadUser], placements: Sequence[Placement], world_SE3_ego: Poses, timestamp_ns: int
+    road_users: Sequence[RoadUser], placements: Sequence[Placement], world_SE3_ego: Poses, timestamp_ns: int
 ) -> pa.Table:
     """Rows of the ``boxes`` table of some road users at one instant.
 
     Args:
-        users: who.
+        road_users: the road users.
         placements: where each is.
         world_SE3_ego: one pose.
         timestamp_ns: of the rows.
     """
     speed = np.array([one.speed_mps for one in placements])
     return _table(
-        users, np.full(len(users), timestamp_ns), world_SE3_ego[np.zeros(len(users), np.int64)],
-        world_SE3_boxes(users, placements), speed,
+        road_users, np.full(len(road_users), timestamp_ns), world_SE3_ego[np.zeros(len(road_users), np.int64)],
+        world_SE3_boxes(road_users, placements), speed,
     )  # fmt: skip
 
 
-def boxes_in_view(drive: SynthDrive, shots: Shots) -> pa.Table:
-    """Rows of the ``boxes`` table of a drive whose pictures are not rendered.
+def boxes_in_view(drive: SynthDrive, schedule: ImageSchedule) -> pa.Table:
+    """Rows of the ``boxes`` table of a drive whose images are not rendered.
 
     They are those of road users nearby whose box some camera has in view, large enough, twice a second; whether
     something hides them is not asked.
     """
-    camera = next(iter(shots.true_ns))
-    every = max(round(_APART_NS * drive.preset.picture_hz * 1e-9), 1)
-    true, recorded = shots.true_ns[camera][::every], shots.recorded_ns[camera][::every]
+    camera = next(iter(schedule.true_ns))
+    every = max(round(_APART_NS * drive.preset.image_hz * 1e-9), 1)
+    true, recorded = schedule.true_ns[camera][::every], schedule.recorded_ns[camera][::every]
     ego = drive.world_SE3_ego(true)
     parts = [BOXES.schema.empty_table()]
-    for user in drive.users:
+    for user in drive.road_users:
         placed, speed = drive.placements(user, true)
         rows = np.flatnonzero(np.linalg.norm(placed[:, :2] - ego.translation[:, :2], axis=1) < _FARTHEST_M)
         boxes = _boxes(placed[rows], np.full(len(rows), user.body.size_m[2]))
@@ -90,25 +90,25 @@ def _in_view(drive: SynthDrive, ego_SE3_box: Poses, size_m: tuple[float, float, 
 
 
 def least_px(drive: SynthDrive) -> float:
-    """So many pixels of a picture show a road user that has a box."""
+    """So many pixels of an image show a road user that has a box."""
     camera = next(iter(drive.vehicle.cameras.values()))
     return max(4.0, LEAST_SHARE * camera.width_px * camera.height_px)
 
 
 def _table(
-    users: Sequence[RoadUser], timestamp_ns: Int64, world_SE3_ego: Poses, world_SE3_box: Poses, speed_mps: Float64
+    road_users: Sequence[RoadUser], timestamp_ns: Int64, world_SE3_ego: Poses, world_SE3_box: Poses, speed_mps: Float64
 ) -> pa.Table:
-    count = len(users)
+    count = len(road_users)
     if not count:
         return BOXES.schema.empty_table()
     ahead = matrix_from_quaternion(world_SE3_box.rotation)[:, :, 0] * speed_mps[:, None]
     velocity = np.einsum("nij,ni->nj", matrix_from_quaternion(world_SE3_ego.rotation), ahead)
     columns: Mapping[str, Any] = {
         "timestamp_ns": timestamp_ns,
-        "track_id": [user.track_id for user in users],
-        "category": [user.body.category for user in users],
+        "track_id": [user.track_id for user in road_users],
+        "category": [user.body.category for user in road_users],
         **(world_SE3_ego.inverse() @ world_SE3_box).to_columns(),
-        **dict(zip(("length_m", "width_m", "height_m"), np.array([user.body.size_m for user in users]).T)),
+        **dict(zip(("length_m", "width_m", "height_m"), np.array([user.body.size_m for user in road_users]).T)),
         **dict(zip(("vx_mps", "vy_mps", "vz_mps"), velocity.T)),
         "score": pa.nulls(count, pa.float64()),
         "source": [SOURCE] * count,

@@ -24,10 +24,10 @@ class Counts(Document):
     """What writing a recording came to.
 
     Attributes:
-        pictures: written or referred to.
-        lost: pictures that were taken, and lost as the errors ask.
+        pictures: images written or referred to.
+        lost: images that were taken, and lost as the errors ask.
         boxes: in all.
-        unseen: road users nearby that pictures of an instant were searched for, and that have no box.
+        unseen: road users nearby that images of an instant were searched for, and that have no box.
     """
 
     pictures: int = 0

@@ -18,12 +18,12 @@ from mirror.schema.documents import CANONICAL_CAMERAS, Roi
 from mirror.schema.files import write_json
 from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.fleet.drives import drives_of
+from mirror.synth.fleet.drives import make_drives
 from mirror.synth.light.condition import Effects
+from mirror.synth.writing.images import FrameImages, write_cameras, write_image_references, write_images
 from mirror.synth.writing.journal import Counts, journal
-from mirror.synth.writing.pictures import Frame, refer_to_pictures, write_cameras, write_frames
 from mirror.synth.writing.poses import pose_stamps, write_poses
-from mirror.synth.writing.shots import Shots, shots_of
+from mirror.synth.writing.schedule import ImageSchedule, schedule_images
 from mirror.synth.writing.truth import RENDERED, TruthKind, write_truth
 from mirror.version import __version__
 
@@ -31,19 +31,19 @@ LICENCE: Final = "CC0-1.0"
 
 
 @dataclass
-class Written:
+class SynthReport:
     """What writing recordings came to.
 
     Attributes:
         recordings: their folders.
-        pictures: written or referred to.
-        lost: pictures that were taken, and lost as the errors ask.
+        images: written or referred to.
+        lost: images that were taken, and lost as the errors ask.
         boxes: in all.
-        unseen: road users nearby that pictures of an instant were searched for, and that have no box.
+        unseen: road users nearby that images of an instant were searched for, and that have no box.
     """
 
     recordings: list[Path] = field(default_factory=list)
-    pictures: int = 0
+    images: int = 0
     lost: int = 0
     boxes: int = 0
     unseen: int = 0
@@ -51,7 +51,7 @@ class Written:
     def count(self, folder: Path, counts: Counts) -> None:
         """Add a recording."""
         self.recordings.append(folder)
-        self.pictures += counts.pictures
+        self.images += counts.pictures
         self.lost += counts.lost
         self.boxes += counts.boxes
         self.unseen += counts.unseen
@@ -69,7 +69,7 @@ def write_recordings(
     truth: Sequence[TruthKind] = (),
     workers: int | None = None,
     progress: ProgressReporter | None = None,
-) -> Written:
+) -> SynthReport:
     """Write the recordings of a preset, and ``rois.geojson`` beside them.
 
     The files depend on the arguments alone, not on the number of workers. ``recording.json`` is written last. Where the
@@ -80,34 +80,34 @@ def write_recordings(
         preset: one of `mirror.synth.PRESETS`.
         seed: of everything that is left to chance.
         scenes: how many scenes; default: all that the preset has.
-        traversals: how many drives with pictures through each; default: the preset's.
+        traversals: how many drives with images through each; default: the preset's.
         errors: by which what is recorded differs from the truth; default: the preset's.
         effects: what is shown of light, weather and cameras; default: all.
         truth: kinds of truth to be written beside each recording.
         workers: threads; default: as many as there are processors.
-        progress: is told of every picture, recording by recording; None: nobody is.
+        progress: is told of every image, recording by recording; None: nobody is.
 
     Raises:
-        UsageError: no such preset, no workers, the folder holds something else, or truth of pictures that are not
+        UsageError: no such preset, no workers, the folder holds something else, or truth of images that are not
             rendered.
         DatasetError: the folder is not writable, the disk is full, or another run is writing there.
     """
     if workers is not None and workers < 1:
         raise UsageError(f"{workers} workers", expected="at least one")
-    settings, drives = drives_of(preset, seed, scenes, traversals)
+    settings, drives = make_drives(preset, seed, scenes, traversals)
     errors = settings.errors if errors is None else errors
     if effects is not None:
         if settings.on_demand:
             raise UsageError(
                 f"effects left out of preset {preset!r}",
-                expected="all: its pictures are rendered when they are loaded",
+                expected="all: its images are rendered when they are loaded",
                 remedy="take another preset",
             )
         drives = [replace(drive, condition=replace(drive.condition, effects=effects)) for drive in drives]
     if settings.on_demand and RENDERED & set(truth):
         raise UsageError(
             f"truth of kinds {', '.join(sorted(RENDERED & set(truth)))} with preset {preset!r}",
-            expected="poses alone: its pictures are rendered when they are loaded",
+            expected="poses alone: its images are rendered when they are loaded",
             remedy="take another preset",
         )
     progress = NullProgress() if progress is None else progress
@@ -121,7 +121,7 @@ def write_recordings(
         "effects": str(effects),
         "truth": ",".join(sorted(set(truth))),
     }
-    written = Written()
+    written = SynthReport()
     with journal(out, arguments) as done, thread_pool(workers or os.cpu_count() or 1) as pool:
         write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
         missing = [drive for drive in drives if done.complete(drive.drive_id) is None]
@@ -131,10 +131,10 @@ def write_recordings(
             counts = done.complete(drive.drive_id)
             if counts is None:
                 ahead.pop().result()
-                # While this drive's pictures are rendered.
+                # While this drive's images are rendered.
                 missing = missing[1:]
                 ahead = [pool.submit(_simulate, coming) for coming in missing[:1]]
-                start = partial(progress.start, f"recording {number} of {len(drives)}, pictures")
+                start = partial(progress.start, f"recording {number} of {len(drives)}, images")
                 counts = _write(folder, drive, seed, errors, truth, pool, start, progress.advance)
                 done.add(drive.drive_id, counts)
                 drive.forget()
@@ -158,23 +158,23 @@ def _write(
 ) -> Counts:
     found: Counter[str] = Counter()
     write_poses(folder, drive, errors)
-    shots: Shots | None = None
+    schedule: ImageSchedule | None = None
     truth_boxes: list[dict[str, Any]] = []
-    if drive.recipe.pictures:
-        shots = shots_of(drive, errors)
-        found["lost"] = sum(int((~kept).sum()) for kept in shots.kept.values())
-        start(sum(int(kept.sum()) for kept in shots.kept.values()))
-        write_cameras(folder, drive, shots, errors)
+    if drive.recipe.images:
+        schedule = schedule_images(drive, errors)
+        found["lost"] = sum(int((~kept).sum()) for kept in schedule.kept.values())
+        start(sum(int(kept.sum()) for kept in schedule.kept.values()))
+        write_cameras(folder, drive, schedule, errors)
         if drive.preset.on_demand:
-            frames: Iterable[Frame] = [refer_to_pictures(folder, drive, shots, seed)]
+            frames: Iterable[FrameImages] = [write_image_references(folder, drive, schedule, seed)]
         else:
-            frames = write_frames(folder, drive, shots, truth, pool)
+            frames = write_images(folder, drive, schedule, truth, pool)
         for frame in frames:
-            found.update(pictures=frame.pictures, boxes=frame.boxes.num_rows, unseen=frame.unseen)
-            advance(frame.pictures)
+            found.update(pictures=frame.images, boxes=frame.boxes.num_rows, unseen=frame.unseen)
+            advance(frame.images)
             truth_boxes += frame.truth_boxes
     if truth:
-        write_truth(folder, drive, truth, pose_stamps(drive), shots, truth_boxes)
+        write_truth(folder, drive, truth, pose_stamps(drive), schedule, truth_boxes)
     write_json(folder / "recording.json", _document(drive))
     return Counts(**found)
 
@@ -192,14 +192,14 @@ def _geojson(rois: Sequence[Roi]) -> dict[str, object]:
 
 
 def _document(drive: SynthDrive) -> dict[str, object]:
-    pictures = drive.recipe.pictures
+    images = drive.recipe.images
     document: dict[str, object] = {
         "format": "mirror-folder",
         "version": "1.0",
         "drive_id": drive.drive_id,
         "vehicle_id": drive.vehicle.vehicle_id,
         "vehicle_type": drive.vehicle.kind.name,
-        "rig_id": drive.rig_id if pictures else None,
+        "rig_id": drive.rig_id if images else None,
         "time_base": "gps_us" if drive.recipe.poses == "gps" else "unix_ns",
         "frame": {"kind": "wgs84"},
         "body_frame": "ego",
@@ -207,10 +207,10 @@ def _document(drive: SynthDrive) -> dict[str, object]:
         "weather": drive.recipe.weather,
         "licence": LICENCE,
     }
-    if pictures:
+    if images:
         document["reference_camera"] = CANONICAL_CAMERAS[0]
         document["cameras"] = {
-            name: {"static_mask": f"masks/{name}.png" if name in drive.own_masks else None}
+            name: {"static_mask": f"masks/{name}.png" if name in drive.ego_masks else None}
             for name in CANONICAL_CAMERAS
         }
     return document

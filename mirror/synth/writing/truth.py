@@ -18,18 +18,18 @@ from mirror.schema.files import write_bytes, write_table
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.truth.files import FOLDER, TruthObject, write_document
 from mirror.synth.truth.flow import static_flow
-from mirror.synth.truth.pictures import KINDS, Kind, truth_file
+from mirror.synth.truth.images import KINDS, Kind, truth_file
 from mirror.synth.truth.tables import BOXES, POSES
 from mirror.synth.writing.boxes import world_SE3_boxes
-from mirror.synth.writing.shots import Shots
+from mirror.synth.writing.schedule import ImageSchedule
 
 if TYPE_CHECKING:
-    from mirror.synth.render.scene import Instant, Picture
+    from mirror.synth.render.scene import Instant, RenderedImage
 
 TruthKind = Literal["depth", "normals", "semantic", "instance", "flow", "boxes", "poses"]
 TRUTH_KINDS: Final[tuple[TruthKind, ...]] = get_args(TruthKind)
 RENDERED: Final[frozenset[TruthKind]] = frozenset(TRUTH_KINDS) - {"poses"}
-"""Kinds that only pictures that are rendered have."""
+"""Kinds that only images that are rendered have."""
 
 
 def truth_kinds(text: str) -> tuple[TruthKind, ...]:
@@ -47,13 +47,13 @@ def truth_kinds(text: str) -> tuple[TruthKind, ...]:
 
 @dataclass(frozen=True)
 class TruthRequest:
-    """One picture whose truth is written.
+    """One image whose truth is written.
 
     Attributes:
         camera: that took it.
         true_ns: mid-exposure.
         recorded_ns: the same, as recorded.
-        next_ns: true mid-exposure of the camera's next picture; None: there is none.
+        next_ns: true mid-exposure of the camera's next image; None: there is none.
     """
 
     camera: str
@@ -62,28 +62,28 @@ class TruthRequest:
     next_ns: int | None
 
 
-def write_picture_truth(
+def write_image_truth(
     recording: Path,
     drive: SynthDrive,
     kinds: Sequence[TruthKind],
     asked: TruthRequest,
     instant: Instant,
-    picture: Picture,
+    image: RenderedImage,
 ) -> list[dict[str, Any]]:
-    """Write the truth of one picture.
+    """Write the truth of one image.
 
     Args:
         recording: its folder.
         drive: that it is of.
         kinds: which truth.
-        asked: which picture.
-        instant: that the picture shows.
-        picture: as rendered.
+        asked: which image.
+        instant: that the image shows.
+        image: as rendered.
 
     Returns:
         Rows of the table of boxes.
     """
-    view, camera = picture.view, drive.vehicle.cameras[asked.camera]
+    view, camera = image.view, drive.vehicle.cameras[asked.camera]
     pose = drive.world_SE3_camera(asked.camera, np.array([asked.true_ns]))
     found: dict[Kind, AnyArray] = {}
     if "depth" in kinds:
@@ -102,25 +102,25 @@ def write_picture_truth(
     for kind, values in found.items():
         file = truth_file(recording / FOLDER, kind, asked.camera, asked.recorded_ns)
         write_bytes(file, KINDS[kind].encode(values))
-    return _box_rows(drive, asked, instant, picture, pose) if "boxes" in kinds else []
+    return _box_rows(drive, asked, instant, image, pose) if "boxes" in kinds else []
 
 
 def _box_rows(
-    drive: SynthDrive, asked: TruthRequest, instant: Instant, picture: Picture, world_SE3_camera: Poses
+    drive: SynthDrive, asked: TruthRequest, instant: Instant, image: RenderedImage, world_SE3_camera: Poses
 ) -> list[dict[str, Any]]:
-    from mirror.synth.truth.boxes import Standing, shown
+    from mirror.synth.truth.boxes import PosedObject, measure_visibility
 
     numbers, places = list(instant.placements), list(instant.placements.values())
-    users = [drive.users[number] for number in numbers]
-    boxes = world_SE3_boxes(users, places)
+    road_users = [drive.road_users[number] for number in numbers]
+    boxes = world_SE3_boxes(road_users, places)
     standing = {
-        number: Standing(
+        number: PosedObject(
             user.body.posed(place).placed(place.rotation, place.translation, number), boxes[row], user.body.size_m
         )
-        for row, (number, user, place) in enumerate(zip(numbers, users, places))
+        for row, (number, user, place) in enumerate(zip(numbers, road_users, places))
     }
     camera = drive.vehicle.cameras[asked.camera]
-    found = shown(picture.view.object, camera, world_SE3_camera, standing)
+    found = measure_visibility(image.view.object, camera, world_SE3_camera, standing)
     columns = boxes.to_columns()
     rows = []
     for index, number in enumerate(found.number.tolist()):
@@ -130,10 +130,10 @@ def _box_rows(
             {
                 "camera": asked.camera,
                 "timestamp_ns": asked.recorded_ns,
-                "track_id": users[row].track_id,
-                "category": users[row].body.category,
+                "track_id": road_users[row].track_id,
+                "category": road_users[row].body.category,
                 **{name: float(column[row]) for name, column in columns.items()},
-                **dict(zip(("length_m", "width_m", "height_m"), users[row].body.size_m)),
+                **dict(zip(("length_m", "width_m", "height_m"), road_users[row].body.size_m)),
                 "speed_mps": places[row].speed_mps,
                 "visibility": float(found.visibility[index]),
                 "pixels": int(found.pixels[index]),
@@ -148,7 +148,7 @@ def write_truth(
     drive: SynthDrive,
     kinds: Sequence[TruthKind],
     pose_ns: Int64,
-    shots: Shots | None,
+    schedule: ImageSchedule | None,
     boxes: Sequence[Mapping[str, Any]],
 ) -> None:
     """Write what there is once a recording: poses, calibrations, boxes, and ``truth.json``, last.
@@ -158,15 +158,15 @@ def write_truth(
         drive: that it is of.
         kinds: which truth was asked for.
         pose_ns: (N,) of the recorded poses.
-        shots: its pictures; None: it has none.
-        boxes: rows of `write_picture_truth`.
+        schedule: when its images were taken; None: it has no images.
+        boxes: rows of `write_image_truth`.
     """
     folder = recording / FOLDER
     bodies = {"ego": (drive.world_SE3_ego(pose_ns), pose_ns, pose_ns)}
-    if shots is not None:
-        for name, kept in shots.kept.items():
-            true = shots.true_ns[name][kept]
-            bodies[name] = drive.world_SE3_camera(name, true), shots.recorded_ns[name][kept], true
+    if schedule is not None:
+        for name, kept in schedule.kept.items():
+            true = schedule.true_ns[name][kept]
+            bodies[name] = drive.world_SE3_camera(name, true), schedule.recorded_ns[name][kept], true
         write_bytes(folder / "calibrations.json", json.dumps(drive.vehicle.true_calibration(), indent=1).encode())
     parts = [
         pa.table({"body": [name] * len(true), "timestamp_ns": recorded, "true_ns": true, **poses.to_columns()})
@@ -176,6 +176,6 @@ def write_truth(
     if "boxes" in kinds:
         rows = sorted(boxes, key=lambda row: tuple(row[key] for key in BOXES.sorted_by))
         write_table(folder / "boxes.parquet", pa.Table.from_pylist(rows, schema=BOXES.schema), BOXES)
-    objects = tuple(TruthObject(track_id=user.track_id, category=user.body.category) for user in drive.users)
-    pictures: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind in kinds)
-    write_document(recording, drive.roi, pictures, objects)
+    objects = tuple(TruthObject(track_id=user.track_id, category=user.body.category) for user in drive.road_users)
+    images: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind in kinds)
+    write_document(recording, drive.roi, images, objects)

@@ -23,7 +23,7 @@ from mirror.synth.model import NO_OBJECT
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
     from mirror.synth.render.scene import Scene
-    from mirror.synth.writing.shots import Shots
+    from mirror.synth.writing.schedule import ImageSchedule
 
 _LEAST_DB: Final = 28.0
 """A recorded image and its second rendering differ by noise and JPEG loss; another street has about 20 dB."""
@@ -120,13 +120,13 @@ class StreetTruth:
 
     def _trace(self, view: View) -> TrueView:
         from mirror.synth.render.lens import make_lens
-        from mirror.synth.render.view import see
+        from mirror.synth.render.view import rasterize_view
 
         self._require(view)
         drive, moment = self._drive(view.traversal_id), self._moment(view)
         pose = view.pose
         instant = drive.drive.stage.around(moment.seconds, pose.translation[0])
-        seen = see(instant.surroundings, make_lens(view.lens), pose.matrix()[0, :3, :3], pose.translation[0])
+        seen = rasterize_view(instant.surroundings, make_lens(view.lens), pose.matrix()[0, :3, :3], pose.translation[0])
         depth = camera_z(seen.distance_m, view.lens).astype(np.float32)
         return TrueView(depth, seen.label, np.isfinite(depth) & (seen.object == NO_OBJECT))
 
@@ -149,11 +149,11 @@ class StreetTruth:
         stage = own.stage_lit_by(other)
         stamps = np.array([moment.true_ns])
         drive = own.drive
-        picture = stage.picture(
+        picture = stage.render(
             stage.at(moment.seconds, drive.world_SE3_ego(stamps)),
             drive.lenses[view.camera],
             view.pose if as_recorded else drive.world_SE3_camera(view.camera, stamps),
-            look=other.drive.looks[view.camera],
+            response=other.drive.camera_responses[view.camera],
             seed=moment.true_ns % (1 << 31),
         )
         _, image = self.recorded.recorded(view)
@@ -162,19 +162,19 @@ class StreetTruth:
 
     def _moment(self, view: View) -> _Moment:
         drive = self._drive(view.traversal_id)
-        at = np.flatnonzero(drive.shots.recorded_ns[view.camera] == view.timestamp_ns)
+        at = np.flatnonzero(drive.schedule.recorded_ns[view.camera] == view.timestamp_ns)
         if not len(at):
             raise DatasetError(
                 f"preset {self._preset}, seed {self._seed}, has no image at {view.timestamp_ns}", place=view.path
             )
-        true_ns = int(drive.shots.true_ns[view.camera][at[0]])
+        true_ns = int(drive.schedule.true_ns[view.camera][at[0]])
         return _Moment(true_ns, float(drive.drive.seconds(np.array([true_ns]))[0]))
 
     @cache  # noqa: B019 - as many as the dataset has traversals
     def _drive(self, traversal_id: str) -> _Drive:
-        from mirror.synth.fleet.drives import drive_named
+        from mirror.synth.fleet.drives import make_drive
 
-        return _Drive(drive_named(self._preset, self._seed, self._drive_ids[traversal_id]))
+        return _Drive(make_drive(self._preset, self._seed, self._drive_ids[traversal_id]))
 
 
 @dataclass(frozen=True)
@@ -188,10 +188,10 @@ class _Drive:
     drive: SynthDrive
 
     @cached_property
-    def shots(self) -> Shots:
-        from mirror.synth.writing.shots import shots_of
+    def schedule(self) -> ImageSchedule:
+        from mirror.synth.writing.schedule import schedule_images
 
-        return shots_of(self.drive, self.drive.preset.errors)
+        return schedule_images(self.drive, self.drive.preset.errors)
 
     @cache  # noqa: B019 - as many as the dataset has traversals
     def stage_lit_by(self, other: _Drive) -> Scene:
@@ -201,4 +201,4 @@ class _Drive:
         if other is self:
             return self.drive.stage
         own = self.drive
-        return Scene(own.world, other.drive.condition, own.users, own.own, clock_s=own.truth.clock_s)
+        return Scene(own.world, other.drive.condition, own.road_users, own.own, clock_s=own.truth.clock_s)

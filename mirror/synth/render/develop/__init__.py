@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from mirror.synth.render.develop.camera_response import CameraResponse, draw_camera_response
 from mirror.synth.render.develop.developing import develop
 from mirror.synth.render.develop.drops import lens_drops
-from mirror.synth.render.develop.exposing import exposure_of
-from mirror.synth.render.develop.look import CameraLook, camera_look
-from mirror.synth.render.develop.motion import ImageJacobian, image_jacobian, image_motion
+from mirror.synth.render.develop.exposure import compute_exposure
+from mirror.synth.render.develop.motion import ImageJacobian, compute_image_jacobian, compute_image_motion
 
 __all__ = [
-    "CameraLook",
+    "CameraResponse",
     "ImageJacobian",
-    "camera_look",
+    "compute_exposure",
+    "compute_image_jacobian",
+    "compute_image_motion",
     "develop",
-    "exposure_of",
-    "image_jacobian",
-    "image_motion",
+    "draw_camera_response",
     "lens_drops",
 ]

@@ -18,7 +18,7 @@ _SHOULDER: Final = 0.62
 
 
 def film(exposed: Float64) -> Float64:
-    """Levels in [0, 1) of exposed light; 1 is what a white surface gives in a picture that is exposed right.
+    """Levels in [0, 1) of exposed light; 1 is what a white surface gives in an image that is exposed right.
 
     The sRGB encoding, below drawn to black, above bent so that what is brighter than white keeps differences.
 

@@ -1,4 +1,4 @@
-"""Development: radiance to an 8-bit picture, as one camera in one condition makes it."""
+"""Development: radiance to an 8-bit image, as one camera in one condition makes it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numba import njit
 from mirror.arrays import Float32, Float64, Records, UInt8
 from mirror.errors import UsageError
 from mirror.synth.light.condition import Effects
+from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.curve import BRIGHTEST, STEPS, film_table, gaussian_table
-from mirror.synth.render.develop.drops import through_drops
-from mirror.synth.render.develop.exposing import exposure_of
+from mirror.synth.render.develop.drops import refract_drops
+from mirror.synth.render.develop.exposure import compute_exposure
 from mirror.synth.render.develop.glare import QUARTER, glare
-from mirror.synth.render.develop.look import CameraLook
-from mirror.synth.render.develop.motion import blurred
+from mirror.synth.render.develop.motion import apply_motion_blur
 
 _VIVID: Final = 1.12
 """Colours are that much further from grey than they are."""
@@ -26,22 +26,22 @@ _SCALE: Final = (STEPS - 1) / math.sqrt(BRIGHTEST)
 def develop(
     radiance: Float32,
     record: Records,
-    look: CameraLook,
+    response: CameraResponse,
     effects: Effects,
     seed: int,
     *,
     motion: Float32 | None = None,
     drops: Records | None = None,
 ) -> UInt8:
-    """Make an 8-bit picture; the same arguments give the same bytes, on any thread.
+    """Make an 8-bit image; the same arguments give the same bytes, on any thread.
 
     Args:
         radiance: (H, W, 3) red, green, blue; not changed.
         record: LIGHTING.
-        look: of the camera.
+        response: the camera's response.
         effects: what is left out.
-        seed: of the noise: another for each picture.
-        motion: (H, W, 2) pixels that each pixel moves during the exposure, of `image_motion`.
+        seed: of the noise: another for each image.
+        motion: (H, W, 2) pixels that each pixel moves during the exposure, of `compute_image_motion`.
         drops: (N,) DROP on the lens, of `lens_drops`: in rain.
 
     Returns:
@@ -54,22 +54,22 @@ def develop(
         raise UsageError(f"radiance {radiance.dtype} {radiance.shape}", expected="float32 (H, W, 3), H and W above 0")
     if motion is not None and motion.shape != (*radiance.shape[:2], 2):
         raise UsageError(f"motion of shape {motion.shape}", expected=f"{(*radiance.shape[:2], 2)}")
-    picture = np.ascontiguousarray(radiance)
+    image = np.ascontiguousarray(radiance)
     if effects.motion_blur and motion is not None:
-        picture = blurred(picture, motion)
+        image = apply_motion_blur(image, motion)
     if effects.lens_drops and drops is not None and len(drops):
-        picture = through_drops(picture, drops)
-    gains = np.full(3, exposure_of(radiance, record, look, effects))
+        image = refract_drops(image, drops)
+    gains = np.full(3, compute_exposure(radiance, record, response, effects))
     if effects.white_balance:
-        gains *= record["white"] * look.tint
-    spilt = glare(picture, gains) if effects.bloom else None
+        gains *= record["white"] * response.tint
+    spilt = glare(image, gains) if effects.bloom else None
     if spilt is None:
         spilt = np.zeros((0, 0, 3), np.float32)
     read, shot = 0.0, 0.0
     if effects.noise:
-        read, shot = float(record["read_noise"]) * look.noise, float(record["shot_noise"]) * look.noise**2
-    vignette = look.vignette if effects.vignetting else 0.0
-    out = _film(picture, spilt, gains, vignette, read * read, shot, film_table(), gaussian_table(), seed)
+        read, shot = float(record["read_noise"]) * response.noise, float(record["shot_noise"]) * response.noise**2
+    vignette = response.vignette if effects.vignetting else 0.0
+    out = _film(image, spilt, gains, vignette, read * read, shot, film_table(), gaussian_table(), seed)
     if not out.size:
         raise UsageError("radiance that is infinite or no number", expected="finite radiance")
     return out
@@ -77,7 +77,7 @@ def develop(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _film(
-    picture: Float32,
+    image: Float32,
     spilt: Float32,
     gains: Float64,
     vignette: float,
@@ -87,7 +87,7 @@ def _film(
     normal: Float64,
     seed: int,
 ) -> UInt8:
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     out = np.empty((height, width, 3), np.uint8)
     brightest, scale, vivid = np.float32(BRIGHTEST), np.float32(_SCALE), np.float32(_VIVID)
     red_gain, green_gain, blue_gain = np.float32(gains[0]), np.float32(gains[1]), np.float32(gains[2])
@@ -107,9 +107,9 @@ def _film(
             x = np.float32(column + 0.5 - 0.5 * width)
             fall = one / (one + corner * (x * x + y * y))
             fall *= fall
-            red = (picture[row, column, 0] * red_gain + row_spilt[column, 0]) * fall
-            green = (picture[row, column, 1] * green_gain + row_spilt[column, 1]) * fall
-            blue = (picture[row, column, 2] * blue_gain + row_spilt[column, 2]) * fall
+            red = (image[row, column, 0] * red_gain + row_spilt[column, 0]) * fall
+            green = (image[row, column, 1] * green_gain + row_spilt[column, 1]) * fall
+            blue = (image[row, column, 2] * blue_gain + row_spilt[column, 2]) * fall
             grey = np.float32(0.2126) * red + np.float32(0.7152) * green + np.float32(0.0722) * blue
             if not abs(grey) < np.inf:
                 return np.empty((0, 0, 3), np.uint8)

@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Records
-from mirror.synth.render.develop.glare import QUARTER, quartered
+from mirror.synth.render.develop.glare import QUARTER, quarter_excess
 
 DROP: Final = np.dtype([(name, np.float64) for name in ("x", "y", "half_x", "half_y", "reach", "depth")])
-"""A drop: middle, half axes and half the width of what it shows, in widths of the picture; and how opaque it is."""
+"""A drop: middle, half axes and half the width of what it shows, in widths of the image; and how opaque it is."""
 
 _DRY: Final = 0.4
 _MOST: Final = 26
@@ -25,7 +25,7 @@ def lens_drops(seed: int | Sequence[int], aspect: float) -> Records:
 
     Args:
         seed: of the drive and the camera: drops stay where they are.
-        aspect: height of the picture by its width.
+        aspect: height of the image by its width.
     """
     rng = np.random.default_rng(seed)
     count = 0 if rng.random() < _DRY else int(rng.integers(4, _MOST))
@@ -38,13 +38,13 @@ def lens_drops(seed: int | Sequence[int], aspect: float) -> Records:
     return drops
 
 
-def through_drops(picture: Float32, drops: Records) -> Float32:
-    """A picture (H, W, 3) of radiance seen through drops (N,) DROP; nothing but their pixels is touched."""
+def refract_drops(image: Float32, drops: Records) -> Float32:
+    """An image (H, W, 3) of radiance seen through drops (N,) DROP; nothing but their pixels is touched."""
     import cv2
 
-    small, _ = quartered(picture, np.ones(3), 0.0, np.inf)
-    out = picture.copy()
-    soft = cv2.GaussianBlur(small, (0, 0), max(picture.shape[1] / 640.0, 0.5))
+    small, _ = quarter_excess(image, np.ones(3), 0.0, np.inf)
+    out = image.copy()
+    soft = cv2.GaussianBlur(small, (0, 0), max(image.shape[1] / 640.0, 0.5))
     _refract(np.asarray(soft, np.float32), drops, out)
     return out
 

@@ -19,11 +19,11 @@ _MOST: Final = 12.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def quartered(picture: Float32, gains: Float64, above: float, most: float) -> tuple[Float32, float]:
+def quarter_excess(image: Float32, gains: Float64, above: float, most: float) -> tuple[Float32, float]:
     """Means over blocks of 4 x 4 pixels of how much light exceeds a level.
 
     Args:
-        picture: (H, W, 3) radiance.
+        image: (H, W, 3) radiance.
         gains: (3,) of the channels.
         above: level.
         most: that a pixel exceeds it.
@@ -31,7 +31,7 @@ def quartered(picture: Float32, gains: Float64, above: float, most: float) -> tu
     Returns:
         (H / 4, W / 4, 3), rounded up; and the greatest excess there is.
     """
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     small = np.zeros((-(-height // QUARTER), -(-width // QUARTER), 3), np.float32)
     greatest = 0.0
     for i in range(small.shape[0]):
@@ -41,20 +41,20 @@ def quartered(picture: Float32, gains: Float64, above: float, most: float) -> tu
             red, green, blue = 0.0, 0.0, 0.0
             for row in range(QUARTER * i, QUARTER * i + rows):
                 for column in range(QUARTER * j, QUARTER * j + columns):
-                    red += min(max(picture[row, column, 0] * gains[0] - above, 0.0), most)
-                    green += min(max(picture[row, column, 1] * gains[1] - above, 0.0), most)
-                    blue += min(max(picture[row, column, 2] * gains[2] - above, 0.0), most)
+                    red += min(max(image[row, column, 0] * gains[0] - above, 0.0), most)
+                    green += min(max(image[row, column, 1] * gains[1] - above, 0.0), most)
+                    blue += min(max(image[row, column, 2] * gains[2] - above, 0.0), most)
             greatest = max(greatest, red + green + blue)
             share = 1.0 / (rows * columns)
             small[i, j, 0], small[i, j, 1], small[i, j, 2] = red * share, green * share, blue * share
     return small, greatest
 
 
-def glare(picture: Float32, gains: Float64) -> Float32 | None:
+def glare(image: Float32, gains: Float64) -> Float32 | None:
     """Light that spills over, at a quarter of the resolution; None where nothing is brighter than white.
 
     Args:
-        picture: (H, W, 3) radiance.
+        image: (H, W, 3) radiance.
         gains: (3,) with which the channels are exposed.
 
     Returns:
@@ -62,7 +62,7 @@ def glare(picture: Float32, gains: Float64) -> Float32 | None:
     """
     import cv2
 
-    surplus, greatest = quartered(picture, gains, _WHITE, _MOST)
+    surplus, greatest = quarter_excess(image, gains, _WHITE, _MOST)
     if greatest == 0.0:
         return None
     levels = [surplus]

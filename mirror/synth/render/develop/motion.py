@@ -32,7 +32,7 @@ class ImageJacobian(NamedTuple):
     pixels: Float64
 
 
-def image_jacobian(rays: Float64) -> ImageJacobian:
+def compute_image_jacobian(rays: Float64) -> ImageJacobian:
     """The Jacobian of any lens, from the differences of its rays.
 
     Args:
@@ -47,14 +47,14 @@ def image_jacobian(rays: Float64) -> ImageJacobian:
     )
 
 
-def image_motion(
+def compute_image_motion(
     jacobian: ImageJacobian,
     distance_m: Float32,
     velocity_mps: npt.ArrayLike,
     turn_radps: npt.ArrayLike,
     exposure_s: float,
 ) -> Float32:
-    """How far what stands still moves in a picture during its exposure.
+    """How far what stands still moves in an image during its exposure.
 
     By the image Jacobian (S. Hutchinson, G. Hager, P. Corke, A tutorial on visual servo control, 1996).
 
@@ -90,15 +90,15 @@ def _flow(near: Float64, far: Float64, distance: Float32) -> Float32:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blurred(picture: Float32, flow: Float32) -> Float32:
+def apply_motion_blur(image: Float32, flow: Float32) -> Float32:
     """Means along each pixel's way, half of it before and half behind; ways below a pixel are left.
 
     Args:
-        picture: (H, W, 3) radiance.
+        image: (H, W, 3) radiance.
         flow: (H, W, 2) pixels.
     """
-    height, width = picture.shape[:2]
-    out = np.empty_like(picture)
+    height, width = image.shape[:2]
+    out = np.empty_like(image)
     half, edge = np.float32(0.5), np.float32(_EDGE_PX)
     right_end, lower_end = np.float32(width) - edge, np.float32(height) - edge
     for row in range(height):
@@ -106,32 +106,32 @@ def blurred(picture: Float32, flow: Float32) -> Float32:
             right, down = flow[row, column, 0], flow[row, column, 1]
             square = right * right + down * down
             if square < np.float32(_LEAST_PX * _LEAST_PX):
-                out[row, column, 0] = picture[row, column, 0]
-                out[row, column, 1] = picture[row, column, 1]
-                out[row, column, 2] = picture[row, column, 2]
+                out[row, column, 0] = image[row, column, 0]
+                out[row, column, 1] = image[row, column, 1]
+                out[row, column, 2] = image[row, column, 2]
                 continue
             pairs = min(int(np.float32(_PAIRS_PER_PX) * math.sqrt(square) + np.float32(_FIRST_PAIR)), _MOST_PAIRS)
             share = np.float32(1.0) / np.float32(2 * pairs + 1)
             dx, dy = right * share, down * share
             reach_x, reach_y = abs(dx) * np.float32(pairs), abs(dy) * np.float32(pairs)
             x, y = np.float32(column) + half, np.float32(row) + half
-            red, green, blue = picture[row, column, 0], picture[row, column, 1], picture[row, column, 2]
+            red, green, blue = image[row, column, 0], image[row, column, 1], image[row, column, 2]
             clear = x - reach_x > edge and x + reach_x < right_end
             if clear and y - reach_y > edge and y + reach_y < lower_end:
                 for step in range(1, pairs + 1):
                     aside, along = dx * np.float32(step), dy * np.float32(step)
                     i, j = np.uint32(y + along), np.uint32(x + aside)
                     k, m = np.uint32(y - along), np.uint32(x - aside)
-                    red += picture[i, j, 0] + picture[k, m, 0]
-                    green += picture[i, j, 1] + picture[k, m, 1]
-                    blue += picture[i, j, 2] + picture[k, m, 2]
+                    red += image[i, j, 0] + image[k, m, 0]
+                    green += image[i, j, 1] + image[k, m, 1]
+                    blue += image[i, j, 2] + image[k, m, 2]
             else:
                 for step in range(1, pairs + 1):
                     aside, along = dx * np.float32(step), dy * np.float32(step)
                     below, right_of = min(max(int(y + along), 0), height - 1), min(max(int(x + aside), 0), width - 1)
                     above, left_of = min(max(int(y - along), 0), height - 1), min(max(int(x - aside), 0), width - 1)
-                    red += picture[below, right_of, 0] + picture[above, left_of, 0]
-                    green += picture[below, right_of, 1] + picture[above, left_of, 1]
-                    blue += picture[below, right_of, 2] + picture[above, left_of, 2]
+                    red += image[below, right_of, 0] + image[above, left_of, 0]
+                    green += image[below, right_of, 1] + image[above, left_of, 1]
+                    blue += image[below, right_of, 2] + image[above, left_of, 2]
             out[row, column, 0], out[row, column, 1], out[row, column, 2] = red * share, green * share, blue * share
     return out

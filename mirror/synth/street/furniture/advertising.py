@@ -17,8 +17,8 @@ _STEEL: Final = Finish((0.20, 0.21, 0.21), Material.METAL, Label.POLE)
 _FRAME: Final = Finish((0.06, 0.065, 0.07), Material.METAL, Label.BILLBOARD)
 
 
-def _picture(rng: np.random.Generator, pictures: range, label: Label) -> Finish:
-    first = int(rng.choice(pictures[: len(pictures) - _TURNS + 1]))
+def _changing_image(rng: np.random.Generator, numbers: range, label: Label) -> Finish:
+    first = int(rng.choice(numbers[: len(numbers) - _TURNS + 1]))
     return Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, label, image=first, images=_TURNS)
 
 
@@ -27,7 +27,7 @@ def billboard(rng: np.random.Generator, *, width_m: float = 3.9, low_m: float = 
 
     Args:
         rng: chooses the contents.
-        width_m: of the picture.
+        width_m: of the image.
         low_m: height of its foot; above 4 m it stands on one thick post.
     """
     pieces = Pieces()
@@ -38,7 +38,7 @@ def billboard(rng: np.random.Generator, *, width_m: float = 3.9, low_m: float = 
         for y in (-0.6 * half, 0.6 * half):
             pieces.block((-0.22, y - 0.07, FOOT_M), (-0.08, y + 0.07, low_m + 0.5), _STEEL)
     pieces.block((-0.14, -half - 0.1, low_m - 0.1), (0.05, half + 0.1, high + 0.1), _FRAME, without=())
-    pieces.wall((0.06, -half), (0.06, half), low_m, high, _picture(rng, BILLBOARDS, Label.BILLBOARD))
+    pieces.wall((0.06, -half), (0.06, half), low_m, high, _changing_image(rng, BILLBOARDS, Label.BILLBOARD))
     return pieces.model()
 
 
@@ -53,8 +53,8 @@ def city_light(rng: np.random.Generator) -> Model:
     half, low, high = 0.6, 0.55, 2.35
     pieces.block((-0.08, -0.2, FOOT_M), (0.08, 0.2, low), _FRAME, without=("-z", "+z"))
     pieces.block((-0.1, -half - 0.07, low - 0.08), (0.1, half + 0.07, high + 0.1), _FRAME, without=())
-    pieces.wall((0.11, -half), (0.11, half), low, high, _picture(rng, POSTERS, Label.BILLBOARD))
-    pieces.wall((-0.11, half), (-0.11, -half), low, high, _picture(rng, POSTERS, Label.BILLBOARD))
+    pieces.wall((0.11, -half), (0.11, half), low, high, _changing_image(rng, POSTERS, Label.BILLBOARD))
+    pieces.wall((-0.11, half), (-0.11, -half), low, high, _changing_image(rng, POSTERS, Label.BILLBOARD))
     return pieces.model()
 
 
@@ -70,8 +70,8 @@ def advertising_column(rng: np.random.Generator) -> Model:
     for start in range(0, count, 2):
         # Narrower than the column's sides, or their edges would stand out from its corners.
         left, right = (radius * (ring[start] + share * (ring[start + 1] - ring[start])) for share in (0.06, 0.94))
-        pieces.wall(tuple(left), tuple(right), 1.2, 1.83, _picture(rng, POSTERS, Label.BILLBOARD))
-        pieces.wall(tuple(left), tuple(right), 2.0, 2.63, _picture(rng, POSTERS, Label.BILLBOARD))
+        pieces.wall(tuple(left), tuple(right), 1.2, 1.83, _changing_image(rng, POSTERS, Label.BILLBOARD))
+        pieces.wall(tuple(left), tuple(right), 2.0, 2.63, _changing_image(rng, POSTERS, Label.BILLBOARD))
     pieces.prism((radius + 0.14) * ring, 3.0, 3.12, stone, bottom=True)
     roof = Finish((0.07, 0.11, 0.09), Material.METAL, Label.BILLBOARD)
     pieces.tube((0, 0, 3.12), (0, 0, 3.55), radius + 0.1, roof, end_radius_m=0.08, corners=count, cap=True)
@@ -91,8 +91,8 @@ def bus_shelter(rng: np.random.Generator) -> Model:
         pieces.wall((back, left), (back, right), 0.25, 2.2, glass)
     low, top = 0.5, 2.0
     pieces.block((-0.55, half - 0.07, low - 0.1), (0.55, half + 0.07, top + 0.1), steel, without=())
-    pieces.wall((-0.5, half - 0.08), (0.5, half - 0.08), low, top, _picture(rng, POSTERS, Label.BILLBOARD))
-    pieces.wall((0.5, half + 0.08), (-0.5, half + 0.08), low, top, _picture(rng, POSTERS, Label.BILLBOARD))
+    pieces.wall((-0.5, half - 0.08), (0.5, half - 0.08), low, top, _changing_image(rng, POSTERS, Label.BILLBOARD))
+    pieces.wall((0.5, half + 0.08), (-0.5, half + 0.08), low, top, _changing_image(rng, POSTERS, Label.BILLBOARD))
     wood = Finish((0.22, 0.13, 0.07), Material.WOOD, Label.FURNITURE)
     pieces.block((back + 0.15, -1.5, 0.42), (back + 0.55, 0.9, 0.47), wood, without=())
     for y in (-1.2, 0.6):

@@ -21,7 +21,7 @@ _WARNING: Final = frozenset((Sign.BEND, Sign.CHILDREN, Sign.ROADWORKS, Sign.CROS
 
 
 def _outline(sign: Sign) -> Float64:
-    """Corners (N, 2) of a sign, counter-clockwise, that reach from -1 to 1 both ways, as its picture does."""
+    """Corners (N, 2) of a sign, counter-clockwise, that reach from -1 to 1 both ways, as its image does."""
     if sign in _ROUND or sign == Sign.STOP:
         count = 8 if sign == Sign.STOP else 16
         angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
@@ -75,8 +75,8 @@ def direction_sign(rng: np.random.Generator, *, width_m: float = 3.0, low_m: flo
 def _board(pieces: Pieces, rng: np.random.Generator, y: float, half_m: float, low_m: float) -> None:
     """A direction sign, twice as wide as high."""
     left, right, high = y - half_m, y + half_m, low_m + half_m
-    picture = Finish((0.5, 0.5, 0.5), Material.IMAGE, Label.TRAFFIC_SIGN, image=int(rng.choice(DIRECTION_SIGNS)))
-    pieces.wall((0.10, left), (0.10, right), low_m, high, picture)
+    panel = Finish((0.5, 0.5, 0.5), Material.IMAGE, Label.TRAFFIC_SIGN, image=int(rng.choice(DIRECTION_SIGNS)))
+    pieces.wall((0.10, left), (0.10, right), low_m, high, panel)
     pieces.wall((0.10, right), (0.10, left), low_m, high, _BACK)
 
 

@@ -100,19 +100,19 @@ def _paint(pieces: Pieces, start: tuple[float, float], end: tuple[float, float],
     low, material, turns = rng.uniform(0.5, 0.8), Material.IMAGE, 1
     kind = rng.random()
     if kind < 0.4:
-        pictures, width, height, count = GRAFFITI, 3.0, 1.5, 1
+        numbers, width, height, count = GRAFFITI, 3.0, 1.5, 1
     elif kind < 0.65:
-        pictures, width, height, count = POSTERS, 1.0, 1.5, 3
+        numbers, width, height, count = POSTERS, 1.0, 1.5, 3
     else:
         # A billboard, whose content differs from traversal to traversal.
         turns, low, material = 4, rng.uniform(2.8, 3.6), Material.LIT_IMAGE
-        pictures, width, height, count = BILLBOARDS[: len(BILLBOARDS) - turns + 1], 5.4, 3.6, 1
+        numbers, width, height, count = BILLBOARDS[: len(BILLBOARDS) - turns + 1], 5.4, 3.6, 1
     for number in range(count):
         a = near + number * (width + 0.12)
         ends = ((out, a), (out, a + width)) if ahead > 0 else ((out, a + width), (out, a))
         label = Label.BUILDING if turns == 1 else Label.BILLBOARD
-        picture = Finish((0.5, 0.5, 0.5), material, label, image=int(rng.choice(pictures)), images=turns)
-        pieces.wall(*ends, low, low + height, picture)
+        sheet = Finish((0.5, 0.5, 0.5), material, label, image=int(rng.choice(numbers)), images=turns)
+        pieces.wall(*ends, low, low + height, sheet)
 
 
 def cornice(pieces: Pieces, body: Body, proud_m: float = 0.35, high_m: float = 0.35) -> None:

@@ -198,8 +198,8 @@ def _lights(pieces: Pieces, low: tuple[float, float], high: tuple[float, float],
 def _mast(pieces: Pieces, x: float, y: float, image: int, finish: Finish) -> None:
     """A pole with an advertisement that is seen from both sides along the street."""
     pieces.tube((x, y, FOOT_M), (x, y, 5.0), 0.12, finish)
-    picture = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BILLBOARD, image=image)
+    panel = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BILLBOARD, image=image)
     low, high = (x - 0.12, y - 0.9), (x + 0.12, y + 0.9)
     pieces.block((*low, 4.6), (*high, 5.8), finish, without=("-x", "+x"))
-    pieces.wall((high[0], low[1]), high, 4.6, 5.8, picture)
-    pieces.wall((low[0], high[1]), low, 4.6, 5.8, picture)
+    pieces.wall((high[0], low[1]), high, 4.6, 5.8, panel)
+    pieces.wall((low[0], high[1]), low, 4.6, 5.8, panel)

@@ -87,12 +87,12 @@ def _awning(pieces: Pieces, left: float, right: float, wall: float, high: float,
 
 def _blade(pieces: Pieces, x: float, wall: float, low: float, rng: np.random.Generator) -> None:
     """A sign that stands out from the wall, seen from both sides."""
-    picture = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BUILDING, image=int(rng.choice(POSTERS)))
+    poster = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BUILDING, image=int(rng.choice(POSTERS)))
     edge = Finish((0.05, 0.05, 0.05), Material.METAL, Label.BUILDING)
     near, far, high = wall - 0.2, wall - 0.75, low + 0.825
     pieces.block((x - 0.05, far, low), (x + 0.05, near, high), edge, without=("-x", "+x"))
-    pieces.wall((x + 0.05, far), (x + 0.05, near), low, high, picture)
-    pieces.wall((x - 0.05, near), (x - 0.05, far), low, high, picture)
+    pieces.wall((x + 0.05, far), (x + 0.05, near), low, high, poster)
+    pieces.wall((x - 0.05, near), (x - 0.05, far), low, high, poster)
 
 
 def _entrance_bay(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, right: float) -> None:

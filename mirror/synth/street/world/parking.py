@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Label, Material
+from mirror.synth.road_users.body import Body, Placement, RoadUser, Still
+from mirror.synth.road_users.cars import car
+from mirror.synth.road_users.vans import van
 from mirror.synth.street.network import Lane
 from mirror.synth.street.plan import Plan
 from mirror.synth.textures.catalogue import PLATES
-from mirror.synth.users.body import Body, Placement, RoadUser, Still
-from mirror.synth.users.cars import car
-from mirror.synth.users.vans import van
 
 _BAY_M: Final = 6.2
 _TAKEN: Final = 0.62

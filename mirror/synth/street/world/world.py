@@ -12,6 +12,7 @@ import numpy.typing as npt
 from mirror.arrays import Float64, Int64, Records
 from mirror.schema.documents import Roi
 from mirror.synth.model import Model, merged
+from mirror.synth.road_users.body import RoadUser
 from mirror.synth.street.houses import far_houses, far_woods
 from mirror.synth.street.network import Network
 from mirror.synth.street.plan import Plan, plan_scene
@@ -19,7 +20,6 @@ from mirror.synth.street.world.furnishing import Furniture, furnish
 from mirror.synth.street.world.parking import parked_on
 from mirror.synth.street.world.planting import plants_of
 from mirror.synth.street.world.settling import houses_of
-from mirror.synth.users.body import RoadUser
 
 AMBER_S: Final = 3.0
 """Amber follows a signal's green for so long."""

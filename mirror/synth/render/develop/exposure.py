@@ -1,0 +1,47 @@
+"""How long a camera exposes, as a gain."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float32, Records
+from mirror.synth.light.condition import Effects
+from mirror.synth.render.develop.camera_response import CameraResponse
+
+_EVERY_PX: Final = 4
+_LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
+_ADAPTS: Final = 0.75
+_AT_MOST: Final = 2.3
+_AT_NIGHT: Final = 3.4
+_HIGHLIGHTS: Final = 0.95
+_HIGHLIGHT_AT: Final = 2.2
+_DARKEST: Final = 1e-5
+
+
+def compute_exposure(radiance: Float32, record: Records, response: CameraResponse, effects: Effects) -> float:
+    """The gain that a camera gives its image.
+
+    It brings the geometric mean of the image's luminance most of the way to the condition's middle, spares
+    highlights, and never leaves the condition's own exposure by more than a factor of 2.3; at night it gives as much as
+    3.4 times.
+
+    Args:
+        radiance: (H, W, 3).
+        record: LIGHTING.
+        response: the camera's response.
+        effects: without ``exposure`` every camera exposes by the condition.
+    """
+    usual = float(record["exposure"])
+    if not effects.exposure:
+        return usual
+    luminance = radiance[::_EVERY_PX, ::_EVERY_PX].reshape(-1, 3) @ _LUMINANCE
+    mean = float(np.exp(np.log(np.maximum(luminance, _DARKEST)).mean(dtype=np.float64)))
+    gain = (float(record["middle"]) / mean) ** _ADAPTS
+    last = int(_HIGHLIGHTS * (len(luminance) - 1))
+    bright = float(np.partition(luminance, last)[last])
+    if bright * usual * gain > _HIGHLIGHT_AT:
+        gain *= (_HIGHLIGHT_AT / (bright * usual * gain)) ** 0.5
+    most = _AT_MOST + (_AT_NIGHT - _AT_MOST) * float(record["dark"])
+    return usual * float(np.clip(gain, 1.0 / _AT_MOST, most) * 2.0**response.exposure_ev)

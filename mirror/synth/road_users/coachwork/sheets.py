@@ -1,0 +1,182 @@
+"""Sheets of bodywork: polygons that are gathered in any winding, mirrored, and made a model at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Float64
+from mirror.synth.model import Label, Material, Model, Side, merged
+from mirror.synth.model.shapes import polygons
+from mirror.synth.model.surfaces import NO_IMAGE
+
+Colour = Sequence[float] | Float64
+Texture = Callable[[Float64], Float64]
+"""(N, 3) places to (N, 2) u and v; affine."""
+
+
+class Panel(IntEnum):
+    """What a sheet of PAINT or GLASS shows besides its colour; a face's ``layout``.
+
+    On panels with doors u is 0 at the seam between the doors and 1 a door's length further ahead, v is the height above
+    the waistline. On panels of glass with pillars u is the same; in rows of windows every whole u is a pillar.
+    """
+
+    PLAIN = 0
+    LOWER = 1
+    """Dust towards the ground; v as on doors. Through glass no seats are seen."""
+    TWO_DOORS = 2
+    """One on each side, from u = 0 to 1."""
+    FOUR_DOORS = 3
+    """Two on each side, from u = -1 to 1."""
+    SLIDING_DOOR = 4
+    """A door in front, and a wide one that slides back along a rail."""
+    ROW = 5
+    """Windows, or sheets, each as long as 1 u."""
+    WING = 6
+    """Cargo doors: a seam in the middle, hinges at the edges."""
+
+
+class Finish(NamedTuple):
+    """What a sheet is made of: colour, material, what it shows, and whether it is seen from behind as well."""
+
+    colour: Colour
+    material: Material
+    panel: Panel = Panel.PLAIN
+    image: int = NO_IMAGE
+    two_sided: bool = False
+
+
+class _Sheet(NamedTuple):
+    corners: Float64
+    side: Side
+    finish: Finish
+    texture: Float64
+
+
+_TOWARDS: Final[dict[Side, tuple[float, float, float]]] = {
+    Side.FRONT: (1.0, 0.0, 0.0),
+    Side.BACK: (-1.0, 0.0, 0.0),
+    Side.LEFT: (0.0, 1.0, 0.0),
+    Side.RIGHT: (0.0, -1.0, 0.0),
+    Side.TOP: (0.0, 0.0, 1.0),
+    Side.BOTTOM: (0.0, 0.0, -1.0),
+}
+_OTHER: Final = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT}
+
+
+class Sheets:
+    """Gathers planar convex polygons; :meth:`model` makes them one model.
+
+    Args:
+        label: semantic class of all.
+        seed: of all textures.
+    """
+
+    def __init__(self, label: Label, seed: int = 0) -> None:
+        self.label, self.seed = label, seed
+        self._sheets: list[_Sheet] = []
+        self._models: list[Model] = []
+
+    def sheet(
+        self,
+        corners: npt.ArrayLike,
+        side: Side,
+        finish: Finish,
+        *,
+        texture: Texture | None = None,
+        lift_m: float = 0.0,
+        both: bool = False,
+    ) -> None:
+        """Add a polygon.
+
+        Args:
+            corners: (N, 3) metres, in either winding: it faces the side that it is said to be on.
+            side: where on the body it is.
+            finish: what it is made of.
+            texture: u and v; default: metres from the middle, u level and to the right seen from outside, v upwards.
+            lift_m: how far it stands proud of where the corners are.
+            both: another one on the other flank. Images would be turned about by that: not for them.
+        """
+        points = np.asarray(corners, np.float64)
+        normal = _normal(points)
+        if normal @ _TOWARDS[side] < 0.0:
+            points, normal = points[::-1], -normal
+        shown = _plain(points, normal) if texture is None else texture(points)
+        points = points + lift_m * normal
+        self._sheets.append(_Sheet(points, side, finish, shown))
+        if both:
+            self._sheets.append(
+                _Sheet(points[::-1] * (1.0, -1.0, 1.0), _OTHER.get(side, side), finish, shown[::-1]),
+            )
+
+    def block(
+        self, low: Sequence[float], high: Sequence[float], finish: Finish, sides: Sequence[Side], *, both: bool = False
+    ) -> None:
+        """Sides of a box along the axes, between two corners."""
+        (a, b, c), (d, e, f) = low, high
+        for side in sides:
+            axis, top = {
+                Side.FRONT: (0, d), Side.BACK: (0, a), Side.LEFT: (1, e),
+                Side.RIGHT: (1, b), Side.TOP: (2, f), Side.BOTTOM: (2, c),
+            }[side]  # fmt: skip
+            corners = np.array(
+                [
+                    [(top, b, c), (top, e, c), (top, e, f), (top, b, f)],
+                    [(a, top, c), (d, top, c), (d, top, f), (a, top, f)],
+                    [(a, b, top), (d, b, top), (d, e, top), (a, e, top)],
+                ][axis]
+            )
+            self.sheet(corners, side, finish, both=both)
+
+    def add(self, model: Model) -> None:
+        """Surfaces of other kinds that belong to it."""
+        self._models.append(model)
+
+    def model(self) -> Model:
+        """All of it."""
+        parts = []
+        for count in sorted({len(one.corners) for one in self._sheets}):
+            some = [one for one in self._sheets if len(one.corners) == count]
+            part = polygons(
+                np.stack([one.corners for one in some]),
+                np.array([one.finish.colour for one in some], np.float64),
+                Material.PLAIN,
+                self.label,
+                texture=np.stack([one.texture for one in some]),
+                layouts=[int(one.finish.panel) for one in some],
+                seeds=self.seed,
+            )
+            part.faces["material"] = [int(one.finish.material) for one in some]
+            part.faces["side"] = [int(one.side) for one in some]
+            part.faces["image"] = [one.finish.image for one in some]
+            part.faces["two_sided"] = [one.finish.two_sided for one in some]
+            parts.append(part)
+        return merged([*parts, *self._models])
+
+
+# Bodies have hundreds of sheets of a few corners: numpy's overhead on each would be most of the time.
+
+
+def _normal(points: Float64) -> Float64:
+    (x0, y0, z0), *others = points.tolist()
+    nx = ny = nz = ax = ay = az = 0.0
+    for x, y, z in others:
+        bx, by, bz = x - x0, y - y0, z - z0
+        nx, ny, nz = nx + ay * bz - az * by, ny + az * bx - ax * bz, nz + ax * by - ay * bx
+        ax, ay, az = bx, by, bz
+    long = math.sqrt(nx * nx + ny * ny + nz * nz)
+    return np.array([nx / long, ny / long, nz / long])
+
+
+def _plain(points: Float64, normal: Float64) -> Float64:
+    nx, ny, nz = normal.tolist()
+    level = math.hypot(nx, ny)
+    ux, uy = (1.0, 0.0) if abs(nz) > 0.999 else (-ny / level, nx / level)
+    shown = points @ np.array([(ux, -nz * uy), (uy, nz * ux), (0.0, nx * uy - ny * ux)])
+    return np.asarray(shown - 0.5 * (shown.min(axis=0) + shown.max(axis=0)))

@@ -1,0 +1,142 @@
+"""People on foot and on two-wheelers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from mirror.synth.model import Label, Model
+from mirror.synth.road_users.body import Body, Placement, Saddle
+from mirror.synth.road_users.figure import Bag, Colour, Garment, Hat, Person, dressed
+from mirror.synth.road_users.skeleton import STRIDE, riding, walking
+from mirror.synth.textures.catalogue import FACES
+
+_TOPS: Final[tuple[Colour, ...]] = (
+    (0.018, 0.019, 0.022), (0.018, 0.019, 0.022), (0.028, 0.034, 0.060), (0.075, 0.078, 0.082), (0.17, 0.165, 0.155),
+    (0.16, 0.022, 0.022), (0.050, 0.060, 0.036), (0.15, 0.11, 0.065), (0.46, 0.45, 0.43), (0.035, 0.075, 0.14),
+    (0.28, 0.19, 0.045), (0.10, 0.035, 0.06), (0.035, 0.10, 0.075),
+)  # fmt: skip
+_LEGS: Final[tuple[Colour, ...]] = (
+    (0.018, 0.019, 0.023), (0.035, 0.050, 0.090), (0.024, 0.032, 0.055), (0.080, 0.077, 0.074), (0.18, 0.145, 0.10),
+    (0.050, 0.047, 0.038),
+)  # fmt: skip
+_SHOES: Final[tuple[Colour, ...]] = ((0.02, 0.02, 0.02), (0.055, 0.033, 0.02), (0.45, 0.45, 0.44))
+_FULL_PACE_MPS: Final = 0.9
+_RIDING_LEG: Final = 0.50
+"""From the saddle to the lower pedal at most, as a share of the height."""
+_PHASES: Final = 64
+"""Steps of a gait that are posed: 2 cm of way apart."""
+_PACES: Final = 8
+_POSES_KEPT: Final = 4096
+_BOX_PHASES: Final = 16
+_BOX_SPARE_M: Final = 0.004
+"""Added to the box, for poses between those that were looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pedestrian(Body):
+    """A person on foot; ``model`` stands still.
+
+    Attributes:
+        person: who it is.
+    """
+
+    person: Person
+
+    @property
+    def stride_m(self) -> float:
+        """Two steps at full pace."""
+        return STRIDE * self.person.height_m
+
+    def posed(self, placement: Placement) -> Model:
+        """Walking, with shorter steps when slow, or standing; in poses of which there are only so many."""
+        phase = round(_PHASES * placement.along_m / self.stride_m) % _PHASES
+        pace = round(_PACES * min(placement.speed_mps / _FULL_PACE_MPS, 1.0))
+        return self.model if pace <= 0 else _kept(self.person, phase, pace)
+
+    def walking(self, phase: float, pace: float = 1.0) -> Model:
+        """A step; within the box at every phase and pace.
+
+        Args:
+            phase: distance walked by ``stride_m``; the gait repeats after 1.
+            pace: 0 standing to 1 full steps.
+        """
+        if pace <= 0.0:
+            return self.model
+        return _walker(self.person, phase, pace)
+
+
+@lru_cache(_POSES_KEPT)
+def _kept(who: Person, phase: int, pace: int) -> Model:
+    return _walker(who, phase / _PHASES, pace / _PACES)
+
+
+def _walker(who: Person, phase: float, pace: float) -> Model:
+    skeleton = walking(who.height_m, phase, pace, held=who.umbrella is not None)
+    return dressed(who, skeleton, Label.PERSON)
+
+
+def person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False) -> Person:
+    """Somebody, dressed for the weather.
+
+    Args:
+        rng: decides who.
+        child: 5 to 12 years old, else grown up.
+        umbrella: holds one up.
+        warm: shirts and dresses, else jackets and coats.
+    """
+    garments: tuple[Garment, ...] = ("shirt", "shirt", "dress", "jacket") if warm else ("jacket", "jacket", "coat")
+    hats: tuple[Hat, ...] = ("none", "none", "none", "cap") if warm else ("none", "none", "none", "beanie", "cap")
+    bags: tuple[Bag, ...] = ("none", "none", "backpack", "handbag")
+    colours = [_TOPS[int(i)] for i in rng.integers(len(_TOPS), size=4)]
+    height = rng.uniform(1.05, 1.45) if child else rng.normal(1.71, 0.075)
+    return Person(
+        height_m=float(np.clip(height, 1.0, 1.95)),
+        stout=float(rng.uniform(0.92, 1.12)),
+        face=int(rng.choice(FACES)),
+        garment=garments[int(rng.integers(len(garments)))],
+        top=colours[0],
+        legs=_LEGS[int(rng.integers(len(_LEGS)))],
+        shoes=_SHOES[int(rng.integers(len(_SHOES)))],
+        hat=hats[int(rng.integers(len(hats)))],
+        hat_colour=colours[1],
+        bag="none" if umbrella else bags[int(rng.integers(len(bags)))],
+        bag_colour=colours[2],
+        umbrella=colours[3] if umbrella else None,
+        seed=int(rng.integers(1 << 30)),
+    )
+
+
+def pedestrian(
+    rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False
+) -> Pedestrian:
+    """A person on foot; arguments as those of :func:`person`."""
+    who = person(rng, child=child, umbrella=umbrella, warm=warm)
+    still = _walker(who, 0.0, 0.0)
+    # Legs are furthest out as the heels come down, arms and what they carry a little later, the head half-way between.
+    poses = [_walker(who, phase / _BOX_PHASES, 1.0) for phase in range(_BOX_PHASES)]
+    ends = np.array([np.abs(model.bounds()).max(axis=0) for model in (still, *poses)]).max(axis=0)
+    length, width, height = np.array([2.0, 2.0, 1.0]) * ends + _BOX_SPARE_M
+    return Pedestrian("pedestrian", (float(length), float(width), float(height)), still, who)
+
+
+def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False) -> Model:
+    """Somebody who rides a two-wheeler, in its frame.
+
+    Args:
+        rng: decides who.
+        saddle: where they sit.
+        motorcycle: with a full helmet and a jacket; else mostly with a cycle helmet or none.
+    """
+    who = person(rng)
+    hats: tuple[Hat, ...] = ("full helmet",) if motorcycle else ("cycle helmet", "cycle helmet", "none")
+    bag: Bag = "none" if who.bag == "handbag" else who.bag
+    garment: Garment = "jacket" if motorcycle or rng.random() < 0.6 else "shirt"
+    # Whoever rides it has long enough legs.
+    reach = max(float(np.linalg.norm(np.subtract(saddle.hip, foot))) for foot in (saddle.foot, saddle.foot_right))
+    height = max(who.height_m, reach / _RIDING_LEG)
+    who = replace(who, height_m=min(height, 2.0), garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag)
+    return dressed(who, riding(who.height_m, saddle), Label.RIDER)

@@ -1,0 +1,158 @@
+"""Trucks with the cab over the engine: box bodies, tippers, and tractors with a trailer."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from mirror.synth.model import Label, Material, Side
+from mirror.synth.road_users.body import Body, boxed
+from mirror.synth.road_users.coachwork.cab import Cab, cab_body, cab_fittings, spoiler
+from mirror.synth.road_users.coachwork.fittings import (
+    BLACK,
+    STEEL_RIM,
+    TAIL_LIGHT,
+    car_paint,
+    number_plate,
+    plates,
+    wheel,
+)
+from mirror.synth.road_users.coachwork.sheets import Colour, Finish, Panel, Sheets
+from mirror.synth.road_users.coachwork.shell import DARK
+from mirror.synth.textures.catalogue import LIVERIES
+
+_BODY_COLOURS: Final[tuple[Colour, ...]] = (
+    (0.60, 0.60, 0.59),
+    (0.60, 0.60, 0.59),
+    (0.42, 0.43, 0.44),
+    (0.05, 0.13, 0.32),
+    (0.36, 0.03, 0.03),
+    (0.50, 0.30, 0.02),
+    (0.04, 0.17, 0.10),
+)
+
+
+def truck(rng: np.random.Generator) -> Body:
+    """Any truck."""
+    kinds = (box_truck, tipper, articulated_truck)
+    return kinds[int(rng.choice(3, p=(0.55, 0.2, 0.25)))](rng)
+
+
+def box_truck(rng: np.random.Generator) -> Body:
+    """Two axles and a closed body, often with its firm's image."""
+    sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
+    long, high = rng.uniform(5.4, 6.6), rng.uniform(3.3, 3.6)
+    number = plates(rng)
+    _cab(rng, sheets, Cab(long, long + 1.85, 2.72, 0.46), number)
+    _frame(sheets, 0.1, long + 1.2)
+    wheel(sheets, 1.75, 1.22, 0.46, 0.50, rim=STEEL_RIM, open_deg=124.0, treads=3)
+    _box(sheets, (0.0, long - 0.12), (1.02, high), _colour(rng), rng)
+    _tail(sheets, 0.0, 0.62, number)
+    return boxed("truck", sheets.model())
+
+
+def tipper(rng: np.random.Generator) -> Body:
+    """Three axles and an open skip."""
+    sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
+    number = plates(rng)
+    _cab(rng, sheets, Cab(5.35, 7.25, 2.86, 0.50), number)
+    _frame(sheets, 0.2, 6.4)
+    for x in (1.15, 2.50):
+        wheel(sheets, x, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
+    skip = Finish(_BODY_COLOURS[int(rng.integers(3, len(_BODY_COLOURS)))], Material.METAL)
+    low, high, ends = 1.12, rng.uniform(2.15, 2.45), (0.0, 5.1)
+    half, top = 1.12, 1.24
+    flank = [(ends[0] + 0.12, half, low), (ends[1], half, low), (ends[1], top, high), (ends[0], top, high)]
+    ribs = skip._replace(material=Material.PAINT, panel=Panel.ROW)
+    sheets.sheet(flank, Side.LEFT, ribs, texture=lambda places: places[:, [0, 2]] / (0.85, 1.0), both=True)
+    for x, other, side in ((ends[0] + 0.12, ends[0], Side.BACK), (ends[1], ends[1], Side.FRONT)):
+        sheets.sheet([(x, half, low), (x, -half, low), (other, -top, high), (other, top, high)], side, skip)
+    load = Finish((0.16, 0.13, 0.10), Material.GRAVEL)
+    sheets.sheet(
+        [
+            (ends[0], top, high - 0.1),
+            (ends[0], -top, high - 0.1),
+            (ends[1], -top, high - 0.1),
+            (ends[1], top, high - 0.1),
+        ],
+        Side.TOP,
+        load,
+    )
+    # A board over the cab.
+    sheets.block((ends[1], -top, high), (5.9, top, high + 0.55), skip, (Side.FRONT, Side.LEFT, Side.RIGHT, Side.TOP))
+    _tail(sheets, 0.05, 0.72, number)
+    return boxed("truck", sheets.model())
+
+
+def articulated_truck(rng: np.random.Generator) -> Body:
+    """A tractor with a trailer of three axles, in line."""
+    sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
+    cab, number = Cab(14.15, 16.2, 3.05, 0.50), plates(rng)
+    spoiler(sheets, cab, _cab(rng, sheets, cab, number))
+    _frame(sheets, 10.1, 15.4)
+    _frame(sheets, 0.1, 9.9)
+    wheel(sheets, 11.15, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
+    for x in (1.75, 3.06, 4.37):
+        wheel(sheets, x, 1.25, 0.48, 0.40, rim=STEEL_RIM, open_deg=100.0)
+    _box(sheets, (0.0, 13.6), (1.16, 3.95), _colour(rng), rng)
+    for x in (5.4, 7.6):
+        sheets.block((x, 1.0, 0.45), (x + 2.0, 1.24, 1.0), DARK, (Side.LEFT,), both=True)
+    _tail(sheets, 0.0, 0.66, number)
+    return boxed("truck", sheets.model())
+
+
+def _colour(rng: np.random.Generator) -> Colour:
+    return _BODY_COLOURS[int(rng.integers(len(_BODY_COLOURS)))]
+
+
+def _cab(rng: np.random.Generator, sheets: Sheets, cab: Cab, number: int) -> Finish:
+    """Add a cab with all that belongs to it; its paint is returned."""
+    coat = car_paint(rng)
+    cab_body(sheets, cab, coat, coat if rng.random() < 0.6 else BLACK)
+    cab_fittings(sheets, cab, number)
+    return coat
+
+
+def _frame(sheets: Sheets, back: float, front: float) -> None:
+    """Girders, tanks and what else is dark under a body."""
+    sheets.block((back, -0.55, 0.55), (front, 0.55, 1.06), DARK, (Side.LEFT, Side.FRONT, Side.BACK), both=True)
+
+
+def _box(
+    sheets: Sheets, ends: tuple[float, float], heights: tuple[float, float], colour: Colour, rng: np.random.Generator
+) -> None:
+    """A closed body with doors behind, and an image on both sides of two in three."""
+    (back, front), (low, high) = ends, heights
+    half = 1.275
+    wall = Finish(colour, Material.PAINT, Panel.ROW)
+    flank = [(back, half, low), (front, half, low), (front, half, high), (back, half, high)]
+    pitch = 1.13
+    sheets.sheet(flank, Side.LEFT, wall, texture=lambda places: places[:, [0, 2]] / (pitch, 1.0), both=True)
+    plain = Finish(colour, Material.PAINT)
+    doors = plain._replace(panel=Panel.WING)
+    corners = np.array([(y, z) for y, z in ((half, low), (-half, low), (-half, high), (half, high))])
+    sheets.sheet(np.c_[np.full(4, back), corners], Side.BACK, doors, texture=lambda places: places[:, 1:])
+    sheets.sheet(np.c_[np.full(4, front), corners], Side.FRONT, plain)
+    sheets.block((back, -half, low), (front, half, high), plain, (Side.TOP, Side.BOTTOM))
+    sheets.block((back, half - 0.01, low - 0.10), (front, half - 0.01, low), DARK, (Side.LEFT,), both=True)
+    if rng.random() < 0.65:
+        tall = 0.78 * (high - low)
+        middle, foot, wide = 0.5 * (back + front), low + 0.11 * (high - low), 2.0 * tall
+        livery = Finish((0.7, 0.7, 0.7), Material.IMAGE, image=int(rng.choice(LIVERIES)))
+        place = np.array(
+            [
+                (middle - 0.5 * wide, half, foot), (middle + 0.5 * wide, half, foot),
+                (middle + 0.5 * wide, half, foot + tall), (middle - 0.5 * wide, half, foot + tall),
+            ]
+        )  # fmt: skip
+        sheets.sheet(place, Side.LEFT, livery, lift_m=0.004)
+        sheets.sheet(place * (1.0, -1.0, 1.0), Side.RIGHT, livery, lift_m=0.004)
+
+
+def _tail(sheets: Sheets, x: float, z: float, number: int) -> None:
+    """Underrun bar, tail lights, plate."""
+    sheets.block((x + 0.02, -1.15, z - 0.08), (x + 0.14, 1.15, z + 0.06), DARK, (Side.BACK, Side.TOP))
+    lamps = [(x + 0.016, y, h) for y, h in ((0.72, z - 0.04), (1.14, z - 0.04), (1.14, z + 0.12), (0.72, z + 0.12))]
+    sheets.sheet(lamps, Side.BACK, TAIL_LIGHT, both=True)
+    number_plate(sheets, (x + 0.012, 0.0, z), Side.BACK, number)

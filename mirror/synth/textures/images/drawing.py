@@ -1,0 +1,141 @@
+"""Shapes on images, with smooth edges.
+
+Images are drawn as they are kept: (H, W, 3) red, green and blue, each 255 times the square root of linear
+reflectance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Float32, UInt8
+
+Colour = tuple[int, int, int]
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom, pixels."""
+_SHIFT = 4
+
+
+def plain(wide: int, high: int, colour: Colour) -> UInt8:
+    """An image of one colour."""
+    image = np.empty((high, wide, 3), np.uint8)
+    cv2.rectangle(image, (0, 0), (wide, high), colour, -1)
+    return image
+
+
+def part(image: UInt8, box: Box) -> UInt8:
+    """A part of an image as an image of its own: what is drawn on it does not leave it."""
+    left, top, right, bottom = (max(round(edge), 0) for edge in box)
+    return image[top:bottom, left:right]
+
+
+def fixed(points: npt.ArrayLike) -> npt.NDArray[np.int32]:
+    """Points as the sixteenths of pixels that smooth edges are drawn with; pixels' middles lie at halves."""
+    return ((np.asarray(points, np.float64) - 0.5) * 2**_SHIFT).round().astype(np.int32)
+
+
+def fill(image: UInt8, points: npt.ArrayLike, colour: Colour) -> None:
+    """A filled polygon of (N, 2) corners."""
+    cv2.fillPoly(image, [fixed(points)], colour, cv2.LINE_AA, _SHIFT)
+
+
+def stroke(image: UInt8, points: npt.ArrayLike, colour: Colour, width: float, closed: bool = False) -> None:
+    """A line through (N, 2) points, with round ends."""
+    cv2.polylines(image, [fixed(points)], closed, colour, max(round(width), 1), cv2.LINE_AA, _SHIFT)
+
+
+def rectangle(image: UInt8, box: Box, colour: Colour) -> None:
+    """A filled rectangle."""
+    left, top, right, bottom = box
+    fill(image, [(left, top), (right, top), (right, bottom), (left, bottom)], colour)
+
+
+def rounded(image: UInt8, box: Box, radius: float, colour: Colour) -> None:
+    """A filled rectangle with round corners."""
+    left, top, right, bottom = box
+    radius = min(radius, 0.5 * (right - left), 0.5 * (bottom - top))
+    turn = np.linspace(0.0, 0.5 * np.pi, 7)
+    corner = radius * np.c_[np.cos(turn), -np.sin(turn)]
+    spots = [(right - radius, top + radius), (left + radius, top + radius)]
+    spots += [(left + radius, bottom - radius), (right - radius, bottom - radius)]
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    outline = []
+    for spot in spots:
+        outline.append(corner + spot)
+        corner = corner @ quarter
+    fill(image, np.concatenate(outline), colour)
+
+
+def disc(image: UInt8, x: float, y: float, radius: float, colour: Colour, tall: float = 1.0) -> None:
+    """A filled circle, or an ellipse that is ``tall`` times as high as wide."""
+    centre = fixed((x, y))
+    axes = (max(round(radius * 2**_SHIFT), 1), max(round(radius * tall * 2**_SHIFT), 1))
+    cv2.ellipse(image, centre.tolist(), axes, 0, 0, 360, colour, -1, cv2.LINE_AA, _SHIFT)
+
+
+def star(x: float, y: float, radius: float, points: int, inner: float, turn: float = 0.0) -> npt.NDArray[np.float64]:
+    """Corners of a star that stands on its foot."""
+    angle = np.arange(2 * points) * np.pi / points + turn
+    reach = np.where(np.arange(2 * points) % 2 == 0, radius, radius * inner)
+    return np.c_[x + reach * np.sin(angle), y - reach * np.cos(angle)]
+
+
+def gradient(image: UInt8, top: Colour, bottom: Colour) -> None:
+    """One colour passing into another from above to below."""
+    high, wide = image.shape[:2]
+    share = np.linspace(0.0, 1.0, high)[:, None, None]
+    shades = np.asarray(top) * (1.0 - share) + np.asarray(bottom) * share
+    image[:] = cv2.resize(shades.round().astype(np.uint8), (wide, high), interpolation=cv2.INTER_NEAREST)
+
+
+def glow(image: UInt8, x: float, y: float, radius: float, strength: float, colour: Colour = (255, 240, 205)) -> None:
+    """Light that falls off round a point."""
+    near = part(image, (x - 1.7 * radius, y - 1.7 * radius, x + 1.7 * radius, y + 1.7 * radius))
+    high, wide = near.shape[:2]
+    if high == 0 or wide == 0:
+        return
+    left, top = max(round(x - 1.7 * radius), 0), max(round(y - 1.7 * radius), 0)
+    across = np.exp(-2.0 * np.square((np.arange(wide) + left - x) / radius))
+    down = np.exp(-2.0 * np.square((np.arange(high) + top - y) / radius))
+    share = (strength * down[:, None] * across).astype(np.float32)
+    near[:] = cv2.blendLinear(np.ascontiguousarray(near), plain(wide, high, colour), 1.0 - share, share)
+
+
+def mix(one: Colour, other: Colour, share: float) -> Colour:
+    """A colour between two."""
+    red, green, blue = (round(a * (1.0 - share) + b * share) for a, b in zip(one, other))
+    return red, green, blue
+
+
+def shade(colour: Colour, factor: float) -> Colour:
+    """A colour made lighter or darker."""
+    red, green, blue = (min(max(round(part * factor), 0), 255) for part in colour)
+    return red, green, blue
+
+
+def one_of(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
+    """One of several colours."""
+    return colours[int(rng.integers(len(colours)))]
+
+
+@cache
+def _fine() -> Float32:
+    return np.random.default_rng(7).standard_normal((512, 768), np.float32)
+
+
+def weather(image: UInt8, rng: np.random.Generator, amount: float) -> None:
+    """Unevenness: soft shades, a fine grain, and dirt that comes down from the upper edge."""
+    high, wide = image.shape[:2]
+    soft = cv2.resize(rng.normal(0.0, 0.5, (high // 24 + 3, wide // 24 + 3)).astype(np.float32), (wide, high))
+    runs = cv2.resize(rng.normal(0.0, 1.0, (1, wide // 5 + 3)).astype(np.float32), (wide, 1))
+    down = np.linspace(0.8, 0.16, high)[:, None]
+    row, column = rng.integers(513 - high), rng.integers(769 - wide)
+    fine = _fine()[row : row + high, column : column + wide]
+    dirt = soft + 0.3 * fine - (np.maximum(runs - 0.6, 0.0) * down).astype(np.float32)
+    factor = (1.0 + amount * dirt).astype(np.float32)
+    cv2.multiply(image, cv2.merge([factor] * 3), image, 1.0, cv2.CV_8U)

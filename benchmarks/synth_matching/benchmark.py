@@ -147,10 +147,10 @@ def recorded_rig(ride: Ride, errors: Errors, draw: int) -> Rig:
     drive, vehicle = ride.drive, ride.drive.vehicle
     rng = np.random.default_rng([drive.seed, draw])
     stamps = pose_stamps(drive)
-    measured = errors.measured(drive.world_SE3_ego(stamps), drive.seconds(stamps), rng)
-    clock = errors.clocks(tuple(vehicle.cameras), rng)[CANONICAL_CAMERAS[0]]
+    measured = errors.perturb_poses(drive.world_SE3_ego(stamps), drive.seconds(stamps), rng)
+    clock = errors.draw_clocks(tuple(vehicle.cameras), rng)[CANONICAL_CAMERAS[0]]
     return Rig(
-        {name: errors.believed(camera, rng) for name, camera in vehicle.cameras.items()},
+        {name: errors.perturb_camera(camera, rng) for name, camera in vehicle.cameras.items()},
         _stacked([pose @ errors.online.draw(rng) for pose in vehicle.ego_SE3_camera.values()]),
         interpolate(stamps, measured, ride.instants_ns + clock.error_ns),
     )

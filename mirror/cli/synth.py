@@ -52,7 +52,7 @@ def main(argv: Sequence[str]) -> int:
 
     from mirror.progress import progress_bar
     from mirror.synth import Effects, Errors, write_recordings
-    from mirror.synth.writing.truth import truth_kinds
+    from mirror.synth.writing.truth import parse_truth_kinds
 
     with progress_bar(quiet=arguments.json) as bar:
         written = write_recordings(
@@ -63,7 +63,7 @@ def main(argv: Sequence[str]) -> int:
             traversals=arguments.traversals,
             errors=Errors.none() if arguments.errors == "none" else None,
             effects=Effects.without(arguments.without.split(",")) if arguments.without else None,
-            truth=truth_kinds(arguments.truth),
+            truth=parse_truth_kinds(arguments.truth),
             workers=arguments.workers,
             progress=bar,
         )

@@ -1,4 +1,4 @@
-"""A procedural street, driven many times, with exact truth: the demo, the fixture of tests, the measure of errors."""
+"""A procedural street with exact ground truth: the data of the demo, of the tests and of accuracy benchmarks."""
 
 from __future__ import annotations
 

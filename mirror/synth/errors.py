@@ -1,4 +1,4 @@
-"""How what is recorded differs from the truth: positions, attitude, calibrations, clocks, lost images."""
+"""Measurement errors of synthetic recordings: positions, attitudes, calibrations, clocks, lost images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mirror.geometry.cameras import Camera
 Stage = Literal["factory", "online"]
 
 MAX_SIGMA: Final = 3.0
-"""Errors of a mounting are drawn again from farther out than this: calibrations are off up to a known angle."""
+"""Largest mounting error, in standard deviations. Larger draws are repeated, so the calibration error is bounded."""
 
 
 def _require(given: object, fits: bool, expected: str) -> None:
@@ -27,11 +27,11 @@ def _require(given: object, fits: bool, expected: str) -> None:
 
 @dataclass(frozen=True)
 class MountingError:
-    """How far off the truth a camera's mounting is believed to be.
+    """Size of the error of a camera's calibrated mounting.
 
     Attributes:
-        angle_deg: 1-sigma of the rotation about each axis; the whole angle is at most FARTHEST_SIGMA times that.
-        distance_m: 1-sigma along each axis, at most FARTHEST_SIGMA times that in all.
+        angle_deg: 1-sigma of the rotation about each axis; the total angle is at most MAX_SIGMA times this.
+        distance_m: 1-sigma of the translation along each axis; the total length is at most MAX_SIGMA times this.
     """
 
     angle_deg: float
@@ -41,22 +41,23 @@ class MountingError:
         _require(self, self.angle_deg >= 0.0 and self.distance_m >= 0.0, "angles and distances of at least 0")
 
     def draw(self, rng: np.random.Generator) -> Poses:
-        """One error: a motion to be applied in the camera's own frame."""
-        turn, shift = _near(rng, math.radians(self.angle_deg)), _near(rng, self.distance_m)
+        """Draw one error: one pose, to be applied in the camera's own frame."""
+        turn = _draw_truncated_normal(rng, math.radians(self.angle_deg))
+        shift = _draw_truncated_normal(rng, self.distance_m)
         return Poses.exp(np.concatenate([turn, shift])[None])
 
     def covariance(self) -> list[float]:
-        """6x6 row-major: rotation (rad), then translation (m)."""
+        """Return the 6x6 covariance, row-major: rotation (rad), then translation (m)."""
         return np.diag([math.radians(self.angle_deg) ** 2] * 3 + [self.distance_m**2] * 3).ravel().tolist()
 
 
 @dataclass(frozen=True)
 class Clock:
-    """A camera's clock.
+    """The clock of a camera.
 
     Attributes:
-        offset_ns: what the vehicle adds to the camera's stamps: ``time_offset_ns`` of its calibration.
-        error_ns: how much later than the truth the recorded stamps then are.
+        offset_ns: offset that the vehicle knows and corrects: ``time_offset_ns`` of the calibration.
+        error_ns: offset that the vehicle does not know: corrected timestamps are later than the true time by this.
     """
 
     offset_ns: int
@@ -65,20 +66,20 @@ class Clock:
 
 @dataclass(frozen=True)
 class Errors:
-    """The errors of a recording; all may be 0. `Errors.none` has none.
+    """Sizes of the errors of a recording; each may be 0. `Errors.none` sets all to 0.
 
     Attributes:
-        position_noise_m: 1-sigma of each fix along each axis, independent of the others.
-        position_drift_m: 1-sigma along each axis of a smooth drift.
-        drift_time_s: over which it wanders: it is a Gauss-Markov process of second order.
-        position_bias_m: 1-sigma along each axis of an offset that a drive keeps.
-        attitude_noise_deg: 1-sigma about each axis of each pose's rotation.
-        factory: of the mountings in ``calibrations/factory.json``, the same in all drives of a vehicle.
-        online: of those in ``calibrations/online.json``, others in every drive.
+        position_noise_m: 1-sigma of the white noise of each position along each axis.
+        position_drift_m: 1-sigma along each axis of a smooth drift, a second-order Gauss-Markov process.
+        drift_time_s: time constant of the drift.
+        position_bias_m: 1-sigma along each axis of an offset that is constant over a drive.
+        attitude_noise_deg: 1-sigma of the white noise of each rotation about each axis.
+        factory: error of the mountings in ``calibrations/factory.json``, the same in all drives of a vehicle.
+        online: error of the mountings in ``calibrations/online.json``, drawn for every drive.
         focal_share: 1-sigma of the focal length, as a share of it; the same in both stages.
-        centre_share: 1-sigma of the principal point along each axis, as a share of the image's width.
-        clock_offset_ns: 1-sigma of the cameras' clocks against the vehicle's.
-        clock_error_ns: 1-sigma of what the vehicle does not know of that.
+        centre_share: 1-sigma of the principal point along each axis, as a share of the image width.
+        clock_offset_ns: 1-sigma of the known offset between the cameras' clocks and the vehicle's clock.
+        clock_error_ns: 1-sigma of the unknown part of that offset.
         dropped: share of the images that are lost.
     """
 
@@ -103,7 +104,7 @@ class Errors:
 
     @classmethod
     def none(cls) -> Errors:
-        """Recorded as it was."""
+        """Return errors of size 0: the recording equals the truth."""
         exact = MountingError(0.0, 0.0)
         return cls(
             position_noise_m=0.0,
@@ -121,57 +122,61 @@ class Errors:
 
     @property
     def sigma_m(self) -> float:
-        """1-sigma of a fix along each axis, as a receiver states it."""
+        """1-sigma of a position along each axis, as a receiver states it."""
         return math.sqrt(self.position_noise_m**2 + self.position_drift_m**2 + self.position_bias_m**2)
 
-    def mounting(self, stage: Stage) -> MountingError:
-        """Of a stage's mountings."""
+    def mounting_error(self, stage: Stage) -> MountingError:
+        """Return the error of the mountings of a calibration stage."""
         return self.factory if stage == "factory" else self.online
 
-    def measured(self, truth: Poses, time_s: Float64, rng: np.random.Generator) -> Poses:
-        """Poses as a receiver gives them.
+    def perturb_poses(self, truth: Poses, time_s: Float64, rng: np.random.Generator) -> Poses:
+        """Add the errors of a receiver to true poses.
 
         Args:
             truth: N poses in a level frame.
-            time_s: (N,) ascending.
-            rng: of the errors.
+            time_s: (N,) times, ascending.
+            rng: source of the errors.
+
+        Returns:
+            N measured poses in the same frame.
         """
         shape = (len(time_s), 3)
         off = rng.normal(0.0, self.position_bias_m, 3)
-        off = off + self.position_drift_m * drift(time_s, self.drift_time_s, rng)
+        off = off + self.position_drift_m * draw_drift(time_s, self.drift_time_s, rng)
         off = off + rng.normal(0.0, self.position_noise_m, shape)
         turn = rng.normal(0.0, math.radians(self.attitude_noise_deg), shape)
         turned = truth @ Poses.exp(np.concatenate([turn, np.zeros(shape)], axis=1))
         return Poses(turned.rotation, truth.translation + off)
 
-    def believed(self, camera: Camera, rng: np.random.Generator) -> Camera:
-        """The intrinsics that are taken for a camera's own."""
+    def perturb_camera(self, camera: Camera, rng: np.random.Generator) -> Camera:
+        """Add calibration errors to the intrinsics of a camera."""
         return perturb_intrinsics(camera, self.focal_share, self.centre_share, rng)
 
-    def clocks(self, cameras: Sequence[str], rng: np.random.Generator) -> dict[str, Clock]:
-        """The cameras' clocks."""
+    def draw_clocks(self, cameras: Sequence[str], rng: np.random.Generator) -> dict[str, Clock]:
+        """Draw the clock of each camera, by camera name."""
         errors = np.round(rng.normal(0.0, self.clock_error_ns, len(cameras))).astype(int)
         known = np.round(rng.normal(0.0, self.clock_offset_ns, len(cameras))).astype(int)
         return {name: Clock(int(offset), int(error)) for name, offset, error in zip(cameras, known, errors)}
 
-    def lost(self, count: int, rng: np.random.Generator) -> Bool:
-        """Which of a camera's images (count,) are lost."""
+    def draw_losses(self, count: int, rng: np.random.Generator) -> Bool:
+        """Draw which of a camera's images are lost: (count,), True where lost."""
         return rng.random(count) < self.dropped
 
 
-def drift(time_s: Float64, over_s: float, rng: np.random.Generator) -> Float64:
-    """Three smooth random processes of unit variance: Gauss-Markov of second order, critically damped.
+def draw_drift(time_s: Float64, over_s: float, rng: np.random.Generator) -> Float64:
+    """Draw three smooth random processes of unit variance: second-order Gauss-Markov, critically damped.
 
-    Their autocorrelation is ``(1 + |t| / over_s) exp(-|t| / over_s)``: once differentiable, as the errors of a filter
-    are. The discretisation is exact at any steps (A. Gelb, "Applied Optimal Estimation", MIT Press 1974).
+    The autocorrelation is ``(1 + |t| / over_s) exp(-|t| / over_s)``. The processes are once differentiable, as the
+    errors of a filter are. The discretisation is exact for any time steps (A. Gelb, "Applied Optimal Estimation",
+    MIT Press 1974).
 
     Args:
-        time_s: (N,) ascending.
-        over_s: the time constant.
-        rng: of the errors.
+        time_s: (N,) times, ascending.
+        over_s: time constant.
+        rng: source of the random numbers.
 
     Returns:
-        (N, 3).
+        (N, 3) values of the processes.
     """
     rate = 1.0 / over_s
     spread = np.diag([1.0, rate**2])
@@ -184,20 +189,20 @@ def drift(time_s: Float64, over_s: float, rng: np.random.Generator) -> Float64:
         np.array([[1.0, 0.0], [0.0, 1.0]]) + steps[:, None, None] * np.array([[rate, 1.0], [-(rate**2), -rate]])
     )
     added = spread - onward @ spread @ np.swapaxes(onward, 1, 2)
-    root = _root(added)
+    root = _cholesky(added)
     for i, step in enumerate(which, start=1):
         states[i] = onward[step] @ states[i - 1] + root[step] @ states[i]
     return states[:, 0]
 
 
 def perturb_intrinsics(camera: Camera, focal_share: float, centre_share: float, rng: np.random.Generator) -> Camera:
-    """A camera whose focal length and principal point are a little off.
+    """Add random errors to the focal length and the principal point of a camera.
 
     Args:
-        camera: as it is.
+        camera: the true camera.
         focal_share: 1-sigma of the focal length, as a share of it.
-        centre_share: 1-sigma of the principal point along each axis, as a share of the width.
-        rng: of the errors.
+        centre_share: 1-sigma of the principal point along each axis, as a share of the image width.
+        rng: source of the errors.
     """
     longer = 1.0 + rng.normal(0.0, focal_share)
     aside, down = rng.normal(0.0, centre_share * camera.width_px, 2)
@@ -213,17 +218,17 @@ def perturb_intrinsics(camera: Camera, focal_share: float, centre_share: float, 
     )
 
 
-def _root(covariance: Float64) -> Float64:
-    """Lower roots (N, 2, 2) of positive semi-definite matrices; steps of no length have none but zeros."""
+def _cholesky(covariance: Float64) -> Float64:
+    """Lower Cholesky factors (N, 2, 2) of positive semi-definite matrices (N, 2, 2); zeros for time steps of 0."""
     first = np.sqrt(np.maximum(covariance[:, 0, 0], 0.0))
     cross = covariance[:, 0, 1] / np.where(first > 0.0, first, 1.0)
     second = np.sqrt(np.maximum(covariance[:, 1, 1] - cross**2, 0.0))
     return np.stack([np.stack([first, np.zeros_like(first)], axis=1), np.stack([cross, second], axis=1)], axis=1)
 
 
-def _near(rng: np.random.Generator, sigma: float) -> Float64:
-    """A normal vector (3,), none from farther out than FARTHEST_SIGMA."""
+def _draw_truncated_normal(rng: np.random.Generator, sigma: float) -> Float64:
+    """Draw a normal vector (3,) no longer than MAX_SIGMA standard deviations."""
     while True:
-        drawn = rng.normal(size=3)
-        if np.linalg.norm(drawn) <= MAX_SIGMA:
-            return sigma * drawn
+        vector = rng.normal(size=3)
+        if np.linalg.norm(vector) <= MAX_SIGMA:
+            return sigma * vector

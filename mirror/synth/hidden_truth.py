@@ -1,4 +1,4 @@
-"""True images of moved cameras of a synthetic street: what an organiser keeps, and nobody recorded."""
+"""Renders the hidden truth of a synthetic street: images from moved cameras, which only the organiser has."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from mirror.synth.writing.schedule import ImageSchedule
 
 _LEAST_DB: Final = 28.0
-"""What is rendered again of a recorded image differs from it by what JPEG loses: 35 dB and more are usual, and
-another street has 20 dB at most."""
+"""Least PSNR between a recorded image and the same image rendered again. The difference is the loss of JPEG, and 35 dB
+and more are usual; an image of another street has 20 dB at most."""
 
 
 def write_hidden_truth(
@@ -42,28 +42,28 @@ def write_hidden_truth(
     out: Path,
     advance: Callable[[int], None] = lambda _: None,
 ) -> int:
-    """Render the truth of a plan's views, in the layout of a submission.
+    """Render the true images of a plan's views, in the layout of a submission.
 
-    The street is rendered from the true pose of each image, moved as the view's group says; the vehicle itself moves
-    with its cameras. The image is then taken into the view's raster by the dataset's calibration, as recorded ones
-    are: what that is off by is part of the truth of both. First a recorded image of each traversal is rendered where
-    it was taken, and must be what was recorded: so another preset or seed is noticed. ``hidden.json`` says what the
-    images are of, and is written last.
+    Each image is rendered from its true pose, shifted as the view's group states; the recording vehicle moves with
+    its cameras. The image is then resampled to the view's raster with the dataset's calibration, as recorded images
+    are, so both contain the same calibration error. Before that, one recorded image of each traversal is rendered
+    again and compared, which detects a wrong preset or seed. ``hidden.json`` describes the images and is written last.
 
     Args:
-        dataset: of recordings that ``mirror synth`` wrote.
-        plan: which views; their groups move cameras and nothing else.
-        preset: that the recordings were made with.
-        seed: that the recordings were made with.
-        out: a new or an empty folder, or one in which the same was begun: what is there is kept.
-        advance: told of each view.
+        dataset: dataset of recordings that ``mirror synth`` wrote.
+        plan: the views; their groups move cameras and edit nothing else.
+        preset: preset of the recordings.
+        seed: seed of the recordings.
+        out: a new or an empty folder, or one with an unfinished run of the same arguments, the images of which are
+            kept.
+        advance: receives the number of finished views.
 
     Returns:
-        How many images were written.
+        The number of images.
 
     Raises:
-        UsageError: a group edits vehicles, the folder holds something, or there is no such preset or drive.
-        DatasetError: an image is not one of the preset and seed, or the folder cannot be written.
+        UsageError: a group edits vehicles, the folder holds other files, or the preset or a drive does not exist.
+        DatasetError: a recorded image does not match the preset and seed, or the folder cannot be written.
     """
     if any(group.vehicle_shift_m is not None or group.without_vehicles for group in plan.protocol.groups):
         raise UsageError(f"protocol {plan.protocol.name} edits vehicles", expected="one that only moves cameras")
@@ -71,7 +71,7 @@ def write_hidden_truth(
     table = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
     drives = {row["traversal_id"]: row["drive_id"] for row in table}
     truth = GroundTruth(dataset, plan.protocol, plan.layers)
-    # Neighbours in time share what stands where.
+    # Views of the same time use the same cached instant.
     ordered = sorted(plan.views, key=lambda one: (one.traversal_id, one.timestamp_ns, one.group))
     for view in {one.traversal_id: one for one in reversed(ordered)}.values():
         _require_recorded(view, truth, preset, seed, drives[view.traversal_id])
@@ -81,7 +81,7 @@ def write_hidden_truth(
     for view in missing:
         _, image = truth.recorded(view)
         shift_m = require_group(plan.protocol, view.group).ego_shift_m
-        recorded = _rendered(view, shift_m, preset, seed, drives[view.traversal_id])
+        recorded = _render(view, shift_m, preset, seed, drives[view.traversal_id])
         pixels = raster_of(image.camera_model, plan.protocol.pixels).picture(recorded)
         write_bytes(out / view.path, encode_png(pixels))
         advance(1)
@@ -91,22 +91,22 @@ def write_hidden_truth(
 
 
 def _require_recorded(view: View, truth: GroundTruth, preset: str, seed: int, drive_id: str) -> None:
-    """An image that is rendered where it was taken is the one that was recorded."""
-    there = truth.recorded(view)[1].decode()
-    again = _rendered(view, 0.0, preset, seed, drive_id)
-    alike = float(psnr(again, there)) if again.shape == there.shape else None
-    if alike is None or alike < _LEAST_DB:
-        sizes = " and ".join(f"{one.shape[1]} x {one.shape[0]} px" for one in (again, there))
+    """Check that the image of a view, rendered at its true pose, equals the recorded image."""
+    recorded = truth.recorded(view)[1].decode()
+    rendered = _render(view, 0.0, preset, seed, drive_id)
+    psnr_db = float(psnr(rendered, recorded)) if rendered.shape == recorded.shape else None
+    if psnr_db is None or psnr_db < _LEAST_DB:
+        sizes = " and ".join(f"{one.shape[1]} x {one.shape[0]} px" for one in (rendered, recorded))
         raise DatasetError(
             f"drive {drive_id} of preset {preset}, seed {seed}, is not what was recorded "
-            + (f"({sizes})" if alike is None else f"({alike:.1f} dB)"),
+            + (f"({sizes})" if psnr_db is None else f"({psnr_db:.1f} dB)"),
             place=f"camera {view.camera} at {view.timestamp_ns}",
             expected="the preset and seed that the recordings were made with, and their effects and errors",
         )
 
 
-def _rendered(view: View, shift_m: float, preset: str, seed: int, drive_id: str) -> UInt8:
-    """What the camera would have recorded so far to its vehicle's left, RGB."""
+def _render(view: View, shift_m: float, preset: str, seed: int, drive_id: str) -> UInt8:
+    """Render the RGB image (H, W, 3) of a view with the vehicle shifted to its left by ``shift_m``."""
     drive, schedule = _drive(preset, seed, drive_id)
     stamps = schedule.recorded_ns.get(view.camera, np.empty(0, np.int64))
     at = np.flatnonzero(stamps == view.timestamp_ns)
@@ -143,7 +143,7 @@ def _drive(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, ImageSche
 
 @lru_cache(8)
 def _instant(preset: str, seed: int, drive_id: str, true_ns: int, shift_m: float) -> Instant:
-    """All that there is, with the recording vehicle beside where it was."""
+    """The world at a time, with the recording vehicle shifted to its left by ``shift_m``."""
     drive, _ = _drive(preset, seed, drive_id)
     stamps = np.array([true_ns])
     aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, shift_m, 0.0]]))

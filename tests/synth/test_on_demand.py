@@ -51,7 +51,7 @@ def test_a_uri_says_which_image() -> None:
         parse_image_name(NAME.uri().replace("//1/", "//7/"))
     assert caught.value.remedy is not None and "install" in caught.value.remedy
     for wrong in ("mirror-synth://1/tiny/0/a/rear", "mirror-synth://1/tiny/x/a/rear/5.png", "mirror-synth://", "x"):
-        with pytest.raises(DatasetError, match="no image's name"):
+        with pytest.raises(DatasetError, match="not the URI of an image"):
             parse_image_name(wrong)
 
 

@@ -146,7 +146,7 @@ def test_boxes_enclose_what_is_drawn(tiny: SynthReport) -> None:
         counts = boxes["timestamp_ns"].value_counts()
         stamp = int(counts.index[0])
         rows = boxes[boxes["timestamp_ns"] == stamp]
-        clock = drive.preset.errors.clocks(CANONICAL_CAMERAS, np.random.default_rng([drive.seed, 2]))["front_wide"]
+        clock = drive.preset.errors.draw_clocks(CANONICAL_CAMERAS, np.random.default_rng([drive.seed, 2]))["front_wide"]
         true_ns = stamp - clock.error_ns
         instant = drive.at(true_ns)
         names = [user.track_id for user in drive.road_users]

@@ -6,7 +6,7 @@ import pytest
 from mirror.errors import UsageError
 from mirror.geometry import Poses, angle_between_deg
 from mirror.geometry.cameras import Camera
-from mirror.synth.errors import MAX_SIGMA, Errors, MountingError, drift
+from mirror.synth.errors import MAX_SIGMA, Errors, MountingError, draw_drift
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -23,13 +23,13 @@ def track(count: int = 400) -> tuple[Poses, np.ndarray]:
 def test_without_errors_all_is_exact() -> None:
     truth, time_s = track()
     errors = Errors.none()
-    measured = errors.measured(truth, time_s, rng())
+    measured = errors.perturb_poses(truth, time_s, rng())
     assert np.array_equal(measured.translation, truth.translation)
     assert angle_between_deg(measured.rotation, truth.rotation).max() < 1e-6
     camera = Camera("brown_conrady", 200, 100, 150.0, 150.0, 99.0, 51.0, (-0.1, 0.0, 0.0, 0.0, 0.0))
-    assert errors.believed(camera, rng()) == camera
-    assert all((one.offset_ns, one.error_ns) == (0, 0) for one in errors.clocks("ab", rng()).values())
-    assert not errors.lost(1000, rng()).any()
+    assert errors.perturb_camera(camera, rng()) == camera
+    assert all((one.offset_ns, one.error_ns) == (0, 0) for one in errors.draw_clocks("ab", rng()).values())
+    assert not errors.draw_losses(1000, rng()).any()
     assert errors.sigma_m == 0.0
     assert errors.factory.draw(rng()).translation.tolist() == [[0.0, 0.0, 0.0]]
 
@@ -37,7 +37,9 @@ def test_without_errors_all_is_exact() -> None:
 @pytest.mark.parametrize("step_s", [0.01, 0.05, 1.0, 20.0])
 def test_drift_has_the_stated_variance_and_autocorrelation_at_any_step(step_s: float) -> None:
     over_s, count = 4.0, 40
-    many = np.stack([drift(np.arange(count) * step_s, over_s, rng(seed)) for seed in range(1500)]).transpose(1, 0, 2)
+    many = np.stack([draw_drift(np.arange(count) * step_s, over_s, rng(seed)) for seed in range(1500)]).transpose(
+        1, 0, 2
+    )
     values = many.reshape(count, -1)
     assert values.var(axis=1) == pytest.approx(1.0, abs=0.09)
     for lag in (1, 10, 39):
@@ -46,15 +48,15 @@ def test_drift_has_the_stated_variance_and_autocorrelation_at_any_step(step_s: f
 
 
 def test_drift_is_smooth() -> None:
-    values = drift(np.arange(4000) * 0.05, 4.0, rng())
+    values = draw_drift(np.arange(4000) * 0.05, 4.0, rng())
     assert np.abs(np.diff(values, axis=0)).max() < 0.05 / 4.0 * 5.0
     assert np.abs(np.diff(values, 2, axis=0)).max() < 0.02
 
 
 def test_drift_of_uneven_repeated_single_and_no_times() -> None:
-    assert drift(np.zeros(0), 1.0, rng()).shape == (0, 3)
-    assert drift(np.array([7.0]), 1.0, rng()).shape == (1, 3)
-    values = drift(np.array([0.0, 0.1, 0.1, 5e5]), 1.0, rng())
+    assert draw_drift(np.zeros(0), 1.0, rng()).shape == (0, 3)
+    assert draw_drift(np.array([7.0]), 1.0, rng()).shape == (1, 3)
+    values = draw_drift(np.array([0.0, 0.1, 0.1, 5e5]), 1.0, rng())
     assert np.isfinite(values).all()
     assert np.array_equal(values[1], values[2])
 
@@ -62,13 +64,13 @@ def test_drift_of_uneven_repeated_single_and_no_times() -> None:
 def test_poses_are_off_by_the_stated_errors() -> None:
     truth, time_s = track()
     only = {"position_noise_m": 0.0, "position_drift_m": 0.0, "position_bias_m": 0.0, "attitude_noise_deg": 0.0}
-    noise = Errors(**{**only, "position_noise_m": 0.05}).measured(truth, time_s, rng())
+    noise = Errors(**{**only, "position_noise_m": 0.05}).perturb_poses(truth, time_s, rng())
     assert (noise.translation - truth.translation).std() == pytest.approx(0.05, rel=0.1)
-    bias = Errors(**{**only, "position_bias_m": 0.5}).measured(truth, time_s, rng())
+    bias = Errors(**{**only, "position_bias_m": 0.5}).perturb_poses(truth, time_s, rng())
     off = bias.translation - truth.translation
     assert np.ptp(off, axis=0).max() < 1e-12
     assert 0.05 < np.linalg.norm(off[0]) < 2.0
-    turned = Errors(**{**only, "attitude_noise_deg": 0.3}).measured(truth, time_s, rng())
+    turned = Errors(**{**only, "attitude_noise_deg": 0.3}).perturb_poses(truth, time_s, rng())
     assert np.array_equal(turned.translation, truth.translation)
     # The length of a vector of three normal errors is 2 sqrt(2 / pi) sigma in the mean.
     mean = angle_between_deg(turned.rotation, truth.rotation).mean()
@@ -77,7 +79,7 @@ def test_poses_are_off_by_the_stated_errors() -> None:
 
 def test_one_seed_gives_one_measurement() -> None:
     truth, time_s = track()
-    first, again, other = (Errors().measured(truth, time_s, rng(seed)) for seed in (1, 1, 2))
+    first, again, other = (Errors().perturb_poses(truth, time_s, rng(seed)) for seed in (1, 1, 2))
     assert np.array_equal(first.translation, again.translation)
     assert np.array_equal(first.rotation, again.rotation)
     assert not np.array_equal(first.translation, other.translation)
@@ -97,12 +99,12 @@ def test_mountings_are_off_up_to_a_known_angle_and_with_the_stated_covariance() 
 def test_clocks_lenses_and_lost_images_have_the_stated_spread() -> None:
     errors = Errors(clock_offset_ns=2_000_000, clock_error_ns=50_000, focal_share=1e-3, centre_share=2e-3, dropped=0.1)
     names = [f"c{number}" for number in range(3000)]
-    clocks = list(errors.clocks(names, rng()).values())
+    clocks = list(errors.draw_clocks(names, rng()).values())
     assert np.std([one.offset_ns for one in clocks]) == pytest.approx(2e6, rel=0.05)
     assert np.std([one.error_ns for one in clocks]) == pytest.approx(5e4, rel=0.05)
-    assert errors.lost(20000, rng()).mean() == pytest.approx(0.1, rel=0.1)
+    assert errors.draw_losses(20000, rng()).mean() == pytest.approx(0.1, rel=0.1)
     camera, source = Camera("pinhole", 1000, 500, 700.0, 700.0, 500.0, 250.0), rng()
-    believed = [errors.believed(camera, source) for _ in range(2000)]
+    believed = [errors.perturb_camera(camera, source) for _ in range(2000)]
     assert np.std([one.fx_px for one in believed]) == pytest.approx(0.7, rel=0.06)
     assert np.std([one.cy_px for one in believed]) == pytest.approx(2.0, rel=0.06)
     assert all(one.fx_px == one.fy_px for one in believed)

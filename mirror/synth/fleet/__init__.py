@@ -1,4 +1,4 @@
-"""What is recorded: presets of scenes and of drives through them, and the drives as they truly were."""
+"""The recordings to be made: presets of scenes, and the true drives through them."""
 
 from __future__ import annotations
 

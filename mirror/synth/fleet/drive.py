@@ -1,4 +1,4 @@
-"""One drive as it truly was: vehicle, motion, traffic and light, and any image of it."""
+"""The ground truth of one drive: vehicle, motion, traffic and light. Renders any image of it."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ _STEP_S: Final = 0.01
 
 @dataclass(frozen=True, eq=False)
 class SynthDrive:
-    """One drive, exactly known. What costs time is made when it is first asked for.
+    """The ground truth of one drive. Expensive parts are computed at their first use.
 
     Attributes:
-        drive_id: its id.
-        preset: that it belongs to.
-        scene: number of its scene in that.
-        recipe: what was wished for.
-        vehicle: that was driven.
-        condition: start, light and weather.
-        world_seed: of the scene.
-        seed: of the traffic, of measurement noise and of image noise.
+        drive_id: id of the drive.
+        preset: preset of the drive.
+        scene: index of the scene in the preset.
+        recipe: specification of the drive.
+        vehicle: recording vehicle.
+        condition: start time, light and weather.
+        world_seed: seed of the scene.
+        seed: seed of the traffic, of measurement noise and of image noise.
     """
 
     drive_id: str
@@ -62,12 +62,12 @@ class SynthDrive:
 
     @property
     def site(self) -> Site:
-        """Its scene."""
+        """The scene of the drive."""
         return self.preset.sites[self.scene]
 
     @property
     def roi(self) -> Roi:
-        """Where that is."""
+        """The region of interest of the scene."""
         return self.site.roi
 
     @cached_property
@@ -78,12 +78,12 @@ class SynthDrive:
 
     @property
     def rig_id(self) -> str:
-        """Of the vehicle: cameras sit a little otherwise in each, and so do their masks."""
+        """Id of the rig. Each vehicle has its own, because mountings and ego masks differ between vehicles."""
         return f"{self.vehicle.kind.name}-{self.vehicle.vehicle_id.rpartition('-')[2]}"
 
     @property
     def world(self) -> World:
-        """All that stands still there; a few worlds are held for all drives."""
+        """The static world of the scene; drives share a small cache of worlds."""
         return _world(self.preset.name, self.scene, self.world_seed)
 
     @cached_property
@@ -114,39 +114,39 @@ class SynthDrive:
 
     @property
     def truth(self) -> Drive:
-        """The vehicle's motion."""
+        """The motion of the recording vehicle."""
         return self._journey.drive
 
     @property
     def road_users(self) -> tuple[RoadUser, ...]:
-        """Everybody else, parked ones too."""
+        """All other road users, including the parked vehicles."""
         return self._journey.road_users
 
     @property
     def own(self) -> Model:
-        """What the vehicle's cameras can see of it, in its ego frame."""
+        """The parts of the vehicle that its own cameras see, in its ego frame."""
         return _own(self.vehicle.kind)
 
     @property
     def ego_masks(self) -> dict[str, UInt8]:
-        """Masks (H, W) of the vehicle itself, 255 where it is seen, of the cameras that see it."""
+        """Masks (H, W) of the recording vehicle, by camera name: 255 where it is visible. Empty masks are left out."""
         return _own_masks(self.vehicle)
 
     @property
     def lenses(self) -> dict[str, Lens]:
-        """The vehicle's cameras as the renderer takes them."""
+        """The rays of each camera, by camera name."""
         return _lenses(self.vehicle)
 
     @cached_property
     def camera_responses(self) -> dict[str, CameraResponse]:
-        """How the vehicle's cameras develop."""
+        """The response of each camera to light, by camera name."""
         from mirror.synth.render.develop import draw_camera_response
 
         return {name: draw_camera_response([self.vehicle.seed, place]) for place, name in enumerate(CANONICAL_CAMERAS)}
 
     @cached_property
     def drops(self) -> dict[str, Records]:
-        """Rain on the lenses, if there is any."""
+        """Rain drops on the lenses, by camera name; empty without rain."""
         from mirror.synth.render.develop import lens_drops
 
         if self.condition.weather != "rain":
@@ -158,35 +158,35 @@ class SynthDrive:
 
     @cached_property
     def stage(self) -> Scene:
-        """What makes its instants and images."""
+        """The scene in the drive's condition, which renders instants and images."""
         from mirror.synth.render.scene import Scene
 
         return Scene(self.world, self.condition, self.road_users, self.own, clock_s=self.truth.clock_s)
 
     def prepare(self) -> None:
-        """Make now what several threads will share: each would make it for itself."""
+        """Compute what threads share, before the threads start; otherwise each thread would compute it."""
         self.stage.prepare()
         _ = self.lenses, self.camera_responses, self.drops
 
     def forget(self) -> None:
-        """Let go of what takes memory; it is made again when it is asked for."""
+        """Release the large cached parts; they are computed again at their next use."""
         for name in ("stage", "_journey"):
             vars(self).pop(name, None)
 
     def seconds(self, timestamp_ns: Int64) -> Float64:
-        """Seconds (N,) since its start."""
+        """Return the seconds (N,) between the start of the drive and Unix times (N,)."""
         return (np.asarray(timestamp_ns, np.int64) - self.condition.start_ns).astype(np.float64) * 1e-9
 
     def world_SE3_ego(self, timestamp_ns: Int64) -> Poses:  # noqa: N802
-        """True poses at Unix times (N,), in the scene's frame."""
+        """Return the true poses of the vehicle at Unix times (N,), in the scene's frame."""
         return self.truth.poses(self.seconds(timestamp_ns))
 
     def world_SE3_camera(self, camera: str, timestamp_ns: Int64) -> Poses:  # noqa: N802
-        """True poses of a camera at Unix times (N,), in the scene's frame."""
+        """Return the true poses of a camera at Unix times (N,), in the scene's frame."""
         return self.world_SE3_ego(timestamp_ns) @ self.vehicle.ego_SE3_camera[camera]
 
     def placements(self, user: RoadUser, timestamp_ns: Int64) -> tuple[Float64, Float64]:
-        """Placements (N, 6) x, y, z, yaw, pitch, roll of a road user at Unix times (N,), and its speeds (N,)."""
+        """Return a road user's placements (N, 6) x, y, z, yaw, pitch, roll and speeds (N,) at Unix times (N,)."""
         from mirror.synth.driving.trace import Moving
 
         motion = user.motion
@@ -199,17 +199,17 @@ class SynthDrive:
         return np.tile(row, (len(timestamp_ns), 1)), np.full(len(timestamp_ns), at.speed_mps)
 
     def at(self, timestamp_ns: int) -> Instant:
-        """All that there is at an instant."""
+        """Return the world at a Unix time."""
         stamps = np.array([timestamp_ns])
         return self.stage.at(float(self.seconds(stamps)[0]), self.world_SE3_ego(stamps))
 
     def render(self, camera: str, timestamp_ns: int, instant: Instant | None = None) -> RenderedImage:
-        """Render what a camera takes.
+        """Render the image of a camera.
 
         Args:
-            camera: its name.
-            timestamp_ns: true mid-exposure.
-            instant: made by `at` for that time; None: it is made.
+            camera: name of the camera.
+            timestamp_ns: true mid-exposure time.
+            instant: the world at that time, from `at`; default: it is computed.
         """
         from mirror.synth.render.scene import Twist
 

@@ -23,16 +23,19 @@ _SEEDS: Final = 1 << 31
 def make_drives(
     preset: str, seed: int, scenes: int | None = None, traversals: int | None = None
 ) -> tuple[Preset, list[SynthDrive]]:
-    """All drives of a preset; none is simulated before it is asked for its motion.
+    """Make all drives of a preset. A drive is simulated when its motion is first used.
 
     Args:
         preset: one of `mirror.synth.fleet.PRESETS`.
-        seed: of everything that is left to chance.
-        scenes: how many scenes; default: all that the preset has.
-        traversals: how many drives with images through each; default: the preset's.
+        seed: seed of all random choices.
+        scenes: number of scenes; default: all scenes of the preset.
+        traversals: number of drives with images through each scene; default: the preset's number.
+
+    Returns:
+        The preset and its drives.
 
     Raises:
-        UsageError: there is no such preset, it has no so many scenes, or the seed is none.
+        UsageError: the preset does not exist, it has fewer scenes, or the seed is out of range.
     """
     if not 0 <= seed < _SEEDS:
         raise UsageError(f"seed {seed}", place="seed", expected=f"a whole number from 0 to {_SEEDS - 1}")
@@ -48,10 +51,10 @@ def make_drives(
 
 
 def make_drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
-    """One drive with images of a preset, however many of those are recorded.
+    """Make one drive with images of a preset, whether or not the preset records it by default.
 
     Raises:
-        UsageError: there is no such preset, or no such drive.
+        UsageError: the preset or the drive does not exist.
     """
     wanted, _, _ = resolve_preset(preset)
     scene_id, _, number = drive_id.rpartition("-")

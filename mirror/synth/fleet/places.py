@@ -1,7 +1,4 @@
-"""Where the scenes are: at these places the sun, the seasons and the maps' grids are as they are there.
-
-What is built there is invented.
-"""
+"""The geographic positions of the scenes: they set the sun, the seasons and the map grids. The streets are invented."""
 
 from __future__ import annotations
 
@@ -51,6 +48,6 @@ SANTIAGO_URBAN: Final = _scene(_SANTIAGO, "urban")
 WUHAN_CAMPUS: Final = _scene(_WUHAN, "campus")
 
 
-def small(roi: Roi, radius_m: float) -> Roi:
-    """The same place with another radius."""
+def with_radius(roi: Roi, radius_m: float) -> Roi:
+    """Return a region of interest with another radius."""
     return roi.model_copy(update={"radius_m": radius_m})

@@ -1,4 +1,4 @@
-"""What is recorded: scenes, and the drives through them by light, weather, route and vehicle."""
+"""Presets: the scenes, and the drives through them by light, weather, route and vehicle."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from mirror.synth.fleet.recipe import Recipe, make_recipes
 
 @dataclass(frozen=True)
 class Site:
-    """One scene, and who drives through it.
+    """One scene and the drives through it.
 
     Attributes:
-        roi: where.
-        yaw_deg: direction of its main street, counter-clockwise from east.
-        fastest_mps: nobody who records drives faster.
-        recipes: drives with images, in this order, and from the first again.
-        others: drives besides: the branches of the trigger, each of another route.
-        bustle: share of the traffic of a busy day.
+        roi: region of interest of the scene.
+        yaw_deg: direction of the main street, counter-clockwise from east.
+        fastest_mps: speed limit of the recording vehicles.
+        recipes: drives with images, in this order; after the last one they repeat from the first.
+        others: further drives, each on another route, which exercise the branches of the trigger.
+        bustle: density of the traffic, as a share of that of a busy day.
     """
 
     roi: Roi
@@ -39,14 +39,14 @@ class Preset:
     """A set of recordings.
 
     Attributes:
-        name: its name.
-        sites: the scenes, of which the first so many are recorded.
-        traversals: drives with images through each scene.
-        width_px: of an image with share 1; `mirror.synth.rigs` says what the cameras make of that.
-        image_hz: images a second and camera.
-        pose_hz: poses a second.
-        on_demand: images are not written; recordings refer to them, and they are rendered when somebody loads them.
-        errors: by which what is recorded differs from the truth.
+        name: name of the preset.
+        sites: the scenes.
+        traversals: number of drives with images through each scene.
+        width_px: image width of a sensor with share 1; see `mirror.synth.rigs.mount.Raster`.
+        image_hz: images per second of each camera.
+        pose_hz: poses per second.
+        on_demand: True: recordings refer to images by URI, and images are rendered when they are loaded.
+        errors: measurement errors of the recordings.
     """
 
     name: str
@@ -68,7 +68,7 @@ _SHOWN: Final = (
     Recipe("along", "night", "rain", "2025-12-03", "suv"),
     Recipe("twice", "day", "clear", "2025-08-20", "estate", morning=True),
 )
-"""Traversals of the small presets: one of everything, early."""
+"""Traversals of the small presets: the first few contain each route, light, weather and pose layout."""
 
 _SKIMS: Final = Recipe("corner", "day", "clear", "2025-05-15", "saloon")
 _SKIMS_UNSEEN: Final = Recipe("corner", "day", "clear", "2025-05-15", "saloon", images=False)
@@ -84,8 +84,8 @@ _HIGHWAY: Final = (("along", 0), ("back", 0), ("change", 0), ("other", 0), ("bac
 _SEVEN: Final = ("saloon", "truck", "suv", "hatchback", "bus", "estate", "van")
 
 
-def _turned(recipes: tuple[Recipe, ...], by: int) -> tuple[Recipe, ...]:
-    """The same in the same order, begun elsewhere, so that scenes differ in what they have."""
+def _rotate(recipes: tuple[Recipe, ...], by: int) -> tuple[Recipe, ...]:
+    """Rotate the order of recipes, so that scenes begin with different ones."""
     return (*recipes[by:], *recipes[:by])
 
 
@@ -108,9 +108,9 @@ def _benchmark() -> Preset:
 
 
 def _block(roi: Roi, yaw_deg: float, radius_m: float, first: int) -> Site:
-    """A scene of one block, driven there and back in five conditions."""
+    """A scene of one block, driven in both directions in five conditions."""
     routes = (("along", 0), ("back", 0))
-    return Site(places.small(roi, radius_m), yaw_deg, 7.5, make_recipes(routes, _SEVEN, 5, first), bustle=0.6)
+    return Site(places.with_radius(roi, radius_m), yaw_deg, 7.5, make_recipes(routes, _SEVEN, 5, first), bustle=0.6)
 
 
 def _reconstruction() -> Preset:
@@ -142,7 +142,7 @@ def _paper() -> Preset:
     return Preset("paper", sites, traversals=14, width_px=960, image_hz=10.0, pose_hz=100.0, on_demand=True)
 
 
-_TINY: Final = places.small(places.GUANGZHOU_URBAN, 62.0)
+_TINY: Final = places.with_radius(places.GUANGZHOU_URBAN, 62.0)
 
 PRESETS: Final = {
     preset.name: preset
@@ -159,7 +159,9 @@ PRESETS: Final = {
             "demo",
             (
                 Site(places.GUANGZHOU_URBAN, 24.0, 14.0, _SHOWN, (_SKIMS, _PASSES_FAST, _STANDS, _TURNS_ROUND), 0.8),
-                Site(places.small(places.KARLSRUHE_CAMPUS, 120.0), -61.0, 10.0, _turned(_SHOWN, 3), (_POSES_ONLY,)),
+                Site(
+                    places.with_radius(places.KARLSRUHE_CAMPUS, 120.0), -61.0, 10.0, _rotate(_SHOWN, 3), (_POSES_ONLY,)
+                ),
             ),
             traversals=5,
             width_px=400,
@@ -171,21 +173,21 @@ PRESETS: Final = {
         _paper(),
     )
 }
-"""By name. ``tiny`` for tests, ``quick`` and ``demo`` to look at, ``block`` and ``reconstruction`` with one and three
-blocks of a street, ``benchmark`` with four kinds of scene in six conditions, ``paper`` as large as the paper's dataset:
-ten scenes in six cities, seven types of vehicle; images on demand."""
+"""All presets, by name. ``tiny`` is for tests, ``quick`` and ``demo`` are for demonstrations, ``block`` and
+``reconstruction`` have one and three blocks of a street, ``benchmark`` has four kinds of scene in six conditions, and
+``paper`` is as large as the paper's dataset: ten scenes in six cities, seven vehicle types, images on demand."""
 
 
 def resolve_preset(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:
-    """A preset, and how many scenes and traversals of it are meant.
+    """Return a preset and the numbers of scenes and traversals, with defaults filled in.
 
     Args:
         preset: one of `PRESETS`.
-        scenes: how many scenes; default: all that the preset has.
-        traversals: how many drives with images through each; default: the preset's.
+        scenes: number of scenes; default: all scenes of the preset.
+        traversals: number of drives with images through each scene; default: the preset's number.
 
     Raises:
-        UsageError: there is no such preset, or it has no so many scenes.
+        UsageError: the preset does not exist, it has fewer scenes, or ``traversals`` is below 1.
     """
     if preset not in PRESETS:
         raise UsageError(f"no preset {preset!r}", expected=f"one of {', '.join(PRESETS)}")
@@ -200,5 +202,5 @@ def resolve_preset(preset: str, scenes: int | None = None, traversals: int | Non
 
 
 def cycle_recipes(site: Site, traversals: int) -> list[Recipe]:
-    """The drives with images through a scene, in order; after the last the first comes again."""
+    """Return the recipes of the first ``traversals`` drives with images; after the last recipe they repeat."""
     return list(islice(cycle(site.recipes), traversals))

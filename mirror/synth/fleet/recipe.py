@@ -1,4 +1,4 @@
-"""A drive as it is wished for, and programmes of many of them."""
+"""Specifications of drives."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from mirror.recordings.light import Light
 from mirror.synth.light.condition import Weather
 
 PoseStyle = Literal["csv", "parquet", "parts", "heading", "gps"]
-"""How poses are written: one CSV or Parquet file with quaternions, several files in sequence, headings alone, or GPS
-microseconds."""
+"""Layout of the poses: one CSV or Parquet file with quaternions, several files in sequence, a file with headings in
+place of quaternions, or a file with GPS microseconds."""
 
 CONDITIONS: Final[tuple[tuple[Light, Weather], ...]] = (
     ("day", "clear"), ("night", "clear"), ("day", "rain"), ("dusk", "clear"), ("day", "clouds"), ("night", "rain"),
 )  # fmt: skip
-"""Six of light and weather."""
+"""Six combinations of light and weather."""
 
 _DATES: Final = (
     "2025-05-14", "2025-11-19", "2025-07-02", "2026-01-21", "2025-10-22", "2026-03-30", "2025-08-20", "2025-12-03",
@@ -26,19 +26,19 @@ _MORNINGS: Final = (False, False, True)
 
 @dataclass(frozen=True)
 class Recipe:
-    """One drive as it is wished for.
+    """The specification of one drive.
 
     Attributes:
         route: one of `mirror.synth.driving.routes.ROUTES`.
         light: day, dusk or night.
         weather: clear, clouds or rain.
         date: local ISO date.
-        vehicle: type of the vehicle, of `mirror.synth.rigs.VEHICLE_TYPES`.
-        variant: where a scene has several such routes (lanes beside each other, crossings to turn at): which.
-        poses: how its poses are written.
-        images: whether it records images.
-        morning: whether the sun stands in the east.
-        lost: camera and number of an image that was lost.
+        vehicle: one of `mirror.synth.rigs.VEHICLE_TYPES`.
+        variant: index among the routes of that name, where a scene has several (parallel lanes, several crossings).
+        poses: layout of the poses.
+        images: whether the drive records images.
+        morning: True: the drive is before noon; False: after noon.
+        lost: camera and index of an image that is lost; None: no image is lost.
     """
 
     route: str
@@ -56,18 +56,18 @@ class Recipe:
 def make_recipes(
     routes: Sequence[tuple[str, int]], vehicles: Sequence[str], count: int, first: int = 0
 ) -> tuple[Recipe, ...]:
-    """Drives that go through routes, conditions, dates and vehicles, each in turn.
+    """Make recipes that cycle through routes, conditions, dates and vehicles.
 
     Args:
-        routes: names and variants.
-        vehicles: types.
-        count: how many drives.
-        first: where in the conditions, dates and vehicles it begins, so that scenes differ.
+        routes: names and variants of the routes.
+        vehicles: vehicle types.
+        count: number of recipes.
+        first: index at which the conditions, dates and vehicles begin, so that scenes differ.
     """
     found = []
     for number in range(count):
         turn = number + first
-        # Every time all conditions have come, they meet other routes.
+        # After each full cycle of conditions, the routes shift by one, so that all combinations occur.
         route, variant = routes[(number + number // len(CONDITIONS)) % len(routes)]
         light, weather = CONDITIONS[turn % len(CONDITIONS)]
         found.append(

@@ -1,3 +1,3 @@
-"""Images that are rendered when somebody reads them, by a uri that says which: no file holds them."""
+"""Images on demand: a URI names each image, and reading it renders the image."""
 
 from __future__ import annotations

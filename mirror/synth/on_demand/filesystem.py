@@ -1,4 +1,4 @@
-"""The images as a file system of fsspec: reading one renders it."""
+"""An fsspec file system of images on demand: reading a file renders it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _INSTANTS_HELD: Final = 2
 
 
 class SynthFileSystem(AbstractFileSystem):
-    """Read only. Sizes and the last bytes of images are had without rendering."""
+    """A read-only file system. The size and the last bytes of an image are known without rendering."""
 
     protocol = SCHEME
     root_marker = ""
@@ -33,26 +33,26 @@ class SynthFileSystem(AbstractFileSystem):
         return str(path).removeprefix(f"{SCHEME}://").rstrip("/")
 
     def info(self, path: str, **kwargs: Any) -> dict[str, Any]:
-        """Name, size and type of an image.
+        """Return the name, size and type of an image.
 
         Raises:
-            DatasetError: the name is none, or of another version of the street.
-            FileNotFoundError: there is no such drive or camera.
+            DatasetError: the name is malformed, or belongs to another version of the street.
+            FileNotFoundError: the drive or the camera does not exist.
         """
         name = self._strip_protocol(path)
         return {"name": name, "size": _length(parse_image_name(name)), "type": "file"}
 
     def ls(self, path: str, detail: bool = True, **kwargs: Any) -> list[Any]:
-        """The image alone; there are no folders to look into."""
+        """Return the image itself; there are no folders."""
         info = self.info(path)
         return [info if detail else info["name"]]
 
     def cat_file(self, path: str, start: int | None = None, end: int | None = None, **kwargs: Any) -> bytes:
-        """Some bytes of an image; it is rendered unless they are its last ones.
+        """Return a range of the bytes of an image; renders it unless the range is in the constant end of the file.
 
         Raises:
-            DatasetError: the name is none, or of another version of the street.
-            FileNotFoundError: there is no such drive or camera, or the drive has no such instant.
+            DatasetError: the name is malformed, or belongs to another version of the street.
+            FileNotFoundError: the drive or the camera does not exist, or the time is outside the drive.
         """
         name = parse_image_name(self._strip_protocol(path))
         length = _length(name)
@@ -60,7 +60,7 @@ class SynthFileSystem(AbstractFileSystem):
         before = length - len(TAIL)
         if first >= before:
             return TAIL[first - before : max(last, first) - before]
-        return _drive(name.preset, name.seed, name.drive_id).encoded(name)[first:last]
+        return _drive(name.preset, name.seed, name.drive_id).encode(name)[first:last]
 
     def _open(self, path: str, mode: str = "rb", **kwargs: Any) -> io.BytesIO:
         if mode != "rb":
@@ -68,16 +68,16 @@ class SynthFileSystem(AbstractFileSystem):
         return io.BytesIO(self.cat_file(path))
 
 
-class _Open:
-    """A drive that images are asked of, from several threads."""
+class _OpenDrive:
+    """Renders images of one drive for several threads."""
 
     def __init__(self, drive: SynthDrive) -> None:
         self.drive = drive
         self._instants: OrderedDict[int, Instant] = OrderedDict()
         self._lock = threading.Lock()
 
-    def encoded(self, name: ImageName) -> bytes:
-        # One builds the scene and the instant, which all cameras share; the others wait. They render side by side.
+    def encode(self, name: ImageName) -> bytes:
+        # One thread builds the scene and the instant, which all cameras share. All threads render in parallel.
         with self._lock:
             drive = self.drive
             seconds = 1e-9 * (name.true_ns - drive.condition.start_ns)
@@ -95,17 +95,17 @@ class _Open:
 _OPENING = threading.Lock()
 
 
-def _drive(preset: str, seed: int, drive_id: str) -> _Open:
+def _drive(preset: str, seed: int, drive_id: str) -> _OpenDrive:
     with _OPENING:
-        return _opened(preset, seed, drive_id)
+        return _open_drive(preset, seed, drive_id)
 
 
 @lru_cache(_DRIVES_HELD)
-def _opened(preset: str, seed: int, drive_id: str) -> _Open:
-    return _Open(_found(preset, seed, drive_id))
+def _open_drive(preset: str, seed: int, drive_id: str) -> _OpenDrive:
+    return _OpenDrive(_make_drive(preset, seed, drive_id))
 
 
-def _found(preset: str, seed: int, drive_id: str) -> SynthDrive:
+def _make_drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
     from mirror.synth.fleet.drives import make_drive
 
     try:
@@ -114,10 +114,10 @@ def _found(preset: str, seed: int, drive_id: str) -> SynthDrive:
         raise FileNotFoundError(str(error)) from error
 
 
-# Sizes alone are asked of many drives: none of those that are open is given up for them.
+# Sizes are requested of many drives; a cache of their own keeps the open drives in memory.
 @lru_cache(4096)
 def _raster(preset: str, seed: int, drive_id: str) -> dict[str, tuple[int, int]]:
-    cameras = _found(preset, seed, drive_id).vehicle.cameras
+    cameras = _make_drive(preset, seed, drive_id).vehicle.cameras
     return {name: (camera.width_px, camera.height_px) for name, camera in cameras.items()}
 
 

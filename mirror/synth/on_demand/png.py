@@ -1,6 +1,6 @@
-"""PNGs whose length is known before their pixels are: stored, not compressed (ISO 15948; RFC 1950 and 1951).
+"""Uncompressed PNGs with a length that depends on the raster only (ISO 15948; RFC 1950 and 1951).
 
-Their last bytes are the same in all: what asks for a file's size and end need not have it rendered.
+All files end with the same bytes. A reader of the size and the end of a file does not need its pixels.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 TAIL: Final = _chunk(b"tEXt", _NOTE.ljust(TAIL_BYTES, b" ")) + _chunk(b"IEND", b"")
-"""How every one of them ends: a little longer than what is looked at for an end marker."""
+"""The last bytes of every file; longer than the part that readers search for an end marker."""
 
 
 def stored_png_length(width_px: int, height_px: int) -> int:
-    """Bytes of an image of that raster."""
+    """Return the number of bytes of the PNG of a raster."""
     raw = height_px * (3 * width_px + 1)
     packed = len(_ZLIB_HEADER) + raw + 5 * -(-raw // _BLOCK) + 4
     return len(_SIGNATURE) + _CHUNK + 13 + _CHUNK + packed + len(TAIL)
 
 
 def encode_stored_png(bgr: UInt8) -> bytes:
-    """Encode an image.
+    """Encode an image as an uncompressed PNG.
 
     Args:
-        bgr: (H, W, 3), blue first.
+        bgr: (H, W, 3) pixels, blue first.
 
     Returns:
         `stored_png_length` bytes that end with `TAIL`; the same on every machine for the same pixels.

@@ -1,4 +1,4 @@
-"""How an image on demand is named: ``mirror-synth://<street>/<preset>/<seed>/<drive>/<camera>/<true_ns>.png``."""
+"""The URI of an image on demand: ``mirror-synth://<street>/<preset>/<seed>/<drive>/<camera>/<true_ns>.png``."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from mirror.errors import DatasetError
 
 SCHEME: Final = "mirror-synth"
 STREET: Final = 1
-"""Version of the street: another draws other images by the same names."""
+"""Version of the synthetic street; another version renders other images for the same names."""
 _EXPECTED: Final = f"{SCHEME}://{STREET}/<preset>/<seed>/<drive>/<camera>/<true_ns>.png"
 
 
 class ImageName(NamedTuple):
-    """Which image.
+    """The name of an image on demand.
 
     Attributes:
-        preset: its recording's preset.
-        seed: of that.
-        drive_id: the drive.
-        camera: the camera.
-        true_ns: when it truly was taken: mid-exposure.
+        preset: preset of the recording.
+        seed: seed of the recording.
+        drive_id: id of the drive.
+        camera: name of the camera.
+        true_ns: true mid-exposure time.
     """
 
     preset: str
@@ -30,24 +30,25 @@ class ImageName(NamedTuple):
     true_ns: int
 
     def uri(self) -> str:
-        """Its uri."""
+        """Return the URI of the image."""
         return f"{SCHEME}://{STREET}/{self.preset}/{self.seed}/{self.drive_id}/{self.camera}/{self.true_ns}.png"
 
 
 def parse_image_name(path: str) -> ImageName:
-    """The image that a uri, or one without its scheme, names.
+    """Parse the URI of an image on demand, with or without its scheme.
 
     Raises:
-        DatasetError: it names none, or one of another version of the street.
+        DatasetError: the URI is malformed, or names an image of another version of the street.
     """
     parts = path.removeprefix(f"{SCHEME}://").split("/")
     if parts[0].isdecimal() and int(parts[0]) != STREET:
         raise DatasetError(
-            f"the image is of version {parts[0]} of the synthetic street, which is not drawn any more",
+            f"the image is of version {parts[0]} of the synthetic street, which this toolkit does not render",
             file=f"{SCHEME}://{'/'.join(parts)}",
             expected=f"version {STREET}",
             remedy="install the version of the toolkit that wrote the recordings, or write and ingest them anew",
+            remedy="install the mirror-dataset that wrote the recordings, or write and ingest them again",
         )
     if len(parts) != 6 or not (parts[2].isdecimal() and parts[5].removesuffix(".png").isdecimal()):
-        raise DatasetError("no image's name", file=f"{SCHEME}://{'/'.join(parts)}", expected=_EXPECTED)
+        raise DatasetError("not the URI of an image", file=f"{SCHEME}://{'/'.join(parts)}", expected=_EXPECTED)
     return ImageName(parts[1], int(parts[2]), parts[3], parts[4], int(parts[5].removesuffix(".png")))

@@ -1,4 +1,4 @@
-"""Recording vehicles: seven types with seven cameras each, and the vehicles that are built of them."""
+"""Recording vehicles: seven vehicle types with seven cameras each, and single vehicles of these types."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recording vehicle's cameras see of the vehicle itself: the bonnet of a car, the flanks of larger ones."""
+"""The parts of a recording vehicle that its own cameras see: the bonnet of a car, the flanks of a larger vehicle."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ from mirror.synth.road_users.ego import Measures, make_ego_body
 
 
 def make_ego_model(kind: VehicleType) -> Model:
-    """The parts of a vehicle that its own cameras can see, in the ego frame."""
+    """Build the parts of a vehicle that its own cameras can see, in the ego frame."""
     size = kind.size
     return make_ego_body(kind.name, Measures(size.length_m, size.width_m, size.height_m, size.wheelbase_m, size.rear_m))

@@ -1,4 +1,4 @@
-"""One camera of a rig as it was designed: lens, raster, place and direction."""
+"""The design of one camera of a rig: lens, sensor, position and direction."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ _EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 
 
 @dataclass(frozen=True)
 class Raster:
-    """A sensor.
+    """The raster of a sensor.
 
     Attributes:
-        share: its width, as a share of the preset's.
-        aspect: width over height.
+        share: width as a share of the preset's image width.
+        aspect: width divided by height.
     """
 
     share: float
     aspect: float
 
     def size_px(self, width_px: int) -> tuple[int, int]:
-        """Width and height, both even, for a preset's width."""
+        """Return width and height in pixels, both even, for a preset's image width."""
         width = max(2 * round(0.5 * self.share * width_px), 2)
         return width, max(2 * round(0.5 * width / self.aspect), 2)
 
 
 @dataclass(frozen=True)
 class Optics:
-    """A lens, whatever sensor is behind it.
+    """A lens, independent of the sensor.
 
     Attributes:
-        model: camera model.
-        view_deg: horizontal angle of view, which fills the sensor's width.
-        distortion: the model's coefficients; of ``f_theta``: in focal lengths, ``c1`` = 1.
+        model: name of the camera model.
+        view_deg: horizontal angle of view over the full width of the sensor.
+        distortion: coefficients of the model; for ``f_theta`` in units of the focal length, with ``c1`` = 1.
     """
 
     model: str
@@ -47,7 +47,7 @@ class Optics:
     distortion: tuple[float, ...] = ()
 
     def camera(self, raster: Raster, width_px: int) -> Camera:
-        """The camera that it makes with a sensor at a preset's width, its axis in the middle."""
+        """Return the camera of this lens and a sensor at a preset's image width; the optical axis is in the middle."""
         width, height = raster.size_px(width_px)
         half = math.radians(self.view_deg / 2.0)
         unit = Camera(self.model, 2, 2, 1.0, 1.0, 0.0, 0.0, self.distortion)
@@ -61,15 +61,15 @@ class Optics:
 
 @dataclass(frozen=True)
 class Mount:
-    """One camera.
+    """The design of one camera.
 
     Attributes:
-        camera: canonical name.
-        optics: its lens.
-        raster: its sensor.
-        place_m: in the ego frame.
-        yaw_deg: of the optical axis, to the left of forward.
-        pitch_deg: of the optical axis, upwards.
+        camera: canonical camera name.
+        optics: lens of the camera.
+        raster: sensor of the camera.
+        place_m: position in the ego frame.
+        yaw_deg: yaw of the optical axis, positive to the left of forward.
+        pitch_deg: pitch of the optical axis, positive upwards.
     """
 
     camera: str
@@ -80,7 +80,7 @@ class Mount:
     pitch_deg: float
 
     def ego_SE3_camera(self) -> Poses:  # noqa: N802
-        """Its pose."""
+        """Return the pose of the camera in the ego frame."""
         yaw, pitch = math.radians(self.yaw_deg), math.radians(self.pitch_deg)
         cos, sin, up_cos, up_sin = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -14,14 +14,14 @@ Shutter = Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "
 
 @dataclass(frozen=True)
 class Size:
-    """The outline of a vehicle; its ego frame begins under the rear axle.
+    """The dimensions of a vehicle. The origin of the ego frame is on the ground below the rear axle.
 
     Attributes:
-        length_m: over all.
-        width_m: without mirrors.
-        height_m: over all.
-        wheelbase_m: from axle to axle.
-        rear_m: from the rear axle to the rear end.
+        length_m: total length.
+        width_m: width without mirrors.
+        height_m: total height.
+        wheelbase_m: distance between the axles.
+        rear_m: distance from the rear axle to the rear end.
     """
 
     length_m: float
@@ -32,22 +32,22 @@ class Size:
 
     @property
     def middle_m(self) -> float:
-        """How far its middle lies before the rear axle."""
+        """Distance from the rear axle forward to the middle of the vehicle."""
         return 0.5 * self.length_m - self.rear_m
 
 
 @dataclass(frozen=True)
 class VehicleType:
-    """A make of vehicle with its rig.
+    """A type of recording vehicle with its camera rig.
 
     Attributes:
-        name: the vehicle type.
-        size: its outline.
+        name: name of the vehicle type.
+        size: dimensions of the vehicle.
         mounts: seven cameras in canonical order.
-        stagger_ns: each camera exposes this much later than the one before.
-        exposure_ns: length of the exposure of one row.
-        shutter: in which direction rows are exposed one after the other.
-        readout_ns: from the first row's to the last row's start of exposure.
+        exposure_ns: exposure time of one row.
+        stagger_ns: delay of each camera's exposure against the previous camera.
+        shutter: direction in which the rows are exposed.
+        readout_ns: time from the start of the first row's exposure to the start of the last row's exposure.
     """
 
     name: EgoKind
@@ -61,7 +61,7 @@ class VehicleType:
 
 @dataclass(frozen=True)
 class _Head:
-    """Cameras that look forward from one place: the wide one in the middle, the narrow one beside it."""
+    """The two forward cameras: the wide one in the middle, the narrow one beside it."""
 
     wide: Optics
     narrow: Optics
@@ -74,7 +74,7 @@ class _Head:
 
 @dataclass(frozen=True)
 class _Pair:
-    """A left camera, and a right one that mirrors it; angles to the left and upwards."""
+    """A left camera and its mirror image on the right; positive angles are to the left and upwards."""
 
     optics: Optics
     raster: Raster
@@ -92,7 +92,7 @@ class _Pair:
 
 @dataclass(frozen=True)
 class _Tail:
-    """The camera that looks backwards."""
+    """The rear camera."""
 
     optics: Optics
     raster: Raster
@@ -101,7 +101,7 @@ class _Tail:
 
 
 def _rig(head: _Head, front: _Pair, rear: _Pair, tail: _Tail) -> tuple[Mount, ...]:
-    """All seven, in canonical order."""
+    """Return all seven cameras, in canonical order."""
     x, y, z = head.place_m
     return (
         Mount("front_wide", head.wide, head.raster, head.place_m, 0.0, head.pitch_deg),
@@ -242,4 +242,4 @@ BUS: Final = VehicleType(
 VEHICLE_TYPES: Final[Mapping[str, VehicleType]] = {
     one.name: one for one in (SALOON, HATCHBACK, ESTATE, SUV, VAN, TRUCK, BUS)
 }
-"""By name."""
+"""All vehicle types, by name."""

@@ -1,4 +1,4 @@
-"""One vehicle: its cameras sit where they were installed, which is not quite where they were designed."""
+"""One recording vehicle: its true cameras differ from the design by manufacturing tolerances."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _STAGES: Final[tuple[Stage, ...]] = ("factory", "online")
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One vehicle.
+    """One recording vehicle.
 
     Attributes:
-        vehicle_id: pseudonym.
-        kind: its type.
-        width_px: of a preset; its cameras' rasters follow from that.
-        seed: of its tolerances, and of what the factory believes of them.
+        vehicle_id: pseudonym of the vehicle.
+        kind: type of the vehicle.
+        width_px: image width of the preset; it sets the raster of each camera.
+        seed: seed of the tolerances and of the factory calibration.
     """
 
     vehicle_id: str
@@ -38,7 +38,7 @@ class Vehicle:
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
-        """True lenses by camera name, in canonical order."""
+        """True intrinsics by camera name, in canonical order."""
         rng = np.random.default_rng([self.seed, 1])
         return {
             mount.camera: perturb_intrinsics(
@@ -56,22 +56,22 @@ class Vehicle:
     def calibration(
         self, stage: Stage, errors: Errors, drive: int, clocks: Mapping[str, Clock]
     ) -> list[dict[str, Any]]:
-        """What a stage says of every camera: entries of ``calibrations/<stage>.json``.
+        """Return the calibration of every camera at a stage: the entries of ``calibrations/<stage>.json``.
 
         Args:
             stage: factory or online.
-            errors: by which that differs from the truth.
-            drive: seed of the drive: the online calibration is another in each.
-            clocks: of all cameras.
+            errors: errors of the calibration.
+            drive: seed of the drive; the online calibration differs between drives.
+            clocks: clock of each camera.
         """
         number = _STAGES.index(stage)
         mountings = np.random.default_rng([self.seed, 3, number, drive if stage == "online" else 0])
         lenses = np.random.default_rng([self.seed, 4])
-        error = errors.mounting(stage)
+        error = errors.mounting_error(stage)
         return [
             self._entry(
                 name,
-                errors.believed(self.cameras[name], lenses),
+                errors.perturb_camera(self.cameras[name], lenses),
                 self.ego_SE3_camera[name] @ error.draw(mountings),
                 time_offset_ns=clocks[name].offset_ns,
                 covariance=error.covariance(),
@@ -81,7 +81,7 @@ class Vehicle:
         ]
 
     def true_calibration(self) -> list[dict[str, Any]]:
-        """The same entries, exact."""
+        """Return the true calibration, in the same form as `calibration`."""
         return [
             self._entry(
                 name, camera, self.ego_SE3_camera[name], time_offset_ns=0, covariance=None, method="synthetic, truth"

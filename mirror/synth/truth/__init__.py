@@ -1,4 +1,4 @@
-"""Exact truth of a recording: depth, normals, masks, flow, boxes with visibility, poses, calibrations."""
+"""Exact ground truth of a recording: depth, normals, masks, flow, boxes with visibility, poses, calibrations."""
 
 from __future__ import annotations
 

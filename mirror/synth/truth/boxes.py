@@ -1,4 +1,4 @@
-"""What of each object an image shows: how much of it is hidden, and where its pixels lie."""
+"""The visibility of objects in an image: the visible share of each, and the bounds of its pixels."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _MOST_RAYS: Final = 6000
 
 @dataclass(frozen=True, eq=False)
 class PosedObject:
-    """One object as it stands at an instant.
+    """One object at an instant.
 
     Attributes:
-        model: in the world.
-        world_SE3_box: the pose of its 3D box; one.
+        model: model of the object, in the world frame.
+        world_SE3_box: one pose: that of the object's 3D box.
         size_m: length, width, height of the box, which encloses the model.
     """
 
@@ -34,14 +34,14 @@ class PosedObject:
 
 @dataclass(frozen=True, eq=False)
 class ObjectVisibility:
-    """What an image shows of N objects.
+    """The visibility of N objects in an image.
 
     Attributes:
-        number: (N,) of the object, ascending.
-        pixels: (N,) that show it.
-        visibility: (N,) share of its pixels that are seen, of those that would be if nothing stood before it; what lies
-            outside the raster counts in neither.
-        bounds_px: (N, 4) ``u_min v_min u_max v_max`` of the pixels that show it, whole pixels; NaN where none does.
+        number: (N,) object numbers, ascending.
+        pixels: (N,) number of pixels that show the object.
+        visibility: (N,) number of visible pixels divided by the number without occluders; pixels outside the raster
+            count in neither.
+        bounds_px: (N, 4) ``u_min v_min u_max v_max`` of the visible pixels, in whole pixels; NaN without any.
     """
 
     number: Int64
@@ -56,17 +56,17 @@ class ObjectVisibility:
 def measure_visibility(
     objects: Int32, camera: Camera, world_SE3_camera: Poses, standing: Mapping[int, PosedObject]
 ) -> ObjectVisibility:
-    """Find what an image shows of each object.
+    """Measure the visibility of each object in an image.
 
     Args:
         objects: (H, W) number of the object at the centre of each pixel, below 0 where there is none.
-        camera: of the image.
-        world_SE3_camera: one pose.
-        standing: the objects by number.
+        camera: camera of the image.
+        world_SE3_camera: one pose of the camera.
+        standing: the objects, by number.
 
     Returns:
-        Of those that would have a pixel if nothing stood before them. The visibility of large ones is that of every
-        second or third pixel or so, across and down: of some thousands of pixels.
+        The objects that would cover a pixel without occluders. The visibility of large objects is estimated on a
+        regular grid of some thousands of pixels.
     """
     numbers = np.array(sorted(standing), np.int64)
     counts, bounds = _extents(objects, numbers)
@@ -87,21 +87,21 @@ def measure_visibility(
         there = cast_rays(ones[row].model, origin, rays)[1] != NOTHING
         if there.any():
             shares[row] = (objects[v, u].ravel()[there] == numbers[row]).mean()
-    # A pixel that the renderer gives to it is there, even where the ray of the coarse grid or rounding missed it.
+    # The renderer found a pixel of the object, but no ray of the grid hit it: the object counts as visible.
     shares = np.where(np.isnan(shares) & (counts > 0), 1.0, shares)
     known = ~np.isnan(shares)
     return ObjectVisibility(numbers[known], counts[known], shares[known], bounds[known])
 
 
 def _grid(bounds_px: Float64) -> tuple[Int64, Int64]:
-    """Columns and rows of pixels in a rectangle: all of them, or as coarse a grid as the number of rays asks."""
+    """Columns and rows of pixels in a rectangle, thinned to a grid of at most about _MOST_RAYS pixels."""
     first, end = np.floor(bounds_px[:2]).astype(int), np.ceil(bounds_px[2:]).astype(int)
     step = max(int(np.ceil(np.sqrt((end - first).prod() / _MOST_RAYS))), 1)
     return np.arange(first[0], end[0], step), np.arange(first[1], end[1], step)
 
 
 def _extents(objects: Int32, numbers: Int64) -> tuple[Int64, Float64]:
-    """Counts (N,) and bounds (N, 4) of the pixels of each of the ascending numbers."""
+    """Counts (N,) and bounds (N, 4) of the pixels of each object number; the numbers (N,) are ascending."""
     counts, bounds = np.zeros(len(numbers), np.int64), np.full((len(numbers), 4), np.nan)
     rows, columns = np.nonzero(np.isin(objects, numbers))
     which = np.searchsorted(numbers, objects[rows, columns])

@@ -1,4 +1,4 @@
-"""Rays against a model, one by one and in float64: exact distances, and what covers a pixel."""
+"""Casts single rays against a model in float64: exact distances, and the surface that each ray hits."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ NOTHING: Final = -1
 
 
 def cast_rays(model: Model, origin: Float64, directions: Float64) -> tuple[Float64, Int64]:
-    """The first surface on each ray. Faces are seen from outside, those with two sides from both.
+    """Find the first surface on each ray. Faces are visible from outside; two-sided faces from both sides.
 
     Args:
-        model: in any frame.
-        origin: (3,) of all rays, in that frame; not within an ellipsoid.
-        directions: (N, 3), of any length but 0.
+        model: model in any frame.
+        origin: (3,) origin of all rays, in the same frame; not inside an ellipsoid.
+        directions: (N, 3) directions of any length above 0.
 
     Returns:
-        Distances (N,) in lengths of the directions, infinite where there is nothing; and indices (N,) of the surfaces:
-        faces first, then rounds; NOTHING where there is none.
+        Distances (N,) in units of the directions' lengths, infinite without a hit; and indices (N,) of the surfaces:
+        faces first, then ellipsoids; NOTHING without a hit.
     """
     rays = np.ascontiguousarray(directions, np.float64)
     distance, index = np.full(len(rays), np.inf), np.full(len(rays), NOTHING, np.int64)
@@ -57,15 +57,15 @@ def cast_rays(model: Model, origin: Float64, directions: Float64) -> tuple[Float
 
 
 def ego_mask(own: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
-    """Where a camera sees its own vehicle.
+    """Return the mask of a camera's own vehicle.
 
     Args:
-        own: the vehicle, in the ego frame.
-        camera: the lens.
-        ego_SE3_camera: one mounting.
+        own: model of the vehicle, in the ego frame.
+        camera: the camera.
+        ego_SE3_camera: one pose: the mounting of the camera.
 
     Returns:
-        (H, W), 255 in every pixel that shows any of it, tested at the pixels' corners, edges and centres; else 0.
+        (H, W) mask: 255 where a ray through a corner, edge middle or centre of the pixel hits the vehicle, else 0.
     """
     mask = np.zeros((camera.height_px, camera.width_px), np.uint8)
     low, high = own.bounds()
@@ -120,7 +120,7 @@ def _cast_faces(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _within(corners: Float64, first: int, count: int, normal: Float64, origin: Float64, ray: Float64, t: float) -> bool:
-    """Whether a point of a face's plane lies in the face: on the inner side of all its edges."""
+    """Whether a point in the plane of a face is inside the face: on the inner side of all its edges."""
     x, y, z = origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2]
     last = first + count - 1
     ax, ay, az = corners[last, 0] - x, corners[last, 1] - y, corners[last, 2] - z
@@ -144,7 +144,7 @@ def _cast_rounds(
     distance: Float64,
     index: Int64,
 ) -> None:
-    """In a frame in which the ellipsoid is the unit sphere."""
+    """Intersect rays with ellipsoids, in the frame in which the ellipsoid is the unit sphere."""
     for e in range(len(centre)):
         dx, dy, dz = origin[0] - centre[e, 0], origin[1] - centre[e, 1], origin[2] - centre[e, 2]
         ox = (axes[e, 0, 0] * dx + axes[e, 0, 1] * dy + axes[e, 0, 2] * dz) / half[e, 0]
@@ -159,7 +159,7 @@ def _cast_rounds(
             along = -(ox * rx + oy * ry + oz * rz)
             if along <= 0.0:
                 continue
-            # The distance of the ray from the middle, from a cross product: a difference of squares would cancel.
+            # A cross product gives the ray's distance from the centre; a difference of squares would cancel.
             mx, my, mz = oy * rz - oz * ry, oz * rx - ox * rz, ox * ry - oy * rx
             room = square - (mx * mx + my * my + mz * mz)
             if room < 0.0:

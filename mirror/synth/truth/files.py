@@ -1,4 +1,4 @@
-"""The folder ``truth`` of a recording: what it says of itself, and what is read back from it."""
+"""The folder ``truth`` of a recording: its document, and a reader."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class TruthObject(Document):
     """One road user of a recording.
 
     Attributes:
-        track_id: as in ``boxes.parquet``.
-        category: its class.
+        track_id: track id, as in ``boxes.parquet``.
+        category: class of the road user.
     """
 
     track_id: str
@@ -37,10 +37,10 @@ class TruthDocument(Document):
     """``truth.json``.
 
     Attributes:
-        scene: whose east-north-up frame at its centre is the world frame.
-        kinds: of the images' truth that is there.
-        labels: values of the semantic masks by name.
-        objects: the k-th, counting from 1, has the value k in the instance masks.
+        scene: the scene; the east-north-up frame at its centre is the world frame.
+        kinds: kinds of image truth in the folder.
+        labels: values of the semantic masks, by name.
+        objects: road users; the k-th, counting from 1, has the value k in the instance masks.
     """
 
     format: Literal["mirror-truth"] = "mirror-truth"
@@ -53,44 +53,44 @@ class TruthDocument(Document):
 
 @dataclass(frozen=True)
 class Truth:
-    """The truth of one recording.
+    """Reads the ground truth of one recording.
 
     Args:
-        recording: a recording's folder.
+        recording: folder of the recording.
 
     Raises:
-        DatasetError: there is no truth in it.
+        DatasetError: the recording has no truth.
     """
 
     recording: Path
 
     @property
     def folder(self) -> Path:
-        """Where it lies."""
+        """The folder of the truth."""
         return self.recording / FOLDER
 
     @cached_property
     def document(self) -> TruthDocument:
-        """What it says of itself."""
+        """The document ``truth.json``."""
         return read_json(self.folder / "truth.json", TruthDocument)
 
     def poses(self) -> pa.Table:
-        """Exact poses of the vehicle and of all images: `mirror.synth.truth.tables.POSES`."""
+        """Read the exact poses of the vehicle and of all images: `mirror.synth.truth.tables.POSES`."""
         return read_table(self.folder / "poses.parquet", POSES)
 
     def boxes(self) -> pa.Table:
-        """Exact boxes with visibility, image by image: `mirror.synth.truth.tables.BOXES`."""
+        """Read the exact boxes of each image with their visibility: `mirror.synth.truth.tables.BOXES`."""
         return read_table(self.folder / "boxes.parquet", BOXES)
 
     def calibrations(self) -> list[Calibration]:
-        """The cameras as they are."""
+        """Read the true calibrations of the cameras."""
         return read_calibrations(self.folder / "calibrations.json")
 
     def read(self, kind: Kind, camera: str, timestamp_ns: int) -> AnyArray:
-        """The truth of one image, by its recorded stamp; `mirror.synth.truth.images.KINDS` says what it is.
+        """Read the truth of one image, by its recorded timestamp; see `mirror.synth.truth.images.KINDS`.
 
         Raises:
-            RecordingError: there is none, or it is broken.
+            RecordingError: the file is missing or broken.
         """
         return read_truth_image(self.folder, kind, camera, timestamp_ns)
 

@@ -1,4 +1,4 @@
-"""Optical flow of what stands still: from distances and two poses, exact."""
+"""Exact optical flow of the static world, from distances and two poses."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from mirror.geometry.cameras import Camera
 def static_flow(
     distance_m: npt.ArrayLike, camera: Camera, world_SE3_camera: Poses, later: Camera, world_SE3_later: Poses
 ) -> Float32:
-    """How far the point of the world that a pixel shows is away from that pixel in another image.
+    """Compute the optical flow from one image to another for a static world.
 
-    The point is taken to stand still: for road users and the recording vehicle itself that is not what they do. Whether
-    it is hidden in the other image is not considered. What is infinitely far moves by the rotation alone.
+    Every point is assumed to be static, which is wrong for road users and for the recording vehicle. Occlusion in the
+    other image is not considered. Points at infinity move by the rotation only.
 
     Args:
-        distance_m: (H, W) along the rays of the pixels' centres, infinite in the sky.
-        camera: of the image.
-        world_SE3_camera: one pose.
+        distance_m: (H, W) distances along the rays through the pixel centres, infinite for the sky.
+        camera: camera of the image.
+        world_SE3_camera: one pose of the camera.
         later: camera of the other image, often the same.
-        world_SE3_later: one pose.
+        world_SE3_later: one pose of the other camera.
 
     Returns:
-        (H, W, 2) pixels, to the right and downwards, also beyond the raster; NaN where the other camera has no pixel
-        for the point.
+        (H, W, 2) flow in pixels, right and down, also to points outside the raster; NaN where the other camera does
+        not image the point.
 
     Raises:
-        UsageError: the distances are not of the camera's raster.
+        UsageError: the shape of the distances is not the camera's raster.
     """
     distance = np.asarray(distance_m, np.float64)
     if distance.shape != (camera.height_px, camera.width_px):

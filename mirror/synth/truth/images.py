@@ -1,4 +1,4 @@
-"""Truth of an image, pixel by pixel, as files: what kinds there are, and how each is encoded.
+"""Files of per-pixel ground truth: the kinds, and the encoding of each.
 
 Masks and normals are PNGs, which any viewer shows; distances and flow are float32 arrays in ``.npz`` archives.
 """
@@ -19,19 +19,19 @@ from mirror.errors import RecordingError
 
 Kind = Literal["depth", "normals", "semantic", "instance", "flow"]
 
-# Level 1 is four times as fast as 6 and leaves a tenth more.
+# Compression level 1 is four times as fast as level 6; its files are a tenth larger.
 _LEVEL: Final = 1
 _STEPS: Final = 32767.0
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """How one kind is kept.
+    """The file encoding of one kind of truth.
 
     Attributes:
-        suffix: of its files.
-        encode: an array as a file.
-        decode: the array of a file; None: it is none.
+        suffix: suffix of the files.
+        encode: encodes an array as the bytes of a file.
+        decode: decodes the bytes of a file; returns None for a broken file.
     """
 
     suffix: str
@@ -43,7 +43,7 @@ def _archive(name: str) -> Encoding:
     def encode(values: AnyArray) -> bytes:
         array, archive = io.BytesIO(), io.BytesIO()
         np.save(array, np.ascontiguousarray(values, np.float32), allow_pickle=False)
-        # An entry without a date of its own: equal arrays are equal files.
+        # The entry has a fixed date, so equal arrays give equal files.
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as file:
             entry = zipfile.ZipInfo(f"{name}.npy")
             entry.compress_type = zipfile.ZIP_DEFLATED
@@ -99,27 +99,28 @@ KINDS: Final[Mapping[Kind, Encoding]] = {
     "instance": Encoding(".png", lambda objects: _png(objects.astype(np.uint16)), _from_png(np.uint16, 1)),
     "flow": _archive("flow_px"),
 }
-"""How each kind is kept.
+"""The encoding of each kind of truth.
 
-- ``depth``: (H, W) metres along the ray of the pixel's centre, infinite in the sky.
-- ``normals``: (H, W, 3) unit vectors in the camera frame, NaN in the sky; in the file 32767 (n + 1), in the sky 0 0 0.
+- ``depth``: (H, W) metres along the ray through the pixel centre, infinite for the sky.
+- ``normals``: (H, W, 3) unit vectors in the camera frame, NaN for the sky; the file holds 32767 (n + 1), and 0 0 0 for
+  the sky.
 - ``semantic``: (H, W) values of `mirror.synth.model.Label`.
-- ``instance``: (H, W), 0 where there is no road user, k for the k-th of the objects in ``truth.json``.
-- ``flow``: (H, W, 2) pixels right and down to where the camera's next image shows the same point, if it stands still;
-  NaN where that has none.
+- ``instance``: (H, W) k for the k-th of the objects in ``truth.json``, counted from 1; 0 without a road user.
+- ``flow``: (H, W, 2) pixels right and down to the same static point in the camera's next image; NaN where that image
+  does not show the point.
 """
 
 
 def truth_file(folder: Path, kind: Kind, camera: str, timestamp_ns: int) -> Path:
-    """Where the truth of one image lies within a folder ``truth``."""
+    """Return the path of the truth of one image within a folder ``truth``."""
     return folder / kind / camera / f"{timestamp_ns}{KINDS[kind].suffix}"
 
 
 def read_truth_image(folder: Path, kind: Kind, camera: str, timestamp_ns: int) -> AnyArray:
-    """Read the truth of one image; `KINDS` says what it is.
+    """Read the truth of one image; `KINDS` describes the arrays.
 
     Raises:
-        RecordingError: there is none, or it is broken.
+        RecordingError: the file is missing or broken.
     """
     file = truth_file(folder, kind, camera, timestamp_ns)
     expected = f"the {kind} of an image that `mirror synth --truth {kind}` has written"

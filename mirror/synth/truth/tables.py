@@ -1,4 +1,4 @@
-"""The tables of the truth."""
+"""The tables of the ground truth."""
 
 from __future__ import annotations
 

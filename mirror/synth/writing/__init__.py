@@ -1,4 +1,4 @@
-"""Drives as recordings in the `folder` layout (docs/recordings.md), with chosen errors, and the truth beside them."""
+"""Writes drives as recordings in the `folder` layout (docs/recordings.md), with the chosen errors and ground truth."""
 
 from __future__ import annotations
 

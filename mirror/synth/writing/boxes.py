@@ -1,4 +1,4 @@
-"""3D boxes of road users, as a recording states them."""
+"""The 3D boxes of road users in a recording."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from mirror.version import __version__
 
 SOURCE: Final = "synth"
 LEAST_SHARE: Final = 8e-5
-"""A road user that no image shows in so large a share of an image's pixels has no box."""
+"""A road user has a box if some image shows it with at least this share of the image's pixels."""
 _FARTHEST_M: Final = 60.0
 _APART_NS: Final = 500_000_000
 
 
 def world_SE3_boxes(road_users: Sequence[RoadUser], placements: Sequence[Placement]) -> Poses:  # noqa: N802
-    """Poses (N,) of road users' boxes: their middles, with the bodies' axes."""
+    """Return the poses (N,) of the road users' boxes: the origin is the middle of the box, the axes are the body's."""
     rows = [(one.x_m, one.y_m, one.z_m, one.yaw_rad, one.pitch_rad, one.roll_rad) for one in placements]
     return _boxes(np.array(rows).reshape(-1, 6), np.array([user.body.size_m[2] for user in road_users]))
 
 
 def _boxes(placed: Float64, height_m: Float64) -> Poses:
-    """Of placements (N, 6) x, y, z, yaw, pitch, roll."""
+    """Box poses of placements (N, 6): x, y, z, yaw, pitch, roll."""
     yaw, pitch, roll = np.degrees(placed[:, 3:]).T
     body = Poses(quaternion_from_heading_pitch_roll(90.0 - yaw, pitch, roll), placed[:, :3])
     up = np.zeros((len(placed), 3))
@@ -41,13 +41,13 @@ def _boxes(placed: Float64, height_m: Float64) -> Poses:
 def box_rows(
     road_users: Sequence[RoadUser], placements: Sequence[Placement], world_SE3_ego: Poses, timestamp_ns: int
 ) -> pa.Table:
-    """Rows of the ``boxes`` table of some road users at one instant.
+    """Return the rows of the ``boxes`` table for road users at one instant.
 
     Args:
         road_users: the road users.
-        placements: where each is.
-        world_SE3_ego: one pose.
-        timestamp_ns: of the rows.
+        placements: placement of each road user.
+        world_SE3_ego: one pose of the recording vehicle.
+        timestamp_ns: timestamp of the rows.
     """
     speed = np.array([one.speed_mps for one in placements])
     return _table(
@@ -57,10 +57,10 @@ def box_rows(
 
 
 def boxes_in_view(drive: SynthDrive, schedule: ImageSchedule) -> pa.Table:
-    """Rows of the ``boxes`` table of a drive whose images are not rendered.
+    """Return the rows of the ``boxes`` table of a drive without rendered images.
 
-    They are those of road users nearby whose box some camera has in view, large enough, twice a second; whether
-    something hides them is not asked.
+    Twice a second, a nearby road user has a row if its projected box is large enough in the image of some camera.
+    Occlusion is not considered.
     """
     camera = next(iter(schedule.true_ns))
     every = max(round(_APART_NS * drive.preset.image_hz * 1e-9), 1)
@@ -78,7 +78,7 @@ def boxes_in_view(drive: SynthDrive, schedule: ImageSchedule) -> pa.Table:
 
 
 def _in_view(drive: SynthDrive, ego_SE3_box: Poses, size_m: tuple[float, float, float]) -> Bool:
-    """Which of N boxes some camera has in view, large enough."""
+    """Whether some camera has each of N boxes in view, large enough: (N,)."""
     seen = np.zeros(len(ego_SE3_box), np.bool_)
     for name, camera in drive.vehicle.cameras.items():
         rows = np.flatnonzero(~seen)
@@ -90,7 +90,7 @@ def _in_view(drive: SynthDrive, ego_SE3_box: Poses, size_m: tuple[float, float, 
 
 
 def least_px(drive: SynthDrive) -> float:
-    """So many pixels of an image show a road user that has a box."""
+    """Return the least number of pixels with which an image shows a road user that has a box."""
     camera = next(iter(drive.vehicle.cameras.values()))
     return max(4.0, LEAST_SHARE * camera.width_px * camera.height_px)
 

@@ -1,4 +1,4 @@
-"""Images of a drive, written or referred to, and what belongs to them: exposures, calibrations, masks, boxes."""
+"""Writes the images of a drive, or references to them, with their exposure times, calibrations, masks and boxes."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _JPEG_QUALITY: Final = 90
 
 @dataclass
 class FrameImages:
-    """What writing the images of one instant came to.
+    """The written images of one instant.
 
     Attributes:
-        images: written.
-        boxes: of what they show.
-        unseen: road users nearby that they do not show.
-        truth_boxes: rows of the truth.
+        images: number of images.
+        boxes: rows of the ``boxes`` table: road users that the images show.
+        unseen: number of nearby road users that no image shows.
+        truth_boxes: rows of the true boxes table.
     """
 
     images: int = 0
@@ -46,7 +46,7 @@ class FrameImages:
 def write_images(
     folder: Path, drive: SynthDrive, schedule: ImageSchedule, kinds: Sequence[TruthKind], pool: ThreadPoolExecutor
 ) -> Iterator[FrameImages]:
-    """Write all images of a drive and their boxes, instant by instant."""
+    """Write all images of a drive and their boxes; yields once per instant."""
     for name in schedule.true_ns:
         (folder / "images" / name).mkdir(parents=True, exist_ok=True)
     drive.prepare()
@@ -77,13 +77,13 @@ def _write_frame_images(
         if not schedule.kept[camera][number]:
             continue
         image = drive.render(camera, true_ns, instant)
-        write_bytes(folder / "images" / camera / f"{recorded_ns}.jpg", encoded(".jpg", image.bgr))
+        write_bytes(folder / "images" / camera / f"{recorded_ns}.jpg", encode_image(".jpg", image.bgr))
         frame.images += 1
         objects = image.view.object
         seen = np.maximum(seen, np.bincount(objects[objects >= 0], minlength=len(seen)))
         if kinds:
-            asked = TruthRequest(camera, true_ns, recorded_ns, schedule.following(camera, number))
-            frame.truth_boxes += write_image_truth(folder, drive, kinds, asked, instant, image)
+            request = TruthRequest(camera, true_ns, recorded_ns, schedule.following(camera, number))
+            frame.truth_boxes += write_image_truth(folder, drive, kinds, request, instant, image)
     shown = [key for key in placements if seen[key] >= least_px(drive)]
     frame.unseen = len(placements) - len(shown)
     frame.boxes = box_rows(
@@ -102,13 +102,13 @@ def _write_exposures(folder: Path, drive: SynthDrive, schedule: ImageSchedule) -
 
 
 def write_image_references(folder: Path, drive: SynthDrive, schedule: ImageSchedule, seed: int) -> FrameImages:
-    """List all images of a drive by their uris, and write the boxes of what they may show.
+    """Write the URIs of all images of a drive, and the boxes in view of its cameras.
 
     Args:
-        folder: of the recording.
-        drive: that it is of.
+        folder: folder of the recording.
+        drive: drive of the recording.
         schedule: when its images were taken.
-        seed: of the preset.
+        seed: seed of the preset.
     """
     half = drive.vehicle.kind.exposure_ns // 2
     count = 0
@@ -132,16 +132,16 @@ def write_boxes(folder: Path, boxes: pa.Table) -> None:
 
 
 def write_cameras(folder: Path, drive: SynthDrive, schedule: ImageSchedule, errors: Errors) -> None:
-    """Write calibrations of both stages, and masks."""
+    """Write the calibrations of both stages, and the ego masks."""
     for stage in ("factory", "online"):
         calibration = drive.vehicle.calibration(stage, errors, drive.seed, schedule.clocks)
         write_bytes(folder / "calibrations" / f"{stage}.json", json.dumps(calibration, indent=1).encode())
     for name, mask in drive.ego_masks.items():
-        write_bytes(folder / "masks" / f"{name}.png", encoded(".png", mask))
+        write_bytes(folder / "masks" / f"{name}.png", encode_image(".png", mask))
 
 
-def encoded(suffix: str, image: AnyArray) -> bytes:
-    """An image as a file."""
+def encode_image(suffix: str, image: AnyArray) -> bytes:
+    """Encode an image in the format of a file suffix: ``.jpg`` or ``.png``."""
     import cv2
 
     options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if suffix == ".jpg" else []

@@ -1,4 +1,4 @@
-"""``synth.json`` beside the recordings: what they are of, and which of them are complete, so that a run goes on."""
+"""``synth.json`` beside the recordings: their arguments and the complete recordings, so that a run can resume."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ SYNTH: Final = "synth.json"
 
 
 class Counts(Document):
-    """What writing a recording came to.
+    """The counts of one written recording.
 
     Attributes:
-        pictures: images written or referred to.
-        lost: images that were taken, and lost as the errors ask.
-        boxes: in all.
-        unseen: road users nearby that images of an instant were searched for, and that have no box.
+        pictures: number of images written or referred to.
+        lost: number of images that were lost.
+        boxes: number of boxes.
+        unseen: number of nearby road users, over all instants, that have no box because no image shows them.
     """
 
     pictures: int = 0
@@ -41,9 +41,9 @@ class SynthDocument(Document):
 
     Attributes:
         format: always ``mirror-synth``.
-        version: of this document.
-        arguments: everything that decides the files, in words.
-        drives: the recordings that are complete, by drive.
+        version: version of this document's format.
+        arguments: all arguments that determine the files, as text.
+        drives: counts of the complete recordings, by drive id.
     """
 
     format: Literal["mirror-synth"] = "mirror-synth"
@@ -53,13 +53,13 @@ class SynthDocument(Document):
 
 
 class Journal:
-    """Which recordings of a folder are complete; see `journal`."""
+    """Keeps track of the complete recordings of a folder; see `journal`."""
 
     def __init__(self, out: Path, document: SynthDocument) -> None:
         self._out, self._document = out, document
 
-    def complete(self, drive_id: str) -> Counts | None:
-        """What writing a recording came to; None: it is not complete, and nothing of it is there."""
+    def find_complete(self, drive_id: str) -> Counts | None:
+        """Return the counts of a complete recording; otherwise remove what there is of it and return None."""
         folder = self._out / drive_id
         counts = self._document.drives.get(drive_id)
         if counts is not None and (folder / "recording.json").is_file():
@@ -69,7 +69,7 @@ class Journal:
         return None
 
     def add(self, drive_id: str, counts: Counts) -> None:
-        """Note that a recording is complete."""
+        """Record that a recording is complete."""
         drives = {**self._document.drives, drive_id: counts}
         self._document = self._document.model_copy(update={"drives": drives})
         write_json(self._out / SYNTH, self._document)
@@ -77,15 +77,15 @@ class Journal:
 
 @contextmanager
 def journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
-    """A folder of recordings that this process alone writes while the block runs.
+    """Lock a folder of recordings for this process while the block runs.
 
     Args:
-        out: a new or an empty folder, or one in which the same recordings were begun.
-        arguments: everything that decides the files.
+        out: a new or an empty folder, or one with an unfinished run of the same arguments.
+        arguments: all arguments that determine the files.
 
     Raises:
-        UsageError: the folder holds something else, or recordings of other arguments.
-        DatasetError: another run is writing them, or the folder cannot be written.
+        UsageError: the folder holds other files, or recordings of other arguments.
+        DatasetError: another run is writing to the folder, or the folder cannot be written.
     """
     there = require_own_folder(out, Kind.RECORDINGS)
     if there is not None and not (out / SYNTH).is_file():
@@ -100,7 +100,7 @@ def journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable(out / SYNTH, error) from error
-    with _alone(out):
+    with _lock(out):
         document = read_json(out / SYNTH, SynthDocument) if (out / SYNTH).is_file() else None
         if document is not None and document.arguments != arguments:
             differing = sorted(key for key in arguments if document.arguments.get(key) != arguments[key])
@@ -120,8 +120,8 @@ def journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    # The system gives the lock back when its holder dies, however it dies, and it leaves no file.
+def _lock(folder: Path) -> Iterator[None]:
+    # The operating system releases the lock when the process ends for any reason; the lock leaves no file.
     number = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""Poses as a vehicle records them, in any of the forms that fleets deliver."""
+"""Writes the recorded poses of a drive, in any of the layouts that fleets deliver."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _LEAP_NS: Final = 18 * 1_000_000_000
 
 
 def pose_stamps(drive: SynthDrive) -> Int64:
-    """Unix times (N,) of a drive's poses."""
+    """Return the Unix times (N,) of a drive's poses, in nanoseconds."""
     time_s = np.arange(0.0, drive.truth.duration_s, 1.0 / drive.preset.pose_hz)
     return drive.condition.start_ns + np.round(time_s * 1e9).astype(np.int64)
 
 
 def write_poses(folder: Path, drive: SynthDrive, errors: Errors) -> None:
-    """Write ``poses.*`` of a recording, as the drive's recipe says."""
+    """Write ``poses.*`` of a recording in the layout that the drive's recipe names."""
     stamps = pose_stamps(drive)
     rng = np.random.default_rng([drive.seed, 1])
-    measured = errors.measured(drive.world_SE3_ego(stamps), drive.seconds(stamps), rng)
+    measured = errors.perturb_poses(drive.world_SE3_ego(stamps), drive.seconds(stamps), rng)
     longitude, latitude, height = drive.frame.to_geodetic(measured.translation)
     enu_R_world = np.swapaxes(drive.frame.world_R_enu(longitude, latitude), 1, 2)
     rotation = quaternion_from_matrix(enu_R_world @ matrix_from_quaternion(measured.rotation))

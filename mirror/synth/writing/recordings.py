@@ -32,14 +32,14 @@ LICENCE: Final = "CC0-1.0"
 
 @dataclass
 class SynthReport:
-    """What writing recordings came to.
+    """The written recordings and their counts.
 
     Attributes:
-        recordings: their folders.
-        images: written or referred to.
-        lost: images that were taken, and lost as the errors ask.
-        boxes: in all.
-        unseen: road users nearby that images of an instant were searched for, and that have no box.
+        recordings: folders of the recordings.
+        images: number of images written or referred to.
+        lost: number of images that were lost.
+        boxes: number of boxes.
+        unseen: number of nearby road users, over all instants, that have no box because no image shows them.
     """
 
     recordings: list[Path] = field(default_factory=list)
@@ -49,7 +49,7 @@ class SynthReport:
     unseen: int = 0
 
     def count(self, folder: Path, counts: Counts) -> None:
-        """Add a recording."""
+        """Add a recording and its counts."""
         self.recordings.append(folder)
         self.images += counts.pictures
         self.lost += counts.lost
@@ -72,25 +72,28 @@ def write_recordings(
 ) -> SynthReport:
     """Write the recordings of a preset, and ``rois.geojson`` beside them.
 
-    The files depend on the arguments alone, not on the number of workers. ``recording.json`` is written last. Where the
-    same recordings were begun, what is complete is kept.
+    The files depend on the arguments only, not on the number of workers. ``recording.json`` is written last. A
+    second call with the same arguments keeps the complete recordings and writes the missing ones.
 
     Args:
-        out: a new or an empty folder, or one in which the same recordings were begun.
+        out: a new or an empty folder, or one with an unfinished run of the same arguments.
         preset: one of `mirror.synth.PRESETS`.
-        seed: of everything that is left to chance.
-        scenes: how many scenes; default: all that the preset has.
-        traversals: how many drives with images through each; default: the preset's.
-        errors: by which what is recorded differs from the truth; default: the preset's.
-        effects: what is shown of light, weather and cameras; default: all.
-        truth: kinds of truth to be written beside each recording.
-        workers: threads; default: as many as there are processors.
-        progress: is told of every image, recording by recording; None: nobody is.
+        seed: seed of all random choices.
+        scenes: number of scenes; default: all scenes of the preset.
+        traversals: number of drives with images through each scene; default: the preset's number.
+        errors: measurement errors of the recordings; default: the preset's errors.
+        effects: effects of light, weather and cameras to be rendered; default: all.
+        truth: kinds of ground truth to be written beside each recording.
+        workers: number of threads; default: the number of processors.
+        progress: receives the number of images of each recording and every written image; default: no report.
+
+    Returns:
+        The folders of the recordings and their counts.
 
     Raises:
-        UsageError: no such preset, no workers, the folder holds something else, or truth of images that are not
-            rendered.
-        DatasetError: the folder is not writable, the disk is full, or another run is writing there.
+        UsageError: the preset does not exist, the number of workers is below 1, the folder holds other files, or
+            ``truth`` names image truth of a preset without rendered images.
+        DatasetError: the folder is not writable, the disk is full, or another run is writing to the folder.
     """
     if workers is not None and workers < 1:
         raise UsageError(f"{workers} workers", expected="at least one")
@@ -124,14 +127,14 @@ def write_recordings(
     written = SynthReport()
     with journal(out, arguments) as done, thread_pool(workers or os.cpu_count() or 1) as pool:
         write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
-        missing = [drive for drive in drives if done.complete(drive.drive_id) is None]
+        missing = [drive for drive in drives if done.find_complete(drive.drive_id) is None]
         ahead = [pool.submit(_simulate, drive) for drive in missing[:1]]
         for number, drive in enumerate(drives, start=1):
             folder = out / drive.drive_id
-            counts = done.complete(drive.drive_id)
+            counts = done.find_complete(drive.drive_id)
             if counts is None:
                 ahead.pop().result()
-                # While this drive's images are rendered.
+                # The next drive is simulated while the images of this drive are rendered.
                 missing = missing[1:]
                 ahead = [pool.submit(_simulate, coming) for coming in missing[:1]]
                 start = partial(progress.start, f"recording {number} of {len(drives)}, images")

@@ -1,4 +1,4 @@
-"""The truth of a recording, written beside it (docs/truth.md)."""
+"""Writes the ground truth of a recording beside it (docs/truth.md)."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 TruthKind = Literal["depth", "normals", "semantic", "instance", "flow", "boxes", "poses"]
 TRUTH_KINDS: Final[tuple[TruthKind, ...]] = get_args(TruthKind)
 RENDERED: Final[frozenset[TruthKind]] = frozenset(TRUTH_KINDS) - {"poses"}
-"""Kinds that only images that are rendered have."""
+"""Kinds of truth that need rendered images."""
 
 
-def truth_kinds(text: str) -> tuple[TruthKind, ...]:
-    """The kinds that a list separated by commas names.
+def parse_truth_kinds(text: str) -> tuple[TruthKind, ...]:
+    """Parse a list of kinds of truth, separated by commas.
 
     Raises:
-        UsageError: one of them is none.
+        UsageError: a name is not a kind of truth.
     """
     named = [name.strip() for name in text.split(",") if name.strip()]
     unknown = sorted(set(named) - set(TRUTH_KINDS))
@@ -47,13 +47,13 @@ def truth_kinds(text: str) -> tuple[TruthKind, ...]:
 
 @dataclass(frozen=True)
 class TruthRequest:
-    """One image whose truth is written.
+    """The image for which truth is written.
 
     Attributes:
-        camera: that took it.
-        true_ns: mid-exposure.
-        recorded_ns: the same, as recorded.
-        next_ns: true mid-exposure of the camera's next image; None: there is none.
+        camera: camera of the image.
+        true_ns: true mid-exposure time.
+        recorded_ns: recorded mid-exposure time.
+        next_ns: true mid-exposure time of the camera's next image; None for the last image.
     """
 
     camera: str
@@ -66,25 +66,25 @@ def write_image_truth(
     recording: Path,
     drive: SynthDrive,
     kinds: Sequence[TruthKind],
-    asked: TruthRequest,
+    request: TruthRequest,
     instant: Instant,
     image: RenderedImage,
 ) -> list[dict[str, Any]]:
     """Write the truth of one image.
 
     Args:
-        recording: its folder.
-        drive: that it is of.
-        kinds: which truth.
-        asked: which image.
-        instant: that the image shows.
-        image: as rendered.
+        recording: folder of the recording.
+        drive: drive of the recording.
+        kinds: kinds of truth to be written.
+        request: the image.
+        instant: the world at the time of the image.
+        image: the rendered image.
 
     Returns:
-        Rows of the table of boxes.
+        Rows of the true boxes table.
     """
-    view, camera = image.view, drive.vehicle.cameras[asked.camera]
-    pose = drive.world_SE3_camera(asked.camera, np.array([asked.true_ns]))
+    view, camera = image.view, drive.vehicle.cameras[request.camera]
+    pose = drive.world_SE3_camera(request.camera, np.array([request.true_ns]))
     found: dict[Kind, AnyArray] = {}
     if "depth" in kinds:
         found["depth"] = view.distance_m
@@ -96,17 +96,17 @@ def write_image_truth(
         found["semantic"] = view.label
     if "instance" in kinds:
         found["instance"] = view.object + 1
-    if "flow" in kinds and asked.next_ns is not None:
-        later = drive.world_SE3_camera(asked.camera, np.array([asked.next_ns]))
+    if "flow" in kinds and request.next_ns is not None:
+        later = drive.world_SE3_camera(request.camera, np.array([request.next_ns]))
         found["flow"] = static_flow(view.distance_m, camera, pose, camera, later)
     for kind, values in found.items():
-        file = truth_file(recording / FOLDER, kind, asked.camera, asked.recorded_ns)
+        file = truth_file(recording / FOLDER, kind, request.camera, request.recorded_ns)
         write_bytes(file, KINDS[kind].encode(values))
-    return _box_rows(drive, asked, instant, image, pose) if "boxes" in kinds else []
+    return _box_rows(drive, request, instant, image, pose) if "boxes" in kinds else []
 
 
 def _box_rows(
-    drive: SynthDrive, asked: TruthRequest, instant: Instant, image: RenderedImage, world_SE3_camera: Poses
+    drive: SynthDrive, request: TruthRequest, instant: Instant, image: RenderedImage, world_SE3_camera: Poses
 ) -> list[dict[str, Any]]:
     from mirror.synth.truth.boxes import PosedObject, measure_visibility
 
@@ -119,7 +119,7 @@ def _box_rows(
         )
         for row, (number, user, place) in enumerate(zip(numbers, road_users, places))
     }
-    camera = drive.vehicle.cameras[asked.camera]
+    camera = drive.vehicle.cameras[request.camera]
     found = measure_visibility(image.view.object, camera, world_SE3_camera, standing)
     columns = boxes.to_columns()
     rows = []
@@ -128,8 +128,8 @@ def _box_rows(
         bounds: Sequence[float | None] = found.bounds_px[index].tolist() if found.pixels[index] else (None,) * 4
         rows.append(
             {
-                "camera": asked.camera,
-                "timestamp_ns": asked.recorded_ns,
+                "camera": request.camera,
+                "timestamp_ns": request.recorded_ns,
                 "track_id": road_users[row].track_id,
                 "category": road_users[row].body.category,
                 **{name: float(column[row]) for name, column in columns.items()},
@@ -151,15 +151,15 @@ def write_truth(
     schedule: ImageSchedule | None,
     boxes: Sequence[Mapping[str, Any]],
 ) -> None:
-    """Write what there is once a recording: poses, calibrations, boxes, and ``truth.json``, last.
+    """Write the truth of a whole recording: poses, calibrations, boxes and, last, ``truth.json``.
 
     Args:
-        recording: its folder.
-        drive: that it is of.
-        kinds: which truth was asked for.
-        pose_ns: (N,) of the recorded poses.
+        recording: folder of the recording.
+        drive: drive of the recording.
+        kinds: kinds of truth to be written.
+        pose_ns: (N,) timestamps of the recorded poses.
         schedule: when its images were taken; None: it has no images.
-        boxes: rows of `write_image_truth`.
+        boxes: rows from `write_image_truth`.
     """
     folder = recording / FOLDER
     bodies = {"ego": (drive.world_SE3_ego(pose_ns), pose_ns, pose_ns)}

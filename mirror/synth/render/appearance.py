@@ -1,4 +1,4 @@
-"""What each material looks like: reflectance, emission and gloss at a place of a surface, averaged over a pixel."""
+"""The appearance of materials: reflectance, emission and gloss at a surface point, averaged over a footprint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mirror.synth.textures.catalogue import Grain
 from mirror.synth.textures.sampling import grain_at, image_at
 
 Appearance = tuple[float, float, float, float, float, float, float]
-"""Reflectance of red, green and blue; emission of them; share of light that is mirrored at normal incidence."""
+"""Reflectance in red, green and blue; emission in red, green and blue; specular reflectance at normal incidence."""
 
 _NONE: Final = -1
 _KINDS: Final = len(Material)
@@ -45,7 +45,7 @@ _GLOSS: Final = np.zeros(_KINDS)
 _GLOSS[[Material.METAL, Material.PAINT, Material.GLASS, Material.RIM, Material.RUBBER]] = 0.03, 0.05, 0.10, 0.05, 0.01
 _GLOSS[[Material.HEADLIGHT, Material.TAIL_LIGHT, Material.WATER]] = 0.08, 0.08, 0.05
 
-# What an image's pixels shine of themselves in the dark, as a share of their reflectance.
+# Emission of a lit image in the dark, as a share of its reflectance.
 _SHINE: Final = 1.1
 
 
@@ -63,10 +63,10 @@ def plain_surface(
     u2: float,
     v2: float,
 ) -> Appearance:
-    """A surface of one colour and grain."""
+    """Evaluate a surface with one colour and a grain."""
     tone = 1.0
     grain = _GRAIN[material]
-    # Neighbours with other seeds do not repeat each other.
+    # The seed shifts the grain, so that neighbouring surfaces differ.
     shift = float(seed & 1023)
     if grain >= 0:
         tone = grain_at(grains, grain_index, grain, u + 0.37 * shift, v + 0.73 * shift, u1, v1, u2, v2)
@@ -88,7 +88,7 @@ def image_surface(
     v2: float,
     setting: Records,
 ) -> Appearance:
-    """An image of the catalogue that fills its face."""
+    """Evaluate a face that is filled by an image of the catalogue."""
     wide, high = 0.5 / one.half_0, 0.5 / one.half_1
     r, g, b = image_at(
         images, image_index, one.image, 0.5 + u * wide, 0.5 + v * high, u1 * wide, v1 * high, u2 * wide, v2 * high
@@ -99,7 +99,7 @@ def image_surface(
 
 @per_pixel()
 def lamp_surface(one: Records, setting: Records) -> Appearance:
-    """What gives light of its own: street lamps and traffic lights."""
+    """Evaluate the face of a street lamp or a traffic light."""
     r, g, b = one.colour_0, one.colour_1, one.colour_2
     if one.material == Material.STREET_LAMP:
         return r, g, b, 6.0 * setting.lamp_light_0, 6.0 * setting.lamp_light_1, 6.0 * setting.lamp_light_2, 0.0

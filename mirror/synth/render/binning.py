@@ -1,4 +1,4 @@
-"""Which surfaces each tile of a view may see, nearest first; nothing that a view cannot see is looked at twice."""
+"""Visibility culling: lists the surfaces that each tile of a view may show, nearest first."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STACK: Final = 4 * LEVELS * FANOUT * FANOUT
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bounding_spheres(faces: Records, corners: Float64, rounds: Records) -> Float64:
-    """Spheres (F + R, 4) that hold the surfaces: centre and radius."""
+    """Return bounding spheres (F + R, 4) of the faces and ellipsoids: centre and radius."""
     out = np.empty((len(faces) + len(rounds), 4))
     for index in range(len(faces)):
         first, count = faces[index].first, faces[index].count
@@ -50,22 +50,22 @@ def find_facing(
     least_rad: float,
     ground: bool,
 ) -> tuple[Int64, Float32]:
-    """Surfaces in a view that show it their outer side and are not too small to be seen, and their distances.
+    """Find the surfaces in a view that face the camera and are large enough to be visible.
 
     Args:
         faces: (F,) FACE, flat.
         spheres: from `bounding_spheres`.
-        cones: of the lens.
-        levels: of the lens.
+        cones: cones of the lens.
+        levels: levels of the lens.
         rotation: (3, 3) world_R_camera.
-        x: the camera's place.
-        y: the camera's place.
-        z: the camera's place.
+        x: camera position, world metres.
+        y: camera position, world metres.
+        z: camera position, world metres.
         least_rad: half the angle below which a surface is left out.
-        ground: whether faces of the ground are taken.
+        ground: whether faces of the ground are included.
 
     Returns:
-        (N,) surfaces; (N,) least distances, metres.
+        (N,) surface indices; (N,) lower bounds of their distances, metres.
     """
     chosen, near = np.empty(len(spheres), np.int64), np.empty(len(spheres), np.float32)
     first, count = levels[LEVELS - 1, 0], levels[LEVELS - 1, 1] * levels[LEVELS - 1, 2]
@@ -112,25 +112,26 @@ def _rotate_cones(cones: Float64, rotation: Float64) -> Float64:
 def build_ray_tests(
     faces: Records, corners: Float64, rounds: Records, order: Int64, x: float, y: float, z: float
 ) -> tuple[Int64, Float32]:
-    """What decides whether a ray from a place meets a surface, and where.
+    """Build the coefficients that test whether a ray from a position hits a surface, and at which distance.
 
-    For a face: rows of three numbers; the first, times the ray, is the inverse of the distance; each other one, times
-    the ray, is negative outside of one edge. All hold for every direction, also of corners behind the place.
-    For an ellipsoid, with p the place and M the scaling to a unit sphere about its centre: the first row, times the
-    ray, is -b / c, the second and third hold the quadratic form of (b^2 - a c) / c^2, where
-    a = |M d|^2, b = M p . M d, c = |M p|^2 - 1.
+    A face has one row of three numbers for its plane and one for each edge. The dot product of the first row and the
+    ray is the inverse of the distance; the dot product of an edge's row and the ray is negative outside that edge.
+    Both hold for every direction, also for corners behind the position.
+    An ellipsoid has three rows. With p the position relative to its centre and M the scaling to the unit sphere, the
+    dot product of the first row and the ray d is -b / c; the second and third rows hold the quadratic form of
+    (b^2 - a c) / c^2, where a = |M d|^2, b = M p . M d, c = |M p|^2 - 1.
 
     Args:
         faces: (F,) FACE, flat.
         corners: (C, 3).
         rounds: (R,) ROUND, flat.
-        order: (N,) surfaces.
-        x: the place.
-        y: the place.
-        z: the place.
+        order: (N,) surface indices.
+        x: position, world metres.
+        y: position, world metres.
+        z: position, world metres.
 
     Returns:
-        (N + 1,) where each surface's rows begin; (rows, 3).
+        (N + 1,) index of the first row of each surface; (rows, 3) coefficients.
     """
     starts = np.zeros(len(order) + 1, np.int64)
     for place in range(len(order)):
@@ -168,7 +169,7 @@ def _quadric(one: Records, x: float, y: float, z: float, rows: Float32) -> None:
     cx, cy, cz = one.axes_20 / one.half_2, one.axes_21 / one.half_2, one.axes_22 / one.half_2
     p, q, r = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz, cx * dx + cy * dy + cz * dz
     c = p * p + q * q + r * r - 1.0
-    # Within the ellipsoid nothing is met: no camera looks out of one.
+    # A camera inside an ellipsoid does not see it.
     scale = 1.0 / c if c > 1e-12 else 0.0
     ux, uy, uz = ax * p + bx * q + cx * r, ay * p + by * q + cy * r, az * p + bz * q + cz * r
     rows[0, 0], rows[0, 1], rows[0, 2] = -scale * ux, -scale * uy, -scale * uz
@@ -196,27 +197,27 @@ def build_tile_lists(
     y: float,
     z: float,
 ) -> tuple[Int64, Int32]:
-    """Surfaces that each of the finest tiles may see, nearest first.
+    """List the surfaces that each of the finest tiles may show, nearest first.
 
-    A tile is in a cone of directions, a surface in a sphere, and a face within its edges' planes: nothing that a tile
-    sees is left out, whatever the lens. What lies behind a face that covers a whole tile, of any size, is.
+    The rays of a tile lie in a cone, and the tests of the cone against a surface's sphere and edges are conservative:
+    no visible surface is left out, for any lens. Surfaces behind a face that covers a whole tile are left out.
 
     Args:
-        order: (N,) surfaces, nearest first.
-        nearest: (N,) their least distances.
-        number: of faces: surfaces below it are faces.
-        spheres: of all surfaces.
+        order: (N,) surface indices, nearest first.
+        nearest: (N,) lower bounds of their distances.
+        number: number of faces; smaller surface indices are faces.
+        spheres: bounding spheres of all surfaces.
         starts: from `build_ray_tests`.
         rows: from `build_ray_tests`.
-        cones: of the lens.
-        levels: of the lens.
+        cones: cones of the lens.
+        levels: levels of the lens.
         rotation: (3, 3) world_R_camera.
-        x: the camera's place.
-        y: the camera's place.
-        z: the camera's place.
+        x: camera position, world metres.
+        y: camera position, world metres.
+        z: camera position, world metres.
 
     Returns:
-        (tiles + 1,) where each tile's list begins; the lists: places in ``order``.
+        (tiles + 1,) index at which each tile's list begins; the lists: positions in ``order``.
     """
     turned = _rotate_cones(cones, rotation)
     tiles = levels[0, 1] * levels[0, 2]
@@ -224,7 +225,7 @@ def build_tile_lists(
     used = 0
     stack = np.empty((_STACK, 3), np.int64)
     top = LEVELS - 1
-    # Beyond these distances, tiles are covered.
+    # Beyond these distances a nearer face covers the whole tile.
     limits = np.full(len(cones), np.inf)
     for place in range(len(order)):
         index, near = order[place], nearest[place]
@@ -280,14 +281,14 @@ def build_tile_lists(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _occlusion_distance(cone: Float64, rows: Float32, first: int, last: int) -> float:
-    """The distance beyond which a face hides all else in a cone; infinite where it does not cover the cone."""
+    """Distance beyond which a face hides everything in a cone; infinite if the face does not cover the cone."""
     if cone[3] <= 0.0:
         return np.inf
     for row in range(first, last):
         if rows[row, 0] * cone[0] + rows[row, 1] * cone[1] + rows[row, 2] * cone[2] < cone[4]:
             return np.inf
     a, b, c = rows[first - 1, 0], rows[first - 1, 1], rows[first - 1, 2]
-    # The least of the inverse distances in the cone.
+    # The smallest inverse distance in the cone.
     size = math.sqrt(a * a + b * b + c * c)
     along = (a * cone[0] + b * cone[1] + c * cone[2]) / size
     least = along * cone[3] - math.sqrt(max(1.0 - along * along, 0.0)) * cone[4]
@@ -312,7 +313,7 @@ def _may_meet(
         return True
     for row in range(first, last):
         out = rows[row, 0] * cone[0] + rows[row, 1] * cone[1] + rows[row, 2] * cone[2]
-        # The edge's plane is farther outside than the cone is wide.
+        # The whole cone is outside of the edge.
         if out < -cone[4]:
             return False
     return True
@@ -320,5 +321,5 @@ def _may_meet(
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _sphere_may_meet(cone: Float64, dx: float, dy: float, dz: float, cosine: float, sine: float) -> bool:
-    # cos(a + b) of both half angles, each below 90 degrees.
+    # Compares with cos(a + b), where a and b are the half angles, each below 90 degrees.
     return cone[3] <= 0.0 or dx * cone[0] + dy * cone[1] + dz * cone[2] >= cone[3] * cosine - cone[4] * sine

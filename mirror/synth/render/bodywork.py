@@ -1,7 +1,7 @@
-"""What vehicles look like: paint with seams and dust, glass with what is seen through it, wheels and lamps.
+"""The appearance of vehicles: paint with seams and dust, transparent glass, wheels and lamps.
 
-Every pattern is made of bands and stripes, averaged over the footprint ``fu`` by ``fv`` in closed form. What u and v
-mean on paint and glass is said by `mirror.synth.road_users.coachwork.sheets.Panel`, a face's ``layout``.
+Every pattern consists of bands and stripes, averaged over the footprint ``fu`` by ``fv`` in closed form.
+`mirror.synth.road_users.coachwork.sheets.Panel`, the ``layout`` of a face, defines u and v on paint and glass.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from mirror.synth.road_users.coachwork.sheets import Panel
 
 @per_pixel()
 def bodywork(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
-    """A face of PAINT, GLASS, RIM, HEADLIGHT, TAIL_LIGHT or RUBBER.
+    """Evaluate the appearance of a face of PAINT, GLASS, RIM, HEADLIGHT, TAIL_LIGHT or RUBBER.
 
     Args:
-        one: the face, FACE flattened.
+        one: the face, FACE, flat.
         u: texture coordinate.
-        v: the same across.
+        v: texture coordinate.
         fu: width of the footprint in u.
-        fv: its height in v.
-        setting: LIGHTING flattened.
+        fv: height of the footprint in v.
+        setting: LIGHTING, flat.
     """
     material = one.material
     if material == Material.PAINT:
@@ -74,7 +74,7 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance
             handle += band(u, -0.16, -0.06, fu) * band(v, -0.32, -0.12, fv)
             seam += band(u, -2.6, -1.25, fu) * _line(v, -0.22, 0.012, fv)
         seam = max(seam * tall, band(u, back, 1.0, fu) * _line(v, -0.62, 0.006, fv))
-        # Below its crease a flank leans the other way: it shows the street instead of the sky.
+        # Below its crease a flank leans outwards and reflects the street instead of the sky.
         low = 0.14 * band(v, -0.50, -0.19, max(fv, 0.05)) + 0.05 * band(v, -0.70, -0.50, max(fv, 0.05))
     tone = (1.0 - low) * (1.0 - 0.75 * min(seam, 1.0)) * (1.0 - 0.35 * handle)
     dust = min(max(-v - 0.42, 0.0) * 2.0, 1.0)
@@ -92,7 +92,7 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance
 
 @per_pixel()
 def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
-    """Tinted glass: beyond seats and pillars the street on the other side is seen."""
+    """Tinted glass: between seats and pillars the street on the other side is visible."""
     panel = one.layout
     pillar, hidden = 0.0, 0.0
     if panel == Panel.FOUR_DOORS or panel == Panel.TWO_DOORS or panel == Panel.SLIDING_DOOR:
@@ -131,7 +131,7 @@ def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Reco
 
 @per_pixel()
 def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
-    """A backrest with its headrest, seen from the side."""
+    """Coverage by a backrest with its headrest, seen from the side."""
     return max(
         band(u, at - 0.16, at + 0.10, fu) * band(v, -9.0, 0.19, fv),
         band(u, at - 0.13, at + 0.02, fu) * band(v, 0.0, 0.34, fv),
@@ -140,7 +140,7 @@ def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
 
 @per_pixel()
 def _rim(one: Records, u: float, v: float, footprint: float) -> Appearance:
-    """A tyre about a wheel of one of four kinds."""
+    """A tyre and a rim of one of four kinds."""
     step = max(footprint / one.half_0, 1e-4)
     away = math.sqrt(u * u + v * v) / one.half_0
     wheel = band(away, -1.0, 0.74, step)
@@ -154,11 +154,11 @@ def _rim(one: Records, u: float, v: float, footprint: float) -> Appearance:
         count, duty = 7.0, 0.55
     elif kind == 3:
         count, duty = 16.0, 0.62
-    # Spokes get narrower towards the hub: half of that is the angle's doing.
+    # Spokes have a constant angle, so they become narrower towards the hub.
     turn = math.atan2(v, u) / (2.0 * math.pi) * count
     spokes = stripes(turn + 0.5 * duty, 1.0, duty, min(step * count / (2.0 * math.pi * max(away, 0.05)), 50.0))
     gap = (1.0 - spokes) * band(away, 0.20, 0.66, step)
-    # Behind the spokes the brake's disc.
+    # The brake disc is visible between the spokes.
     disc = gap * band(away, 0.20, 0.45, step)
     metal = max(wheel - gap, 0.0) * (1.0 - 0.7 * band(away, 0.045, 0.085, step))
     tyre = 1.0 - wheel
@@ -170,7 +170,7 @@ def _rim(one: Records, u: float, v: float, footprint: float) -> Appearance:
 
 @per_pixel()
 def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
-    """Two lenses in a dark housing over a strip that burns by day."""
+    """Two lenses in a dark housing above a daytime running light."""
     wide, high = u / one.half_0, v / one.half_1
     across, up = fu / one.half_0, fv / one.half_1
     strip = band(high, -0.85, -0.5, up)
@@ -186,7 +186,7 @@ def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: 
 
 @per_pixel()
 def _tail_light(one: Records, v: float, fv: float, setting: Records) -> Appearance:
-    """Red, with a strip that burns."""
+    """A red housing with a strip that emits light."""
     strip = band(v / one.half_1, -0.1, 0.6, fv / one.half_1)
     tone = 0.40 + 0.60 * strip
     burn = float(one.lights) * setting.vehicle_lights * (0.45 + 1.3 * strip)

@@ -1,7 +1,7 @@
-"""What carriageways look like: asphalt with repairs, cracks and covers, and the markings that its layout names.
+"""The appearance of carriageways: asphalt with repairs, cracks and manhole covers, and the markings of the layout.
 
-Markings are stripes within rectangles, so the share of a footprint ``fu`` by ``fv`` that a mark covers is known in
-closed form: lines of a few centimetres fade with distance and never flicker.
+Markings are stripes within rectangles. The share of a footprint ``fu`` by ``fv`` that a mark covers has a closed form,
+so lines of a few centimetres fade with distance without flicker.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _COVER_RADIUS_M: Final = 0.33
 
 @per_pixel(inline="always")
 def _striped_length(x: float, period: float, duty: float) -> float:
-    """Length of the stripes between 0 and x."""
+    """Total length of the stripes between 0 and x."""
     whole = math.floor(x / period)
     return period * (whole * duty + min(x / period - whole, duty))
 
@@ -36,12 +36,12 @@ def share(x: float, width: float, low: float, high: float, period: float, duty: 
 
     Args:
         x: middle of the interval, metres.
-        width: of the interval, metres; above 0.
-        low: where the stripes begin.
-        high: where they end.
-        period: after which they repeat; 0: all between is one stripe.
+        width: width of the interval, metres; above 0.
+        low: lower end of the striped range.
+        high: upper end of the striped range.
+        period: period of the stripes; 0: the whole range is one stripe.
         duty: share of the period that a stripe fills.
-        phase: where one starts.
+        phase: start of one stripe.
     """
     start, end = max(x - 0.5 * width, low), min(x + 0.5 * width, high)
     if end <= start:
@@ -64,22 +64,22 @@ def mark_share(mark: Records, u: float, v: float, fu: float, fv: float) -> float
 
 @per_pixel()
 def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float, fu: float, fv: float) -> Appearance:
-    """A carriageway at a place of its street.
+    """Evaluate the appearance of a carriageway at a point.
 
     Args:
         one: the face, FACE, flat.
         layouts: (L, K) MARK.
-        rough: the asphalt's grain there, filtered.
+        rough: filtered value of the asphalt's grain at the point.
         u: metres along the street.
-        v: metres to the left of its middle.
-        fu: the pixel's footprint along u, metres.
-        fv: along v.
+        v: metres to the left of the street's middle.
+        fu: width of the footprint along u, metres.
+        fv: width of the footprint along v, metres.
     """
     fu, fv = max(fu, 1e-4), max(fv, 1e-4)
     tone = rough * _worn_tone(one.seed, u, v, fu, fv)
     r, g, b = one.colour_0 * tone, one.colour_1 * tone, one.colour_2 * tone
     layout, wide = one.layout, max(fu, fv)
-    # Stones stand out of the paint.
+    # The grain of the asphalt shows through the paint.
     paint, rubbed = 0.35 + 0.65 * rough, -1.0
     for place in range(layouts.shape[1]):
         mark = layouts[layout, place]
@@ -101,7 +101,7 @@ def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float
 
 @per_pixel()
 def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
-    """What repairs, cracks and covers make of the asphalt's tone."""
+    """Factor of the asphalt's reflectance from repairs, cracks and manhole covers."""
     wide = max(fu, fv)
     tone = 1.0
     if wide < 0.5 * _BED_V_M:
@@ -112,7 +112,7 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
         cell = math.floor(u / _COVER_U_M)
         luck = chance(cell, 3, seed)
         if luck < 0.5:
-            # The number's finer digits say where the cover lies.
+            # The lower digits of the random number set the position of the cover.
             du = u - (cell + 0.1 + 0.8 * (64.0 * luck - math.floor(64.0 * luck))) * _COVER_U_M
             dv = v - 4.4 * (4096.0 * luck - math.floor(4096.0 * luck) - 0.5)
             away = math.sqrt(du * du + dv * dv)
@@ -124,7 +124,7 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
 
 @per_pixel()
 def _crack_tone(seed: int, u: float, v: float, wide: float) -> float:
-    """Jagged cracks, here and there: contours of a noise over places that another noise shifts."""
+    """Factor from jagged cracks: contour lines of a noise, displaced by other noise."""
     strength = noise(u / 17.0, v / 6.0, seed + 8) - 0.15
     if strength <= 0.0:
         return 1.0
@@ -136,7 +136,7 @@ def _crack_tone(seed: int, u: float, v: float, wide: float) -> float:
 
 @per_pixel()
 def _patch_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
-    """Patches of younger or older asphalt, with a dark seam."""
+    """Factor from rectangular patches of newer or older asphalt with a dark seam."""
     i, j = math.floor(u / _BED_U_M), math.floor(v / _BED_V_M)
     if chance(i, j, seed + 21) >= _PATCHED:
         return 1.0

@@ -1,4 +1,4 @@
-"""Which surfaces each pixel shows and how much of each: nine rays a pixel, tile by tile, in registers' width."""
+"""Computes the surfaces in each pixel and their shares: nine rays per pixel, tile by tile, in vectorised loops."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OFFSETS: Final = np.array(
     ],
     np.float32,
 )
-"""Rays of a pixel: its centre's, which truth is taken from, and a turned grid about it."""
+"""Rays of a pixel: the first passes through its centre and gives the ground truth, the others form a rotated grid."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -44,26 +44,26 @@ def compute_coverage(
     rows: Float32,
     wanted: Float32,
 ) -> tuple[Int32, UInt8, Int32, Float32, Int64]:
-    """What each pixel shows: one surface, or fragments of several.
+    """Compute the surfaces of each pixel: one surface, or fragments of several.
 
     Args:
-        rays: (H, W, 3) of the lens.
+        rays: (H, W, 3) rays of the lens.
         rotation: (3, 3) world_R_camera.
-        offsets: (S, 2) rays of a pixel, pixels right and down of its centre.
-        cones: of the lens; the first are the tiles'.
+        offsets: (S, 2) rays of a pixel, in pixels right and down of its centre.
+        cones: cones of the lens; those of the finest tiles come first.
         begins: from `binning.build_tile_lists`.
         lists: from `binning.build_tile_lists`.
-        order: (N,) surfaces.
-        number: of faces: surfaces below it are faces.
-        nearest: (N,) least distances of the surfaces in ``order``, ascending.
+        order: (N,) surface indices.
+        number: number of faces; smaller surface indices are faces.
+        nearest: (N,) lower bounds of the distances of the surfaces in ``order``, ascending.
         starts: from `binning.build_ray_tests`.
         rows: from `binning.build_ray_tests`.
-        wanted: (H, W) where it is 0, nothing is done; or (0, 0): everywhere.
+        wanted: (H, W) mask: tiles that are 0 everywhere are skipped; (0, 0): no tile is skipped.
 
     Returns:
-        (H, W) surface that the first ray meets, or SKY; (H, W) 1 where not all rays meet that; the fragments of those
-        pixels: (K, 2) pixel and surface, (K, 3) share of the pixel's rays and their mean offset; counts of tiles, of
-        pairs of tile and surface that were tried, and of pairs in the lists.
+        (H, W) surface that the first ray hits, or SKY; (H, W) 1 where the rays of a pixel hit different surfaces; the
+        fragments of these pixels: (K, 2) pixel and surface, (K, 3) share of the pixel's rays and their mean offset;
+        counts of tiles, of tested pairs of tile and surface, and of pairs in the lists.
     """
     height, width = rays.shape[:2]
     down, across = -(-height // TILE_PX), -(-width // TILE_PX)
@@ -105,7 +105,7 @@ def compute_coverage(
             else:
                 _try_round(rows, first, sx, sy, sz, inverse, found, place)
             if (at - begins[tile]) & 3 == 0:
-                # Positive floats are ordered as their bits are, and only integers' least is found in vectors.
+                # Positive floats have the order of their bits, and the compiler vectorises the minimum of integers.
                 least = bits[0]
                 for i in range(many):
                     least = min(least, bits[i])
@@ -163,7 +163,7 @@ def _any_wanted(wanted: Float32, top: int, left: int) -> bool:
 def ray_steps(
     rays: Float64, rotation: Float64, top: int, left: int, bottom: int, right: int
 ) -> tuple[float, float, float, float, float, float]:
-    """How much a tile's rays change from pixel to pixel, rightwards and downwards, in the world."""
+    """Change of a tile's rays from pixel to pixel, to the right and downwards, in the world frame."""
     row, column = (top + bottom) // 2, (left + right) // 2
     over, under = (left, right) if right > left else (max(left - 1, 0), right)
     above, below = (top, bottom) if bottom > top else (max(top - 1, 0), bottom)
@@ -192,7 +192,7 @@ def ray_steps(
 def _spread_rays(
     rays: Float64, rotation: Float64, offsets: Float32, top: int, left: int, sx: Float32, sy: Float32, sz: Float32
 ) -> None:
-    """The tile's rays in the world, sample by sample; the lens is taken as linear within a pixel."""
+    """Fill in the tile's rays in the world frame, sample by sample; the lens is taken as linear within a pixel."""
     height, width = rays.shape[:2]
     bottom, right = min(top + TILE_PX, height) - 1, min(left + TILE_PX, width) - 1
     ax, ay, az, bx, by, bz = ray_steps(rays, rotation, top, left, bottom, right)
@@ -202,7 +202,7 @@ def _spread_rays(
         sx[pixel] = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
         sy[pixel] = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
         sz[pixel] = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
-    # The first ray's own offset last: the others start from the centres.
+    # The first sample comes last, because the other samples start from the values at the pixel centres.
     for sample in range(len(offsets) - 1, -1, -1):
         u, v = offsets[sample, 0], offsets[sample, 1]
         x = np.float32(u * ax + v * bx)
@@ -236,7 +236,7 @@ def _try_face(
     crossed = False
     for edge in range(first + 1, last):
         a, b, c = rows[edge, 0], rows[edge, 1], rows[edge, 2]
-        # The whole tile is inside of this edge.
+        # The whole tile is inside this edge.
         if a * cx + b * cy + c * cz >= sine:
             continue
         if crossed:

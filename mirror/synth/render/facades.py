@@ -1,8 +1,8 @@
-"""What houses look like: walls with windows, shop fronts and far woods, averaged exactly over a pixel's footprint.
+"""The appearance of houses: walls with windows, shop fronts and distant woods, averaged exactly over a footprint.
 
-A footprint is a rectangle ``fu`` by ``fv`` of a face. Walls are made of rectangles within rectangles (a window in its
-surround, panes in its frame, a curtain behind the panes), so that what a footprint covers of each is known in closed
-form; every window has its own curtains and light, hence the footprint's windows are gone through one by one.
+A footprint is a rectangle ``fu`` by ``fv`` on a face. A wall consists of nested rectangles (a window in its surround,
+panes in its frame, a curtain behind the panes), so the covered area of each has a closed form. Every window has its
+own curtains and light; the code loops over the windows of the footprint.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import chance, grain
 
 _LINTEL_M: Final = 0.13
-"""Height of the shade under a window's head: panes stand back in the wall."""
+"""Height of the shadow below the top of a window, because panes are recessed in the wall."""
 
 
 @per_pixel(inline="always")
 def _overlap(low: float, high: float, start: float, end: float) -> float:
-    """Length that two intervals share."""
+    """Length of the intersection of two intervals."""
     return max(min(high, end) - max(low, start), 0.0)
 
 
 @per_pixel()
 def _panes(low: float, high: float, start: float, width: float, count: int, frame: float) -> float:
-    """Length of an interval that lies on panes: ``count`` of them from ``start`` on, between frames."""
+    """Length of the part of an interval that is on panes: ``count`` panes between frames, from ``start`` on."""
     pane = (width - (count + 1) * frame) / count
     length = 0.0
     for index in range(count):
@@ -37,7 +37,7 @@ def _panes(low: float, high: float, start: float, width: float, count: int, fram
 
 @per_pixel()
 def _panes_up(low: float, high: float, foot: float, height: float, transom: float, frame: float) -> float:
-    """Height of an interval that lies on panes: one, or two with a bar between."""
+    """Height of the part of an interval that is on panes: one pane, or two with a bar between."""
     if transom <= 0.0:
         return _overlap(low, high, foot + frame, foot + height - frame)
     bar = foot + height * (1.0 - transom)
@@ -48,7 +48,7 @@ def _panes_up(low: float, high: float, foot: float, height: float, transom: floa
 
 @per_pixel()
 def wall_grain(one: Records, patterns: Records) -> int:
-    """Which grain the wall of a FACADE face has."""
+    """Grain of the wall of a FACADE face."""
     return patterns[one.layout].grain
 
 
@@ -56,18 +56,18 @@ def wall_grain(one: Records, patterns: Records) -> int:
 def facade(
     one: Records, patterns: Records, rough: float, u: float, v: float, fu: float, fv: float, setting: Records
 ) -> Appearance:
-    """A wall with windows.
+    """Evaluate the appearance of a wall with windows.
 
     Args:
-        one: the face, FACE flattened; its ``layout`` is a row of windows.
-        patterns: the rows, :func:`mirror.synth.street.houses.windows.pattern_table`; an argument, since a constant
-            would outlive a change in the cache of compiled kernels.
-        rough: the wall's grain there, mean 1.
-        u: metres, 0 in the middle of the face.
-        v: the same upwards.
+        one: the face, FACE, flat; its ``layout`` is a row of ``patterns``.
+        patterns: table from :func:`mirror.synth.street.houses.windows.pattern_table`. It is an argument because the
+            cache of compiled kernels would keep the old value of a changed constant.
+        rough: value of the wall's grain at the point, mean 1.
+        u: metres to the right of the middle of the face.
+        v: metres above the middle of the face.
         fu: width of the footprint, metres.
-        fv: its height.
-        setting: LIGHTING flattened.
+        fv: height of the footprint, metres.
+        setting: LIGHTING, flat.
     """
     row = patterns[one.layout]
     wide, high = 2.0 * one.half_0, 2.0 * one.half_1
@@ -75,7 +75,7 @@ def facade(
     pitch, storey = wide / columns, high / storeys
     left, right = max(u + one.half_0 - 0.5 * fu, 0.0), min(u + one.half_0 + 0.5 * fu, wide)
     low, top = max(v + one.half_1 - 0.5 * fv, 0.0), min(v + one.half_1 + 0.5 * fv, high)
-    # A footprint of nothing, or beyond the face: a micrometre at its edge.
+    # An empty footprint, or one outside the face, is replaced by a micrometre at the edge of the face.
     left, low = min(left, wide - 1e-6), min(low, high - 1e-6)
     right, top = max(right, left + 1e-6), max(top, low + 1e-6)
     r, g, b, er, eg, eb, gloss = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -104,7 +104,7 @@ def _cell(
     y1: float,
     setting: Records,
 ) -> Appearance:
-    """Sum over the part (x0, x1) by (y0, y1) of one window's piece of wall, in square metres."""
+    """Appearance of one window with its part of the wall, integrated over (x0, x1) by (y0, y1), square metres."""
     cr, cg, cb = one.colour_0, one.colour_1, one.colour_2
     dx, dy = x1 - x0, y1 - y0
     joint_x, joint_y = _overlap(x0, x1, 0.0, row.joint_m), _overlap(y0, y1, 0.0, row.joint_m)
@@ -112,7 +112,7 @@ def _cell(
     course = dx * _overlap(y0, y1, row.joint_m, row.course_m)
     wall = dx * dy - joint - course
     plain = rough * (wall + 0.5 * joint)
-    # Trim is nearer to a light stone's colour than the wall.
+    # The colour of the trim is between that of the wall and that of a light stone.
     near = row.trim
     tr, tg, tb = cr + (0.62 - cr) * near, cg + (0.60 - cg) * near, cb + (0.55 - cb) * near
     trim = course
@@ -174,20 +174,20 @@ def _glazed(
     g: float,
     b: float,
 ) -> Appearance:
-    """What is behind a window's panes, added to the rest: curtains, blinds or a dark room; light at night."""
+    """Add the interior behind a window's panes: curtains, blinds or a dark room, and light at night."""
     glass = panes_x * panes_y
     own = i + 89 * j
     kind, size, hue = chance(own, 1, one.seed), chance(own, 2, one.seed), chance(own, 3, one.seed)
     covered = 0.0
     if kind < 0.45 * row.curtains:
-        # Drapes on both sides.
+        # Curtains on both sides.
         drape = (0.12 + 0.2 * size) * row.width_m
         sides = _panes(min(x0, start + drape), min(x1, start + drape), start, row.width_m, row.panes, row.frame_m)
         far = start + row.width_m - drape
         sides += _panes(max(x0, far), max(x1, far), start, row.width_m, row.panes, row.frame_m)
         covered = sides * panes_y
     elif kind < 0.8 * row.curtains:
-        # A blind, let down some way.
+        # A partly lowered blind.
         end = foot + row.height_m * (1.0 - 0.75 * size * size - 0.12)
         covered = panes_x * _panes_up(max(y0, end), max(y1, end), foot, row.height_m, row.transom, row.frame_m)
     elif kind < row.curtains:
@@ -201,7 +201,7 @@ def _glazed(
         return r, g, b, 0.0, 0.0, 0.0, row.gloss * glass
     room = 0.85 * (glass - covered)
     if kind >= row.curtains:
-        # The ceiling is bright; what furniture there is stands dark before the far wall.
+        # The ceiling is bright; furniture is dark against the rear wall.
         ceiling = foot + (0.72 + 0.14 * hue) * row.height_m
         room += 0.6 * panes_x * _panes_up(max(y0, ceiling), y1, foot, row.height_m, row.transom, row.frame_m)
         left, top = start + 0.6 * hue * row.width_m, foot + 0.5 * size * row.height_m
@@ -225,25 +225,25 @@ def shopfront(
     fv: float,
     setting: Records,
 ) -> Appearance:
-    """A shop window with its door, frames and what lies behind; lit in the evening.
+    """Evaluate the appearance of a shop window with its door, frames and interior, which is lit in the evening.
 
     Args:
-        one: the face, FACE flattened; its colour is the frames'.
-        red: of the image of what lies behind, averaged over the footprint.
-        green: of the same.
-        blue: of the same.
-        u: metres, 0 in the middle of the face.
-        v: the same upwards.
+        one: the face, FACE, flat; its colour is that of the frames.
+        red: red of the image of the interior, averaged over the footprint.
+        green: green of the same image.
+        blue: blue of the same image.
+        u: metres to the right of the middle of the face.
+        v: metres above the middle of the face.
         fu: width of the footprint, metres.
-        fv: its height.
-        setting: LIGHTING flattened.
+        fv: height of the footprint, metres.
+        setting: LIGHTING, flat.
     """
     wide, high = 2.0 * one.half_0, 2.0 * one.half_1
     left, right = max(u + one.half_0 - 0.5 * fu, 0.0), min(u + one.half_0 + 0.5 * fu, wide)
     low, top = max(v + one.half_1 - 0.5 * fv, 0.0), min(v + one.half_1 + 0.5 * fv, high)
     left, low = min(left, wide - 1e-6), min(low, high - 1e-6)
     right, top = max(right, left + 1e-6), max(top, low + 1e-6)
-    # The door takes a place of its own, at either end or in the middle; panes fill the rest.
+    # The door is at one end or in the middle; panes fill the rest.
     door_wide = 1.05
     place = int(3.0 * chance(one.seed, 21, 0))
     door = 0.0 if place == 0 else (wide - door_wide if place == 1 else 0.5 * (wide - door_wide))
@@ -279,9 +279,9 @@ def shopfront(
 
 @per_pixel()
 def skyline(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
-    """A far wood: clumps that fade out where the footprint is wider than they are."""
+    """Evaluate the appearance of a distant wood: clumps that fade out where the footprint is wider than they are."""
     wide = 0.5 * (fu + fv)
     clump = 1.0 + 0.30 * grain(u, v, 2.6, wide, one.seed) + 0.25 * grain(u, v, 0.9, wide, one.seed + 1)
-    # Crowns are lighter than what they shade.
+    # The top is lighter than the shaded foot.
     clump *= 0.85 + 0.3 * min(max((v + one.half_1) / max(2.0 * one.half_1, 1e-3), 0.0), 1.0)
     return one.colour_0 * clump, one.colour_1 * clump, one.colour_2 * clump, 0.0, 0.0, 0.0, 0.0

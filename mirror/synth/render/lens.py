@@ -1,4 +1,4 @@
-"""A camera as the rasteriser takes it: a ray for every pixel, and cones about the rays of tiles of several sizes."""
+"""The input of the rasteriser for a camera: a ray for every pixel, and cones around the rays of tiles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mirror.synth.render.develop.motion import ImageJacobian, compute_image_jaco
 TILE_PX: Final = 8
 LEVELS: Final = 4
 FANOUT: Final = 4
-"""A tile of one level is as wide as so many of the next finer one; the finest are TILE_PX wide."""
+"""A tile of one level is FANOUT tiles of the next finer level wide; the finest tiles are TILE_PX wide."""
 _MARGIN_PX: Final = 1.0
 
 
@@ -26,10 +26,10 @@ class Lens:
 
     Attributes:
         rays: (H, W, 3) unit directions through the pixel centres, camera frame.
-        cones: (C, 5) axis, cosine and sine of the half angle of a cone that holds all rays of a tile and a pixel
-            beyond; level by level, the finest first, each in row-major order.
-        levels: (LEVELS, 3) where a level's cones begin, and its tiles down and across.
-        pixel_rad: angle between neighbouring rays in the middle.
+        cones: (C, 5) axis, cosine and sine of the half angle of a cone that contains all rays of a tile with a margin
+            of one pixel; level by level, the finest first, each in row-major order.
+        levels: (LEVELS, 3) index of the first cone of a level, and its numbers of tiles down and across.
+        pixel_rad: angle between neighbouring rays in the middle of the image.
     """
 
     rays: Float64
@@ -39,15 +39,15 @@ class Lens:
 
     @cached_property
     def jacobian(self) -> ImageJacobian:
-        """How directions become pixels."""
+        """The Jacobian from directions to pixels."""
         return compute_image_jacobian(self.rays)
 
 
 def make_lens(camera: Camera) -> Lens:
-    """The rays of a camera, and cones about its tiles.
+    """Compute the rays of a camera, and cones around the rays of its tiles.
 
     Raises:
-        UsageError: the camera has a pixel that nothing is imaged at.
+        UsageError: the camera has a pixel without a ray.
     """
     rays = camera.rays()
     if not rays.valid.all():
@@ -55,7 +55,7 @@ def make_lens(camera: Camera) -> Lens:
         raise UsageError(f"no ray at pixel ({column}, {row})", expected="a lens that fills its raster")
     height, width = rays.direction.shape[:2]
     steps = [np.linalg.norm(np.diff(rays.direction, axis=axis), axis=2) for axis in (0, 1)]
-    # Focal lengths of some models are no measure of it.
+    # The focal length does not give the pixel's angle for every camera model.
     widest = max(float(step.max(initial=0.0)) for step in steps) or 1.0 / camera.fx_px
     cones, levels = [], np.zeros((LEVELS, 3), np.int64)
     start = 0
@@ -73,7 +73,7 @@ def make_lens(camera: Camera) -> Lens:
 def _cones(rays: Float64, side: int, margin_rad: float) -> Float64:
     height, width = rays.shape[:2]
     down, across = -(-height // side), -(-width // side)
-    # Tiles that stick out repeat the rays of their edge: the cone about them holds what is there.
+    # Tiles that extend over the edge of the image repeat its last rays, which keeps their cones tight.
     padded = np.pad(rays, ((0, down * side - height), (0, across * side - width), (0, 0)), "edge")
     tiles = padded.reshape(down, side, across, side, 3).swapaxes(1, 2).reshape(down * across, side * side, 3)
     axes = tiles.sum(axis=1)

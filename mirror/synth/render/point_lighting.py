@@ -1,4 +1,4 @@
-"""What light a place of a surface gets and sends to the eye: sun, sky, lamps, headlights, through the air."""
+"""Lighting of a surface point: sun, sky, lamps and headlights, reflected to the camera through haze."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SENT_BACK: Final = 5.0
 
 @per_pixel()
 def read(value: Float32, column: float, row: float) -> float:
-    """Bilinear value of a map; 0 outside."""
+    """Bilinear interpolation of a map; 0 outside."""
     i, j = math.floor(row), math.floor(column)
     if not (0 <= j < value.shape[1] - 1 and 0 <= i < value.shape[0] - 1):
         return 0.0
@@ -31,7 +31,7 @@ def read(value: Float32, column: float, row: float) -> float:
 
 @per_pixel()
 def _beam_at(setting: Records, maps: Records, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
-    """Light of the recording vehicle's headlights."""
+    """Light from the recording vehicle's headlights."""
     vx, vy, vz = x - maps.beam_0, y - maps.beam_1, z - maps.beam_2
     far = math.sqrt(vx * vx + vy * vy + vz * vz) + 1e-6
     ahead = (vx * maps.beam_3 + vy * maps.beam_4 + vz * maps.beam_5) / far
@@ -74,38 +74,38 @@ def shade_point(
     eb: float,
     gloss: float,
 ) -> tuple[float, float, float, float]:
-    """Radiance towards the eye, and how much of a mirrored ray's is added (wet ground).
+    """Compute the radiance of a surface point towards the camera, and the weight of the mirrored ray (wet ground).
 
     Args:
         static_shadow: shadow map of what never moves.
         moving_shadow: shadow map of road users and the recording vehicle.
-        lamps: light of the street lamps over the ground.
-        glow: light of other vehicles' headlights over the ground.
+        lamps: map of the street lamps' light over the ground.
+        glow: map of the light of other vehicles' headlights over the ground.
         ambient_occlusion: share of the sky's light that road users keep from the ground.
-        ground: heights of the ground.
-        dome: of the clear sky.
-        clouds: their field.
+        ground: map of the ground's heights.
+        dome: radiance of the clear sky.
+        clouds: density of the clouds.
         setting: LIGHTING, flat.
         maps: MAPS, flat.
-        material: of the surface.
-        label: its class.
-        t: distance from the eye, metres.
-        x: the place, world metres.
-        y: the place.
-        z: the place.
-        nx: unit normal towards the eye.
-        ny: the normal.
-        nz: the normal.
-        dx: unit direction from the eye.
-        dy: the direction.
-        dz: the direction.
-        fr: reflectance of red.
-        fg: of green.
-        fb: of blue.
-        er: emission of red.
-        eg: of green.
-        eb: of blue.
-        gloss: share of light that is mirrored at normal incidence.
+        material: material of the surface.
+        label: semantic class of the surface.
+        t: distance from the camera, metres.
+        x: the point, world metres.
+        y: the point, world metres.
+        z: the point, world metres.
+        nx: unit normal towards the camera.
+        ny: unit normal towards the camera.
+        nz: unit normal towards the camera.
+        dx: unit direction from the camera.
+        dy: unit direction from the camera.
+        dz: unit direction from the camera.
+        fr: reflectance, red.
+        fg: reflectance, green.
+        fb: reflectance, blue.
+        er: emission, red.
+        eg: emission, green.
+        eb: emission, blue.
+        gloss: specular reflectance at normal incidence.
     """
     mirror, opening, above = 0.0, 1.0, 0.0
     facing = -(dx * nx + dy * ny + dz * nz)
@@ -120,7 +120,7 @@ def shade_point(
             fr, fg, fb = fr * (1.0 - 0.42 * wet), fg * (1.0 - 0.42 * wet), fb * (1.0 - 0.42 * wet)
             mirror = wet * (0.025 + 0.62 * (1.0 - facing) ** 6)
     else:
-        # Less of the sky is open to the foot of a wall.
+        # Less of the sky is visible from the foot of a wall.
         above = z - read(ground, (x - maps.ground_origin_0) / GROUND_CELL_M, (y - maps.ground_origin_1) / GROUND_CELL_M)
         opening = 0.72 + 0.28 * min(max(above / 4.0, 0.0), 1.0)
         if gloss > 0.0:
@@ -129,7 +129,7 @@ def shade_point(
             rz = dz + 2.0 * facing * nz
             rough = _PAINT_RAD if material == Material.PAINT else _GLASS_RAD
             sr, sg, sb = sky(dome, clouds, setting, dx + 2.0 * facing * nx, dy + 2.0 * facing * ny, abs(rz), rough)
-            # Below the horizon the dark street is mirrored; curved sheets blur where it begins.
+            # Below the horizon the reflection shows the dark street; curved bodywork blurs the transition.
             share *= 0.25 + 0.60 * min(max(0.5 + 4.0 * rz, 0.0), 1.0)
             er, eg, eb = er + share * sr, eg + share * sg, eb + share * sb
     sun, lamplight, beam = 0.0, 0.0, 0.0
@@ -137,15 +137,15 @@ def shade_point(
         facing_sun = max(nx * setting.sun_0 + ny * setting.sun_1 + nz * setting.sun_2, 0.0)
         sun = facing_sun
         if material == Material.LEAVES:
-            # Leaves let light through.
+            # Leaves transmit light.
             sun = 0.35 + 0.5 * sun
         if sun > 0.0:
-            # A step off the surface keeps it out of its own shadow at the map's resolution: more where the sun grazes.
+            # An offset along the normal prevents self-shadowing at the map's resolution; larger for grazing sun.
             step = 0.06 + 0.14 * (1.0 - min(facing_sun, 1.0))
             sx, sy, sz = x + step * nx, y + step * ny, z + step * nz
             a = maps.sun_axes_00 * sx + maps.sun_axes_01 * sy + maps.sun_axes_02 * sz
             c = maps.sun_axes_10 * sx + maps.sun_axes_11 * sy + maps.sun_axes_12 * sz
-            # The slant of a surface within a cell.
+            # The last term allows for the slope of a surface within a cell.
             height = sx * setting.sun_0 + sy * setting.sun_1 + sz * setting.sun_2 + 0.06
             if setting.shadows > 0.0:
                 column, row = a - maps.static_shadow_origin_0, c - maps.static_shadow_origin_1
@@ -157,16 +157,16 @@ def shade_point(
         lamplight = read(lamps, at_x / LAMP_CELL_M, at_y / LAMP_CELL_M)
         lamplight *= 0.45 + 0.55 * nz if nz > 0.0 else 0.35
         if material == Material.PAINT:
-            # It mirrors more of what comes at a slant, and lamps do, than it scatters.
+            # Paint reflects most of the grazing light of lamps specularly, away from the camera.
             lamplight *= 0.55
     if setting.headlight > 0.0:
         beam = _beam_at(setting, maps, x, y, z, nx, ny, nz)
         column, row = (x - maps.glow_origin_0) / GLOW_CELL_M, (y - maps.glow_origin_1) / GLOW_CELL_M
-        # They shine on the ground and on what stands low on it.
+        # Headlights shine on the ground and on low objects.
         upright = max(nz, 0.3) if label <= Label.TERRAIN else 0.3 * min(max(1.7 - above, 0.0), 1.0)
         beam += 0.5 * setting.headlight * read(glow, column, row) * upright
         if label == Label.TRAFFIC_SIGN:
-            # Their sheeting sends light back to where it came from.
+            # Traffic signs are retroreflective.
             beam *= _SENT_BACK
     over, under = opening * (0.5 + 0.5 * nz), opening * (0.5 - 0.5 * nz)
     clear = math.exp(-t * setting.haze_per_m)
@@ -182,7 +182,7 @@ def shade_point(
         sun * setting.sunlight_2 + over * setting.sky_light_2 + under * setting.ground_light_2
         + lamplight * setting.lamp_light_2 + beam
     )  # fmt: skip
-    # Haze has the colour of the sky behind it, which glows about the sun.
+    # Haze has the colour of the sky above the horizon, which is brighter around the sun.
     glow_share = (0.5 + 0.5 * (dx * setting.sun_0 + dy * setting.sun_1)) ** 2
     dim = 1.0 - clear
     return (

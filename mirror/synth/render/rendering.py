@@ -1,4 +1,4 @@
-"""Any view of a world, at any time, in any light: the truth that novel views are held against."""
+"""Renders any view of a world at any time and in any light: the ground truth of novel views."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ def render(
 ) -> RenderedImage:
     """Render a view of a world.
 
-    Move the pose for novel trajectories, the condition for another light, the users' motions for other traffic. What
-    one condition's views share (shadows, leaves) is made at the first of them and kept for the next.
+    Change the pose for a novel trajectory, the condition for another light, and the road users for other traffic. The
+    first view of a condition computes its shadows and leaves; later views reuse them.
 
     Args:
-        world: what stands still, from `build_world`.
-        world_SE3_camera: one pose.
-        camera: the lens; every pixel has a ray.
-        time_s: after the condition's start: moves clouds, signals and users.
+        world: the static world, from `build_world`.
+        world_SE3_camera: one pose of the camera.
+        camera: the camera; every pixel has a ray.
+        time_s: seconds after the condition's start; sets clouds, traffic lights and road users.
         condition: light and weather.
         road_users: other road users; default: the parked vehicles of the world.
         response: the camera's response to light.
-        seed: of the noise.
+        seed: seed of the noise.
 
     Returns:
-        The image, and the truth of its pixels in ``view``.
+        The image, and the ground truth of its pixels in ``view``.
 
     Raises:
-        UsageError: the camera has a pixel that nothing is imaged at.
+        UsageError: the camera has a pixel without a ray.
     """
     scene = _scene(world, condition, tuple(world.parked if road_users is None else road_users))
     instant = scene.around(time_s, world_SE3_camera.translation[0])

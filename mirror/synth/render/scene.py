@@ -1,4 +1,4 @@
-"""A world as it stands at an instant, ready for views: what is there, what shadows fall, which lamps burn."""
+"""A world in one condition: prepares instants (surfaces, shadows, lamps) and renders images of them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _BEAM_M: Final = 26.0
 
 
 class Place(Protocol):
-    """What a scene takes of a world: all that stands still."""
+    """The part of a world that a scene uses: everything static."""
 
     @property
     def roi(self) -> Roi:
@@ -63,30 +63,30 @@ class Place(Protocol):
 
     @property
     def layouts(self) -> Records:
-        """(L, K) MARK: markings of carriageways."""
+        """(L, K) MARK: the markings of carriageways."""
         ...
 
     @property
     def lamps(self) -> Float64:
-        """(M, 3) places of street lamps' lights."""
+        """(M, 3) positions of the street lamps' lights, metres."""
         ...
 
     def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
-        """Heights of the ground."""
+        """Return the heights of the ground, metres."""
         ...
 
     def burning(self, time_s: float) -> Int64:
-        """Faces of traffic lights that burn at a time of the signals' cycle."""
+        """Return the faces of traffic lights that are lit at a time of the signal cycle."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """Everything as it stands at one instant round a place.
+    """The world around a position at one instant.
 
     Attributes:
-        surroundings: for views.
-        placements: of the road users that are near enough to be drawn, by number.
+        surroundings: input of the renderer.
+        placements: placements of the road users near enough to be rendered, by number.
     """
 
     surroundings: Surroundings
@@ -94,12 +94,12 @@ class Instant:
 
 
 class Twist(NamedTuple):
-    """How a camera moves during an exposure, in its own frame.
+    """The motion of a camera during an exposure, in the camera frame.
 
     Attributes:
-        velocity_mps: (3,).
-        turn_radps: (3,) rate of turning.
-        exposure_s: length of the exposure.
+        velocity_mps: (3,) velocity.
+        turn_radps: (3,) angular velocity.
+        exposure_s: exposure time.
     """
 
     velocity_mps: tuple[float, float, float]
@@ -109,11 +109,11 @@ class Twist(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RenderedImage:
-    """A rendered image.
+    """A rendered image with its ground truth.
 
     Attributes:
-        bgr: (H, W, 3).
-        view: what it shows: distances, normals, labels, objects.
+        bgr: (H, W, 3) pixels, blue first.
+        view: ground truth of the pixels: distances, normals, labels, objects.
     """
 
     bgr: UInt8
@@ -121,14 +121,14 @@ class RenderedImage:
 
 
 class Scene:
-    """A world in one condition with its road users: makes instants. Thread-safe once prepared.
+    """A world in one condition with its road users. Thread-safe after `prepare`.
 
     Args:
-        world: what stands still.
+        world: the static world.
         condition: light and weather.
         road_users: all other road users, including the parked ones; object numbers follow this order.
         own: model of the recording vehicle in its ego frame.
-        clock_s: of the signals, at the start.
+        clock_s: time of the signal cycle at the start.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class Scene:
         )
         _change_images(model, condition.visit if condition.effects.billboards else 0)
         model, layouts = narrowed(model, world.layouts)
-        # What stands as long as the drive lasts is placed once.
+        # Parked vehicles and other static road users are placed once.
         model = merged(
             [
                 model,
@@ -174,11 +174,11 @@ class Scene:
         return _StaticScene(model, spheres, shadow, lamps, ground, layouts, maps)
 
     def prepare(self) -> None:
-        """Make now what all instants share."""
+        """Compute the parts that all instants share."""
         _ = self._static
 
     def at(self, time_s: float, world_SE3_ego: Poses) -> Instant:
-        """All that there is ``time_s`` after the start, round the recording vehicle at its pose."""
+        """Return the world ``time_s`` after the start, around the recording vehicle at a pose."""
         ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
         moving, placements = self._moving(time_s, ego)
         own = self.own.placed(turn, ego, NO_OBJECT)
@@ -187,7 +187,7 @@ class Scene:
         return self._instant(time_s, merged([moving, own]), moving, placements, ego, beam)
 
     def around(self, time_s: float, place_m: Float64) -> Instant:
-        """All that there is ``time_s`` after the start round a place (3,), without a recording vehicle."""
+        """Return the world ``time_s`` after the start, around a position (3,), without a recording vehicle."""
         moving, placements = self._moving(time_s, place_m)
         return self._instant(time_s, moving, moving, placements, place_m, np.zeros(6))
 
@@ -227,13 +227,13 @@ class Scene:
         """Render one image.
 
         Args:
-            instant: what there is.
-            lens: the camera.
-            world_SE3_camera: one pose, at mid-exposure.
+            instant: the world at the time of the image.
+            lens: rays of the camera.
+            world_SE3_camera: one pose at mid-exposure.
             response: the camera's response to light.
-            seed: of the noise.
-            drops: rain on the lens, from `lens_drops`.
-            twist: how the camera moves; None: it stands.
+            seed: seed of the noise.
+            drops: rain drops on the lens, from `lens_drops`.
+            twist: motion of the camera; None: it does not move.
         """
         surroundings, effects = instant.surroundings, self.condition.effects
         rotation, origin = matrix_from_quaternion(world_SE3_camera.rotation)[0], world_SE3_camera.translation[0]
@@ -246,7 +246,7 @@ class Scene:
             motion = compute_image_motion(
                 lens.jacobian, view.distance_m, twist.velocity_mps, twist.turn_radps, twist.exposure_s
             )
-            # The vehicle itself moves with its cameras.
+            # The recording vehicle moves with its cameras, so it is not blurred.
             motion[view.label == Label.EGO] = 0.0
         light = np.ascontiguousarray(radiance[..., :3])
         return RenderedImage(
@@ -260,7 +260,7 @@ class Scene:
         model = merged([static.model, there])
         faces = model.faces
         faces["lights"][self.world.burning(self.clock_s + time_s)] = 1
-        # Ellipsoids come after all faces: the spheres of both models are interleaved.
+        # Ellipsoids come after all faces, so the spheres of both models are interleaved.
         spheres = bounding_spheres(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
         split, first = len(static.model.faces), len(there.faces)
         spheres = np.concatenate([static.spheres[:split], spheres[:first], static.spheres[split:], spheres[first:]])
@@ -303,7 +303,7 @@ def _is_static(user: RoadUser) -> bool:
 
 
 def _change_images(model: Model, visit: int) -> None:
-    """Put up the images that a visit shows."""
+    """Select the images of billboards and posters for a visit."""
     faces = model.faces
     changing = (faces["images"] > 1) & (faces["image"] != NO_IMAGE)
     faces["image"][changing] += (faces["seed"][changing] + visit) % faces["images"][changing]
@@ -340,7 +340,7 @@ def _ambient_occlusion(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -
 
 
 def _headlight_glow(vehicles: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
-    """Light of other vehicles' headlights on the ground: a bell ahead of each, wider and weaker with the distance."""
+    """Map of the light of other vehicles' headlights on the ground; wider and weaker with distance."""
     grid = np.arange(-_SHADED_WITHIN_M - 20.0, _SHADED_WITHIN_M + 20.0, GLOW_CELL_M)
     light = np.zeros((len(grid), len(grid)), np.float32)
     for body, place in vehicles:

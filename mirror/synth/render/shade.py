@@ -1,7 +1,7 @@
-"""The light that a view's rays bring back: looks under sun, sky, lamps and headlights, seen through the air.
+"""Computes the radiance along the rays of a view.
 
-What runs for every pixel is compiled without reference counts (`mirror.synth.kernels`): counting each
-array at every pixel takes a fifth of the time.
+Functions that run for every pixel are compiled without reference counts (`mirror.synth.kernels`): counting the
+references of each array at every pixel would take a fifth of the time.
 """
 
 from __future__ import annotations
@@ -56,38 +56,38 @@ def shade_ray(
     right: tuple[float, float, float],
     down: tuple[float, float, float],
 ) -> tuple[float, float, float, float]:
-    """Radiance along a ray, and how much of a mirrored ray's it adds (wet ground).
+    """Compute the radiance along a ray, and the weight of the mirrored ray (wet ground).
 
-    Arrays come one by one: taking one out of a tuple costs two atomic counts a pixel.
+    Arrays are separate arguments: reading one out of a tuple costs two atomic operations per pixel.
 
     Args:
         faces: (F,) FACE, flat.
         rounds: (R,) ROUND, flat.
         static_shadow: shadow map of what never moves.
         moving_shadow: shadow map of road users and the recording vehicle.
-        lamps: light of the street lamps over the ground.
-        glow: light of other vehicles' headlights over the ground.
+        lamps: map of the street lamps' light over the ground.
+        glow: map of the light of other vehicles' headlights over the ground.
         ambient_occlusion: share of the sky's light that road users keep from the ground.
-        ground: heights of the ground.
-        dome: of the clear sky.
-        clouds: their field.
+        ground: map of the ground's heights.
+        dome: radiance of the clear sky.
+        clouds: density of the clouds.
         layouts: (L, K) MARK, flat: markings of carriageways.
         setting: LIGHTING, flat.
         maps: MAPS, flat.
-        grains: of the atlas.
-        grain_index: of the atlas.
-        images: of the atlas.
-        image_index: of the atlas.
-        patterns: rows of windows.
-        index: of the surface that the ray meets, or SKY.
-        ox: the camera's place.
-        oy: the camera's place.
-        oz: the camera's place.
-        dx: the ray's unit direction.
-        dy: the ray's direction.
-        dz: the ray's direction.
-        right: how much the ray changes across the footprint, rightwards.
-        down: the same downwards.
+        grains: grains of the atlas.
+        grain_index: index of the grains.
+        images: images of the atlas.
+        image_index: index of the images.
+        patterns: table of window patterns.
+        index: index of the surface that the ray hits, or SKY.
+        ox: camera position, world metres.
+        oy: camera position, world metres.
+        oz: camera position, world metres.
+        dx: unit direction of the ray.
+        dy: unit direction of the ray.
+        dz: unit direction of the ray.
+        right: change of the ray across the footprint, to the right.
+        down: change of the ray across the footprint, downwards.
     """
     ax, ay, az = right
     bx, by, bz = down
@@ -100,7 +100,7 @@ def shade_ray(
         along = nx * dx + ny * dy + nz * dz
         t = (one.offset - nx * ox - ny * oy - nz * oz) / along
         x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
-        # How far the place moves on the plane from pixel to pixel.
+        # The displacement of the hit point on the plane from pixel to pixel.
         slip = (nx * ax + ny * ay + nz * az) / along
         ax, ay, az = t * (ax - slip * dx), t * (ay - slip * dy), t * (az - slip * dz)
         slip = (nx * bx + ny * by + nz * bz) / along
@@ -161,7 +161,7 @@ def shade_ray(
         vz = (ball.axes_20 * dx + ball.axes_21 * dy + ball.axes_22 * dz) * hz
         qa, qb = vx * vx + vy * vy + vz * vz, px * vx + py * vy + pz * vz
         qc = px * px + py * py + pz * pz - 1.0
-        # A mean of rays beside the edge may miss it by a little: then it touches.
+        # A mean of rays near the edge may miss the ellipsoid by a little; then the ray is taken as tangent.
         t = (-qb - math.sqrt(max(qb * qb - qa * qc, 0.0))) / qa
         px, py, pz = px + t * vx, py + t * vy, pz + t * vz
         nx = ball.axes_00 * px * hx + ball.axes_10 * py * hy + ball.axes_20 * pz * hz
@@ -178,7 +178,7 @@ def shade_ray(
             )
             er, eg, eb, gloss = 0.0, 0.0, 0.0, 0.01
         else:
-            # The grain is laid on from the side that the surface faces most, and moves with the body.
+            # The grain is projected along the dominant axis of the normal, in the frame of the body.
             ix, iy, iz = abs(px * hx), abs(py * hy), abs(pz * hz)
             if iz > ix and iz > iy:
                 u, v = px * ball.half_0, py * ball.half_1
@@ -228,38 +228,38 @@ def render_radiance(
     wanted: Float32,
     out: Float32,
 ) -> None:
-    """Radiance of an image, from what `coverage.cover` found.
+    """Compute the radiance of an image from the result of `coverage.compute_coverage`.
 
     Args:
         faces: (F,) FACE, flat.
         rounds: (R,) ROUND, flat.
         static_shadow: shadow map of what never moves.
         moving_shadow: shadow map of road users and the recording vehicle.
-        lamps: light of the street lamps over the ground.
-        glow: light of other vehicles' headlights over the ground.
+        lamps: map of the street lamps' light over the ground.
+        glow: map of the light of other vehicles' headlights over the ground.
         ambient_occlusion: share of the sky's light that road users keep from the ground.
-        ground: heights of the ground.
-        dome: of the clear sky.
-        clouds: their field.
+        ground: map of the ground's heights.
+        dome: radiance of the clear sky.
+        clouds: density of the clouds.
         layouts: (L, K) MARK, flat: markings of carriageways.
         setting: LIGHTING, flat.
         maps: MAPS, flat.
-        grains: of the atlas.
-        grain_index: of the atlas.
-        images: of the atlas.
-        image_index: of the atlas.
-        patterns: rows of windows.
-        rays: (H, W, 3) of the lens.
+        grains: grains of the atlas.
+        grain_index: index of the grains.
+        images: images of the atlas.
+        image_index: index of the images.
+        patterns: table of window patterns.
+        rays: (H, W, 3) rays of the lens.
         rotation: (3, 3) world_R_camera.
-        origin: (3,) the camera's place.
-        offset: (2,) of the ray that ``centre`` was found with, pixels.
-        scale: width of the footprint that is averaged over, pixels.
-        centre: from `cover`.
-        mixed: from `cover`.
-        which: from `cover`.
-        share: from `cover`.
-        wanted: as `cover` was given.
-        out: (H, W, 4) is filled with red, green, blue, and how much a mirrored image adds, where that is wanted.
+        origin: (3,) camera position, world metres.
+        offset: (2,) offset of the ray that ``centre`` belongs to, pixels.
+        scale: width of the footprint, pixels.
+        centre: from `compute_coverage`.
+        mixed: from `compute_coverage`.
+        which: from `compute_coverage`.
+        share: from `compute_coverage`.
+        wanted: the mask given to `compute_coverage`.
+        out: (H, W, 4) output where ``wanted`` is set: red, green, blue, and the weight of the mirrored image.
     """
     height, width = rays.shape[:2]
     ox, oy, oz = origin[0], origin[1], origin[2]
@@ -295,7 +295,7 @@ def render_radiance(
                             index, ox, oy, oz, dx, dy, dz,
                             (scale * ax, scale * ay, scale * az), (scale * bx, scale * by, scale * bz),
                         )  # fmt: skip
-                        # Lamps are clipped before they are averaged, or their edges stay hard.
+                        # Bright lamps are clipped before averaging; otherwise their edges would be aliased.
                         r += weight * min(pr, _BRIGHTEST)
                         g += weight * min(pg, _BRIGHTEST)
                         b += weight * min(pb, _BRIGHTEST)

@@ -1,4 +1,4 @@
-"""Sun shadows: how far towards the sun the surfaces reach, over the plane across its direction."""
+"""Shadow maps of the sun: the height of the surfaces towards the sun, over the plane perpendicular to its direction."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _NOTHING_M: Final = -1e9
 
 
 class ShadowMap(NamedTuple):
-    """Heights towards the sun.
+    """A shadow map.
 
     Attributes:
-        height: (rows, columns) metres along the sun's direction; very low where there is nothing.
+        height: (rows, columns) metres along the sun's direction; very low where there is no surface.
         origin: (2,) middle of the first cell in the plane, metres.
     """
 
@@ -29,12 +29,12 @@ class ShadowMap(NamedTuple):
 
     @classmethod
     def none(cls) -> ShadowMap:
-        """Nothing casts a shadow."""
+        """Return an empty map: nothing casts a shadow."""
         return cls(np.zeros((0, 0), np.float32), np.zeros(2))
 
 
 def sun_axes(sun: Float64) -> Float64:
-    """Two unit axes (2, 3) across the sun's direction (3,); the first is level."""
+    """Return two unit axes (2, 3) perpendicular to the sun's direction (3,); the first is horizontal."""
     across = np.cross([0.0, 0.0, 1.0], sun)
     size = np.linalg.norm(across)
     across = across / size if size > 1e-9 else np.array([1.0, 0.0, 0.0])
@@ -42,13 +42,13 @@ def sun_axes(sun: Float64) -> Float64:
 
 
 def render_shadow_map(model: Model, sun: Float64, centre: Float64, reach_m: float) -> ShadowMap:
-    """The shadow map of a model.
+    """Render the shadow map of a model.
 
     Args:
-        model: what casts shadows.
+        model: the surfaces that cast shadows.
         sun: (3,) unit direction to the sun.
-        centre: (3,) middle of what is mapped, metres.
-        reach_m: what casts no shadow within this distance from the centre may be left out.
+        centre: (3,) centre of the mapped region, metres.
+        reach_m: half the width of the mapped region.
     """
     axes = sun_axes(sun)
     if not len(model):
@@ -58,7 +58,7 @@ def render_shadow_map(model: Model, sun: Float64, centre: Float64, reach_m: floa
     low, high = np.maximum(plane.min(axis=0), middle - reach_m), np.minimum(plane.max(axis=0), middle + reach_m)
     if (high <= low).any():
         return ShadowMap.none()
-    # Cells lie on one lattice whatever is mapped, so that the same thing casts the same shadow in every map.
+    # All maps use the same lattice of cells, so that an object casts the same shadow in every map.
     low = np.floor(low / CELL_M) * CELL_M
     columns, rows = np.ceil((high - low) / CELL_M).astype(int) + 1
     height = np.full((rows, columns), _NOTHING_M, np.float32)
@@ -82,7 +82,7 @@ def _fill(
     for index in range(len(faces)):
         one = faces[index]
         facing = one.normal_0 * sun[0] + one.normal_1 * sun[1] + one.normal_2 * sun[2]
-        # The sides away from the sun are in the shadow of the others.
+        # Sides that face away from the sun are in the shadow of the other sides.
         if (facing <= 0.0 and not one.two_sided) or abs(facing) < 1e-4:
             continue
         count = one.count
@@ -91,7 +91,7 @@ def _fill(
             a[k] = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - low[0]) / CELL_M
             b[k] = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - low[1]) / CELL_M
             h[k] = sun[0] * x + sun[1] * y + sun[2] * z
-        # Along the sun's direction, the height over (a, b) is that at the first corner and a slope.
+        # The height along the sun's direction is an affine function of (a, b).
         na = (one.normal_0 * axes[0, 0] + one.normal_1 * axes[0, 1] + one.normal_2 * axes[0, 2]) * CELL_M / facing
         nb = (one.normal_0 * axes[1, 0] + one.normal_1 * axes[1, 1] + one.normal_2 * axes[1, 2]) * CELL_M / facing
         _fill_polygon(a, b, h, count, na, nb, height)
@@ -152,16 +152,16 @@ def _fill_round(one: Records, sun: Float64, axes: Float64, low: Float64, height:
 
 @per_pixel()
 def sun_visibility(height: Float32, column: float, row: float, along: float) -> float:
-    """Share of the sun that reaches a place.
+    """Compute the share of the sun that is visible from a point.
 
     Args:
-        height: a shadow map's.
-        column: of the place, in cells.
-        row: of the place.
-        along: how far towards the sun it is, metres.
+        height: heights of a shadow map.
+        column: column of the point, in cells.
+        row: row of the point, in cells.
+        along: height of the point along the sun's direction, metres.
 
     Returns:
-        0 to 1: over the four nearest cells.
+        0 to 1: bilinear over the four nearest cells.
     """
     i, j = math.floor(row), math.floor(column)
     if not (0 <= j < height.shape[1] - 1 and 0 <= i < height.shape[0] - 1):

@@ -1,4 +1,4 @@
-"""All that an image depends on besides its camera, as arrays for compiled kernels."""
+"""The input of the renderer apart from the camera, as arrays for compiled kernels."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ MAPS: Final = np.dtype(
         ("beam", np.float64, 6),
     ]
 )
-"""The axes across the sun's direction, the middles of the maps' first cells, and the place and direction of the
-recording vehicle's headlights."""
+"""The axes perpendicular to the sun's direction, the middle of the first cell of each map, and the position and
+direction of the recording vehicle's headlights."""
 
 
 class Surroundings(NamedTuple):
-    """All that an image depends on besides its camera.
+    """Everything that determines an image apart from the camera.
 
     Attributes:
         faces: (F,) FACE, flat.
@@ -38,13 +38,13 @@ class Surroundings(NamedTuple):
         rounds: (R,) ROUND, flat.
         spheres: (F + R, 4) from `binning.bounding_spheres`.
         static_shadow: shadow map of what never moves.
-        moving_shadow: shadow map of road users and the recording vehicle.
+        moving_shadow: shadow map of moving road users and the recording vehicle.
         lamps: (rows, columns) over the ground: light of the street lamps.
         glow: (rows, columns) over the ground: light of other vehicles' headlights.
         ambient_occlusion: (rows, columns) over the ground: share of the sky's light that road users keep from it.
         ground: (rows, columns) heights of the ground.
-        dome: of the clear sky.
-        clouds: their field.
+        dome: radiance of the clear sky.
+        clouds: density of the clouds.
         layouts: (L, K) MARK, flat: markings of carriageways.
         setting: LIGHTING record, flat.
         maps: MAPS record, flat.

@@ -1,4 +1,4 @@
-"""Procedural texture, filtered in closed form over a pixel's footprint so that the distance does not flicker."""
+"""Procedural textures, filtered in closed form over a pixel's footprint, so that distant surfaces do not flicker."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RANDOM: Final = np.random.default_rng(0).uniform(-1.0, 1.0, (_MASK + 1, _MASK +
 
 @per_pixel()
 def chance(i: int, j: int, seed: int) -> float:
-    """A number in [0, 1) that depends on the three integers alone (a xor-shift multiply hash)."""
+    """Hash three integers to a number in [0, 1) (a xor-shift multiply hash)."""
     h = np.uint64(i * 0x9E3779B1 + j * 0x85EBCA77 + seed * 0xC2B2AE3D)
     h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0x94D049BB133111EB)
@@ -24,7 +24,7 @@ def chance(i: int, j: int, seed: int) -> float:
 
 @per_pixel()
 def noise(x: float, y: float, seed: int) -> float:
-    """Smooth noise in [-1, 1] with a grain of 1; it repeats after 128 grains."""
+    """Smooth noise in [-1, 1] with a grain size of 1; the period is 128."""
     i, j = math.floor(x), math.floor(y)
     u, v = x - i, y - j
     u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
@@ -37,7 +37,7 @@ def noise(x: float, y: float, seed: int) -> float:
 
 @per_pixel()
 def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float:
-    """Noise of a grain size, faded out where the footprint is wider than the grain."""
+    """Noise with a grain size; it fades out where the footprint is wider than the grain."""
     shown = 1.5 - footprint / size
     if shown <= 0.0:
         return 0.0
@@ -46,7 +46,7 @@ def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float
 
 @per_pixel()
 def band(x: float, low: float, high: float, footprint: float) -> float:
-    """Share of the footprint about x that lies within [low, high]."""
+    """Share of the footprint around x that is within [low, high]."""
     width = max(footprint, 1e-6)
     covered = min(high, x + 0.5 * width) - max(low, x - 0.5 * width)
     return min(max(covered / width, 0.0), 1.0)
@@ -60,6 +60,6 @@ def _stripes_before(x: float, duty: float) -> float:
 
 @per_pixel()
 def stripes(x: float, period: float, duty: float, footprint: float) -> float:
-    """Share of the footprint about x within stripes that fill the first ``duty`` of every period."""
+    """Share of the footprint around x that is on stripes, which fill the first ``duty`` of every period."""
     x, width = x / period, max(footprint / period, 1e-6)
     return (_stripes_before(x + 0.5 * width, duty) - _stripes_before(x - 0.5 * width, duty)) / width

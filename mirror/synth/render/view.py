@@ -1,4 +1,4 @@
-"""One view of a scene: what its pixels show, the light that they bring back, and the truth beside it."""
+"""One view of a scene: visible surfaces, radiance and ground truth of its pixels."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _PATTERNS: Final = pattern_table()
 
 @dataclass(frozen=True, eq=False)
 class RenderView:
-    """What a camera sees of a scene.
+    """The visible surfaces of a scene from a camera.
 
     Attributes:
-        scene: what there is.
-        lens: the camera's rays.
+        scene: the rendered scene.
+        lens: rays of the camera.
         rotation: (3, 3) world_R_camera.
-        origin: (3,) the camera's place, world metres.
-        offsets: (S, 2) rays of a pixel, pixels off its centre.
-        wanted: (H, W) nothing is done where it is 0; (0, 0): everywhere.
-        surface: (H, W) surface (faces, then ellipsoids) that a pixel's first ray meets, or SKY.
-        mixed: (H, W) 1 where a pixel's rays do not all meet that.
+        origin: (3,) camera position, world metres.
+        offsets: (S, 2) rays of a pixel, in pixels from its centre.
+        wanted: (H, W) mask of the pixels to be rendered; (0, 0): all.
+        surface: (H, W) surface (faces, then ellipsoids) that a pixel's first ray hits, or SKY.
+        mixed: (H, W) 1 where the rays of a pixel hit different surfaces.
         which: (K, 2) pixel and surface of the fragments of such pixels.
         share: (K, 3) their shares of the rays, and their mean offsets.
-        counts: surfaces that there are, that face the view, pairs of tile and surface that are near each other, and
-            pairs that were tried; tiles.
+        counts: numbers of all surfaces, of surfaces that face the camera, of listed and of tested pairs of tile and
+            surface, and of tiles.
     """
 
     scene: Surroundings
@@ -56,10 +56,10 @@ class RenderView:
     counts: dict[str, int]
 
     def radiance(self, footprint_px: float = 1.0) -> Float32:
-        """Light (H, W, 4) that the view's rays bring back: red, green, blue, and how much a mirrored image adds.
+        """Compute the radiance (H, W, 4): red, green, blue, and the weight of the mirrored image.
 
         Args:
-            footprint_px: width that textures are averaged over.
+            footprint_px: width over which textures are averaged.
         """
         scene, textures = self.scene, atlas()
         out = np.zeros((*self.lens.rays.shape[:2], 4), np.float32)
@@ -80,12 +80,12 @@ class RenderView:
 
     @property
     def distance_m(self) -> Float32:
-        """Distances (H, W) along the rays through the pixels' centres; infinite for the sky."""
+        """Distances (H, W) along the rays through the pixel centres, metres; infinite for the sky."""
         return self._geometry[0]
 
     @property
     def normal(self) -> Float32:
-        """Unit normals (H, W, 3) in the world, towards the camera; 0 for the sky."""
+        """Unit normals (H, W, 3) in the world frame, towards the camera; 0 for the sky."""
         return self._geometry[1]
 
     def _of_surfaces(self, name: str, sky: int) -> Int64:
@@ -95,12 +95,12 @@ class RenderView:
 
     @property
     def label(self) -> UInt8:
-        """Semantic classes (H, W), of `Label`."""
+        """Semantic classes (H, W): values of `Label`."""
         return self._of_surfaces("label", Label.SKY).astype(np.uint8)
 
     @property
     def object(self) -> Int32:
-        """Numbers (H, W) of the road users seen; NO_OBJECT for all else."""
+        """Numbers (H, W) of the visible road users; NO_OBJECT elsewhere."""
         return self._of_surfaces("object", -1).astype(np.int32)
 
 
@@ -114,16 +114,16 @@ def rasterize_view(
     wanted: Float32 = _EVERYWHERE,
     ground: bool = True,
 ) -> RenderView:
-    """Find what a camera sees.
+    """Find the surfaces that a camera sees.
 
     Args:
-        scene: what there is.
-        lens: the camera.
+        scene: the scene.
+        lens: rays of the camera.
         rotation: (3, 3) world_R_camera.
-        origin: (3,) the camera's place, world metres.
-        offsets: (S, 2) rays of a pixel, pixels off its centre; truth is that of the first.
-        wanted: (H, W) nothing is done where it is 0; default: everywhere.
-        ground: whether the ground is there.
+        origin: (3,) camera position, world metres.
+        offsets: (S, 2) rays of a pixel, in pixels from its centre; the first gives the ground truth.
+        wanted: (H, W) mask of the pixels to be rendered; default: all.
+        ground: whether the ground is rendered.
     """
     rotation = np.ascontiguousarray(rotation, np.float64)
     x, y, z = (float(value) for value in origin)

@@ -1,4 +1,4 @@
-"""What wet ground mirrors: the view of a camera below it that looks up as the camera looks down."""
+"""Reflections on wet ground: the view of a camera that is mirrored at the ground plane."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _STRETCH_PX: Final = 12
 _LEAST_SHARE: Final = 0.03
 _REACH_M: Final = 24.0
 _ONE_RAY: Final = np.zeros((1, 2), np.float32)
-# What a rough, wet surface loses of its own light where it mirrors.
+# Share of its diffuse light that a rough, wet surface loses where it mirrors.
 _LOST_SHARE: Final = 0.5
 
 
 def add_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation: Float64, origin: Float64) -> Float32:
-    """An image with what its wet ground mirrors.
+    """Add the reflections on wet ground to an image.
 
-    The ground is taken as a plane, fitted to it round the camera.
+    The ground is approximated by a plane that is fitted around the camera.
 
     Args:
         radiance: (H, W, 4) from `RenderView.radiance`.
-        scene: what there is.
-        lens: the camera.
+        scene: the scene.
+        lens: rays of the camera.
         rotation: (3, 3) world_R_camera.
-        origin: (3,) its place.
+        origin: (3,) camera position, world metres.
 
     Returns:
         (H, W, 4) radiance.
@@ -48,7 +48,7 @@ def add_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation
 
 
 def fit_ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, float]:
-    """Normal (3,) and offset of the plane that fits the ground round a place best."""
+    """Fit a plane to the ground around a position (3,); returns its unit normal (3,) and offset."""
     ground, left, low = scene.ground, float(scene.maps["ground_origin_0"]), float(scene.maps["ground_origin_1"])
     column, row = round((place[0] - left) / GROUND_CELL_M), round((place[1] - low) / GROUND_CELL_M)
     reach = math.ceil(_REACH_M / GROUND_CELL_M)
@@ -58,7 +58,7 @@ def fit_ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, floa
         return np.array([0.0, 0.0, 1.0]), 0.0
     x, y = np.meshgrid(left + columns * GROUND_CELL_M - place[0], low + rows * GROUND_CELL_M - place[1])
     z = ground[np.ix_(rows, columns)].astype(np.float64)
-    # What lies below the camera counts most: pavements and verges stand higher.
+    # The ground below the camera has the largest weight, because pavements and verges are higher.
     weight = np.exp(-(x * x + y * y) / (0.5 * _REACH_M) ** 2).ravel()
     terms = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) * weight[:, None]
     slope_x, slope_y, height = np.linalg.lstsq(terms, z.ravel() * weight, rcond=None)[0]
@@ -68,7 +68,7 @@ def fit_ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, floa
 
 
 def _reflection_mask(share: Float32) -> Float32:
-    """Where a mirrored image is asked for: (H, W) 1 in pixels that mirror and those that are drawn over them."""
+    """Mask (H, W) of pixels whose mirrored radiance is needed: those that mirror, and those blurred into them."""
     import cv2
 
     rows = np.ones((2 * _STRETCH_PX + 1, 1), np.uint8)
@@ -77,10 +77,10 @@ def _reflection_mask(share: Float32) -> Float32:
 
 
 def _stretch_vertically(mirrored: Float32) -> Float32:
-    """Ripples and the roughness of the road draw a reflection out lengthwise."""
+    """Blur a reflection vertically, as ripples and the roughness of the road do."""
     import cv2
 
-    # Twice a box: nearly a bell.
+    # Two box filters approximate a Gaussian.
     once = cv2.blur(mirrored, (1, _STRETCH_PX + 1), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(cv2.blur(once, (1, _STRETCH_PX + 1), borderType=cv2.BORDER_REPLICATE), np.float32)
 

@@ -1,4 +1,4 @@
-"""What a camera makes of radiance: blur, drops, glare, exposure, film, noise; it takes numba and OpenCV with it."""
+"""The camera model, from radiance to 8-bit images: blur, drops, glare, exposure, tone curve, noise. Imports numba."""
 
 from __future__ import annotations
 

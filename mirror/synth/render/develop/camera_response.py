@@ -1,4 +1,4 @@
-"""How one camera renders what another renders a little otherwise."""
+"""The response of a camera to light, which differs a little between cameras."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class CameraResponse:
-    """The character of one camera of one vehicle.
+    """The response of one camera of one vehicle.
 
     Attributes:
-        exposure_ev: how much brighter it exposes than others, in powers of two.
-        tint: gains of red, green and blue on top of the white balance that all have.
-        vignette: how much light the corners lose: they get ``1 / (1 + vignette)**2`` of it.
-        noise: standard deviation of its noise, in those of the condition.
+        exposure_ev: exposure offset, in powers of two.
+        tint: gains of red, green and blue, applied after the white balance.
+        vignette: vignetting; the corners receive ``1 / (1 + vignette)**2`` of the light.
+        noise: standard deviation of the noise, relative to that of the condition.
     """
 
     exposure_ev: float = 0.0
@@ -26,7 +26,7 @@ class CameraResponse:
 
 
 def draw_camera_response(seed: int | Sequence[int]) -> CameraResponse:
-    """The character of the camera that a seed stands for."""
+    """Draw the response of a camera from a seed."""
     rng = np.random.default_rng(seed)
     warm, green = rng.normal(0.0, 0.022), rng.normal(0.0, 0.010)
     return CameraResponse(

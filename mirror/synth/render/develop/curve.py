@@ -1,4 +1,4 @@
-"""From light on the sensor to 8-bit levels: sRGB's curve with a toe and a shoulder."""
+"""The tone curve from exposed light to 8-bit levels: sRGB with a toe and a shoulder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from mirror.arrays import Float64, UInt8
 
 BRIGHTEST: Final = 16.0
-"""Everything above is white."""
+"""Exposed light above this is white."""
 STEPS: Final = 1 << 14
 
 _TOE: Final = 0.022
@@ -18,12 +18,12 @@ _SHOULDER: Final = 0.62
 
 
 def film(exposed: Float64) -> Float64:
-    """Levels in [0, 1) of exposed light; 1 is what a white surface gives in an image that is exposed right.
+    """Map exposed light to levels in [0, 1). A white surface in a correctly exposed image has light 1.
 
-    The sRGB encoding, below drawn to black, above bent so that what is brighter than white keeps differences.
+    The curve is the sRGB encoding with darker shadows, and with a shoulder that compresses highlights.
 
     Args:
-        exposed: (...,) light; negative counts as none.
+        exposed: (...,) exposed light; negative values count as 0.
     """
     light = np.maximum(exposed, 0.0)
     coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-12) ** (1.0 / 2.4) - 0.055)
@@ -35,9 +35,9 @@ def film(exposed: Float64) -> Float64:
 
 @cache
 def film_table() -> UInt8:
-    """8-bit levels (STEPS,) at evenly spaced square roots of light, from 0 to that of BRIGHTEST; read-only.
+    """Return 8-bit levels (STEPS,) at evenly spaced square roots of light, from 0 to that of BRIGHTEST; read-only.
 
-    Between two steps a level changes by less than 0.03: the nearest step gives it to half a level.
+    Between two steps the level changes by less than 0.03, so the nearest step is accurate to half a level.
     """
     root = np.linspace(0.0, np.sqrt(BRIGHTEST), STEPS)
     table = np.floor(255.0 * film(root**2) + 0.5).astype(np.uint8)
@@ -47,7 +47,7 @@ def film_table() -> UInt8:
 
 @cache
 def gaussian_table() -> Float64:
-    """4096 evenly probable values of a normal distribution of variance 1; read-only."""
+    """Return 4096 quantiles of a normal distribution of variance 1, equally probable; read-only."""
     from statistics import NormalDist
 
     normal = NormalDist()

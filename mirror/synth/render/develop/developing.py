@@ -1,4 +1,4 @@
-"""Development: radiance to an 8-bit image, as one camera in one condition makes it."""
+"""Development: converts radiance to an 8-bit image, for one camera in one condition."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mirror.synth.render.develop.glare import QUARTER, glare
 from mirror.synth.render.develop.motion import apply_motion_blur
 
 _VIVID: Final = 1.12
-"""Colours are that much further from grey than they are."""
+"""Factor of the colour saturation."""
 _SCALE: Final = (STEPS - 1) / math.sqrt(BRIGHTEST)
 
 
@@ -33,22 +33,22 @@ def develop(
     motion: Float32 | None = None,
     drops: Records | None = None,
 ) -> UInt8:
-    """Make an 8-bit image; the same arguments give the same bytes, on any thread.
+    """Convert radiance to an 8-bit image; the same arguments give the same bytes on any thread.
 
     Args:
-        radiance: (H, W, 3) red, green, blue; not changed.
-        record: LIGHTING.
-        response: the camera's response.
-        effects: what is left out.
-        seed: of the noise: another for each image.
-        motion: (H, W, 2) pixels that each pixel moves during the exposure, of `compute_image_motion`.
-        drops: (N,) DROP on the lens, of `lens_drops`: in rain.
+        radiance: (H, W, 3) red, green, blue; not modified.
+        record: LIGHTING record.
+        response: the camera's response to light.
+        effects: effects to be rendered.
+        seed: seed of the noise; each image needs its own.
+        motion: (H, W, 2) motion of each pixel during the exposure, in pixels, from `compute_image_motion`.
+        drops: (N,) DROP: rain drops on the lens, from `lens_drops`.
 
     Returns:
-        (H, W, 3), blue first.
+        (H, W, 3) pixels, blue first.
 
     Raises:
-        UsageError: arrays of wrong shape or type, or radiance that is not finite.
+        UsageError: an array has a wrong shape or type, or the radiance is not finite.
     """
     if radiance.ndim != 3 or radiance.shape[2] != 3 or radiance.dtype != np.float32 or not radiance.size:
         raise UsageError(f"radiance {radiance.dtype} {radiance.shape}", expected="float32 (H, W, 3), H and W above 0")
@@ -140,13 +140,13 @@ def _film(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _upsampled(small: Float32, row: int, between: Float32, out: Float32) -> None:
-    """One row of full resolution, bilinear between the middles of blocks.
+    """Upsample one row to full resolution, bilinearly between the middles of blocks.
 
     Args:
-        small: (h, w, 3).
-        row: of the full resolution.
-        between: (w + 2, 3), overwritten: the row between two of ``small``, its ends twice.
-        out: (4 w, 3), overwritten.
+        small: (h, w, 3) values of blocks.
+        row: row of the full resolution.
+        between: (w + 2, 3) buffer, overwritten: the row between two rows of ``small``, with repeated ends.
+        out: (4 w, 3) output.
     """
     rows, columns = small.shape[:2]
     y = min(max((row + 0.5) / QUARTER - 0.5, 0.0), rows - 1.0)

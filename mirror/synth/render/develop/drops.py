@@ -1,4 +1,4 @@
-"""Rain on a lens: drops out of focus, each of which shows the street upside down."""
+"""Rain on a lens: drops out of focus, each of which shows an inverted image of the street."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mirror.arrays import Float32, Records
 from mirror.synth.render.develop.glare import QUARTER, quarter_excess
 
 DROP: Final = np.dtype([(name, np.float64) for name in ("x", "y", "half_x", "half_y", "reach", "depth")])
-"""A drop: middle, half axes and half the width of what it shows, in widths of the image; and how opaque it is."""
+"""A drop: centre, half axes and half the width of the image region that it shows, in image widths; and its opacity."""
 
 _DRY: Final = 0.4
 _MOST: Final = 26
@@ -21,17 +21,17 @@ _DARK_RIM: Final = 0.45
 
 
 def lens_drops(seed: int | Sequence[int], aspect: float) -> Records:
-    """The drops (N,) DROP on the lens that a seed stands for; two lenses in five are dry.
+    """Draw the drops (N,) DROP on a lens; two lenses in five have none.
 
     Args:
-        seed: of the drive and the camera: drops stay where they are.
-        aspect: height of the image by its width.
+        seed: seed of the drive and the camera; drops do not move during a drive.
+        aspect: height of the image divided by its width.
     """
     rng = np.random.default_rng(seed)
     count = 0 if rng.random() < _DRY else int(rng.integers(4, _MOST))
     drops = np.zeros(count, DROP)
     drops["x"], drops["y"] = rng.uniform(0.0, 1.0, count), rng.uniform(0.0, aspect, count)
-    # Many are small, few are large.
+    # Most drops are small, few are large.
     size = 0.007 + 0.034 * rng.random(count) ** 3
     drops["half_x"], drops["half_y"] = size, size * rng.uniform(0.95, 1.5, count)
     drops["reach"], drops["depth"] = size * rng.uniform(2.5, 5.0, count), rng.uniform(0.6, 0.95, count)
@@ -39,7 +39,7 @@ def lens_drops(seed: int | Sequence[int], aspect: float) -> Records:
 
 
 def refract_drops(image: Float32, drops: Records) -> Float32:
-    """An image (H, W, 3) of radiance seen through drops (N,) DROP; nothing but their pixels is touched."""
+    """Refract an image (H, W, 3) of radiance through drops (N,) DROP; pixels outside the drops do not change."""
     import cv2
 
     small, _ = quarter_excess(image, np.ones(3), 0.0, np.inf)

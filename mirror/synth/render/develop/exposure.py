@@ -1,4 +1,4 @@
-"""How long a camera exposes, as a gain."""
+"""The automatic exposure of a camera, as a gain."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ _DARKEST: Final = 1e-5
 
 
 def compute_exposure(radiance: Float32, record: Records, response: CameraResponse, effects: Effects) -> float:
-    """The gain that a camera gives its image.
+    """Compute the exposure gain of an image.
 
-    It brings the geometric mean of the image's luminance most of the way to the condition's middle, spares
-    highlights, and never leaves the condition's own exposure by more than a factor of 2.3; at night it gives as much as
-    3.4 times.
+    The gain moves the geometric mean of the luminance most of the way to the condition's mean and protects
+    highlights. It differs from the condition's exposure by at most a factor of 2.3, at night by at most 3.4 upwards.
 
     Args:
-        radiance: (H, W, 3).
-        record: LIGHTING.
-        response: the camera's response.
-        effects: without ``exposure`` every camera exposes by the condition.
+        radiance: (H, W, 3) radiance.
+        record: LIGHTING record.
+        response: the camera's response to light.
+        effects: effects; without ``exposure`` the gain is that of the condition.
     """
     usual = float(record["exposure"])
     if not effects.exposure:

@@ -1,4 +1,4 @@
-"""Glare: what is brighter than white spills over its surroundings."""
+"""Glare: light that is brighter than white spreads to neighbouring pixels."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from numba import njit
 from mirror.arrays import Float32, Float64
 
 QUARTER: Final = 4
-"""Glare is made at a quarter of the resolution."""
+"""Glare is computed at a quarter of the resolution."""
 
 _SHARES: Final = (0.05, 0.06, 0.06, 0.05, 0.04)
-"""Of the surplus, that each level of a pyramid spreads: twice as far as the one before."""
+"""Share of the excess light that each level of a pyramid spreads; each level spreads it twice as far as the one before.
+"""
 _WHITE: Final = 1.1
 _MOST: Final = 12.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def quarter_excess(image: Float32, gains: Float64, above: float, most: float) -> tuple[Float32, float]:
-    """Means over blocks of 4 x 4 pixels of how much light exceeds a level.
+    """Average the light above a level over blocks of 4 x 4 pixels.
 
     Args:
         image: (H, W, 3) radiance.
-        gains: (3,) of the channels.
-        above: level.
-        most: that a pixel exceeds it.
+        gains: (3,) exposure gains of the channels.
+        above: the level.
+        most: upper limit of the excess of a pixel.
 
     Returns:
-        (H / 4, W / 4, 3), rounded up; and the greatest excess there is.
+        (H / 4, W / 4, 3), rounded up; and the largest excess of a pixel.
     """
     height, width = image.shape[:2]
     small = np.zeros((-(-height // QUARTER), -(-width // QUARTER), 3), np.float32)
@@ -51,14 +52,14 @@ def quarter_excess(image: Float32, gains: Float64, above: float, most: float) ->
 
 
 def glare(image: Float32, gains: Float64) -> Float32 | None:
-    """Light that spills over, at a quarter of the resolution; None where nothing is brighter than white.
+    """Compute the glare of an image at a quarter of the resolution; None if no pixel is brighter than white.
 
     Args:
         image: (H, W, 3) radiance.
-        gains: (3,) with which the channels are exposed.
+        gains: (3,) exposure gains of the channels.
 
     Returns:
-        (H / 4, W / 4, 3), rounded up, exposed light to be added.
+        (H / 4, W / 4, 3), rounded up: exposed light to be added.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Motion blur: how far each pixel moves while the shutter is open, and the mean along that way."""
+"""Motion blur: the motion of each pixel while the shutter is open, and the mean along its path."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mirror.arrays import Float32, Float64
 
 BLOCK_PX: Final = 4
 _LEAST_PX: Final = 1.0
-# Samples lie in pairs about the pixel itself: one pair from a pixel on, another every 2.6 pixels.
+# Samples are placed in pairs around the pixel: the first pair from a motion of one pixel, another every 2.6 pixels.
 _PAIRS_PER_PX: Final = 0.38
 _FIRST_PAIR: Final = 0.62
 _MOST_PAIRS: Final = 6
@@ -21,11 +21,11 @@ _EDGE_PX: Final = 0.01
 
 
 class ImageJacobian(NamedTuple):
-    """How directions become pixels, over blocks of BLOCK_PX pixels.
+    """The Jacobian from directions to pixels, on blocks of BLOCK_PX pixels.
 
     Attributes:
         rays: (h, w, 3) unit directions through the middles of the blocks, camera frame.
-        pixels: (h, w, 2, 3) pixels right and down per change of a unit direction.
+        pixels: (h, w, 2, 3) derivatives of the pixel position, right and down, by the unit direction.
     """
 
     rays: Float64
@@ -33,7 +33,7 @@ class ImageJacobian(NamedTuple):
 
 
 def compute_image_jacobian(rays: Float64) -> ImageJacobian:
-    """The Jacobian of any lens, from the differences of its rays.
+    """Compute the Jacobian of a lens from finite differences of its rays.
 
     Args:
         rays: (H, W, 3) unit directions through the pixel centres, camera frame; at least 2 x 2.
@@ -54,19 +54,19 @@ def compute_image_motion(
     turn_radps: npt.ArrayLike,
     exposure_s: float,
 ) -> Float32:
-    """How far what stands still moves in an image during its exposure.
+    """Compute the motion of the static world in an image during the exposure.
 
-    By the image Jacobian (S. Hutchinson, G. Hager, P. Corke, A tutorial on visual servo control, 1996).
+    Uses the image Jacobian (S. Hutchinson, G. Hager, P. Corke, A tutorial on visual servo control, 1996).
 
     Args:
-        jacobian: of the lens.
-        distance_m: (H, W) along the rays; infinite for the sky.
-        velocity_mps: (3,) of the camera, in its own frame.
-        turn_radps: (3,) rate of its turning, in its own frame.
-        exposure_s: length of the exposure.
+        jacobian: Jacobian of the lens.
+        distance_m: (H, W) distances along the rays; infinite for the sky.
+        velocity_mps: (3,) velocity of the camera, camera frame.
+        turn_radps: (3,) angular velocity of the camera, camera frame.
+        exposure_s: exposure time.
 
     Returns:
-        (H, W, 2) pixels right and down.
+        (H, W, 2) motion in pixels, right and down.
     """
     velocity = exposure_s * np.asarray(velocity_mps, np.float64)
     turn = exposure_s * np.asarray(turn_radps, np.float64)
@@ -91,11 +91,11 @@ def _flow(near: Float64, far: Float64, distance: Float32) -> Float32:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_motion_blur(image: Float32, flow: Float32) -> Float32:
-    """Means along each pixel's way, half of it before and half behind; ways below a pixel are left.
+    """Average each pixel along its path, which is centred on the pixel; paths below one pixel are not blurred.
 
     Args:
         image: (H, W, 3) radiance.
-        flow: (H, W, 2) pixels.
+        flow: (H, W, 2) motion in pixels, right and down.
     """
     height, width = image.shape[:2]
     out = np.empty_like(image)

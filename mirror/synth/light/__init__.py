@@ -1,3 +1,3 @@
-"""Light and weather of a drive: the condition, where the sun stands, the sky, and what the renderer makes of them."""
+"""Light and weather of a drive: the condition, the position of the sun, the sky, and the renderer's lighting record."""
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The colours of a clear sky: sunlight that air and haze scatter once towards us, round a spherical earth.
+"""The radiance of a clear sky: single scattering of sunlight by air and haze around a spherical earth.
 
-After T. Nishita and others, Display of the earth taking into account atmospheric scattering, SIGGRAPH 1993, with the
-ozone that makes the zenith of the dusk blue. The sun may stand below the horizon.
+Follows T. Nishita and others, Display of the earth taking into account atmospheric scattering, SIGGRAPH 1993, with
+ozone, which makes the zenith blue at dusk. The sun may be below the horizon.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import numpy as np
 from mirror.arrays import Float64
 
 DOME: Final = 96
-"""Samples across a dome: a square about the zenith, stereographic, with the horizon on the inscribed circle."""
+"""Samples along a side of a dome: a square around the zenith in stereographic projection; the horizon is the inscribed
+circle."""
 
 _EARTH_M: Final = 6_371e3
 _TOP_M: Final = 6_431e3
@@ -23,8 +24,8 @@ _AIR_M: Final = 8_000.0
 _HAZE_M: Final = 1_200.0
 _OZONE_M: Final = 25_000.0
 _OZONE_HALF_M: Final = 15_000.0
-# Scattering a metre at sea level, and ozone's absorption where it is densest, where a screen's red, green and blue have
-# their weight: 612, 549 and 465 nm.
+# Scattering per metre at sea level, and absorption of ozone per metre at its densest, at the mean wavelengths of a
+# display's red, green and blue: 612, 549 and 465 nm.
 _AIR: Final = np.array([8.7e-6, 13.6e-6, 26.5e-6])
 _HAZE: Final = np.array([7.2e-6, 7.6e-6, 8.3e-6])
 _OZONE: Final = np.array([2.3e-6, 1.7e-6, 0.12e-6])
@@ -33,27 +34,27 @@ _FORWARD: Final = 0.74
 _VIEW_STEPS: Final = 18
 _SUN_STEPS: Final = 16
 _NO_LIGHT: Final = 1e3
-# Share of the sky's own light that air which has scattered it once scatters again, evenly.
+# Share of the sky's light that the air scatters a second time, evenly in all directions.
 _AGAIN: Final = 0.6
 
 
 @lru_cache(maxsize=16)
 def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
-    """Radiance (DOME, DOME, 3) of a clear sky, in units of the sunlight above the air.
+    """Compute the radiance (DOME, DOME, 3) of a clear sky, in units of the sunlight above the atmosphere.
 
     Args:
-        elevation_deg: of the sun.
-        azimuth_deg: of the sun, counter-clockwise from east.
+        elevation_deg: elevation of the sun.
+        azimuth_deg: azimuth of the sun, counter-clockwise from east.
 
     Returns:
-        The dome, read-only; rows run north, columns east.
+        The dome, read-only; rows increase to the north, columns to the east.
     """
     away = dome_directions().reshape(-1, 3)
     up, aside = np.radians(elevation_deg), np.radians(azimuth_deg)
     sun = np.array([np.cos(up) * np.cos(aside), np.cos(up) * np.sin(aside), np.sin(up)])
     eye = np.array([0.0, 0.0, _EARTH_M + 10.0])
     reach = _to_sphere(np.broadcast_to(eye, away.shape), away, _TOP_M)
-    # Steps grow with the distance: most of what is seen near the horizon is near.
+    # Steps grow with distance, because most of the light near the horizon comes from nearby air.
     edges = np.linspace(0.0, 1.0, _VIEW_STEPS + 1) ** 2.5
     cosine = away @ sun
     air_phase = 3.0 / (16.0 * np.pi) * (1.0 + cosine**2)
@@ -80,7 +81,7 @@ def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
 
 
 def dome_directions() -> Float64:
-    """Directions (DOME, DOME, 3) of a dome's samples; outside the horizon's circle, that of the nearest on it."""
+    """Return the directions (DOME, DOME, 3) of a dome's samples; below the horizon, the nearest direction on it."""
     line = np.linspace(-1.0, 1.0, DOME)
     x, y = np.meshgrid(line, line)
     square = x * x + y * y
@@ -90,7 +91,7 @@ def dome_directions() -> Float64:
 
 
 def dome_weights() -> Float64:
-    """Solid angles (DOME, DOME) times the cosine from the zenith, over pi: radiance becomes light on level ground."""
+    """Return solid angles (DOME, DOME) times the cosine from the zenith over pi; they sum radiance to irradiance."""
     line = np.linspace(-1.0, 1.0, DOME)
     x, y = np.meshgrid(line, line)
     square = x * x + y * y
@@ -103,20 +104,20 @@ _EXTINCTION: Final = np.stack([_AIR, _HAZE_TAKES * _HAZE, _OZONE])
 
 
 def _densities(height_m: Float64) -> Float64:
-    """Densities (..., 3) of air, haze and ozone, 1 where each is densest."""
+    """Densities (..., 3) of air, haze and ozone, relative to the maximum of each."""
     height = np.maximum(height_m, 0.0)
     ozone = np.maximum(1.0 - np.abs(height - _OZONE_M) / _OZONE_HALF_M, 0.0)
     return np.stack([np.exp(-height / _AIR_M), np.exp(-height / _HAZE_M), ozone], axis=-1)
 
 
 def _to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
-    """Distances (N,) from points inside a sphere about the earth's centre to it."""
+    """Distances (N,) from points inside a sphere around the earth's centre to the sphere."""
     along = np.einsum("ni,ni->n", start, away)
     return -along + np.sqrt(along**2 - np.einsum("ni,ni->n", start, start) + radius**2)
 
 
 def _depth_to_sun(points: Float64, sun: Float64) -> Float64:
-    """Optical depths (N, 3) from points (N, 3) from the earth's centre to the sun; huge where the earth is between."""
+    """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth hides the sun."""
     reach = _to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
     along = points @ sun
     passing = np.sqrt(np.maximum(np.einsum("ni,ni->n", points, points) - along**2, 0.0))

@@ -1,4 +1,4 @@
-"""A field of clouds that repeats, at several resolutions: how dense they are, as a quantile."""
+"""A periodic field of cloud densities at several resolutions."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from mirror.arrays import Float32, Float64
 
 SIDE: Final = 1024
-"""Samples across a period of the finest level."""
+"""Samples along a period of the finest level."""
 LEVELS: Final = 6
 PERIOD: Final = 7.0
-"""Of the field, in heights of the cloud layer."""
+"""Period of the field, in heights of the cloud layer."""
 
 _SEED: Final = 20
 _STEEPNESS: Final = 1.95
@@ -23,18 +23,18 @@ _WARP: Final = 0.016
 
 @cache
 def cloud_field() -> Float32:
-    """Densities in [0, 1], evenly distributed: the share ``c`` of the sky that is above ``1 - c`` is ``c``.
+    """Compute densities in [0, 1] with a uniform distribution: a share ``c`` of the sky has a density above ``1 - c``.
 
-    Noise with a falling spectrum, its places displaced by other such noise, which curls its edges.
+    The field is noise with a falling spectrum, displaced by other noise, which curls the edges of the clouds.
 
     Returns:
-        Read-only: the SIDE x SIDE samples of the finest level, row by row, then those of each half as fine.
+        Read-only: the SIDE x SIDE samples of the finest level, row by row, then those of each coarser level.
     """
     rng = np.random.default_rng(_SEED)
     x, y = np.meshgrid(np.arange(SIDE, dtype=np.float64), np.arange(SIDE, dtype=np.float64))
     aside, along = (_noise(rng, _STEEPNESS + 0.4) for _ in range(2))
     field = _at(_noise(rng, _STEEPNESS), y + _WARP * SIDE * along, x + _WARP * SIDE * aside)
-    # Folded noise has sharp valleys between round hills: billows.
+    # The absolute value of noise has sharp valleys between round hills, like cumulus clouds.
     field = field + 0.9 * np.abs(_at(_noise(rng, _STEEPNESS - 0.15), y + 0.6 * _WARP * SIDE * aside, x))
     level = np.searchsorted(np.sort(field[::4, ::4], axis=None), field).astype(np.float64) / (SIDE // 4) ** 2
     levels = [level]
@@ -47,7 +47,7 @@ def cloud_field() -> Float32:
 
 
 def _noise(rng: np.random.Generator, steepness: float) -> Float64:
-    """Periodic noise (SIDE, SIDE) of variance 1 whose amplitudes fall with the frequency to a power."""
+    """Periodic noise (SIDE, SIDE) of variance 1; its amplitudes fall with a power of the frequency."""
     frequency = np.fft.fftfreq(SIDE, 1.0 / SIDE)
     size = np.hypot(frequency[: SIDE // 2 + 1], frequency[:, None])
     amplitude = np.where(size > 0.0, (size**2 + _LONGEST**2) ** (-0.5 * steepness), 0.0)
@@ -57,7 +57,7 @@ def _noise(rng: np.random.Generator, steepness: float) -> Float64:
 
 
 def _at(values: Float64, row: Float64, column: Float64) -> Float64:
-    """Bilinear values at places that wrap round."""
+    """Bilinear interpolation with periodic boundaries."""
     i, j = np.floor(row).astype(np.int64), np.floor(column).astype(np.int64)
     u, v = column - j, row - i
     i, j = i % SIDE, j % SIDE

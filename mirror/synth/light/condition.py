@@ -1,4 +1,4 @@
-"""When and in what weather a drive takes place, and which effects of that are shown."""
+"""The time and weather of a drive, and the effects of light, weather and camera that are rendered."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ Weather = Literal["clear", "clouds", "rain"]
 
 @dataclass(frozen=True)
 class Effects:
-    """What is shown of light, weather and camera: each can be left out by itself, so that a cause stands alone.
+    """The rendered effects of light, weather and camera. Each can be switched off, to study one cause at a time.
 
     Attributes:
-        sun_shadows: things keep the sun off each other.
-        lamps: street lamps burn in the dark.
+        sun_shadows: shadows of the sun.
+        lamps: street lamps are on in the dark.
         windows: windows and shops are lit in the dark.
-        headlights: vehicles burn their lamps.
-        wet_road: rain wets the ground, which mirrors.
-        haze: air dims and lightens what is far.
-        season: plants wear the leaves of the date; else those of midsummer.
-        foliage: a few leaves differ from visit to visit.
-        billboards: their content differs from visit to visit.
-        traffic: there are other road users than parked ones.
-        exposure: each camera exposes by what it sees; else all by the condition.
-        white_balance: cameras follow the colour of the light, each a little otherwise; else none does.
-        vignetting: images darken to their corners.
-        noise: of the sensor.
-        motion_blur: of the exposure time.
-        bloom: glare about lights.
-        lens_drops: rain on some lenses.
+        headlights: the lamps of vehicles are on in the dark.
+        wet_road: rain makes the ground wet and reflective.
+        haze: haze reduces the contrast of distant objects.
+        season: leaves follow the date; otherwise they are those of midsummer.
+        foliage: a few leaves differ between visits.
+        billboards: the content of billboards differs between visits.
+        traffic: moving road users are present; otherwise only the parked ones.
+        exposure: each camera exposes by its image; otherwise all cameras expose by the condition.
+        white_balance: each camera follows the colour of the light, with small differences; otherwise none does.
+        vignetting: images are darker towards the corners.
+        noise: sensor noise.
+        motion_blur: motion blur of the exposure time.
+        bloom: glare around lights.
+        lens_drops: rain drops on some lenses.
     """
 
     sun_shadows: bool = True
@@ -56,15 +56,15 @@ class Effects:
 
     @classmethod
     def none(cls) -> Effects:
-        """Nothing of it: switch on what is asked about with `dataclasses.replace`."""
+        """Return effects that are all off; switch single effects on with `dataclasses.replace`."""
         return cls(**{effect.name: False for effect in fields(cls)})
 
     @classmethod
     def without(cls, names: Iterable[str]) -> Effects:
-        """All but some.
+        """Return all effects except the named ones.
 
         Raises:
-            UsageError: there is no effect of a name.
+            UsageError: a name is not the name of an effect.
         """
         known, missing = [effect.name for effect in fields(cls)], tuple(names)
         for name in missing:
@@ -79,10 +79,10 @@ class Condition:
 
     Attributes:
         start_ns: Unix time of the drive's start.
-        light: day, dusk or night, as the sun stands then.
+        light: day, dusk or night, by the elevation of the sun.
         weather: clear, clouds (overcast) or rain.
-        visit: number of the traversal of the scene: what changes between visits goes by it.
-        effects: what is shown.
+        visit: number of the traversal of the scene; it selects what changes between visits.
+        effects: effects to be rendered.
     """
 
     start_ns: int

@@ -1,4 +1,4 @@
-"""What the renderer needs to know of a condition: sun, sky, lamps, air, and how cameras set themselves to it."""
+"""The lighting record of a condition: sun, sky, lamps, haze, and the settings of the cameras."""
 
 from __future__ import annotations
 
@@ -45,28 +45,31 @@ LIGHTING: Final = np.dtype(
         ("shot_noise", np.float64),
     ]
 )
-"""One condition.
+"""The lighting of one condition.
 
-Light is in units of radiance of a white dull surface under it: a surface of reflectance ``f`` that faces the sun and
-sees half the sky shows ``f * (sunlight + sky_light / 2 + ground_light / 2)``.
+The unit of light is the radiance of a white diffuse surface under it: a surface of reflectance ``f`` that faces the sun
+and half the sky has the radiance ``f * (sunlight + sky_light / 2 + ground_light / 2)``.
 
-``sun``: direction; ``sunlight``: on a surface that faces it, 0 where it is hidden or has set; ``horizon``: mean
-radiance of the sky just above it, ``horizon_away`` that opposite the sun, and ``horizon_glow`` what it has more towards
-the sun: the colours of haze; ``sky_light``: on level ground; ``ground_light``: what the ground
-sends back up; ``cloud_lit``, ``cloud_base``: radiance of clouds where the sun reaches them and where it does not;
-``cloud_shift``: of the clouds, in heights of their layer, and ``cloud_wind`` its change a second; ``cloud``: share of
-the sky that they cover; ``lamp_light``: below a street lamp; ``headlight``: strength of the recording vehicle's beams;
-``vehicle_lights``: how much all vehicles' lamps burn, 0 to 1; ``lit_windows``: share of windows that are lit;
-``shadows``: 1 where things keep the sun off each other; ``dark``: 0 by day, 1 at night; ``wet``: 1 in rain;
-``haze_per_m``: extinction; ``season``: part of the year, of `season_of`; ``white``: gains of red, green and blue with
-which cameras meet the light's colour; ``middle``: mean radiance of a street under this light; ``exposure``: gain that
-suits that; ``read_noise``: standard deviation as a share of full scale, and ``shot_noise``: variance a unit of signal.
+- ``sun``: unit direction to the sun; ``sunlight``: light of the sun on a surface that faces it, 0 if clouds hide the
+  sun or it has set.
+- ``horizon``: mean radiance of the sky just above the horizon; ``horizon_away``: the same opposite the sun;
+  ``horizon_glow``: its increase towards the sun. They give the colour of haze.
+- ``sky_light``: light of the sky on level ground; ``ground_light``: light that the ground reflects upwards.
+- ``cloud_lit``, ``cloud_base``: radiance of sunlit and of shaded clouds; ``cloud_shift``: displacement of the clouds,
+  in heights of their layer; ``cloud_wind``: its change per second; ``cloud``: share of the sky that clouds cover.
+- ``lamp_light``: light below a street lamp; ``headlight``: strength of the recording vehicle's headlights;
+  ``vehicle_lights``: brightness of all vehicles' lamps, 0 to 1; ``lit_windows``: share of windows that are lit.
+- ``shadows``: 1 if the sun casts shadows; ``dark``: 0 by day, 1 at night; ``wet``: 1 in rain; ``haze_per_m``:
+  extinction; ``season``: fraction of the year, from `season_of`.
+- ``white``: white balance gains of red, green and blue; ``middle``: mean radiance of a street in this light;
+  ``exposure``: the matching gain; ``read_noise``: standard deviation as a share of full scale; ``shot_noise``: variance
+  per unit of signal.
 """
 
 _SUNLIGHT: Final = 2.5
 _MIDSUMMER: Final = 0.5
 _ELEVATIONS_DEG: Final = (-18.0, -12.0, -9.0, -6.0, -4.0, -2.5, 0.0, 5.0, 10.0, 20.0, 38.0, 60.0, 90.0)
-# Light of a clear sky on level ground, as eyes that have grown used to the dark see it: the truth spans 10^8.
+# Light of a clear sky on level ground, as perceived by eyes adapted to the dark; the physical range is 10^8.
 _SKY_LIGHT: Final = (0.006, 0.008, 0.013, 0.04, 0.08, 0.12, 0.19, 0.25, 0.29, 0.33, 0.38, 0.42, 0.44)
 _NIGHT_ZENITH: Final = np.array([0.0035, 0.0045, 0.0080])
 _NIGHT_HORIZON: Final = np.array([0.0260, 0.0190, 0.0140])
@@ -90,9 +93,9 @@ class Lighting:
     """Light and weather of a drive, for compiled kernels.
 
     Attributes:
-        record: LIGHTING, one record; `flat` makes its fields single numbers.
+        record: one LIGHTING record; `flat` gives its fields as single numbers.
         dome: (DOME, DOME, 3) radiance of the clear sky.
-        clouds: the field of clouds, of `cloud_field`.
+        clouds: densities of the clouds, from `cloud_field`.
     """
 
     record: Records
@@ -100,14 +103,14 @@ class Lighting:
     clouds: Float32
 
     def at(self, time_s: float) -> Records:
-        """The record as it is so many seconds after the start: clouds have moved."""
+        """Return the record ``time_s`` seconds after the start, with moved clouds."""
         record = self.record.copy()
         record["cloud_shift"] += time_s * record["cloud_wind"]
         return record
 
 
 def lighting(condition: Condition, longitude_deg: float, latitude_deg: float) -> Lighting:
-    """Light and weather of a condition at a place; the sun stays where it is at the start."""
+    """Compute the lighting of a condition at a place; the sun keeps its position at the start."""
     effects, weather = condition.effects, condition.weather
     record = np.zeros(1, LIGHTING)[0]
     sun = sun_direction(condition.start_ns, longitude_deg, latitude_deg)
@@ -135,7 +138,7 @@ def lighting(condition: Condition, longitude_deg: float, latitude_deg: float) ->
     record["season"] = season_of(condition.start_ns, latitude_deg) if effects.season else _MIDSUMMER
     record["wet"] = float(weather == "rain")
     _camera(record)
-    # Only now: cameras are set to the whole of the light, so that a switch changes nothing but its own.
+    # Effects are switched off after the cameras are set, so that a switch does not change the exposure.
     record["lamp_light"] *= effects.lamps
     record["lit_windows"] *= effects.windows
     record["vehicle_lights"] *= effects.headlights
@@ -146,11 +149,11 @@ def lighting(condition: Condition, longitude_deg: float, latitude_deg: float) ->
 
 
 def _dome(elevation: float, azimuth: float) -> Float64:
-    """A clear sky at the brightness that eyes give it, and the night's beneath it."""
+    """Radiance of a clear sky at its perceived brightness, plus the night sky."""
     clear = clear_dome(round(elevation, 2), round(azimuth, 2))
     light = float(_LUMINANCE @ np.einsum("ij,ijk->k", dome_weights(), clear))
     wanted = float(np.interp(elevation, _ELEVATIONS_DEG, _SKY_LIGHT))
-    # Below -9 degrees only what is scattered many times is left: the night's own sky.
+    # Below -9 degrees single scattering gives no light; only the night sky is left.
     share = float(np.clip((elevation + 9.0) / 3.0, 0.0, 1.0))
     up = dome_directions()[..., 2:]
     night = _NIGHT_HORIZON + (_NIGHT_ZENITH - _NIGHT_HORIZON) * np.sqrt(up)
@@ -158,7 +161,7 @@ def _dome(elevation: float, azimuth: float) -> Float64:
 
 
 def _clouds(record: Records, condition: Condition, elevation: float, dome: Float64) -> None:
-    """Where clouds are at the start, and how bright."""
+    """Set the position and the radiance of the clouds at the start."""
     rng = np.random.default_rng([condition.start_ns // 86_400_000_000_000, condition.visit])
     record["cloud_shift"] = rng.uniform(0.0, PERIOD, 2)
     heading = rng.uniform(0.0, 2.0 * np.pi)
@@ -166,19 +169,19 @@ def _clouds(record: Records, condition: Condition, elevation: float, dome: Float
     light = np.einsum("ij,ijk->k", dome_weights(), dome)
     if condition.weather == "clear":
         lit = 0.42 * _SUNLIGHT * sunlight(max(elevation, 3.0)) * float(np.clip((elevation + 4.0) / 10.0, 0.0, 1.0))
-        # At night it is towns that light clouds, from below.
+        # At night the lights of towns illuminate clouds from below.
         own = (0.75 + 0.75 * _WARM * float(np.clip((-elevation - 6.0) / 6.0, 0.0, 1.0))) * light
         record["cloud_lit"], record["cloud_base"] = lit + own, 0.12 * lit + own
         return
     grey = float(_LUMINANCE @ light) * _OVERCAST[condition.weather] * _GREY
-    # The last light of the day colours an overcast sky too.
+    # Twilight also colours an overcast sky.
     grey += 0.25 * _OVERCAST[condition.weather] * (light - float(_LUMINANCE @ light))
     spread = 0.17 if condition.weather == "clouds" else 0.12
     record["cloud_lit"], record["cloud_base"] = (1.0 + spread) * grey, (1.0 - spread) * grey
 
 
 def _sums(record: Records, dome: Float32) -> tuple[Float64, Float64]:
-    """Light of the whole sky on level ground, and its radiance (N, 3) just above the horizon all round."""
+    """Light of the whole sky on level ground, and its radiance (N, 3) just above the horizon in all directions."""
     flattened = record.reshape(1).view(flat(LIGHTING))[0]
     clouds, away, weights = cloud_field(), dome_directions(), dome_weights()
     light = np.zeros(3)
@@ -191,7 +194,7 @@ def _sums(record: Records, dome: Float32) -> tuple[Float64, Float64]:
 
 
 def _camera(record: Records) -> None:
-    """How cameras set themselves: gains against the light's colour, exposure, and the noise that comes of it."""
+    """Set the camera fields: white balance, exposure and noise."""
     dark = float(record["dark"])
     level = max(float(record["sun"][2]), 0.0) * record["sunlight"] + record["sky_light"]
     light = level + 0.30 * record["lamp_light"] + 0.02 * record["headlight"]

@@ -9,9 +9,9 @@ from mirror.arrays import Float32, Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.light.clouds import LEVELS, PERIOD, SIDE
 
-# The layer of clouds bends down to the horizon: seen level, it is so many heights away.
+# The cloud layer curves down to the horizon: in a level direction its distance is 1 / _BEND heights.
 _BEND: Final = 0.11
-# Lower down, samples of the dome from beyond the horizon would come in.
+# Below this height, interpolation would use samples of the dome from below the horizon.
 _LOWEST: Final = 0.035
 _EDGE: Final = 0.16
 _DETAIL: Final = 7.3
@@ -25,7 +25,7 @@ _SUN_IS_CLEAR: Final = 70.0
 
 @per_pixel()
 def _cloud(clouds: Float32, x: float, y: float, start: int, side: int) -> float:
-    """Bilinear density of one level at a place in samples."""
+    """Bilinear interpolation of one level of the densities; the position is in samples."""
     i, j = math.floor(y), math.floor(x)
     u, v = x - j, y - i
     mask = side - 1
@@ -40,16 +40,16 @@ def _cloud(clouds: Float32, x: float, y: float, start: int, side: int) -> float:
 def sky(
     dome: Float32, clouds: Float32, setting: Records, dx: float, dy: float, dz: float, spread: float
 ) -> tuple[float, float, float]:
-    """Radiance of the sky.
+    """Compute the radiance of the sky in a direction: red, green, blue.
 
     Args:
-        dome: of the clear sky, of `Lighting`.
-        clouds: of `Lighting`.
-        setting: LIGHTING flattened.
-        dx: unit direction, to the east.
-        dy: to the north.
-        dz: up; below the horizon, the sky at the horizon is given.
-        spread: angle across that is seen at once, radians.
+        dome: radiance of the clear sky, from `Lighting`.
+        clouds: densities of the clouds, from `Lighting`.
+        setting: LIGHTING, flat.
+        dx: unit direction, east component.
+        dy: unit direction, north component.
+        dz: unit direction, up component; below the horizon the result is the sky at the horizon.
+        spread: angular width of the footprint, radians.
     """
     up = max(dz, 0.0)
     half = 0.5 * (dome.shape[0] - 1)
@@ -71,7 +71,7 @@ def sky(
             green + disc * setting.sunlight_1,
             blue + disc * setting.sunlight_2,
         )
-    # One over the distance to the layer, in its heights.
+    # The inverse of the distance to the layer, in heights of the layer.
     near = up + _BEND
     finest = SIDE / PERIOD
     blurred = spread * finest / (near * near)
@@ -90,9 +90,9 @@ def sky(
     cover = min(cover, 1.0)
     cover = cover * cover * (3.0 - 2.0 * cover)
     if setting.cloud < 1.0:
-        # Few clouds are seen through the haze above the horizon.
+        # Haze hides the clouds near the horizon.
         cover *= min(up * 9.0, 1.0) * 0.93
-        # None stands before the sun whose light falls on the street.
+        # No cloud covers the sun while the street is sunlit.
         cover *= min(_SUN_IS_CLEAR * (1.0 - facing), 1.0) if setting.sunlight_0 > 0.0 else 1.0
         ahead = _cloud(
             clouds,
@@ -102,7 +102,7 @@ def sky(
             side,
         )
         lit = 0.62 + 2.6 * (density - ahead) - 0.35 * cover * (density - 1.0 + setting.cloud) / setting.cloud
-        # Thin edges towards the sun shine.
+        # Thin edges near the sun are bright.
         glow = max(facing, 0.0)
         lit += 0.5 * glow * glow * glow * glow * (1.0 - cover)
         lit = min(max(lit, 0.0), 1.3)

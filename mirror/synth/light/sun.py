@@ -1,4 +1,4 @@
-"""Where the sun stands, what of its light reaches the ground, and the time of year."""
+"""The position of the sun, its light on the ground, and the season."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from mirror.arrays import Float64, Int64
 from mirror.recordings.light import Light, solar_elevation_deg
 
 SUN_ELEVATION_DEG: Final[dict[Light, float]] = {"day": 38.0, "dusk": -2.5, "night": -25.0}
-"""Elevations that are aimed at; in the winter of high latitudes the day's highest, if that is less."""
+"""Target elevations of the sun; in winter at high latitudes the highest of the day, if that is lower."""
 
-# Vertical optical depths at 612, 549 and 465 nm: Rayleigh's of a standard atmosphere, and clear air's haze.
+# Vertical optical depths at 612, 549 and 465 nm: Rayleigh scattering of a standard atmosphere, and haze of clear air.
 _RAYLEIGH: Final = np.array([0.0640, 0.0992, 0.1950])
 _HAZE: Final = np.array([0.072, 0.083, 0.103])
-# White is what cameras are balanced to: the sun well up.
+# The elevation of the sun at which its light is white.
 _BALANCED_AT_DEG: Final = 45.0
 _DISC_RAD: Final = 0.0093
 _YEAR_DAYS: Final = 365.2425
 
 
 def sun_direction(timestamp_ns: npt.ArrayLike, longitude_deg: float, latitude_deg: float) -> Float64:
-    """Directions (..., 3) from a place to the sun: east, north, up; without refraction.
+    """Return unit directions (..., 3) from a place to the sun: east, north, up; without refraction.
 
-    East and north of a place are up elsewhere: 90 degrees on along the equator, and along the meridian.
+    The east axis of a place is the vertical of the point 90 degrees to the east on the equator, and the north axis is
+    the vertical of the point 90 degrees to the north on the meridian, so three solar elevations give the direction.
     """
     stamps = np.asarray(timestamp_ns, np.int64)
     ups = ((longitude_deg + 90.0, 0.0), (longitude_deg, latitude_deg + 90.0), (longitude_deg, latitude_deg))
@@ -33,14 +34,14 @@ def sun_direction(timestamp_ns: npt.ArrayLike, longitude_deg: float, latitude_de
 
 
 def instant_of(date: str, light: Light, longitude_deg: float, latitude_deg: float, *, morning: bool = False) -> int:
-    """The minute of a local date at which the sun stands as the light asks.
+    """Find the minute of a local date at which the elevation of the sun is closest to that of a light.
 
     Args:
-        date: ISO date, by the mean solar time of the place.
+        date: ISO date, in the mean solar time of the place.
         light: day, dusk or night.
-        longitude_deg: of the place.
-        latitude_deg: of the place.
-        morning: before noon instead of after it.
+        longitude_deg: longitude of the place.
+        latitude_deg: latitude of the place.
+        morning: True: search before noon; False: after noon.
 
     Returns:
         Unix time in nanoseconds.
@@ -53,22 +54,22 @@ def instant_of(date: str, light: Light, longitude_deg: float, latitude_deg: floa
 
 
 def season_of(timestamp_ns: int, latitude_deg: float) -> float:
-    """Part of the year that has passed, in [0, 1): 0 is the turn to January in the north, to July in the south."""
+    """Return the elapsed fraction of the year in [0, 1), from 1 January in the north and from 1 July in the south."""
     day = np.datetime64(timestamp_ns, "ns").astype("datetime64[D]")
     passed = int((day - day.astype("datetime64[Y]").astype("datetime64[D]")).astype(np.int64)) / _YEAR_DAYS
     return (passed + (0.5 if latitude_deg < 0.0 else 0.0)) % 1.0
 
 
 def air_mass(elevation_deg: float) -> float:
-    """Air along the way to the sun, in vertical ways (F. Kasten, A. Young, Applied Optics 28, 1989)."""
+    """Return the relative air mass towards the sun (F. Kasten, A. Young, Applied Optics 28, 1989)."""
     above = max(elevation_deg, 0.0)
     return 1.0 / (np.sin(np.radians(above)) + 0.50572 * (above + 6.07995) ** -1.6364)
 
 
 def sunlight(elevation_deg: float) -> Float64:
-    """The sun's light (3,) on a surface that faces it, by elevation: what air lets through; 1 at 45 degrees.
+    """Return the light of the sun on a surface that faces it: (3,) red, green, blue, relative to that at 45 degrees.
 
-    Red, green and blue; the disc sets over half a degree.
+    The light fades over half a degree while the disc sets.
     """
     depth = _RAYLEIGH + _HAZE
     through: Float64 = np.exp(-depth * (air_mass(elevation_deg) - air_mass(_BALANCED_AT_DEG)))

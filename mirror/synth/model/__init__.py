@@ -1,4 +1,4 @@
-"""What things are built of: planar faces and ellipsoids, with materials and labels."""
+"""Geometry of the street: planar faces and ellipsoids, with materials and semantic labels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many tubes or ellipsoids at once: limbs of people and of trees."""
+"""Builds many tubes or ellipsoids at once: limbs of people and branches of trees."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ def tubes(
     corners: int = 6,
     seed: int = 0,
 ) -> Model:
-    """Straight tapered tubes, open at both ends, with a polygon for their section.
+    """Build straight tapered tubes, open at both ends, with a polygonal cross-section.
 
     Args:
-        starts: (N, 3) middles of one end, metres.
-        ends: (N, 3) middles of the other.
-        radii: (N,) at the starts.
-        end_radii: (N,) at the ends, above 0.
-        colours: (N, 3) or (3,).
-        material: of all.
-        label: of all.
-        corners: of the sections.
-        seed: of all textures.
+        starts: (N, 3) centres of the first ends, metres.
+        ends: (N, 3) centres of the second ends, metres.
+        radii: (N,) radii at the starts, metres.
+        end_radii: (N,) radii at the ends, metres; above 0.
+        colours: (N, 3) or (3,) linear reflectance.
+        material: material of all tubes.
+        label: semantic class of all tubes.
+        corners: number of corners of the cross-sections.
+        seed: seed of all textures.
 
     Raises:
-        UsageError: one of them has no length or no radius.
+        UsageError: a tube has no length or no radius.
     """
     along = ends - starts
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
@@ -66,17 +66,17 @@ def ellipsoids(
     images: npt.ArrayLike = NO_IMAGE,
     seeds: npt.ArrayLike = 0,
 ) -> Model:
-    """Ellipsoids.
+    """Build ellipsoids.
 
     Args:
-        centres: (N, 3) metres.
-        halves: (N, 3) half axes.
+        centres: (N, 3) centres, metres.
+        halves: (N, 3) semi-axes, metres.
         colours: (N, 3) or (3,) linear reflectance.
-        materials: (N,) or one.
-        label: of all.
-        axes: (N, 3, 3) their own directions as rows; default: those of the frame.
-        images: (N,) or one; on the half towards its own +x.
-        seeds: (N,) or one.
+        materials: (N,) materials, or one for all.
+        label: semantic class of all ellipsoids.
+        axes: (N, 3, 3) directions of the axes as rows; default: the axes of the frame.
+        images: (N,) images of the catalogue, or one for all; they cover the half towards the ellipsoid's +x.
+        seeds: (N,) seeds of the textures, or one for all.
     """
     middle = np.asarray(centres, np.float64)
     rounds = np.zeros(len(middle), ROUND)

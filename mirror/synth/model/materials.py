@@ -1,4 +1,4 @@
-"""What surfaces are made of: how each is shaded is the renderer's to know."""
+"""The materials of surfaces; the renderer defines the appearance of each."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ class Material(IntEnum):
     """Material of a surface."""
 
     PLAIN = 0
-    """One colour, dull."""
+    """One colour, diffuse."""
     ASPHALT = 1
     """A carriageway, with the markings of its face's layout."""
     PAVING = 2
@@ -41,17 +41,17 @@ class Material(IntEnum):
     CLOTH = 20
     SKIN = 21
     HEADLIGHT = 22
-    """White; burns at night where the face's lights are on."""
+    """White; emits light at night if the face's lights are on."""
     TAIL_LIGHT = 23
-    """Red; burns at night where the face's lights are on."""
+    """Red; emits light at night if the face's lights are on."""
     STREET_LAMP = 24
-    """Burns at night."""
+    """Emits light at night."""
     SIGNAL = 25
-    """A lamp of a traffic light, that burns in its own colour while its face's lights are on."""
+    """A lamp of a traffic light; emits light of its colour while the face's lights are on."""
     IMAGE = 26
-    """An image out of the catalogue, as wide and as high as its face."""
+    """An image of the catalogue, as wide and as high as its face."""
     LIT_IMAGE = 27
-    """An image that shines at night: shop signs, billboards."""
+    """An image that emits light at night: shop signs, billboards."""
     SKYLINE = 28
-    """A far house or wood: windows as a pattern."""
+    """A distant wood."""
     WATER = 29

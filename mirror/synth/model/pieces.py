@@ -1,4 +1,4 @@
-"""Polygons of many kinds, gathered one by one and made a model all at once: a hundred times faster than one by one."""
+"""Collects polygons and builds one model of them at the end, a hundred times faster than building them one by one."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ _WAYS: Final[dict[Way, tuple[int, int, int, int]]] = {
 
 
 class Finish(NamedTuple):
-    """What a piece is made of.
+    """The surface properties of a polygon.
 
     Attributes:
         colour: linear reflectance of red, green and blue.
-        material: of the surface.
-        label: its semantic class.
-        seed: tells its texture from its neighbours'.
-        layout: row of markings or of windows.
+        material: material of the surface.
+        label: semantic class of the surface.
+        seed: seed of the texture.
+        layout: row of markings or of window patterns.
         image: image of the catalogue.
-        images: as many from there on take turns from traversal to traversal.
-        two_sided: seen from behind as well.
+        images: number of consecutive images, from ``image`` on, that alternate between traversals.
+        two_sided: whether the surface is visible from both sides.
     """
 
     colour: Place
@@ -54,10 +54,10 @@ class Finish(NamedTuple):
 
 
 class Pieces:
-    """Gathers polygons; :meth:`model` makes them one model, in the order in which they came.
+    """Collects polygons; :meth:`model` builds one model of them, in the order of their addition.
 
-    u runs along a polygon's first edge, v is 90 degrees counter-clockwise from it; both are 0 in the middle of
-    the corners' extents.
+    u runs along the first edge of a polygon, v is 90 degrees counter-clockwise from it; both are 0 in the middle of
+    the polygon's extents.
     """
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class Pieces:
         self._count = 0
 
     def face(self, corners: Corners, finish: Finish) -> int:
-        """A planar convex polygon (N, 3), counter-clockwise seen from outside; its number is returned."""
+        """Add a planar convex polygon (N, 3), counter-clockwise seen from outside; returns its number."""
         count = len(corners)
         self._corners.setdefault(count, []).append(corners)
         self._finishes.setdefault(count, []).append(finish)
@@ -79,19 +79,19 @@ class Pieces:
     def wall(
         self, left: tuple[float, float], right: tuple[float, float], low_m: float, high_m: float, finish: Finish
     ) -> int:
-        """An upright rectangle between two places (x, y), left and right as seen from outside."""
+        """Add an upright rectangle between two points (x, y), left and right as seen from outside."""
         return self.face(
             ((*left, low_m), (*right, low_m), (*right, high_m), (*left, high_m)),
             finish,
         )
 
     def level(self, low: tuple[float, float], high: tuple[float, float], z_m: float, finish: Finish) -> int:
-        """A level rectangle that is seen from above."""
+        """Add a horizontal rectangle that faces up."""
         (a, b), (c, d) = low, high
         return self.face(((a, b, z_m), (c, b, z_m), (c, d, z_m), (a, d, z_m)), finish)
 
     def block(self, low: Place, high: Place, finish: Finish, without: Iterable[Way] = ("-z",)) -> None:
-        """A box along the axes, between two corners, without some of its sides."""
+        """Add an axis-aligned box between two corners, without some of its sides."""
         (a, b, c), (d, e, f) = low, high
         corners = ((a, b, c), (d, b, c), (d, e, c), (a, e, c), (a, b, f), (d, b, f), (d, e, f), (a, e, f))
         left_out = set(without)
@@ -109,7 +109,7 @@ class Pieces:
         top: Finish | None = None,
         bottom: bool = False,
     ) -> None:
-        """A convex outline (N, 2), counter-clockwise, pulled up; its top may have another finish."""
+        """Add a vertical prism over a convex outline (N, 2), counter-clockwise; its top may have another finish."""
         points = [(float(x), float(y)) for x, y in np.asarray(outline)]
         for left, right in zip(points, points[1:] + points[:1]):
             self.wall(left, right, low_m, high_m, finish)
@@ -128,10 +128,10 @@ class Pieces:
         corners: int = 6,
         cap: bool = False,
     ) -> None:
-        """A straight tube; u goes round, v along; ``cap`` closes its end."""
+        """Add a straight tube; u runs around it, v along it; ``cap`` closes its end."""
         first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
         x, y, z = ((last - first) / math.dist(first, last)).tolist()
-        # Across it: its cross product with the x axis, or with the y axis where it leads along x.
+        # A perpendicular direction: the cross product with the x axis, or with the y axis for a tube along x.
         across = (0.0, z, -y) if abs(x) < 0.7 else (-z, 0.0, x)
         size = math.hypot(*across)
         a, b, c = (part / size for part in across)
@@ -147,14 +147,14 @@ class Pieces:
             self.face(high, finish)
 
     def add(self, model: Model) -> None:
-        """A model that stands beside the polygons; its surfaces come after all of them."""
+        """Add a model; its surfaces come after all polygons."""
         self._models.append(model)
 
     def model(self) -> Model:
-        """All of it.
+        """Build the model of all polygons and added models.
 
         Raises:
-            UsageError: one of the polygons has no area.
+            UsageError: a polygon has no area.
         """
         parts = []
         for count, corners in self._corners.items():

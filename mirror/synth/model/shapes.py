@@ -1,4 +1,4 @@
-"""Shapes as models: polygons, blocks, prisms, extruded profiles, tubes, wheels, ellipsoids."""
+"""Builds models of single shapes: polygons, blocks, prisms, extruded profiles, tubes, wheels, ellipsoids."""
 
 from __future__ import annotations
 
@@ -34,27 +34,27 @@ def polygon(
     seed: int = 0,
     two_sided: bool = False,
 ) -> Model:
-    """A planar convex polygon.
+    """Build a planar convex polygon.
 
     Args:
         corners: (N, 3) metres, counter-clockwise seen from outside, 3 <= N <= 16.
         colour: linear reflectance, 0 to 1, of red, green and blue.
-        material: of the surface.
-        label: its semantic class.
-        side: which side of a body it is.
-        u_axis: (3,) direction of u; it is made a unit vector in the plane. Default: level, to the right seen from
-            outside; for level faces the x axis. v is 90 degrees counter-clockwise from it: upwards on walls.
-        origin: (3,) where u and v are 0; default: the middle of the corners' extents in u and v.
-        texture: (N, 2) u and v at the corners, instead of ``u_axis`` and ``origin``; the affine map of the first
-            three that are not on a line is taken.
+        material: material of the surface.
+        label: semantic class of the surface.
+        side: side of the body.
+        u_axis: (3,) direction of u, projected into the plane and normalised. Default: horizontal, to the right seen
+            from outside; the x axis for horizontal faces. v is 90 degrees counter-clockwise from u: upwards on walls.
+        origin: (3,) point where u and v are 0; default: the middle of the polygon's extents in u and v.
+        texture: (N, 2) u and v at the corners, instead of ``u_axis`` and ``origin``; the first three corners that
+            are not collinear define the affine map.
         image: image of the catalogue.
-        images: as many from there on take turns from traversal to traversal.
+        images: number of consecutive images, from ``image`` on, that alternate between traversals.
         layout: row of markings.
-        seed: tells its texture from its neighbours'.
-        two_sided: seen from behind as well.
+        seed: seed of the texture.
+        two_sided: whether the surface is visible from both sides.
 
     Raises:
-        UsageError: too few or too many corners, or all on a line.
+        UsageError: there are too few or too many corners, or the corners are collinear.
     """
     points = np.asarray(corners, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not 3 <= len(points) <= MOST_CORNERS:
@@ -102,21 +102,21 @@ def polygons(
     seeds: npt.ArrayLike = 0,
     two_sided: bool = False,
 ) -> Model:
-    """Many planar convex polygons with as many corners each, at once: leaves, pieces of ground.
+    """Build many planar convex polygons with the same number of corners at once: leaves, pieces of ground.
 
     Args:
         corners: (F, N, 3) metres, each counter-clockwise seen from outside.
-        colours: (F, 3) or (3,).
-        material: of all, or (F,).
-        label: of all, or (F,).
-        texture: (F, N, 2) u and v at the corners, affine over each; default: u along the first edge, 0 in the middle
-            of the corners' extents.
-        layouts: (F,) or one.
-        seeds: (F,) or one.
-        two_sided: seen from behind as well.
+        colours: (F, 3) or (3,) linear reflectance.
+        material: (F,) materials, or one for all.
+        label: (F,) semantic classes, or one for all.
+        texture: (F, N, 2) u and v at the corners, affine over each polygon; default: u along the first edge, 0 in the
+            middle of the polygon's extents.
+        layouts: (F,) rows of markings, or one for all.
+        seeds: (F,) seeds of the textures, or one for all.
+        two_sided: whether the surfaces are visible from both sides.
 
     Raises:
-        UsageError: one of them has no area.
+        UsageError: a polygon has no area.
     """
     points = np.asarray(corners, np.float64)
     number, count = points.shape[:2]
@@ -186,20 +186,20 @@ def block(
     colours: Mapping[Side, Colour] | None = None,
     images: Mapping[Side, int] | None = None,
 ) -> Model:
-    """A box, whose front (+x) and back may lean in.
+    """Build a box; its front (+x) and back may be inclined.
 
     Args:
-        centre: metres.
-        size: full extents along its own x (front), y (left) and z.
-        colour: of all sides but those in ``colours``.
-        material: of all sides but those in ``materials``.
+        centre: centre, metres.
+        size: full extents along its own x (front), y (left) and z, metres.
+        colour: colour of the sides that are not in ``colours``.
+        material: material of the sides that are not in ``materials``.
         label: semantic class.
-        slope: how much the front and the back lean in, metres a metre of height.
-        yaw: turn about z, radians, counter-clockwise.
-        seed: of the texture.
+        slope: inward inclination of the front and the back, metres per metre of height.
+        yaw: rotation about z, radians, counter-clockwise.
+        seed: seed of the texture.
         without: sides that are left out.
-        materials: of single sides.
-        colours: of single sides.
+        materials: materials of single sides.
+        colours: colours of single sides.
         images: images of single sides.
     """
     x, y, z = (0.5 * extent for extent in size)
@@ -250,19 +250,19 @@ def prism(
     bottom: bool = False,
     seed: int = 0,
 ) -> Model:
-    """A convex outline (N, 2), counter-clockwise, pulled up from ``low_m`` to ``high_m``.
+    """Build a vertical prism over a convex outline (N, 2), counter-clockwise, from ``low_m`` to ``high_m``.
 
     Args:
-        outline: x and y, metres.
-        low_m: height of its foot.
-        high_m: height of its top.
-        colour: of the walls.
-        material: of the walls.
+        outline: (N, 2) x and y, metres.
+        low_m: height of the bottom.
+        high_m: height of the top.
+        colour: colour of the walls.
+        material: material of the walls.
         label: semantic class.
-        top: material of the top; default: the walls'.
-        top_colour: default: the walls'.
-        bottom: whether there is one.
-        seed: of the texture.
+        top: material of the top; default: that of the walls.
+        top_colour: colour of the top; default: that of the walls.
+        bottom: whether the prism has a bottom face.
+        seed: seed of the texture.
     """
     points = np.asarray(outline, np.float64)
     low, high = np.c_[points, np.full(len(points), low_m)], np.c_[points, np.full(len(points), high_m)]
@@ -297,18 +297,18 @@ def extrusion(
     flank: Material | None = None,
     seed: int = 0,
 ) -> Model:
-    """A convex side view pulled sideways: bodies of vehicles.
+    """Extrude a convex side view sideways: bodies of vehicles.
 
     Args:
         profile: (N, 2) x and z: up the back, forward along the top, down the front.
-        width_m: at its lowest points, along y.
-        colour: of all faces.
-        material: of all faces but those in ``edges`` and the flanks.
+        width_m: width along y at the lowest points.
+        colour: colour of all faces.
+        material: material of the faces that are not in ``edges`` and not flanks.
         label: semantic class.
-        top_width_m: at its highest points; the flanks lean in. Default: the same.
-        edges: materials of the faces over single edges, by the number of the edge's first point.
+        top_width_m: width at the highest points; default: ``width_m``.
+        edges: materials of the faces over single edges, by the index of the edge's first point.
         flank: material of both flanks; default: ``material``.
-        seed: of the texture.
+        seed: seed of the texture.
     """
     points = np.asarray(profile, np.float64)
     low, high = points[:, 1].min(), points[:, 1].max()
@@ -348,19 +348,19 @@ def tube(
     caps: bool = False,
     seed: int = 0,
 ) -> Model:
-    """A pole, a trunk, a limb: a straight tube with a polygon for its section.
+    """Build a straight tube with a polygonal cross-section: a pole, a trunk, a limb.
 
     Args:
-        start: middle of one end, metres.
-        end: middle of the other.
-        radius_m: at the start.
-        colour: of all faces.
-        material: of all faces; u goes round, v along.
+        start: centre of one end, metres.
+        end: centre of the other end, metres.
+        radius_m: radius at the start.
+        colour: colour of all faces.
+        material: material of all faces; u runs around the tube, v along it.
         label: semantic class.
-        end_radius_m: at the end; default: the same.
-        corners: of the section.
+        end_radius_m: radius at the end; default: ``radius_m``.
+        corners: number of corners of the cross-section.
         caps: whether the ends are closed.
-        seed: of the texture.
+        seed: seed of the texture.
     """
     first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
     along = last - first
@@ -384,7 +384,7 @@ def tube(
 
 
 def wheel(centre: Sequence[float], radius_m: float, width_m: float, label: Label, *, corners: int = 12) -> Model:
-    """A wheel about the y axis, with rims on both sides."""
+    """Build a wheel around the y axis, with rims on both sides."""
     x, y, z = centre
     angle = 2.0 * math.pi * (np.arange(corners) + 0.5) / corners
     dx, dz = radius_m * np.cos(angle), radius_m * np.sin(angle)
@@ -413,18 +413,18 @@ def ellipsoid(
     image: int = NO_IMAGE,
     seed: int = 0,
 ) -> Model:
-    """An ellipsoid.
+    """Build an ellipsoid.
 
     Args:
-        centre: metres.
-        size: full extents along its own axes.
+        centre: centre, metres.
+        size: full extents along its own axes, metres.
         colour: linear reflectance.
-        material: of the surface.
+        material: material of the surface.
         label: semantic class.
-        yaw: turn about z, radians, counter-clockwise.
-        pitch: its own x axis upwards, radians, before the turn.
-        image: image on the half towards its own +x.
-        seed: of the texture.
+        yaw: rotation about z, radians, counter-clockwise.
+        pitch: upward rotation of its own x axis, radians, applied before the yaw.
+        image: image of the catalogue on the half towards its own +x.
+        seed: seed of the texture.
     """
     one = np.zeros(1, ROUND)
     cos, sin, up_cos, up_sin = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)

@@ -18,7 +18,7 @@ MOST_CORNERS: Final = 16
 
 
 class Side(IntEnum):
-    """Which side of a body a face is."""
+    """The side of a body that a face belongs to."""
 
     FRONT = 0
     BACK = 1
@@ -55,10 +55,10 @@ FACE: Final = np.dtype(
 )
 """A planar convex polygon.
 
-``normal . p = offset`` on its plane, the normal outwards; texture coordinates in metres are ``u = u_axis . p + u0`` and
-``v = v_axis . p + v0``; ``half`` are half extents in them. ``first`` and ``count`` name its corners, counter-clockwise
-seen from outside. ``image`` is an image of the catalogue or NO_IMAGE; where ``images`` is above 1, the image is one
-of as many from ``image`` on, another in each traversal. ``layout`` is a carriageway's row of markings.
+Points p of its plane satisfy ``normal . p = offset``; the normal points outwards. Texture coordinates in metres are
+``u = u_axis . p + u0`` and ``v = v_axis . p + v0``; ``half`` holds the half extents in them. ``first`` and ``count``
+give its corners, counter-clockwise seen from outside. ``image`` is an image of the catalogue or NO_IMAGE; if ``images``
+is above 1, traversals alternate between that many consecutive images. ``layout`` is a row of markings or windows.
 """
 
 ROUND: Final = np.dtype(
@@ -74,15 +74,15 @@ ROUND: Final = np.dtype(
         ("object", np.int64),
     ]
 )
-"""An ellipsoid. ``axes`` are its own directions as rows, in the frame that it stands in; ``half`` its half axes. An
-``image`` covers the half towards its own +x, as seen from there: the right of the image is +y."""
+"""An ellipsoid. ``axes`` holds the directions of its axes as rows, in the frame of the model; ``half`` the semi-axes.
+An ``image`` covers the half towards the ellipsoid's +x; the right side of the image is towards +y."""
 
 
 @lru_cache
 def flat(kind: np.dtype[np.void]) -> np.dtype[np.void]:
-    """The same memory with a field for every number: ``axes`` becomes ``axes_00`` to ``axes_22``.
+    """Return a record type with the same memory layout and one field per number: ``axes_00`` to ``axes_22``.
 
-    Compiled kernels read such fields at once; an array within a record costs them two counts of references.
+    Compiled kernels read such fields directly; an array within a record costs two reference counts.
     """
     names: list[tuple[str, np.dtype[Any]]] = []
     for name in kind.names or ():
@@ -109,19 +109,19 @@ class Model:
 
     @classmethod
     def empty(cls) -> Model:
-        """Nothing."""
+        """Return a model without surfaces."""
         return cls(np.zeros(0, FACE), np.zeros((0, 3)), np.zeros(0, ROUND))
 
     def __len__(self) -> int:
         return len(self.faces) + len(self.rounds)
 
     def placed(self, rotation: Float64, translation: Float64, number: int | None = None) -> Model:
-        """Moved into another frame, as object ``number``.
+        """Transform the model into another frame.
 
         Args:
-            rotation: (3, 3), of the motion ``dst_SE3_src``.
-            translation: (3,).
-            number: what its pixels are counted under; None: as before.
+            rotation: (3, 3) rotation of ``dst_SE3_src``.
+            translation: (3,) translation of ``dst_SE3_src``, metres.
+            number: object number of all surfaces; None: unchanged.
         """
         rotation, translation = np.asarray(rotation, np.float64), np.asarray(translation, np.float64)
         faces, rounds = joined([self.faces]), joined([self.rounds])
@@ -139,20 +139,20 @@ class Model:
     def standing(
         self, x_m: float, y_m: float, z_m: float = 0.0, yaw_rad: float = 0.0, number: int | None = None
     ) -> Model:
-        """Moved to a place and turned about the vertical, counter-clockwise."""
+        """Translate the model, after a counter-clockwise rotation about the vertical."""
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return self.placed(turn, np.array([x_m, y_m, z_m]), number)
 
     def bounds(self) -> tuple[Float64, Float64]:
-        """Least and greatest coordinates (3,) of all of it."""
+        """Return the least and greatest coordinates (3,) of all surfaces."""
         reach = np.sqrt(np.einsum("nij,ni->nj", self.rounds["axes"] ** 2, self.rounds["half"] ** 2))
         ends = np.concatenate([self.corners, self.rounds["centre"] - reach, self.rounds["centre"] + reach])
         return ends.min(axis=0), ends.max(axis=0)
 
 
 def joined(parts: Sequence[Records]) -> Records:
-    """Records of one kind as a new array: as bytes, ten times as fast as field by field."""
+    """Concatenate records of one type; copying bytes is ten times as fast as copying fields."""
     kind = parts[0].dtype
     size = kind.itemsize
     whole: Records = np.concatenate([np.ascontiguousarray(part).view((np.void, size)) for part in parts]).view(kind)
@@ -160,7 +160,7 @@ def joined(parts: Sequence[Records]) -> Records:
 
 
 def merged(models: Iterable[Model]) -> Model:
-    """All models as one."""
+    """Merge models into one."""
     parts = list(models)
     if not parts:
         return Model.empty()

@@ -46,8 +46,7 @@ def parse_image_name(path: str) -> ImageName:
             f"the image is of version {parts[0]} of the synthetic street, which this toolkit does not render",
             file=f"{SCHEME}://{'/'.join(parts)}",
             expected=f"version {STREET}",
-            remedy="install the version of the toolkit that wrote the recordings, or write and ingest them anew",
-            remedy="install the mirror-dataset that wrote the recordings, or write and ingest them again",
+            remedy="install the version of the toolkit that wrote the recordings, or write and ingest them again",
         )
     if len(parts) != 6 or not (parts[2].isdecimal() and parts[5].removesuffix(".png").isdecimal()):
         raise DatasetError("not the URI of an image", file=f"{SCHEME}://{'/'.join(parts)}", expected=_EXPECTED)

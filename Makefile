@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint mutants clean
+.PHONY: demo test fuzz lint mutants clean
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0
@@ -16,6 +16,10 @@ demo: $(STAMP)
 
 test: lint
 	$(BIN)/python -m pytest -n 2
+
+# Five hundred damaged recordings of every reader, for which `make test` has fifty, and what came of them.
+fuzz: $(STAMP)
+	MIRROR_FUZZ=500 $(BIN)/python -m pytest -n 2 -rP tests/fuzz
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

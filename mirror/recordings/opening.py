@@ -20,7 +20,16 @@ from mirror.recordings.paths import inside, not_plain
 from mirror.schema.strict_json import JsonError, decode_json
 
 # What NumPy raises on the header of a damaged ``.npy`` file.
-_BROKEN_ARRAY = (OSError, ValueError, EOFError, SyntaxError, MemoryError, RecursionError, tokenize.TokenError)
+_BROKEN_ARRAY = (
+    OSError,
+    ValueError,
+    EOFError,
+    SyntaxError,
+    ArithmeticError,
+    MemoryError,
+    RecursionError,
+    tokenize.TokenError,
+)
 
 
 def find_file(root: Path, name: str) -> Path | None:

@@ -6,15 +6,18 @@ recording may cause, the traceback.
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import selectors
+import signal
 import subprocess
 import sys
+import tempfile
 import traceback
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -64,6 +67,7 @@ def answer(request: Request) -> dict[str, Any]:
 def serve() -> None:
     """Answer requests until there are no more."""
     warnings.simplefilter("ignore")
+    faulthandler.enable()
     for line in sys.stdin:
         fields = json.loads(line)
         request = Request(
@@ -82,6 +86,7 @@ class Worker:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
+        self._said: IO[str] | None = None
 
     def __enter__(self) -> Worker:
         return self
@@ -89,21 +94,26 @@ class Worker:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def stop(self) -> None:
-        """Kill it."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
+    def stop(self) -> str:
+        """End it, and say what its threads were at."""
+        if self._process is None or self._said is None:
+            return ""
+        # The fault handler writes a traceback of every thread.
+        self._process.send_signal(signal.SIGABRT)
+        self._process.communicate()
+        self._process = None
+        with self._said as file:
+            file.seek(0)
+            return file.read()
 
     def ask(self, request: Request, timeout_s: float = 20.0) -> dict[str, Any]:
-        """The answer; ``{"hang": True}`` or ``{"died": code}`` where there is none."""
+        """The answer; ``{"hang": traceback}`` or ``{"died": code}`` where there is none."""
         if self._process is None:
+            # A file, not a pipe: decoders of images say more than a pipe holds.
+            self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115
             words = [sys.executable, "-m", "tests.fuzz.worker"]
             pipe = subprocess.PIPE
-            self._process = subprocess.Popen(
-                words, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True
-            )
+            self._process = subprocess.Popen(words, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=self._said, text=True)
             # Ready once it answers: its imports are no part of anybody's time.
             self._process.stdout.readline()  # type: ignore[union-attr]
         process = self._process
@@ -119,8 +129,7 @@ class Worker:
         with selectors.DefaultSelector() as selector:
             selector.register(process.stdout, selectors.EVENT_READ)
             if not selector.select(timeout_s):
-                self.stop()
-                return {"hang": True}
+                return {"hang": self.stop()}
         line = process.stdout.readline()
         if not line:
             code = process.wait()

@@ -1,0 +1,128 @@
+"""Damaged recordings of every reader: refused by name, or taken with right values; no traceback, hang or lost data.
+
+``make fuzz`` runs ten times as many as ``make test`` (`MIRROR_FUZZ`), and prints what came of them.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mirror.errors import MirrorError
+from mirror.ingest.run import ingest
+from mirror.recordings.registry import open_recording
+from mirror.schema.documents import Roi
+from tests.fuzz.bases import BASES, Base
+from tests.fuzz.judge import Reference, faults_of_untouched, faults_of_values, rows_of
+from tests.fuzz.mutations import mutate
+from tests.fuzz.worker import Request, Worker
+from tests.ingest.recordings import tree
+
+TRIALS = int(os.environ.get("MIRROR_FUZZ", "50"))
+VERBOSE = "MIRROR_FUZZ_VERBOSE" in os.environ
+SEED = int(os.environ.get("MIRROR_FUZZ_SEED", "25"))
+ERRORS = {kind.__name__ for kind in MirrorError.__subclasses__()}
+DERIVED = ("dataset.json", "rois.geojson", "index/")
+
+
+def linked(source: Path, target: Path) -> Path:
+    return Path(shutil.copytree(source, target, copy_function=os.link))
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of another drive, elsewhere."""
+    root = tmp_path_factory.mktemp("kept")
+    rows = [f"{1_700_000_000 + second},{11.0 + 1e-4 * second},48.0" for second in range(30)]
+    (root / "kept.csv").write_text("time,longitude,latitude\n" + "\n".join(rows) + "\n")
+    scene = Roi(scene_id="kept", longitude_deg=11.0015, latitude_deg=48.0, radius_m=100.0)
+    assert len(ingest([root / "kept.csv"], [scene], root / "d").traversals) == 1
+    return root / "d"
+
+
+def reference_of(base: Base, kept: Path, folder: Path) -> Reference:
+    report = ingest([base.path], [base.roi], linked(kept, folder))
+    assert not report.failures and len(report.traversals) == 1, report.failures
+    rows = rows_of(folder, report.traversals[0].traversal_id)
+    assert not faults_of_values(rows)
+    return Reference(base, rows, open_recording(base.path, base.reader).track().timestamp_ns)
+
+
+def judged(
+    found: dict[str, Any], before: dict[str, str], reference: Reference, damaged: Base, out: Path
+) -> tuple[str, str | None]:
+    """What came of one damaged recording, and what is wrong with that.
+
+    Args:
+        found: the worker's answer.
+        before: hashes of the dataset's files before.
+        reference: the pristine recording's.
+        damaged: the damaged one.
+        out: the dataset.
+    """
+    if "failures" not in found:
+        return "no answer", str(found)
+    after = tree(out)
+    if found["failures"]:
+        (failure,) = found["failures"]
+        if failure["error"] not in ERRORS or not failure["problem"] or not failure["file"]:
+            return "no name", str(failure)
+        return "refused", None if after == before else "the dataset has changed"
+    changed = [name for name, digest in before.items() if not name.startswith(DERIVED) and after.get(name) != digest]
+    if changed:
+        return "taken", f"other files of the dataset have changed: {changed}"
+    pristine = {file.relative_to(reference.base.path): file for file in reference.base.files}
+    touched = {str(name) for name, file in pristine.items() if not _same(damaged.path / name, file)}
+    faults = []
+    for name in found["traversals"]:
+        rows = rows_of(out, name)
+        faults += faults_of_values(rows) + faults_of_untouched(reference, rows, damaged, touched)
+    dropped = sum(one["poses"] - one["kept"] for one in found["cleaning"])
+    outcome = "taken without rows" if dropped else "taken"
+    return outcome if found["traversals"] else "no pass", "; ".join(faults[:3]) or None
+
+
+def _same(file: Path, pristine: Path) -> bool:
+    return file.is_file() and (file.samefile(pristine) or file.read_bytes() == pristine.read_bytes())
+
+
+@pytest.mark.parametrize("reader", BASES)
+def test_damage_is_refused_by_name_or_does_no_harm(reader: str, tmp_path: Path, kept: Path) -> None:
+    base = BASES[reader](tmp_path / "base")
+    reference = reference_of(base, kept, tmp_path / "reference")
+    before = tree(kept)
+    counts: Counter[str] = Counter()
+    faults = []
+    slowest = 0.0
+    with Worker() as worker:
+        for trial in range(TRIALS):
+            random = np.random.default_rng([SEED, list(BASES).index(reader), trial])
+            here = tmp_path / f"trial{trial}"
+            path = linked(base.path, here / base.path.name)
+            kind, file = mutate(path, random)
+            out = linked(kept, here / "d")
+            began = time.monotonic()
+            found = worker.ask(Request(path, reader, base.roi, out))
+            if "hang" in found:
+                # A kernel that is compiled for the first time, on a busy machine, takes that long too, but it ends.
+                shutil.rmtree(out)
+                found = worker.ask(Request(path, reader, base.roi, linked(kept, out)), timeout_s=120.0)
+            slowest = max(slowest, time.monotonic() - began)
+            outcome, fault = judged(found, before, reference, Base(reader, path, base.roi), out)
+            counts[outcome] += 1
+            damage = f"trial {trial}: {kind} of {file.relative_to(path)}"
+            if fault is not None:
+                faults.append(f"{damage}: {outcome}: {fault}")
+            if VERBOSE:
+                said = found["failures"][0]["problem"] if found.get("failures") else ""
+                print(f"{reader}, {damage}: {outcome}: {said:.200}")
+            shutil.rmtree(here)
+    print(f"{reader}: {TRIALS} damaged recordings: {dict(counts)}; slowest {slowest:.1f} s")
+    assert not faults, "\n".join(faults)

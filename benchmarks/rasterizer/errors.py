@@ -14,7 +14,7 @@ from torch import Tensor
 from benchmarks.rasterizer.views import View, with_threads
 from benchmarks.report import OUT
 from hybridworldsim.rasterizer import reference
-from hybridworldsim.rasterizer.reference.marks import Marks, mark
+from hybridworldsim.rasterizer.reference.rounding_marks import RoundingMarks, find_rounding_marks
 from mirror.arrays import Float64
 
 _FELT = 1e-7  # of the largest: less is no gradient
@@ -35,7 +35,7 @@ class Truth:
     picture: Tensor
     depth: Tensor
     alpha: Tensor
-    marks: Marks
+    marks: RoundingMarks
     gradients: Mapping[str, Tensor]
 
 
@@ -80,7 +80,7 @@ def truth(view: View, *, gradients: bool) -> Truth:
     kept = OUT / "rasterizer" / f"{_key(view)}{'_gradients' if gradients else ''}.pt"
     if kept.is_file():
         picture, depth, alpha, marked, jump, found = torch.load(kept, weights_only=True)
-        return Truth(picture, depth, alpha, Marks(marked, jump), found)
+        return Truth(picture, depth, alpha, RoundingMarks(marked, jump), found)
     with with_threads(1):  # the reference's many small steps only wait for each other
         true = render_truth(view, gradients)
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -95,7 +95,7 @@ def render_truth(view: View, gradients: bool) -> Truth:
         picture, alphas, meta = view.render(tensors, "reference")
     blending = meta["blending"]
     seen = blending.views[0]
-    marks = mark(
+    marks = find_rounding_marks(
         seen.projected, seen.opacities, view.width, view.height, preset=blending.preset, tile_size=blending.tile_size
     )
     found = _gradients(view, tensors, picture, alphas, marks) if gradients else {}
@@ -148,7 +148,7 @@ def _key(view: View) -> str:
 
 
 def _gradients(
-    view: View, tensors: Mapping[str, Tensor], picture: Tensor, alphas: Tensor, marks: Marks
+    view: View, tensors: Mapping[str, Tensor], picture: Tensor, alphas: Tensor, marks: RoundingMarks
 ) -> dict[str, Tensor]:
     clear = (~marks.marked)[None, ..., None]
     weights = [(weight * clear).to(picture.dtype) for weight in view.weights]

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from benchmarks.rasterizer.views import View
 from benchmarks.report import Peer, Row
-from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, preset_of
+from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, get_preset
 
 _NEAR, _FAR, _EPS2D = 0.01, 1e10, 0.3
 
@@ -53,7 +53,7 @@ def _ours(view: View, backend: str, dtype: torch.dtype) -> Callable[[], Any]:
             near_plane=_NEAR,
             far_plane=_FAR,
             radius_clip=0.0,
-            preset=preset_of(DEFAULT_PRESET),
+            preset=get_preset(DEFAULT_PRESET),
             antialiased=False,
             lens=None,
         )

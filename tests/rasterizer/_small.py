@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.presets import PRESETS, Preset
-from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import blend, project
 
 WIDTH, HEIGHT = 21, 13
@@ -35,7 +35,7 @@ def gaussians(number: int, seed: int = 0, dtype: torch.dtype = torch.float64) ->
 
 def project_small(
     means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, viewmat: Tensor | None = None, **options: Any
-) -> Projected:
+) -> ProjectedGaussians:
     """`project` with gsplat's defaults."""
     defaults = {
         "eps2d": 0.3, "near_plane": 0.01, "far_plane": 1e10, "radius_clip": 0.0, "preset": PRESET, "antialiased": False,
@@ -49,7 +49,7 @@ def project_small(
 
 def picture(
     scene: dict[str, Tensor], features: Tensor, *, preset: Preset = PRESET, tile_size: int = 16, **options: Any
-) -> tuple[Tensor, Tensor, Projected]:
+) -> tuple[Tensor, Tensor, ProjectedGaussians]:
     """Image, alpha and what was projected."""
     size = options.get("width", WIDTH), options.get("height", HEIGHT)
     seen = project_small(**scene, preset=preset, **options)

@@ -8,12 +8,12 @@ import torch
 
 from hybridworldsim.rasterizer import reference
 from hybridworldsim.rasterizer.cpu.blending.blend import blend
-from hybridworldsim.rasterizer.presets import preset_of
-from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.reference.marks import mark
+from hybridworldsim.rasterizer.presets import get_preset
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
+from hybridworldsim.rasterizer.reference.rounding_marks import find_rounding_marks
 from mirror.errors import UsageError
 
-PRESET = preset_of("gsplat-1.5")
+PRESET = get_preset("gsplat-1.5")
 
 
 def projected(count, width, height, *, aspect=1.0, size=0.05, seed=0):
@@ -79,7 +79,9 @@ CASES = {
 def test_pictures_and_gradients_are_the_reference_s(case):
     arguments = CASES[case]
     seen, opacities, (true, gradients), (ours, found) = both(**arguments)
-    marks = mark(seen, opacities, arguments["width"], arguments["height"], preset=PRESET, tile_size=16).marked
+    marks = find_rounding_marks(
+        seen, opacities, arguments["width"], arguments["height"], preset=PRESET, tile_size=16
+    ).marked
     bar = 5e-5 if case == "needles" else 2e-5
     for one, other in ((ours.image, true.image), (ours.alpha[..., None], true.alpha[..., None])):
         assert (one - other).abs().amax(dim=-1)[~marks].max() < bar
@@ -143,7 +145,7 @@ def test_a_picture_or_an_alpha_that_no_loss_reads_has_no_part_in_the_gradients()
 
 def test_a_hundred_thousand_on_one_pixel():
     count = 100_000
-    seen = Projected(
+    seen = ProjectedGaussians(
         ids=torch.arange(count), means2d=torch.full((count, 2), 20.5), means2d_low=torch.zeros(count, 2),
         depths=torch.full((count,), 3.0), conics=torch.tensor([[1.0, 0.0, 1.0]]).repeat(count, 1).double(),
         factors=torch.tensor([[1.0, 0.0, 1.0]]).double().repeat(count, 1), compensations=None,
@@ -161,7 +163,7 @@ def test_a_hundred_thousand_on_one_pixel():
 
 
 def test_a_pixel_is_blended_to_the_cap_and_no_gradient_passes_there():
-    seen = Projected(
+    seen = ProjectedGaussians(
         ids=torch.arange(1), means2d=torch.full((1, 2), 8.5), means2d_low=torch.zeros(1, 2),
         depths=torch.ones(1), conics=torch.tensor([[0.5, 0.0, 0.5]]).double(),
         factors=torch.tensor([[0.5**0.5, 0.0, 0.5**0.5]]).double(), compensations=None,

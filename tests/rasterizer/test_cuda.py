@@ -10,7 +10,7 @@ import torch
 
 from hybridworldsim.rasterizer import cuda, rasterization
 from hybridworldsim.rasterizer.presets import PRESETS
-from hybridworldsim.rasterizer.rasterization import backend_of
+from hybridworldsim.rasterizer.rasterization import choose_backend
 from mirror.errors import UsageError
 from tests.rasterizer._scenes import scene
 
@@ -22,17 +22,17 @@ def gsplat(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", fake)
     # the package has a function of this module's name
     module = sys.modules["hybridworldsim.rasterizer.rasterization"]
-    monkeypatch.setattr(module, "backend_of", lambda name, device: "cuda")
+    monkeypatch.setattr(module, "choose_backend", lambda name, device: "cuda")
     return fake
 
 
 def test_the_backend_is_where_the_tensors_are():
-    assert backend_of("auto", torch.device("cpu")) == "cpu"
-    assert backend_of("auto", torch.device("cuda", 1)) == "cuda"
-    assert backend_of("reference", torch.device("cpu")) == "reference"
+    assert choose_backend("auto", torch.device("cpu")) == "cpu"
+    assert choose_backend("auto", torch.device("cuda", 1)) == "cuda"
+    assert choose_backend("reference", torch.device("cpu")) == "reference"
     for name, device in (("cuda", "cpu"), ("cpu", "cuda"), ("reference", "cuda")):
         with pytest.raises(UsageError, match="tensors are on"):
-            backend_of(name, torch.device(device))
+            choose_backend(name, torch.device(device))
     with pytest.raises(UsageError, match="tensors are on cpu"):
         rasterization(**scene(), backend="cuda")
 

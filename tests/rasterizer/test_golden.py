@@ -43,7 +43,7 @@ def test_the_golden_case_is_rendered(real_data, preset, backend):
         case["means"], case["quats"], case["scales"].exp(), opacities, viewmat, K, width, height, eps2d=0.3,
         near_plane=0.01, far_plane=1e12, radius_clip=0.0, preset=preset, antialiased=False, lens=None,
     )  # fmt: skip
-    colours = (backend.harmonics(3, case["means"] - position, case["coeffs"]) + 0.5).clamp(min=0.0)
+    colours = (backend.spherical_harmonics(3, case["means"] - position, case["coeffs"]) + 0.5).clamp(min=0.0)
     picture = backend.blend(
         seen, colours[seen.ids], opacities[seen.ids], width, height, preset=preset, tile_size=16, absgrad=False
     )

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.rasterizer.cpu.blending.splats import splats_of
-from hybridworldsim.rasterizer.cpu.blending.tiles import tiles_of
+from hybridworldsim.rasterizer.cpu.blending.splats import pack_splats
+from hybridworldsim.rasterizer.cpu.blending.tiles import assign_tiles
 from hybridworldsim.rasterizer.limits import SIDE_MAX
-from hybridworldsim.rasterizer.rows import rows, spread
+from hybridworldsim.rasterizer.rows import scatter_rows, take_rows
 from mirror.errors import UsageError
 from tests.rasterizer._scenes import both_backends, cameras, one, scene, with_gradients
 
@@ -132,14 +132,14 @@ def test_more_gaussians_than_can_be_numbered_are_refused():
 
 def test_more_pairs_than_can_be_counted_are_refused():
     tiles_x, tiles_y, count = 512, 512, 8192  # 2^31 pairs
-    splats = splats_of(
+    splats = pack_splats(
         np.full((count, 2), 4096.0, np.float32), np.zeros((count, 2), np.float32),
         np.tile([1e-6, 0.0, 1e-6], (count, 1)), np.ones(count, np.float32), np.zeros((count, 1), np.float32),
         np.full((count, 2), 1 << 30, np.int32), tiles_x, tiles_y,
     )  # fmt: skip
     order, every = np.arange(count, dtype=np.int32), np.ones(tiles_x * tiles_y, np.bool_)
     with pytest.raises(UsageError, match="pairs of a tile"):
-        tiles_of(splats, order, tiles_x, every)
+        assign_tiles(splats, order, tiles_x, every)
 
 
 @pytest.mark.parametrize(
@@ -315,8 +315,8 @@ def test_culling_costs_nothing_where_all_is_finite():
 def test_rows_are_taken_and_spread_with_gradients():
     table = torch.randn(6, 2, dtype=torch.float64, requires_grad=True)
     ids = torch.tensor([0, 2, 5])
-    assert rows(table, torch.arange(6)) is table
-    assert spread(table, torch.arange(6), 6) is table
-    assert torch.equal(spread(rows(table, ids), ids, 6)[ids], table[ids])
-    assert torch.autograd.gradcheck(lambda x: rows(x, ids), table)
-    assert torch.autograd.gradcheck(lambda x: spread(x[:3], ids, 6), table)
+    assert take_rows(table, torch.arange(6)) is table
+    assert scatter_rows(table, torch.arange(6), 6) is table
+    assert torch.equal(scatter_rows(take_rows(table, ids), ids, 6)[ids], table[ids])
+    assert torch.autograd.gradcheck(lambda x: take_rows(x, ids), table)
+    assert torch.autograd.gradcheck(lambda x: scatter_rows(x[:3], ids, 6), table)

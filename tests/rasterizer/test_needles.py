@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.rasterizer.reference.marks import mark
+from hybridworldsim.rasterizer.reference.rounding_marks import find_rounding_marks
 
 WIDTH, HEIGHT, FOCAL = 160, 96, 120.0
 TRAINED = ("means", "quats", "scales", "opacities", "colors", "viewmats")
@@ -45,7 +45,9 @@ def compared(scene: dict[str, Any], **options: Any) -> tuple[float, dict[str, fl
         image, _, meta = rasterization(**scene | trained, backend=backend, **options)
         if backend == "reference":
             (view,) = meta["blending"].views
-            marks = mark(view.projected, view.opacities, WIDTH, HEIGHT, preset=meta["blending"].preset, tile_size=16)
+            marks = find_rounding_marks(
+                view.projected, view.opacities, WIDTH, HEIGHT, preset=meta["blending"].preset, tile_size=16
+            )
             clear = ~marks.marked
         weights = torch.rand(image.shape, generator=torch.Generator().manual_seed(5)) * clear[..., None]
         (image * weights.to(image.dtype)).sum().backward()

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from hybridworldsim.rasterizer.presets import ALPHA_MIN, PRESETS, preset_of
+from hybridworldsim.rasterizer.presets import ALPHA_MIN, PRESETS, get_preset
 from mirror.errors import UsageError
 from tests.rasterizer._small import picture, project_small
 
@@ -30,7 +30,7 @@ def _alpha(scene, preset, **options):
 
 def test_preset_of_an_unknown_name_names_those_there_are():
     with pytest.raises(UsageError, match=r"gsplat-1\.3 or gsplat-1\.5 or gsplat-1\.6"):
-        preset_of("gsplat-2")
+        get_preset("gsplat-2")
 
 
 def test_three_sigma_square_truncates_what_the_ellipse_shows():

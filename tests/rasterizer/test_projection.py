@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from hybridworldsim.rasterizer.cpu.projection.packing import PART
+from hybridworldsim.rasterizer.cpu.projection.ordered_output import PART
 from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
 from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.presets import preset_of
-from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.presets import get_preset
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import project as reference
 
 K = torch.tensor([[700.0, 0.0, 470.0], [0.0, 650.0, 275.0], [0.0, 0.0, 1.0]])
@@ -27,7 +27,7 @@ Inputs = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 
 def options(preset: str = "gsplat-1.5", antialiased: bool = False, **others: float) -> dict[str, Any]:
     limits = {"eps2d": 0.3, "near_plane": 0.01, "far_plane": 15.0, "radius_clip": 0.0} | others
-    return limits | {"preset": preset_of(preset), "antialiased": antialiased, "lens": None}
+    return limits | {"preset": get_preset(preset), "antialiased": antialiased, "lens": None}
 
 
 def looking() -> Tensor:
@@ -50,7 +50,7 @@ def cloud(number: int, *, aspect: float = 1.0, seed: int = 0, dtype: torch.dtype
     return means.to(dtype), quats.to(dtype), scales.to(dtype), opacities.to(dtype), looking()
 
 
-def through(project: Any, inputs: Inputs, **how: Any) -> Projected:
+def through(project: Any, inputs: Inputs, **how: Any) -> ProjectedGaussians:
     means, quats, scales, opacities, viewmat = inputs
     return project(means, quats, scales, opacities, viewmat, K, WIDTH, HEIGHT, **options(**how))
 
@@ -60,7 +60,7 @@ def leaves(inputs: Inputs) -> Inputs:
     return *(t.requires_grad_() for t in (means, quats, scales)), opacities, viewmat.requires_grad_()
 
 
-def gradients(projected: Projected, inputs: Inputs, seed: int = 1) -> list[Tensor]:
+def gradients(projected: ProjectedGaussians, inputs: Inputs, seed: int = 1) -> list[Tensor]:
     random = torch.Generator().manual_seed(seed)
     shown = [projected.means2d, projected.depths, 100.0 * projected.conics]
     if projected.compensations is not None:
@@ -188,7 +188,7 @@ def test_what_is_culled_has_no_gradient() -> None:
         assert gradient[~hidden].abs().sum(1).min() > 0.0
 
 
-def sound(inputs: Inputs, **how: Any) -> Projected:
+def sound(inputs: Inputs, **how: Any) -> ProjectedGaussians:
     """Nothing that comes out is not a number, and nothing forward is infinite."""
     inputs = leaves(inputs)
     ours = through(compiled, inputs, **how)

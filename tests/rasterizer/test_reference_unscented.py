@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.reference.unscented import _FORWARD, unscented
+from hybridworldsim.rasterizer.reference.unscented import _FORWARD, project_unscented
 from mirror.errors import UsageError
 from tests.rasterizer._small import HEIGHT, WIDTH, K, gaussians, project_small
 from tests.rasterizer.test_reference_projection import BROWN, FISHEYE
@@ -52,7 +52,7 @@ def test_the_transform_is_the_textbooks_weighted_sums():
         mean = torch.einsum("p,pnc->nc", weights, pixels)
         weights[0] += 1 - alpha**2 + beta
         covariance = torch.einsum("p,pnc,pnd->ncd", weights, pixels - mean, pixels - mean)
-        got, roots, _ = unscented(means, axes, K, WIDTH, HEIGHT, lens)
+        got, roots, _ = project_unscented(means, axes, K, WIDTH, HEIGHT, lens)
         assert torch.allclose(got, mean, rtol=0, atol=1e-10)
         assert torch.allclose(roots @ roots.mT, covariance, rtol=1e-9, atol=1e-9)
 

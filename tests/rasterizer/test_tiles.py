@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hybridworldsim.rasterizer.cpu.blending.splats import splats_of
-from hybridworldsim.rasterizer.cpu.blending.tiles import tiles_of
+from hybridworldsim.rasterizer.cpu.blending.splats import pack_splats
+from hybridworldsim.rasterizer.cpu.blending.tiles import assign_tiles
 
 WIDTH, HEIGHT, TILES_X, TILES_Y = 117, 70, 8, 5
 
@@ -39,16 +39,16 @@ def test_each_tile_has_the_gaussians_that_reach_it_in_depth_order(longest):
     means, factors, opacities, depths = ellipses(400, longest)
     order = np.argsort(depths).astype(np.int32)
     single = means.astype(np.float32)
-    splats = splats_of(
+    splats = pack_splats(
         single, (means - single).astype(np.float32), factors, opacities.astype(np.float32),
         np.zeros((400, 3), np.float32), np.full((400, 2), 1 << 20, np.int32), TILES_X, TILES_Y,
     )  # fmt: skip
-    tiles = tiles_of(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
+    tiles = assign_tiles(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
     greatest = reach(means, factors, opacities)
     rank = np.argsort(order)
     listed = np.zeros_like(greatest, dtype=bool)
     for tile in range(TILES_X * TILES_Y):
-        ids = tiles.ids[tiles.begins[tile] : tiles.begins[tile + 1]]
+        ids = tiles.ids[tiles.tile_starts[tile] : tiles.tile_starts[tile + 1]]
         assert (np.diff(rank[ids]) > 0).all()
         listed[ids, tile] = True
     assert listed[greatest >= (1.0 + 1e-5) / 255.0].all()
@@ -59,15 +59,15 @@ def test_each_tile_has_the_gaussians_that_reach_it_in_depth_order(longest):
 def test_turns_number_the_pairs_of_each_gaussian():
     means, factors, opacities, depths = ellipses(300, 20.0, seed=1)
     order = np.argsort(depths).astype(np.int32)
-    splats = splats_of(
+    splats = pack_splats(
         means.astype(np.float32), np.zeros((300, 2), np.float32), factors,
         opacities.astype(np.float32), np.zeros((300, 3), np.float32), np.full((300, 2), 1 << 20, np.int32),
         TILES_X, TILES_Y,
     )  # fmt: skip
-    tiles = tiles_of(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
-    ids = tiles.ids[: len(tiles.turns)]
+    tiles = assign_tiles(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
+    ids = tiles.ids[: len(tiles.pair_ranks)]
     for rank, gaussian in enumerate(order):
-        assert tiles.turns[ids == gaussian].tolist() == list(range(tiles.pairs[rank]))
+        assert tiles.pair_ranks[ids == gaussian].tolist() == list(range(tiles.pairs[rank]))
 
 
 def test_done_tiles_get_nothing_and_the_preset_s_extent_cuts():
@@ -75,11 +75,11 @@ def test_done_tiles_get_nothing_and_the_preset_s_extent_cuts():
     factors, opacities = np.array([[0.02, 0.0, 0.02]]), np.array([0.9], np.float32)
 
     def tiles(radius, alive):
-        splats = splats_of(
+        splats = pack_splats(
             means, np.zeros_like(means), factors, opacities, np.zeros((1, 1), np.float32),
             np.full((1, 2), radius, np.int32), TILES_X, TILES_Y,
         )  # fmt: skip
-        return np.flatnonzero(np.diff(tiles_of(splats, np.zeros(1, np.int32), TILES_X, alive).begins))
+        return np.flatnonzero(np.diff(assign_tiles(splats, np.zeros(1, np.int32), TILES_X, alive).tile_starts))
 
     every = np.ones(TILES_X * TILES_Y, np.bool_)
     assert len(tiles(1 << 20, every)) == TILES_X * TILES_Y

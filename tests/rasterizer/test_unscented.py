@@ -10,7 +10,7 @@ from torch import Tensor
 
 from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
 from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import project as reference
 
 from .test_projection import Inputs, cloud, distance, gradients, leaves, options
@@ -31,7 +31,7 @@ LENSES = {
 }
 
 
-def through(project: Any, inputs: Inputs, lens: Lens, **how: Any) -> Projected:
+def through(project: Any, inputs: Inputs, lens: Lens, **how: Any) -> ProjectedGaussians:
     means, quats, scales, opacities, viewmat = inputs
     shape = (means, quats, scales, opacities, viewmat, K, WIDTH, HEIGHT)
     return project(*shape, **(options(**how) | {"lens": lens}))

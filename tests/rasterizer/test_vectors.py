@@ -20,17 +20,17 @@ def arithmetic(a, b, out, whole):
     v.store(out, 32, np.float32(3.0) * y)
     v.store(out, 48, x / y)
     v.store(out, 64, v.fma(x, y, np.float32(1.0)))
-    v.store(out, 80, v.take(x, y, np.float32(1.0)))
-    v.store(out, 96, v.least(x, y))
-    v.store(out, 112, v.magnitude(x))
+    v.store(out, 80, v.fnma(x, y, np.float32(1.0)))
+    v.store(out, 96, v.min_or_b(x, y))
+    v.store(out, 112, v.abs_(x))
     mask = (x >= y) & (x < np.float32(4.0))
-    v.store(out, 128, v.choose(mask | (y > x), x, np.float32(-7.0)))
-    v.store(out, 144, v.totals((x, y, x * y)))
-    v.store(out, 160, v.lift(a, 9))
-    out[176] = v.total(x)
-    whole[0] = v.bits(mask)
-    whole[1] = v.bits(mask ^ v.mask_of(0xFFFF))
-    whole[2] = v.lowest(np.uint64(0b101000))
+    v.store(out, 128, v.select(mask | (y > x), x, np.float32(-7.0)))
+    v.store(out, 144, v.sum_each((x, y, x * y)))
+    v.store(out, 160, v.load_one(a, 9))
+    out[176] = v.sum_elements(x)
+    whole[0] = v.to_bits(mask)
+    whole[1] = v.to_bits(mask ^ v.from_bits(0xFFFF))
+    whole[2] = v.trailing_zeros(np.uint64(0b101000))
 
 
 def test_operations_are_those_of_their_elements():
@@ -48,16 +48,16 @@ def test_operations_are_those_of_their_elements():
     assert (out[147:160] == 0.0).all()
     assert (out[160:176] == A[9]).all()
     np.testing.assert_allclose(out[176], sums[0], rtol=1e-6)
-    bits = int((mask * (1 << np.arange(16))).sum())
-    assert whole.tolist() == [bits, bits ^ 0xFFFF, 3]
+    to_bits = int((mask * (1 << np.arange(16))).sum())
+    assert whole.tolist() == [to_bits, to_bits ^ 0xFFFF, 3]
 
 
 @numba.njit(error_model="numpy")
 def whole_numbers(numbers, out):
     x = v.load(numbers, 0)
-    out[0] = v.bits(v.beyond(x, np.int32(5)))
-    out[1] = v.bits(v.having(x, np.int32(4)))
-    v.store(numbers, 0, v.choose_whole(v.mask_of(0b11), np.int32(-1), x))
+    out[0] = v.to_bits(v.greater_int(x, np.int32(5)))
+    out[1] = v.to_bits(v.has_bits(x, np.int32(4)))
+    v.store(numbers, 0, v.select_int(v.from_bits(0b11), np.int32(-1), x))
 
 
 def test_whole_numbers_are_compared_and_chosen():
@@ -89,7 +89,7 @@ def test_powers_of_what_is_no_exponent_do_not_crash(value):
 def test_a_vector_and_another_kind_of_vector_are_not_added():
     @numba.njit
     def mixed(a):
-        return v.bits((v.load(a, 0) > np.float32(0.0)) + v.load(a, 0))
+        return v.to_bits((v.load(a, 0) > np.float32(0.0)) + v.load(a, 0))
 
     with pytest.raises(numba.TypingError):
         mixed(A)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
@@ -35,7 +35,9 @@ def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Functi
 
     def compile_kernel(function: _Function) -> _Function:
         dispatcher: Any = numba.njit(**options)(function)
-        dispatcher._cache._cache_file._source_stamp = _source_stamp(Path(function.__code__.co_filename).parent)
+        cache: Any = dispatcher._cache._cache_file
+        cache._source_stamp = _source_stamp(Path(function.__code__.co_filename).parent)
+        cache._load_index = partial(_load_index, cache._load_index)
         _dispatchers.append(dispatcher)
         return dispatcher
 
@@ -47,6 +49,17 @@ def _source_stamp(folder: Path) -> str:
     """A hash of the source files in `kernels/`, in `rasterizer/` and in a folder with their subfolders."""
     files = {path for root in (_KERNELS, _RASTERIZER, folder) for path in root.rglob("*.py")}
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in sorted(files))).hexdigest()
+
+
+def _load_index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
+    """Load the index of a kernel's cache; an index that names a class that is no longer there counts as empty.
+
+    The index holds the types of arguments as pickles, so that it cannot be read after a class was renamed.
+    """
+    try:
+        return load()
+    except (ImportError, AttributeError):
+        return {}
 
 
 class _CompilationNotice(event.Listener):

@@ -13,7 +13,7 @@ from llvmlite import ir
 from numba import types
 
 from hybridworldsim.kernels import simd
-from hybridworldsim.kernels.simd import I32, Vector, function, intrinsic, picked
+from hybridworldsim.kernels.simd import I32, Vector, elementwise, intrinsic, shuffle
 
 LANES: Final = 8
 Float64x8: Final = Vector(types.float64, LANES)
@@ -23,57 +23,57 @@ _DOUBLE, _LONG = ir.DoubleType(), ir.IntType(64)
 _DOUBLES, _LONGS = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_LONG, LANES)
 
 
-def _given(result: Any, emit: Callable[..., Any], *kinds: Any) -> Any:
-    return function((Float64x8,) * len(kinds), result, emit)(*kinds)
+def _elementwise(result: Any, emit: Callable[..., Any], *kinds: Any) -> Any:
+    return elementwise((Float64x8,) * len(kinds), result, emit)(*kinds)
 
 
 @intrinsic
-def spread(context: Any, number: Any) -> Any:
+def broadcast(context: Any, number: Any) -> Any:
     """A vector of one number."""
-    return _given(Float64x8, lambda builder, vector: vector, number)
+    return _elementwise(Float64x8, lambda builder, vector: vector, number)
 
 
 @intrinsic
-def root(context: Any, a: Any) -> Any:
+def sqrt(context: Any, a: Any) -> Any:
     """Square root."""
-    return _given(Float64x8, simd.call("sqrt", Float64x8), a)
+    return _elementwise(Float64x8, simd.call_llvm("sqrt", Float64x8), a)
 
 
 @intrinsic
-def magnitude(context: Any, a: Any) -> Any:
+def abs_(context: Any, a: Any) -> Any:
     """Without sign."""
-    return _given(Float64x8, simd.call("fabs", Float64x8), a)
+    return _elementwise(Float64x8, simd.call_llvm("fabs", Float64x8), a)
 
 
 @intrinsic
-def whole_above(context: Any, a: Any) -> Any:
+def ceil(context: Any, a: Any) -> Any:
     """The least whole number that is not less."""
-    return _given(Float64x8, simd.call("ceil", Float64x8), a)
+    return _elementwise(Float64x8, simd.call_llvm("ceil", Float64x8), a)
 
 
 @intrinsic
-def lesser(context: Any, a: Any, b: Any) -> Any:
+def min_or_b(context: Any, a: Any, b: Any) -> Any:
     """The lesser of each two; ``b`` where one is no number."""
-    return _given(Float64x8, lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b), a, b)
+    return _elementwise(Float64x8, lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b), a, b)
 
 
 @intrinsic
-def greater(context: Any, a: Any, b: Any) -> Any:
+def max_or_b(context: Any, a: Any, b: Any) -> Any:
     """The greater of each two; ``b`` where one is no number."""
-    return _given(Float64x8, lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), a, b)
+    return _elementwise(Float64x8, lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), a, b)
 
 
 @intrinsic
-def choose(context: Any, mask: Any, a: Any, b: Any) -> Any:
+def select(context: Any, mask: Any, a: Any, b: Any) -> Any:
     """``a`` where the mask is set, else ``b``."""
-    return _given(Float64x8, lambda builder, *args: builder.select(*args), mask, a, b)
+    return _elementwise(Float64x8, lambda builder, *args: builder.select(*args), mask, a, b)
 
 
 @intrinsic
-def rounded(context: Any, a: Any) -> Any:
+def round_to_float32(context: Any, a: Any) -> Any:
     """To the nearest float32."""
     singles = ir.VectorType(ir.FloatType(), LANES)
-    return _given(Float64x8, lambda builder, a: builder.fpext(builder.fptrunc(a, singles), _DOUBLES), a)
+    return _elementwise(Float64x8, lambda builder, a: builder.fpext(builder.fptrunc(a, singles), _DOUBLES), a)
 
 
 @intrinsic
@@ -84,7 +84,7 @@ def mantissa(context: Any, a: Any) -> Any:
         low = builder.and_(builder.bitcast(a, _LONGS), ir.Constant(_LONGS, [(1 << 52) - 1] * LANES))
         return builder.bitcast(builder.or_(low, ir.Constant(_LONGS, [1023 << 52] * LANES)), _DOUBLES)
 
-    return _given(Float64x8, emit, a)
+    return _elementwise(Float64x8, emit, a)
 
 
 @intrinsic
@@ -95,17 +95,17 @@ def exponent(context: Any, a: Any) -> Any:
         high = builder.lshr(builder.bitcast(a, _LONGS), ir.Constant(_LONGS, [52] * LANES))
         return builder.sitofp(builder.sub(high, ir.Constant(_LONGS, [1023] * LANES)), _DOUBLES)
 
-    return _given(Float64x8, emit, a)
+    return _elementwise(Float64x8, emit, a)
 
 
 @intrinsic
-def bits(context: Any, mask: Any) -> Any:
+def to_bits(context: Any, mask: Any) -> Any:
     """The mask as a number, whose lowest bit is the first lane's."""
-    return _given(types.int64, lambda b, mask: b.zext(b.bitcast(mask, ir.IntType(LANES)), _LONG), mask)
+    return _elementwise(types.int64, lambda b, mask: b.zext(b.bitcast(mask, ir.IntType(LANES)), _LONG), mask)
 
 
 @intrinsic
-def mask_of(context: Any, number: Any) -> Any:
+def from_bits(context: Any, number: Any) -> Any:
     """The mask that has a number's lowest bits."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -115,39 +115,39 @@ def mask_of(context: Any, number: Any) -> Any:
 
 
 @intrinsic
-def how_many(context: Any, mask: Any) -> Any:
+def count_set(context: Any, mask: Any) -> Any:
     """How many lanes are set."""
-    return _given(types.int64, lambda b, mask: b.zext(b.ctpop(b.bitcast(mask, ir.IntType(LANES))), _LONG), mask)
+    return _elementwise(types.int64, lambda b, mask: b.zext(b.ctpop(b.bitcast(mask, ir.IntType(LANES))), _LONG), mask)
 
 
 @intrinsic
 def first_lanes(context: Any, count: Any) -> Any:
     """The mask of that many lanes; all of them from LANES on."""
     emit = lambda b, count: b.fcmp_ordered("<", ir.Constant(_DOUBLES, list(range(LANES))), count)  # noqa: E731
-    return _given(Mask8, emit, count)
+    return _elementwise(Mask8, emit, count)
 
 
 @intrinsic
-def total(context: Any, a: Any) -> Any:
+def sum_lanes(context: Any, a: Any) -> Any:
     """Sum of the lanes, by halves."""
 
     def emit(builder: Any, value: Any) -> Any:
         half = LANES // 2
         while half:
-            other = picked(builder, value, value, [(lane + half) % LANES for lane in range(LANES)])
+            other = shuffle(builder, value, value, [(lane + half) % LANES for lane in range(LANES)])
             value = builder.fadd(value, other)
             half //= 2
         return builder.extract_element(value, ir.Constant(I32, 0))
 
-    return _given(types.float64, emit, a)
+    return _elementwise(types.float64, emit, a)
 
 
 @intrinsic
-def fetch(context: Any, array: Any, start: Any) -> Any:
+def load(context: Any, array: Any, start: Any) -> Any:
     """The lanes from an index of a flat array on; nothing checks that they are there."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        vector = _load(builder, simd.data(context, builder, sig.args[0], args[0]), args[1], LANES)
+        vector = _load_vector(builder, simd.data_pointer(context, builder, sig.args[0], args[0]), args[1], LANES)
         return vector if vector.type == _DOUBLES else builder.fpext(vector, _DOUBLES)
 
     return Float64x8(array, types.intp), lower
@@ -158,7 +158,7 @@ def gather(context: Any, array: Any, rows: Any, start: Any, stride: Any, column:
     """Lane j: ``array[rows[start + j] * stride + column]`` of a flat array; nothing checks that it is there."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data, rows = (simd.data(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
+        data, rows = (simd.data_pointer(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
         start, stride, column = args[2:]
         vector = ir.Constant(ir.VectorType(data.type.pointee, LANES), ir.Undefined)
         for lane in range(LANES):
@@ -170,25 +170,25 @@ def gather(context: Any, array: Any, rows: Any, start: Any, stride: Any, column:
     return Float64x8(array, rows, types.intp, types.intp, types.intp), lower
 
 
-def _joined(builder: Any, parts: list[Any]) -> Any:
+def _concatenate(builder: Any, parts: list[Any]) -> Any:
     """Vectors of one size, whose number is a power of two, as one."""
     while len(parts) > 1:
         order = list(range(2 * parts[0].type.count))
-        parts = [picked(builder, a, b, order) for a, b in zip(parts[::2], parts[1::2])]
+        parts = [shuffle(builder, a, b, order) for a, b in zip(parts[::2], parts[1::2])]
     return parts[0]
 
 
-def _load(builder: Any, data: Any, index: Any, count: int) -> Any:
+def _load_vector(builder: Any, data: Any, index: Any, count: int) -> Any:
     element = data.type.pointee
     place = builder.bitcast(builder.gep(data, [index]), ir.PointerType(ir.VectorType(element, count)))
     return builder.load(place, align=8 if element == _DOUBLE else 4)
 
 
-def _columns(columns: int) -> Callable[..., Any]:
-    """What `triples` and `quadruples` emit; rows that follow each other are loaded at once."""
+def _load_columns(columns: int) -> Callable[..., Any]:
+    """What `load_triples` and `load_quadruples` emit; rows that follow each other are loaded at once."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data, rows = (simd.data(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
+        data, rows = (simd.data_pointer(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
         kind, width = ir.VectorType(data.type.pointee, LANES), ir.Constant(_LONG, columns)
         numbers = [
             builder.load(builder.gep(rows, [builder.add(args[2], ir.Constant(_LONG, lane))])) for lane in range(LANES)
@@ -197,11 +197,11 @@ def _columns(columns: int) -> Callable[..., Any]:
         found: list[list[Any]] = []
         with builder.if_else(run) as (then, otherwise):
             with then:
-                whole = _load(builder, data, builder.mul(numbers[0], width), LANES * columns)
+                whole = _load_vector(builder, data, builder.mul(numbers[0], width), LANES * columns)
                 nothing = ir.Constant(whole.type, ir.Undefined)
                 found.append(
                     [
-                        picked(builder, whole, nothing, [columns * lane + column for lane in range(LANES)])
+                        shuffle(builder, whole, nothing, [columns * lane + column for lane in range(LANES)])
                         for column in range(columns)
                     ]
                 )
@@ -211,15 +211,17 @@ def _columns(columns: int) -> Callable[..., Any]:
                 for number in numbers:
                     at = builder.mul(number, width)
                     if columns == 4:
-                        parts.append(_load(builder, data, at, 4))
+                        parts.append(_load_vector(builder, data, at, 4))
                     else:  # elements 0 1 1 2: four of them would reach beyond the array
                         second = builder.add(at, ir.Constant(_LONG, 1))
-                        parts.append(_joined(builder, [_load(builder, data, place, 2) for place in (at, second)]))
-                whole = _joined(builder, parts)
+                        parts.append(
+                            _concatenate(builder, [_load_vector(builder, data, place, 2) for place in (at, second)])
+                        )
+                whole = _concatenate(builder, parts)
                 nothing = ir.Constant(whole.type, ir.Undefined)
                 found.append(
                     [
-                        picked(builder, whole, nothing, [4 * lane + column for lane in range(LANES)])
+                        shuffle(builder, whole, nothing, [4 * lane + column for lane in range(LANES)])
                         for column in ((0, 1, 2, 3) if columns == 4 else (0, 1, 3))
                     ]
                 )
@@ -238,24 +240,24 @@ def _columns(columns: int) -> Callable[..., Any]:
 
 
 @intrinsic
-def triples(context: Any, array: Any, rows: Any, start: Any) -> Any:
+def load_triples(context: Any, array: Any, rows: Any, start: Any) -> Any:
     """The three columns of the rows ``rows[start : start + LANES]`` of a (N, 3) array, given flat.
 
     Rows ascend, so that the last tells a run; spare ones at the end repeat the first.
     """
-    return types.UniTuple(Float64x8, 3)(array, rows, types.intp), _columns(3)
+    return types.UniTuple(Float64x8, 3)(array, rows, types.intp), _load_columns(3)
 
 
 @intrinsic
-def quadruples(context: Any, array: Any, rows: Any, start: Any) -> Any:
-    """The four columns of rows of a (N, 4) array, as `triples`."""
-    return types.UniTuple(Float64x8, 4)(array, rows, types.intp), _columns(4)
+def load_quadruples(context: Any, array: Any, rows: Any, start: Any) -> Any:
+    """The four columns of rows of a (N, 4) array, as `load_triples`."""
+    return types.UniTuple(Float64x8, 4)(array, rows, types.intp), _load_columns(4)
 
 
-def _put(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _store(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     """Write vectors as the columns of an array's rows."""
     vectors = args[2:]
-    data = simd.data(context, builder, sig.args[0], args[0])
+    data = simd.data_pointer(context, builder, sig.args[0], args[0])
     place = builder.gep(data, [builder.mul(args[1], ir.Constant(_LONG, len(vectors)))])
     element = data.type.pointee
     kind = ir.VectorType(element, LANES)
@@ -265,24 +267,26 @@ def _put(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         vectors = [builder.fptosi(vector, kind) for vector in vectors]
     order = [column * LANES + lane for lane in range(LANES) for column in range(len(vectors))]
     vectors = [*vectors, ir.Constant(kind, ir.Undefined)] if len(vectors) == 3 else vectors
-    whole = picked(builder, joined := _joined(builder, list(vectors)), ir.Constant(joined.type, ir.Undefined), order)
+    whole = shuffle(
+        builder, joined := _concatenate(builder, list(vectors)), ir.Constant(joined.type, ir.Undefined), order
+    )
     builder.store(whole, builder.bitcast(place, ir.PointerType(whole.type)), align=4)
     return context.get_dummy_value()
 
 
 @intrinsic
-def put(context: Any, array: Any, row: Any, a: Any) -> Any:
+def store(context: Any, array: Any, row: Any, a: Any) -> Any:
     """Write the lanes from a row of a (N,) array on, in its type; nothing checks that they fit."""
-    return types.void(array, types.intp, a), _put
+    return types.void(array, types.intp, a), _store
 
 
 @intrinsic
-def put_pairs(context: Any, array: Any, row: Any, a: Any, b: Any) -> Any:
-    """Write the lanes as columns, from a row of a contiguous (N, 2) array on, as `put` does."""
-    return types.void(array, types.intp, a, b), _put
+def store_pairs(context: Any, array: Any, row: Any, a: Any, b: Any) -> Any:
+    """Write the lanes as columns, from a row of a contiguous (N, 2) array on, as `store` does."""
+    return types.void(array, types.intp, a, b), _store
 
 
 @intrinsic
-def put_triples(context: Any, array: Any, row: Any, a: Any, b: Any, c: Any) -> Any:
-    """Write the lanes as columns, from a row of a contiguous (N, 3) array on, as `put` does."""
-    return types.void(array, types.intp, a, b, c), _put
+def store_triples(context: Any, array: Any, row: Any, a: Any, b: Any, c: Any) -> Any:
+    """Write the lanes as columns, from a row of a contiguous (N, 3) array on, as `store` does."""
+    return types.void(array, types.intp, a, b, c), _store

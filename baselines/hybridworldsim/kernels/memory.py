@@ -16,48 +16,50 @@ from mirror.arrays import AnyArray
 
 _LINE_BYTES: Final = 64
 _LARGE_BYTES: Final = 1 << 18
-_KEPT_BYTES: Final = 1 << 29
-_WASTE: Final = 2
+_CACHE_BYTES: Final = 1 << 29
+_MAX_OVERSIZE: Final = 2
 
-_kept: list[AnyArray] = []
+_blocks: list[AnyArray] = []
 _lock: Final = Lock()
 
 
-def room(count: int, dtype: Any = np.float32) -> AnyArray:
+def empty_aligned(count: int, dtype: Any = np.float32) -> AnyArray:
     """Uninitialised room for numbers (count,)."""
     size = np.dtype(dtype).itemsize * count
-    whole = np.empty(size + _LINE_BYTES, np.uint8) if size < _LARGE_BYTES else _piece(size + _LINE_BYTES)
+    whole = np.empty(size + _LINE_BYTES, np.uint8) if size < _LARGE_BYTES else _take_block(size + _LINE_BYTES)
     skip = -whole.ctypes.data % _LINE_BYTES
     return whole[skip : skip + size].view(dtype)
 
 
-def filled(count: int, value: float, dtype: Any = np.float32) -> AnyArray:
+def full_aligned(count: int, value: float, dtype: Any = np.float32) -> AnyArray:
     """Room (count,) with a value in all places."""
-    numbers = room(count, dtype)
+    numbers = empty_aligned(count, dtype)
     numbers[:] = value
     return numbers
 
 
-def _piece(size: int) -> AnyArray:
+def _take_block(size: int) -> AnyArray:
     """A piece of at least a size that nothing refers to: one that is kept, or a new one."""
     with _lock:
-        free = [piece for piece, holders in zip(_kept, _holders(_kept)) if holders <= _FREE]
-        fitting = [piece for piece in free if size <= len(piece) <= _WASTE * size]
-        if fitting:
-            return min(fitting, key=len)
-        piece = np.empty(size + size // 8, np.uint8)
-        while free and sum(map(len, _kept)) + len(piece) > _KEPT_BYTES:
-            gone = free.pop(0)
-            _kept[:] = [other for other in _kept if other is not gone]
-        if sum(map(len, _kept)) + len(piece) <= _KEPT_BYTES:
-            _kept.append(piece)
-        return piece
+        unused = [
+            block for block, references in zip(_blocks, _reference_counts(_blocks)) if references <= _UNUSED_REFERENCES
+        ]
+        fits = [block for block in unused if size <= len(block) <= _MAX_OVERSIZE * size]
+        if fits:
+            return min(fits, key=len)
+        block = np.empty(size + size // 8, np.uint8)
+        while unused and sum(map(len, _blocks)) + len(block) > _CACHE_BYTES:
+            oldest = unused.pop(0)
+            _blocks[:] = [other for other in _blocks if other is not oldest]
+        if sum(map(len, _blocks)) + len(block) <= _CACHE_BYTES:
+            _blocks.append(block)
+        return block
 
 
-def _holders(pieces: list[AnyArray]) -> list[int]:
+def _reference_counts(blocks: list[AnyArray]) -> list[int]:
     """How many references each piece has."""
-    return [sys.getrefcount(piece) for piece in pieces]
+    return [sys.getrefcount(block) for block in blocks]
 
 
-_FREE: Final = _holders([np.empty(1, np.uint8)])[0]
+_UNUSED_REFERENCES: Final = _reference_counts([np.empty(1, np.uint8)])[0]
 """As many as one that only the list refers to."""

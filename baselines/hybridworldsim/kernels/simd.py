@@ -54,21 +54,21 @@ class _VectorModel(PrimitiveModel):
         super().__init__(manager, vector, vector.llvm)
 
 
-def spread(context: Any, builder: Any, value: Any, kind: Any, vector: Vector) -> Any:
+def broadcast(context: Any, builder: Any, value: Any, kind: Any, vector: Vector) -> Any:
     """The value as a vector, whether it is one or a scalar."""
     if isinstance(kind, Vector):
         return value
     nothing = ir.Constant(vector.llvm, ir.Undefined)
     first = builder.insert_element(nothing, context.cast(builder, value, kind, vector.element), ir.Constant(I32, 0))
-    return picked(builder, first, first, [0] * vector.width)
+    return shuffle(builder, first, first, [0] * vector.width)
 
 
-def picked(builder: Any, a: Any, b: Any, order: list[int]) -> Any:
+def shuffle(builder: Any, a: Any, b: Any, order: list[int]) -> Any:
     """Elements of two vectors, counted through both."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(I32, len(order)), order))
 
 
-def function(kinds: tuple[Vector, ...], result: Any, emit: Callable[..., Any]) -> Callable[..., Any]:
+def elementwise(kinds: tuple[Vector, ...], result: Any, emit: Callable[..., Any]) -> Callable[..., Any]:
     """What an intrinsic of vectors returns for given types; scalars may stand for vectors.
 
     Args:
@@ -79,14 +79,14 @@ def function(kinds: tuple[Vector, ...], result: Any, emit: Callable[..., Any]) -
 
     def typed(*given: Any) -> Any:
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            return emit(builder, *(spread(context, builder, *one) for one in zip(args, sig.args, kinds)))
+            return emit(builder, *(broadcast(context, builder, *one) for one in zip(args, sig.args, kinds)))
 
         return result(*given), lower
 
     return typed
 
 
-def call(name: str, vector: Vector) -> Callable[..., Any]:
+def call_llvm(name: str, vector: Vector) -> Callable[..., Any]:
     """Makes a call of an LLVM intrinsic from vectors to a vector."""
     letter = {types.float32: "f32", types.float64: "f64"}[vector.element]
 
@@ -97,14 +97,14 @@ def call(name: str, vector: Vector) -> Callable[..., Any]:
     return emit
 
 
-def data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+def data_pointer(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     """Where an array's elements are."""
     return context.make_array(kind)(context, builder, array).data
 
 
-def place(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Vector) -> Any:
+def vector_pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Vector) -> Any:
     """Where a vector of an array's elements is that begins at an index."""
-    start = builder.gep(data(context, builder, kind, array), [index])
+    start = builder.gep(data_pointer(context, builder, kind, array), [index])
     return builder.bitcast(start, ir.PointerType(vector.llvm))
 
 
@@ -129,7 +129,7 @@ def _operator(symbol: Callable[..., object], elements: tuple[Any, ...], masks: b
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         vector = next(kind for kind in sig.args if isinstance(kind, Vector))
-        return emit(builder, *(spread(context, builder, arg, kind, vector) for arg, kind in zip(args, sig.args)))
+        return emit(builder, *(broadcast(context, builder, arg, kind, vector) for arg, kind in zip(args, sig.args)))
 
     for kinds in ((Vector, Vector), (Vector, types.Number), (types.Number, Vector)):
         lower_builtin(symbol, *kinds)(lower)

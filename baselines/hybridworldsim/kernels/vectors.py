@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 
 from hybridworldsim.kernels import simd
-from hybridworldsim.kernels.simd import I32, Vector, function, intrinsic, picked, place
+from hybridworldsim.kernels.simd import I32, Vector, elementwise, intrinsic, shuffle, vector_pointer
 
 WIDTH: Final = 16
 Float32x16: Final = Vector(types.float32, WIDTH)
@@ -19,37 +19,37 @@ Mask16: Final = Vector(types.boolean, WIDTH)
 @intrinsic
 def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     """``a * b + c``, rounded once."""
-    return function((Float32x16,) * 3, Float32x16, simd.call("fma", Float32x16))(a, b, c)
+    return elementwise((Float32x16,) * 3, Float32x16, simd.call_llvm("fma", Float32x16))(a, b, c)
 
 
 @intrinsic
-def take(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+def fnma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     """``c - a * b``, rounded once."""
 
     def emit(builder: Any, a: Any, b: Any, c: Any) -> Any:
-        return simd.call("fma", Float32x16)(builder, builder.fneg(a), b, c)
+        return simd.call_llvm("fma", Float32x16)(builder, builder.fneg(a), b, c)
 
-    return function((Float32x16,) * 3, Float32x16, emit)(a, b, c)
+    return elementwise((Float32x16,) * 3, Float32x16, emit)(a, b, c)
 
 
 @intrinsic
-def least(typing_context: Any, a: Any, b: Any) -> Any:
+def min_or_b(typing_context: Any, a: Any, b: Any) -> Any:
     """The lesser of each two; ``b`` where one is not a number."""
 
     def emit(builder: Any, a: Any, b: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
-    return function((Float32x16,) * 2, Float32x16, emit)(a, b)
+    return elementwise((Float32x16,) * 2, Float32x16, emit)(a, b)
 
 
 @intrinsic
-def magnitude(typing_context: Any, a: Any) -> Any:
+def abs_(typing_context: Any, a: Any) -> Any:
     """Without signs."""
-    return function((Float32x16,), Float32x16, simd.call("fabs", Float32x16))(a)
+    return elementwise((Float32x16,), Float32x16, simd.call_llvm("fabs", Float32x16))(a)
 
 
 @intrinsic
-def times_power(typing_context: Any, number: Any, shifted: Any) -> Any:
+def scale_by_power(typing_context: Any, number: Any, shifted: Any) -> Any:
     """``number * 2 ** whole``, where ``shifted`` is the small whole number plus 1.5 * 2 ** 23: exponents are added."""
 
     def emit(builder: Any, number: Any, shifted: Any) -> Any:
@@ -57,42 +57,42 @@ def times_power(typing_context: Any, number: Any, shifted: Any) -> Any:
         moved = builder.shl(builder.bitcast(shifted, whole), ir.Constant(whole, [23] * WIDTH))
         return builder.bitcast(builder.add(builder.bitcast(number, whole), moved), number.type)
 
-    return function((Float32x16,) * 2, Float32x16, emit)(number, shifted)
+    return elementwise((Float32x16,) * 2, Float32x16, emit)(number, shifted)
 
 
 @intrinsic
-def choose(typing_context: Any, mask: Any, a: Any, b: Any) -> Any:
+def select(typing_context: Any, mask: Any, a: Any, b: Any) -> Any:
     """``a`` where the mask is set, else ``b``; floats."""
     kinds = (Mask16, Float32x16, Float32x16)
-    return function(kinds, Float32x16, lambda builder, *args: builder.select(*args))(mask, a, b)
+    return elementwise(kinds, Float32x16, lambda builder, *args: builder.select(*args))(mask, a, b)
 
 
 @intrinsic
-def choose_whole(typing_context: Any, mask: Any, a: Any, b: Any) -> Any:
+def select_int(typing_context: Any, mask: Any, a: Any, b: Any) -> Any:
     """``a`` where the mask is set, else ``b``; whole numbers."""
     kinds = (Mask16, Int32x16, Int32x16)
-    return function(kinds, Int32x16, lambda builder, *args: builder.select(*args))(mask, a, b)
+    return elementwise(kinds, Int32x16, lambda builder, *args: builder.select(*args))(mask, a, b)
 
 
 @intrinsic
-def beyond(typing_context: Any, a: Any, b: Any) -> Any:
+def greater_int(typing_context: Any, a: Any, b: Any) -> Any:
     """Where whole ``a`` is above whole ``b``."""
     kinds = (Int32x16, Int32x16)
-    return function(kinds, Mask16, lambda builder, a, b: builder.icmp_signed(">", a, b))(a, b)
+    return elementwise(kinds, Mask16, lambda builder, a, b: builder.icmp_signed(">", a, b))(a, b)
 
 
 @intrinsic
-def having(typing_context: Any, a: Any, b: Any) -> Any:
+def has_bits(typing_context: Any, a: Any, b: Any) -> Any:
     """Where whole ``a`` has one of the bits of whole ``b``."""
 
     def emit(builder: Any, a: Any, b: Any) -> Any:
         return builder.icmp_unsigned("!=", builder.and_(a, b), ir.Constant(a.type, [0] * WIDTH))
 
-    return function((Int32x16, Int32x16), Mask16, emit)(a, b)
+    return elementwise((Int32x16, Int32x16), Mask16, emit)(a, b)
 
 
 @intrinsic
-def lowest(typing_context: Any, number: Any) -> Any:
+def trailing_zeros(typing_context: Any, number: Any) -> Any:
     """The place of the lowest bit that is set in an unsigned number of 64 bits, which is not 0."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -102,11 +102,11 @@ def lowest(typing_context: Any, number: Any) -> Any:
 
 
 @intrinsic
-def fetch(typing_context: Any, array: Any, index: Any) -> Any:
+def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
     """Bring an element of a contiguous array near that is read soon."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = simd.data(context, builder, sig.args[0], args[0])
+        data = simd.data_pointer(context, builder, sig.args[0], args[0])
         place = builder.bitcast(builder.gep(data, [args[1]]), ir.PointerType(ir.IntType(8)))
         kinds = [place.type, I32, I32, I32]
         function = builder.module.declare_intrinsic("llvm.prefetch.p0", fnty=ir.FunctionType(ir.VoidType(), kinds))
@@ -117,14 +117,14 @@ def fetch(typing_context: Any, array: Any, index: Any) -> Any:
 
 
 @intrinsic
-def bits(typing_context: Any, mask: Any) -> Any:
+def to_bits(typing_context: Any, mask: Any) -> Any:
     """The mask as a number, whose lowest bit is the first element's."""
     emit = lambda builder, mask: builder.zext(builder.bitcast(mask, ir.IntType(WIDTH)), I32)  # noqa: E731
-    return function((Mask16,), types.int32, emit)(mask)
+    return elementwise((Mask16,), types.int32, emit)(mask)
 
 
 @intrinsic
-def mask_of(typing_context: Any, number: Any) -> Any:
+def from_bits(typing_context: Any, number: Any) -> Any:
     """The mask that has a number's lowest bits."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -135,38 +135,38 @@ def mask_of(typing_context: Any, number: Any) -> Any:
 
 
 @intrinsic
-def spread(typing_context: Any, number: Any) -> Any:
+def broadcast(typing_context: Any, number: Any) -> Any:
     """A vector of one number."""
-    return function((Float32x16,), Float32x16, lambda builder, vector: vector)(number)
+    return elementwise((Float32x16,), Float32x16, lambda builder, vector: vector)(number)
 
 
 @intrinsic
-def total(typing_context: Any, vector: Any) -> Any:
+def sum_elements(typing_context: Any, vector: Any) -> Any:
     """The sum of a vector's elements, added by halves."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.extract_element(_totals(builder, [args[0]]), ir.Constant(I32, 0))
+        return builder.extract_element(_sum_rows(builder, [args[0]]), ir.Constant(I32, 0))
 
     return types.float32(Float32x16), lower
 
 
 @intrinsic
-def totals(typing_context: Any, vectors: Any) -> Any:
+def sum_each(typing_context: Any, vectors: Any) -> Any:
     """The sums of each of up to 16 vectors' elements, as a vector; they are added by halves, 0 beyond the last."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _totals(builder, [builder.extract_value(args[0], place) for place in range(sig.args[0].count)])
+        return _sum_rows(builder, [builder.extract_value(args[0], place) for place in range(sig.args[0].count)])
 
     return Float32x16(vectors), lower
 
 
-def _totals(builder: Any, rows: list[Any]) -> Any:
+def _sum_rows(builder: Any, rows: list[Any]) -> Any:
     half = WIDTH // 2
     while half:
         rows += [ir.Constant(Float32x16.llvm, None)] * (len(rows) % 2)
         low = [lane for lane in range(2 * WIDTH) if lane // half % 2 == 0]
         rows = [
-            builder.fadd(*(picked(builder, a, b, [lane + up for lane in low]) for up in (0, half)))
+            builder.fadd(*(shuffle(builder, a, b, [lane + up for lane in low]) for up in (0, half)))
             for a, b in zip(rows[::2], rows[1::2])
         ]
         half //= 2
@@ -174,7 +174,7 @@ def _totals(builder: Any, rows: list[Any]) -> Any:
 
 
 @intrinsic
-def by_pixel(typing_context: Any, channels: Any) -> Any:
+def transpose_channels(typing_context: Any, channels: Any) -> Any:
     """Four vectors of 16 pixels, a channel each, as four vectors of 4 pixels, all channels of a pixel side by side."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -182,7 +182,7 @@ def by_pixel(typing_context: Any, channels: Any) -> Any:
         low = [lane // 2 + WIDTH * (lane % 2) for lane in range(WIDTH)]
         high = [lane + WIDTH // 2 for lane in low]
         rows = [
-            picked(builder, picked(builder, a, c, part), picked(builder, b, d, part), half)
+            shuffle(builder, shuffle(builder, a, c, part), shuffle(builder, b, d, part), half)
             for part in (low, high)
             for half in (low, high)
         ]
@@ -192,13 +192,13 @@ def by_pixel(typing_context: Any, channels: Any) -> Any:
 
 
 @intrinsic
-def store_threes(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
+def store_rgb(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
     """Write the first three of each four elements from an index on, into a contiguous array of one dimension."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         lanes = [lane for lane in range(WIDTH) if lane % 4 < 3]
-        packed = picked(builder, args[2], args[2], lanes + [0] * (WIDTH - len(lanes)))
-        there = place(context, builder, sig.args[0], args[0], args[1], sig.args[2])
+        packed = shuffle(builder, args[2], args[2], lanes + [0] * (WIDTH - len(lanes)))
+        there = vector_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[2])
         mask = ir.Constant(Mask16.llvm, [1] * len(lanes) + [0] * (WIDTH - len(lanes)))
         kinds = [packed.type, there.type, I32, mask.type]
         name = f"llvm.masked.store.v{WIDTH}f32.p0"
@@ -215,20 +215,20 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
     vector = Vector(array.dtype, WIDTH)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(place(context, builder, sig.args[0], args[0], args[1], vector), align=4)
+        return builder.load(vector_pointer(context, builder, sig.args[0], args[0], args[1], vector), align=4)
 
     return vector(array, types.intp), lower
 
 
 @intrinsic
-def lift(typing_context: Any, array: Any, index: Any) -> Any:
+def load_one(typing_context: Any, array: Any, index: Any) -> Any:
     """A vector of the one element at an index of a contiguous array of one dimension; nothing checks the index."""
     vector = Vector(array.dtype, WIDTH)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        data = simd.data(context, builder, sig.args[0], args[0])
+        data = simd.data_pointer(context, builder, sig.args[0], args[0])
         scalar = builder.load(builder.gep(data, [args[1]]))
-        return simd.spread(context, builder, scalar, vector.element, vector)
+        return simd.broadcast(context, builder, scalar, vector.element, vector)
 
     return vector(array, types.intp), lower
 
@@ -238,21 +238,21 @@ def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
     """Write the elements from an index on, into a contiguous array of one dimension; nothing checks that it fits."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(args[2], place(context, builder, sig.args[0], args[0], args[1], sig.args[2]), align=4)
+        builder.store(args[2], vector_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[2]), align=4)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), lower
 
 
 @intrinsic
-def store_past(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
+def store_nontemporal(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
     """Write a whole cache line past the caches, into an aligned array of one dimension: it is not read soon.
 
-    `settle` has to follow before another thread reads it.
+    `fence` has to follow before another thread reads it.
     """
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        there = place(context, builder, sig.args[0], args[0], args[1], sig.args[2])
+        there = vector_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[2])
         written = builder.store(args[2], there, align=64)
         written.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(I32, 1)]))
         return context.get_dummy_value()
@@ -261,7 +261,7 @@ def store_past(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
 
 
 @intrinsic
-def settle(typing_context: Any) -> Any:
+def fence(typing_context: Any) -> Any:
     """Wait until all that was written can be read."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:

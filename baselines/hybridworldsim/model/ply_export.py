@@ -21,7 +21,7 @@ from hybridworldsim.model.parts import LEAST, AppearanceSelector, parts_of
 from hybridworldsim.model.street import Street
 from hybridworldsim.model.visible import visible
 from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.rasterizer.reference.harmonics import harmonics
+from hybridworldsim.rasterizer.reference.spherical_harmonics import spherical_harmonics
 from hybridworldsim.training.viewpoint import Viewpoint, viewpoint_of
 from mirror.arrays import Float64
 from mirror.errors import UsageError
@@ -262,7 +262,7 @@ def _fitted(
     places, opacity = places[kept], opacity[kept].clamp_max(_MOST)
     bands = (degree + 1) ** 2
     identity = torch.eye(bands)[None]  # its sums are the harmonics themselves
-    basis = torch.stack([harmonics(degree, places - eye.centre, identity) for eye in eyes])
+    basis = torch.stack([spherical_harmonics(degree, places - eye.centre, identity) for eye in eyes])
     weight = weights[:, kept].double()
     weight = weight / weight.sum(0)
     left = torch.einsum("vn,vnk,vnl->nkl", weight, basis, basis)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
 from hybridworldsim.training.viewpoint import Viewpoint
 from mirror.arrays import Float32
@@ -29,7 +29,7 @@ def visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
         (M,) int64 rows, ascending.
     """
     points, radii = (np.ascontiguousarray(table.detach().numpy(), np.float32) for table in (means, reach_m))
-    view, rows = _pyramid(viewpoint), room(len(points), np.int64)
+    view, rows = _pyramid(viewpoint), empty_aligned(len(points), np.int64)
     edges = spans(len(points))
     counts = np.zeros(len(edges) - 1, np.int64)
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.limits import image_size, refuse_too_many
-from hybridworldsim.rasterizer.rows import compiled
+from hybridworldsim.rasterizer.limits import check_image_size, refuse_too_many
+from hybridworldsim.rasterizer.rows import has_kernels
 from mirror.errors import UsageError
 
 CameraModel = Literal["pinhole", "fisheye"]
@@ -85,14 +85,14 @@ class Inputs:
         tables = [self.means[scene], self.quats[scene], self.scales[scene], self.opacities[scene]]
         if (colors := self.colors_of(scene, camera)) is not None:
             tables.append(colors if self.sh_degree is None else colors[:, : (self.sh_degree + 1) ** 2])
-        if all(_sums_to_finite(table) for table in tables):
+        if all(_has_finite_sum(table) for table in tables):
             return None
         kept = torch.stack([torch.isfinite(table.detach()).reshape(self.gaussians, -1).all(1) for table in tables])
         ids = kept.all(0).nonzero()[:, 0]
         return None if len(ids) == self.gaussians else ids
 
 
-def checked(
+def check_inputs(
     means: Tensor,
     quats: Tensor,
     scales: Tensor,
@@ -113,8 +113,8 @@ def checked(
     Raises:
         UsageError: something does not fit; it is named.
     """
-    choice("nonfinite", nonfinite, get_args(NonFinite))
-    width, height = image_size(width, height)
+    require_choice("nonfinite", nonfinite, get_args(NonFinite))
+    width, height = check_image_size(width, height)
     tensors = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "viewmats": viewmats, "Ks": Ks}
     tensors |= {
         name: tensor for name, tensor in (("colors", colors), ("backgrounds", backgrounds)) if tensor is not None
@@ -180,7 +180,7 @@ def checked(
     return inputs
 
 
-def lenses_of(
+def make_lenses(
     inputs: Inputs,
     camera_model: CameraModel,
     with_ut: bool,
@@ -235,7 +235,7 @@ def refuse_nonfinite(name: str, table: Tensor, row: str, ids: Tensor | None = No
     Raises:
         UsageError: a row is not finite; the first are named.
     """
-    if _sums_to_finite(table):
+    if _has_finite_sum(table):
         return
     bad = (~torch.isfinite(table.detach()).reshape(len(table), -1).all(1)).nonzero()[:, 0]
     if len(bad) == 0:
@@ -252,7 +252,7 @@ def refuse_nonfinite(name: str, table: Tensor, row: str, ids: Tensor | None = No
     )
 
 
-def choice(place: str, value: object, expected: tuple[str, ...]) -> None:
+def require_choice(place: str, value: object, expected: tuple[str, ...]) -> None:
     """Refuse what is not one of some words.
 
     Raises:
@@ -262,7 +262,7 @@ def choice(place: str, value: object, expected: tuple[str, ...]) -> None:
         raise UsageError(f"no such choice: {value!r}", place=place, expected=" or ".join(map(repr, expected)))
 
 
-def flag(place: str, value: bool) -> bool:
+def require_flag(place: str, value: bool) -> bool:
     """A truth value, and nothing that Python would take for one.
 
     Raises:
@@ -273,7 +273,7 @@ def flag(place: str, value: bool) -> bool:
     return bool(value)
 
 
-def no_less(place: str, value: float, least: float) -> float:
+def require_at_least(place: str, value: float, least: float) -> float:
     """A number of at least something.
 
     Raises:
@@ -322,9 +322,9 @@ def _shape(name: str, tensor: Tensor, expected: str) -> UsageError:
     return UsageError(f"shape {tuple(tensor.shape)}", place=name, expected=expected)
 
 
-def _sums_to_finite(table: Tensor) -> bool:
-    if compiled(table):
+def _has_finite_sum(table: Tensor) -> bool:
+    if has_kernels(table):
         from hybridworldsim.rasterizer.cpu import tables
 
-        return math.isfinite(tables.sum_of(table))
+        return math.isfinite(tables.sum_table(table))
     return math.isfinite(table.detach().sum().item())

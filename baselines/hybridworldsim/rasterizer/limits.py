@@ -22,7 +22,7 @@ PAIRS_MAX: Final = 2**31 - 1
 """Pairs of tile and Gaussian that are listed at once: their places are counted in int32, and take 12 bytes each."""
 
 
-def positive(place: str, value: int) -> int:
+def require_positive(place: str, value: int) -> int:
     """A whole number of at least one.
 
     Raises:
@@ -37,13 +37,13 @@ def positive(place: str, value: int) -> int:
     return number
 
 
-def image_size(width: int, height: int) -> tuple[int, int]:
+def check_image_size(width: int, height: int) -> tuple[int, int]:
     """Width and height of an image, pixels.
 
     Raises:
         UsageError: one is no size, or the image is too large.
     """
-    width, height = positive("width", width), positive("height", height)
+    width, height = require_positive("width", width), require_positive("height", height)
     remedy = "render the image in parts: for the part whose corner is (x, y), subtract x and y from cx and cy of Ks"
     for place, side in (("width", width), ("height", height)):
         if side > SIDE_MAX:

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from hybridworldsim.rasterizer.inputs import Inputs
 from hybridworldsim.rasterizer.presets import Preset
-from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.rows import rows, spread
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
+from hybridworldsim.rasterizer.rows import scatter_rows, take_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class View:
     """
 
     place: tuple[int, int]
-    projected: Projected
+    projected: ProjectedGaussians
     opacities: Tensor
 
 
@@ -69,7 +69,7 @@ class Layout:
         packed: which of the two.
     """
 
-    def __init__(self, inputs: Inputs, seen: Sequence[Projected], packed: bool) -> None:
+    def __init__(self, inputs: Inputs, seen: Sequence[ProjectedGaussians], packed: bool) -> None:
         self._leading = (*inputs.batch, inputs.cameras)
         self._count = inputs.gaussians
         self._ids = [picture.ids for picture in seen]
@@ -79,7 +79,7 @@ class Layout:
         """(M, ...) of each picture to (nnz, ...), or to (..., C, N, ...) with zeros where nothing is seen."""
         if self._packed:
             return parts[0] if len(parts) == 1 else torch.cat(list(parts))
-        tables = [spread(part, ids, self._count) for part, ids in zip(parts, self._ids, strict=True)]
+        tables = [scatter_rows(part, ids, self._count) for part, ids in zip(parts, self._ids, strict=True)]
         whole = tables[0][None] if len(tables) == 1 else torch.stack(tables)
         return whole.reshape(*self._leading, *whole.shape[1:])
 
@@ -88,7 +88,7 @@ class Layout:
         if self._packed:
             return [whole] if len(self._ids) == 1 else list(whole.split([len(ids) for ids in self._ids]))
         tables = whole.reshape(len(self._ids), self._count, *whole.shape[len(self._leading) + 1 :])
-        return [rows(table, ids) for table, ids in zip(tables, self._ids, strict=True)]
+        return [take_rows(table, ids) for table, ids in zip(tables, self._ids, strict=True)]
 
     def through(self, means2d: Sequence[Tensor], absgrad: bool) -> tuple[Tensor, list[Tensor]]:
         """Lead the projected means of all pictures through one tensor, which then receives their gradients.
@@ -135,7 +135,7 @@ class Layout:
         }
 
 
-def meta_of(layout: Layout, means2d: Tensor, blending: Blending, counts: Iterable[dict[str, int]]) -> dict[str, Any]:
+def make_meta(layout: Layout, means2d: Tensor, blending: Blending, counts: Iterable[dict[str, int]]) -> dict[str, Any]:
     """The keys that gsplat has, and `counts` and `blending`.
 
     Args:

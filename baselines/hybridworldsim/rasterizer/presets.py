@@ -64,7 +64,7 @@ PRESETS = {
 DEFAULT_PRESET = "gsplat-1.5"
 
 
-def preset_of(name: str) -> Preset:
+def get_preset(name: str) -> Preset:
     """The preset of a name.
 
     Args:

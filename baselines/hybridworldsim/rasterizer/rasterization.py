@@ -13,14 +13,14 @@ from hybridworldsim.rasterizer.inputs import (
     NonFinite,
     RasterizeMode,
     RenderMode,
-    checked,
-    choice,
-    flag,
-    lenses_of,
-    no_less,
+    check_inputs,
+    make_lenses,
+    require_at_least,
+    require_choice,
+    require_flag,
 )
-from hybridworldsim.rasterizer.limits import positive
-from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, preset_of
+from hybridworldsim.rasterizer.limits import require_positive
+from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, get_preset
 from hybridworldsim.rasterizer.rendering import Options, render
 from mirror.errors import UsageError
 
@@ -134,19 +134,19 @@ def rasterization(
         rolling_shutter=(getattr(rolling_shutter, "name", rolling_shutter) not in (None, "GLOBAL"), "a global shutter"),
         viewmats_rs=(viewmats_rs is not None, "a global shutter"),
     )
-    choice("render_mode", render_mode, get_args(RenderMode))
-    choice("rasterize_mode", rasterize_mode, get_args(RasterizeMode))
-    choice("camera_model", camera_model, get_args(CameraModel))
-    choice("backend", backend, get_args(BackendName))
+    require_choice("render_mode", render_mode, get_args(RenderMode))
+    require_choice("rasterize_mode", rasterize_mode, get_args(RasterizeMode))
+    require_choice("camera_model", camera_model, get_args(CameraModel))
+    require_choice("backend", backend, get_args(BackendName))
     for name, value in {"packed": packed, "absgrad": absgrad, "with_ut": with_ut}.items():
-        flag(name, value)
-    if not far_plane >= no_less("near_plane", near_plane, 0.0):
+        require_flag(name, value)
+    if not far_plane >= require_at_least("near_plane", near_plane, 0.0):
         raise UsageError(
             f"the far plane at {far_plane!r} m is nearer than the near plane at {near_plane!r} m",
             place="far_plane",
             expected="at least the near plane",
         )
-    inputs = checked(
+    inputs = check_inputs(
         means,
         quats,
         scales,
@@ -167,18 +167,18 @@ def rasterization(
         "thin_prism_coeffs": thin_prism_coeffs,
     }
     antialiased = rasterize_mode == "antialiased"
-    lenses = lenses_of(inputs, camera_model, with_ut, antialiased, coefficients)
+    lenses = make_lenses(inputs, camera_model, with_ut, antialiased, coefficients)
     options = Options(
         near_plane=float(near_plane),
         far_plane=float(far_plane),
-        radius_clip=no_less("radius_clip", radius_clip, 0.0),
-        eps2d=no_less("eps2d", eps2d, 0.0),
-        tile_size=positive("tile_size", tile_size),
+        radius_clip=require_at_least("radius_clip", radius_clip, 0.0),
+        eps2d=require_at_least("eps2d", eps2d, 0.0),
+        tile_size=require_positive("tile_size", tile_size),
         render_mode=render_mode,
         antialiased=antialiased,
         absgrad=absgrad,
-        preset=preset_of(preset),
-        backend=backend_of(backend, means.device),
+        preset=get_preset(preset),
+        backend=choose_backend(backend, means.device),
     )
     if options.backend != "cuda":
         return render(inputs, options, lenses, packed)
@@ -213,7 +213,7 @@ def rasterization(
     )
 
 
-def backend_of(name: BackendName, device: torch.device) -> str:
+def choose_backend(name: BackendName, device: torch.device) -> str:
     """The backend that a name stands for.
 
     Raises:

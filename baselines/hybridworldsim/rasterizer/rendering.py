@@ -10,13 +10,13 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.blended import Blended
+from hybridworldsim.rasterizer.blended_image import BlendedImage
 from hybridworldsim.rasterizer.inputs import Inputs, RenderMode, refuse_nonfinite
 from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.meta import Blending, Layout, View, meta_of
+from hybridworldsim.rasterizer.meta import Blending, Layout, View, make_meta
 from hybridworldsim.rasterizer.presets import Preset
-from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.rows import copied_rows, rows, rows_beside
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
+from hybridworldsim.rasterizer.rows import copy_rows, take_rows, take_rows_with_column
 
 _DEPTH_DIVISOR_MIN = 1e-10
 
@@ -24,15 +24,15 @@ _DEPTH_DIVISOR_MIN = 1e-10
 class Backend(Protocol):
     """The three steps of a rasterizer, one camera at a time."""
 
-    def project(self, *arguments: Any, **options: Any) -> Projected:
+    def project(self, *arguments: Any, **options: Any) -> ProjectedGaussians:
         """Which Gaussians a camera sees, and the ellipses that they are."""
         ...
 
-    def harmonics(self, degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None) -> Tensor:
+    def spherical_harmonics(self, degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None) -> Tensor:
         """Colours of Gaussians from where the camera is."""
         ...
 
-    def blend(self, *arguments: Any, **options: Any) -> Blended:
+    def blend(self, *arguments: Any, **options: Any) -> BlendedImage:
         """Ellipses to a picture."""
         ...
 
@@ -53,7 +53,7 @@ class Options:
     backend: str
 
 
-def backend_named(name: str) -> Backend:
+def import_backend(name: str) -> Backend:
     """The package of a backend, imported when it is needed."""
     backend: Backend = import_module(f"hybridworldsim.rasterizer.{name}")
     return backend
@@ -73,14 +73,14 @@ def render(
     Returns:
         Pictures (..., C, height, width, channels), alphas (..., C, height, width, 1), meta.
     """
-    backend = backend_named(options.backend)
+    backend = import_backend(options.backend)
     places = [(scene, camera) for scene in range(len(inputs.means)) for camera in range(inputs.cameras)]
-    seen = [_project(inputs, options, backend, *place, lens) for place, lens in zip(places, lenses, strict=True)]
-    layout = Layout(inputs, seen, packed)
-    means2d, parts = layout.through([picture.means2d for picture in seen], options.absgrad)
+    projected = [_project(inputs, options, backend, *place, lens) for place, lens in zip(places, lenses, strict=True)]
+    layout = Layout(inputs, projected, packed)
+    means2d, parts = layout.through([projection.means2d for projection in projected], options.absgrad)
     views = tuple(
-        View(place, picture._replace(means2d=part), _opacities(inputs, place[0], picture))
-        for place, picture, part in zip(places, seen, parts, strict=True)
+        View(place, projection._replace(means2d=part), _opacities(inputs, place[0], projection))
+        for place, projection, part in zip(places, projected, parts, strict=True)
     )
     blended = [
         backend.blend(
@@ -95,8 +95,8 @@ def render(
         )
         for view in views
     ]
-    alphas = _stacked([picture.alpha for picture in blended])[..., None]
-    images = _over(inputs, options.render_mode, _stacked([picture.image for picture in blended]), alphas)
+    alphas = _stack([projection.alpha for projection in blended])[..., None]
+    images = _composite(inputs, options.render_mode, _stack([projection.image for projection in blended]), alphas)
     blending = Blending(
         views=views,
         leading=(*inputs.batch, inputs.cameras),
@@ -106,18 +106,18 @@ def render(
         preset=options.preset,
         backend=options.backend,
     )
-    counts = [*(picture.counts for picture in seen), *(picture.counts for picture in blended)]
-    meta = meta_of(layout, means2d, blending, counts)
+    counts = [*(projection.counts for projection in projected), *(projection.counts for projection in blended)]
+    meta = make_meta(layout, means2d, blending, counts)
     return blending.shaped(images), blending.shaped(alphas), meta
 
 
 def _project(
     inputs: Inputs, options: Options, backend: Backend, scene: int, camera: int, lens: Lens | None
-) -> Projected:
+) -> ProjectedGaussians:
     tables = [inputs.means[scene], inputs.quats[scene], inputs.scales[scene], inputs.opacities[scene]]
     kept = inputs.finite(scene, camera)
     if kept is not None:
-        tables = [rows(table, kept) for table in tables]
+        tables = [take_rows(table, kept) for table in tables]
     projected = backend.project(
         *tables,
         inputs.viewmats[scene, camera],
@@ -137,26 +137,26 @@ def _project(
     return projected._replace(ids=ids, counts={**projected.counts, "nonfinite": culled})
 
 
-def _opacities(inputs: Inputs, scene: int, picture: Projected) -> Tensor:
-    opacities = copied_rows(inputs.opacities[scene], picture.ids).to(picture.means2d.dtype)
-    return opacities if picture.compensations is None else opacities * picture.compensations
+def _opacities(inputs: Inputs, scene: int, projection: ProjectedGaussians) -> Tensor:
+    opacities = copy_rows(inputs.opacities[scene], projection.ids).to(projection.means2d.dtype)
+    return opacities if projection.compensations is None else opacities * projection.compensations
 
 
 def _features(inputs: Inputs, options: Options, backend: Backend, view: View) -> Tensor:
-    picture = view.projected
+    projection = view.projected
     table = inputs.colors_of(*view.place)
     if table is None:
-        return picture.depths[:, None]
-    ids, every = picture.ids, len(picture.ids) == len(table)
+        return projection.depths[:, None]
+    ids, every = projection.ids, len(projection.ids) == len(table)
     if inputs.sh_degree is not None:
-        table = backend.harmonics(inputs.sh_degree, _directions(inputs, view), table, None if every else ids)
+        table = backend.spherical_harmonics(inputs.sh_degree, _directions(inputs, view), table, None if every else ids)
         refuse_nonfinite("colors", table, "Gaussian", ids)
         table, ids = (table + 0.5).clamp_min(0.0), torch.arange(len(ids))
     colored = options.render_mode == "RGB"
-    features = rows(table, ids) if colored else rows_beside(table, ids, picture.depths)
+    features = take_rows(table, ids) if colored else take_rows_with_column(table, ids, projection.depths)
     if inputs.sh_degree is None:
-        refuse_nonfinite("colors", features, "Gaussian", picture.ids)
-    return features.to(picture.means2d.dtype)
+        refuse_nonfinite("colors", features, "Gaussian", projection.ids)
+    return features.to(projection.means2d.dtype)
 
 
 def _directions(inputs: Inputs, view: View) -> Tensor:
@@ -164,12 +164,12 @@ def _directions(inputs: Inputs, view: View) -> Tensor:
     scene, camera = view.place
     pose = inputs.viewmats[scene, camera].double()
     position = -torch.linalg.solve(pose[:3, :3], pose[:3, 3])
-    means = rows(inputs.means[scene], view.projected.ids)
+    means = take_rows(inputs.means[scene], view.projected.ids)
     near = position.to(means.dtype)
     return means - near - (position - near).to(means.dtype)
 
 
-def _over(inputs: Inputs, mode: RenderMode, images: Tensor, alphas: Tensor) -> Tensor:
+def _composite(inputs: Inputs, mode: RenderMode, images: Tensor, alphas: Tensor) -> Tensor:
     """Depth by the sum of weights, colours over their background.
 
     Args:
@@ -179,15 +179,15 @@ def _over(inputs: Inputs, mode: RenderMode, images: Tensor, alphas: Tensor) -> T
         alphas: (B * C, height, width, 1).
     """
     if inputs.backgrounds is not None and "RGB" in mode:
-        behind = inputs.backgrounds.reshape(len(images), 1, 1, -1).to(images.dtype)
+        background = inputs.backgrounds.reshape(len(images), 1, 1, -1).to(images.dtype)
         if mode != "RGB":
-            behind = torch.nn.functional.pad(behind, (0, 1))
-        images = torch.addcmul(images, 1.0 - alphas, behind)
+            background = torch.nn.functional.pad(background, (0, 1))
+        images = torch.addcmul(images, 1.0 - alphas, background)
     if mode in ("ED", "RGB+ED"):
         depth = images[..., -1:] / alphas.clamp(min=_DEPTH_DIVISOR_MIN)
         images = depth if mode == "ED" else torch.cat([images[..., :-1], depth], dim=-1)
     return images
 
 
-def _stacked(pictures: list[Tensor]) -> Tensor:
-    return pictures[0][None] if len(pictures) == 1 else torch.stack(pictures)
+def _stack(images: list[Tensor]) -> Tensor:
+    return images[0][None] if len(images) == 1 else torch.stack(images)

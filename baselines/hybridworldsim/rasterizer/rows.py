@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 
-class _Rows(torch.autograd.Function):
+class _TakeRows(torch.autograd.Function):
     """Rows that each occur once: their gradients are copied where torch's own `index_select` would add."""
 
     @staticmethod
@@ -24,7 +24,7 @@ class _Rows(torch.autograd.Function):
         return gradient.new_zeros(ctx.shape).index_copy_(0, ids, gradient), None
 
 
-def rows(table: Tensor, ids: Tensor) -> Tensor:
+def take_rows(table: Tensor, ids: Tensor) -> Tensor:
     """Rows of a table; the table itself if these are all.
 
     Args:
@@ -36,27 +36,27 @@ def rows(table: Tensor, ids: Tensor) -> Tensor:
     """
     if len(ids) == len(table):
         return table
-    if compiled(table):
+    if has_kernels(table):
         from hybridworldsim.rasterizer.cpu import tables
 
-        return tables.rows(table, ids)
-    found: Tensor = _Rows.apply(table, ids)
+        return tables.take_rows(table, ids)
+    found: Tensor = _TakeRows.apply(table, ids)
     return found
 
 
-def copied_rows(table: Tensor, ids: Tensor) -> Tensor:
+def copy_rows(table: Tensor, ids: Tensor) -> Tensor:
     """Rows of a table as `rows` gives them, but never the table itself: who holds it may write into it."""
-    found = rows(table, ids)
+    found = take_rows(table, ids)
     if found is not table:
         return found
-    if compiled(table):
+    if has_kernels(table):
         from hybridworldsim.rasterizer.cpu import tables
 
-        return tables.rows(table, ids)
+        return tables.take_rows(table, ids)
     return table.clone()
 
 
-def rows_beside(table: Tensor, ids: Tensor, column: Tensor) -> Tensor:
+def take_rows_with_column(table: Tensor, ids: Tensor, column: Tensor) -> Tensor:
     """Rows of a table, with another column beside them.
 
     Args:
@@ -67,19 +67,19 @@ def rows_beside(table: Tensor, ids: Tensor, column: Tensor) -> Tensor:
     Returns:
         (M, D + 1).
     """
-    if compiled(table) and compiled(column):
+    if has_kernels(table) and has_kernels(column):
         from hybridworldsim.rasterizer.cpu import tables
 
-        return tables.rows(table, ids, column)
-    return torch.cat([rows(table, ids).to(column.dtype), column[:, None]], dim=-1)
+        return tables.take_rows(table, ids, column)
+    return torch.cat([take_rows(table, ids).to(column.dtype), column[:, None]], dim=-1)
 
 
-def compiled(table: Tensor) -> bool:
+def has_kernels(table: Tensor) -> bool:
     """Whether compiled kernels take a table."""
     return table.device.type == "cpu" and table.dtype == torch.float32
 
 
-def spread(part: Tensor, ids: Tensor, count: int) -> Tensor:
+def scatter_rows(part: Tensor, ids: Tensor, count: int) -> Tensor:
     """A table that holds some rows where they belong, and zero elsewhere; the rows themselves if they are all.
 
     Args:

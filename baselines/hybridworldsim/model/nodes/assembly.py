@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.memory import filled, room
+from hybridworldsim.kernels.memory import empty_aligned, full_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import AnyArray, Float32
 
@@ -135,7 +135,7 @@ class _Assembly(torch.autograd.Function):
         firsts = np.concatenate([[0], counts.cumsum()])
         total = int(firsts[-1])
         centres, quats, shares, tints = (_table(total, width) for width in (3, 4, 3, 3))
-        opacities, slots = room(total), room(total, np.int64)
+        opacities, slots = empty_aligned(total), empty_aligned(total, np.int64)
         sizes, scales = _table(len(means), 6), _table(total, 3)
 
         def fill(part: int) -> None:
@@ -157,7 +157,7 @@ class _Assembly(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         to = [_array(gradient) for gradient in gradients[:5]]
-        into = [filled(shape.numel(), 0.0).reshape(shape) for shape in ctx.shapes]
+        into = [full_aligned(shape.numel(), 0.0).reshape(shape) for shape in ctx.shapes]
 
         def one(part: int) -> None:
             assemble_backward(*ctx.read, ctx.firsts[part], ctx.firsts[part + 1], *to, *into)  # type: ignore[call-arg]
@@ -168,7 +168,7 @@ class _Assembly(torch.autograd.Function):
 
 
 def _table(count: int, width: int) -> Float32:
-    table: Float32 = room(count * width).reshape(count, width)
+    table: Float32 = empty_aligned(count * width).reshape(count, width)
     return table
 
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import AnyArray
 
@@ -48,7 +48,7 @@ class _Told(torch.autograd.Function):
         ctx.size = codes.shape[1]
         width = ctx.size + (4 if radius_m is None else 7)
         width += -width % _MULTIPLE
-        out = room(len(codes) * width).reshape(len(codes), width)
+        out = empty_aligned(len(codes) * width).reshape(len(codes), width)
         share = np.float32(0.0 if radius_m is None else 1.0 / radius_m)
         edges = spans(len(codes))
         in_parallel(lambda part: tell(edges[part], edges[part + 1], *given, share, out), len(edges) - 1)

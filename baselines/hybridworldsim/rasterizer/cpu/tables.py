@@ -10,12 +10,12 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import Float32, Float64, Int64
 
 
-class _Rows(torch.autograd.Function):
+class _TakeRows(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, table: Tensor, ids: Tensor, column: Tensor | None) -> Tensor:
         ctx.save_for_backward(ids)
@@ -23,7 +23,7 @@ class _Rows(torch.autograd.Function):
         flat, numbers = _flat(table), ids.numpy()
         beside = np.empty(0, np.float32) if column is None else _flat(column)[:, 0]
         wide = flat.shape[1] + ctx.beside
-        out = room(len(numbers) * wide).reshape(len(numbers), wide)
+        out = empty_aligned(len(numbers) * wide).reshape(len(numbers), wide)
         edges = spans(len(numbers))
         in_parallel(lambda part: _gather(edges[part], edges[part + 1], flat, numbers, beside, out), len(edges) - 1)
         return torch.from_numpy(out if ctx.beside else out.reshape(len(numbers), *table.shape[1:]))
@@ -33,12 +33,12 @@ class _Rows(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         (ids,) = ctx.saved_tensors
         gradient, numbers = _flat(gradients[0]), ids.numpy()
-        out = scattered(gradient, numbers, ctx.shape)
+        out = scatter_rows(gradient, numbers, ctx.shape)
         column = torch.from_numpy(gradient[:, -1].copy()) if ctx.beside and ctx.needs_input_grad[2] else None
         return torch.from_numpy(out), None, column
 
 
-def rows(table: Tensor, ids: Tensor, column: Tensor | None = None) -> Tensor:
+def take_rows(table: Tensor, ids: Tensor, column: Tensor | None = None) -> Tensor:
     """Rows of a table, and another column beside them.
 
     Args:
@@ -49,11 +49,11 @@ def rows(table: Tensor, ids: Tensor, column: Tensor | None = None) -> Tensor:
     Returns:
         (M, ...), or (M, D + 1).
     """
-    found: Tensor = _Rows.apply(table, ids, column)
+    found: Tensor = _TakeRows.apply(table, ids, column)
     return found
 
 
-def scattered(part: Float32, ids: Int64, shape: torch.Size) -> Float32:
+def scatter_rows(part: Float32, ids: Int64, shape: torch.Size) -> Float32:
     """A table that holds rows where they belong, and zeros elsewhere.
 
     Args:
@@ -61,13 +61,13 @@ def scattered(part: Float32, ids: Int64, shape: torch.Size) -> Float32:
         ids: (M,) where they belong, ascending, each once.
         shape: of the table, (N, ...).
     """
-    out: Float32 = room(shape.numel()).reshape(shape)
+    out: Float32 = empty_aligned(shape.numel()).reshape(shape)
     flat, edges = out.reshape(shape[0], shape[1:].numel()), spans(len(ids))
     in_parallel(lambda one: _scatter(edges[one], edges[one + 1], part, ids, flat), len(edges) - 1)
     return out
 
 
-def sum_of(table: Tensor) -> float:
+def sum_table(table: Tensor) -> float:
     """The sum of a float32 table's numbers, in float64; its last digits depend on the number of threads."""
     numbers = table.detach().contiguous().numpy().reshape(-1)
     edges = spans(len(numbers))

@@ -1,7 +1,7 @@
 """Rasterization written to be read: plain torch in float64."""
 
 from hybridworldsim.rasterizer.reference.blending import blend
-from hybridworldsim.rasterizer.reference.harmonics import harmonics
 from hybridworldsim.rasterizer.reference.projection import project
+from hybridworldsim.rasterizer.reference.spherical_harmonics import spherical_harmonics
 
-__all__ = ["blend", "harmonics", "project"]
+__all__ = ["blend", "project", "spherical_harmonics"]

@@ -9,14 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.blended import Blended
+from hybridworldsim.rasterizer.blended_image import BlendedImage
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, Preset
-from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.reference.tiles import alphas, one_thread, pairs
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
+from hybridworldsim.rasterizer.reference.tiles import compute_alphas, pair_tiles, single_thread
 
 
 def blend(
-    projected: Projected,
+    projected: ProjectedGaussians,
     features: Tensor,
     opacities: Tensor,
     width: int,
@@ -25,7 +25,7 @@ def blend(
     preset: Preset,
     tile_size: int,
     absgrad: bool,
-) -> Blended:
+) -> BlendedImage:
     """Blend in the order of (float32 depth, index), each pixel until it stops.
 
     Evaluates 256 Gaussians at all pixels of a tile at a time. Their intermediate values are not kept for the backward
@@ -45,7 +45,7 @@ def blend(
     Returns:
         In float64, differentiable to projected.means2d, projected.conics, features and opacities.
     """
-    rows, tiles = pairs(projected, opacities, width, height, preset=preset, tile_size=tile_size)
+    rows, tiles = pair_tiles(projected, opacities, width, height, preset=preset, tile_size=tile_size)
     inputs = (
         (projected.means2d.double() + projected.means2d_low)[rows],
         projected.conics.double()[rows],
@@ -61,23 +61,23 @@ def blend(
     sizes = [chunk.stop - chunk.start for chunk in chunks]
     parts = iter(zip(*(part.split(sizes) for part in inputs))) if sizes else iter(())
 
-    images, opaque = [], []
+    images, alpha_parts = [], []
     processed = stopped = 0
     for tile in tiles:
-        light = torch.ones(len(tile.pixels), dtype=torch.float64)
-        going = torch.ones(len(tile.pixels), dtype=torch.bool)
+        transmittance = torch.ones(len(tile.pixels), dtype=torch.float64)
+        active = torch.ones(len(tile.pixels), dtype=torch.bool)
         image = torch.zeros(len(tile.pixels), features.shape[1], dtype=torch.float64)
         for chunk in tile.chunks():
             inside = next(parts)
-            if not going.any():
+            if not active.any():
                 continue
-            call = partial(_chunk, tile.centres, going, preset.alpha_max, absolute[chunk] if absgrad else None)
-            added, light, going = _Recomputed.apply(call, *inside, light)
+            call = partial(_blend_chunk, tile.centres, active, preset.alpha_max, absolute[chunk] if absgrad else None)
+            added, transmittance, active = _Recompute.apply(call, *inside, transmittance)
             image = image + added
             processed += chunk.stop - chunk.start
         images.append(image)
-        opaque.append(1.0 - light)
-        stopped += int(not going.any())
+        alpha_parts.append(1.0 - transmittance)
+        stopped += int(not active.any())
 
     # an empty picture, too, has a gradient: of zero, to every input
     means, conics, opacity, feature = (part[:0] for part in inputs)
@@ -85,37 +85,37 @@ def blend(
     image = torch.zeros(height * width, features.shape[1], dtype=torch.float64)
     image = image.index_copy(0, pixels, torch.cat([feature, *images]))
     alpha = torch.zeros(height * width, dtype=torch.float64)
-    alpha = alpha.index_copy(0, pixels, torch.cat([opacity + means.sum(-1) + conics.sum(-1), *opaque]))
-    return Blended(
+    alpha = alpha.index_copy(0, pixels, torch.cat([opacity + means.sum(-1) + conics.sum(-1), *alpha_parts]))
+    return BlendedImage(
         image=image.view(height, width, features.shape[1]),
         alpha=alpha.view(height, width),
         counts={"pairs": len(rows), "processed_pairs": processed, "stopped_tiles": stopped},
     )
 
 
-def _chunk(
+def _blend_chunk(
     centres: Tensor,
-    going: Tensor,
+    active: Tensor,
     alpha_max: float,
     absolute: Tensor | None,
     means: Tensor,
     conics: Tensor,
     opacities: Tensor,
     features: Tensor,
-    light: Tensor,
+    transmittance: Tensor,
 ) -> tuple[Tensor, ...]:
     """Blend L Gaussians into the P pixels of a tile.
 
     Args:
         centres: (P, 2).
-        going: (P,) whether a pixel has not stopped.
+        active: (P,) whether a pixel has not stopped.
         alpha_max: cap of alpha.
         absolute: (L, 2) gathers absolute gradients of the means in backward.
         means: (L, 2).
         conics: (L, 3).
         opacities: (L,).
         features: (L, D).
-        light: (P,) transmittance in front of the first.
+        transmittance: (P,) transmittance in front of the first.
 
     Returns:
         What is added (P, D), the light behind (P,), which pixels go on (P,).
@@ -124,13 +124,13 @@ def _chunk(
     if absolute is not None and x.requires_grad:
         for axis, offset in enumerate(offsets):
             offset.register_hook(partial(_add_absolute, absolute[:, axis]))
-    alpha = alphas(x, y, conics, opacities, alpha_max)  # (L, P)
-    alpha = torch.where((alpha >= ALPHA_MIN) & going, alpha, 0.0)
-    behind = light * (1.0 - alpha).cumprod(0)  # (L, P)
+    alpha = compute_alphas(x, y, conics, opacities, alpha_max)  # (L, P)
+    alpha = torch.where((alpha >= ALPHA_MIN) & active, alpha, 0.0)
+    after = transmittance * (1.0 - alpha).cumprod(0)  # (L, P)
     # a Gaussian behind which too little light is left is not blended, nor is any behind it
-    kept = behind > TRANSMITTANCE_STOP
-    weights = torch.where(kept, alpha * torch.cat([light[None], behind[:-1]]), 0.0)
-    return weights.T @ features, light - weights.sum(0), going & kept[-1]
+    kept = after > TRANSMITTANCE_STOP
+    weights = torch.where(kept, alpha * torch.cat([transmittance[None], after[:-1]]), 0.0)
+    return weights.T @ features, transmittance - weights.sum(0), active & kept[-1]
 
 
 def _add_absolute(slots: Tensor, gradient: Tensor) -> None:
@@ -147,14 +147,14 @@ def _report_absgrad(taken: Tensor, means2d: Tensor, rows: Tensor, absolute: Tens
     taken.register_hook(report)
 
 
-class _Recomputed(torch.autograd.Function):
+class _Recompute(torch.autograd.Function):
     """A call that keeps its inputs alone, and calls again for the backward pass.
 
     What `torch.utils.checkpoint` does, whose import of the compiler takes seconds.
     """
 
     @staticmethod
-    @one_thread()
+    @single_thread()
     def forward(ctx: Any, call: Callable[..., tuple[Tensor, ...]], *tensors: Tensor) -> tuple[Tensor, ...]:
         ctx.call = call
         ctx.save_for_backward(*tensors)
@@ -169,7 +169,7 @@ class _Recomputed(torch.autograd.Function):
             for tensor, needed in zip(ctx.saved_tensors, ctx.needs_input_grad[1:])
         ]
         wanted = [tensor for tensor in tensors if tensor.requires_grad]
-        with one_thread():
+        with single_thread():
             with torch.enable_grad():
                 outputs = ctx.call(*tensors)
             followed = [(output, gradient) for output, gradient in zip(outputs, gradients) if output.requires_grad]

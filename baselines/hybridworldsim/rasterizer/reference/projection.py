@@ -16,8 +16,8 @@ from hybridworldsim.rasterizer.presets import (
     SQUARE_SIGMAS,
     Preset,
 )
-from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.reference.unscented import unscented
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
+from hybridworldsim.rasterizer.reference.unscented import project_unscented
 
 RADIUS_MAX = 2**30
 """Half extents saturate here, pixels: they are int32."""
@@ -55,7 +55,7 @@ def project(
     preset: Preset,
     antialiased: bool,
     lens: Lens | None,
-) -> Projected:
+) -> ProjectedGaussians:
     """Project Gaussians into one camera.
 
     EWA splatting (Zwicker et al. 2001) as gsplat has it; through a lens, the unscented transform. What is culled gets
@@ -120,7 +120,7 @@ def project(
     with torch.no_grad():
         along = (yy / shown.determinants).sqrt()
         factors = torch.stack([along, -xy / shown.determinants / along, yy.rsqrt()], dim=-1)
-    return Projected(
+    return ProjectedGaussians(
         ids=ids,
         means2d=shown.means2d,
         means2d_low=torch.zeros_like(shown.means2d, requires_grad=False),
@@ -152,7 +152,7 @@ def _splats(
         means2d, roots = _perspective(means_c, axes_c, K, width, height)
         seen = torch.ones(len(means), dtype=torch.bool)
     else:
-        means2d, roots, seen = unscented(means_c, axes_c, K, width, height, lens)
+        means2d, roots, seen = project_unscented(means_c, axes_c, K, width, height, lens)
 
     # The covariance is roots @ roots.T; its determinant, the sum of the squared minors of `roots` (Cauchy-Binet),
     # keeps every digit of a needle's, which xx yy - xy^2 loses.
@@ -220,6 +220,6 @@ def _radii(splats: _Splats, opacities: Tensor, preset: Preset, antialiased: bool
         root = (half_trace.square() - splats.determinants).clamp(min=SQUARE_DISCRIMINANT_MIN).sqrt()
         radius = (SQUARE_SIGMAS * (half_trace + root).sqrt()).ceil()
         return torch.stack([radius, radius], dim=-1), torch.ones_like(splats.seen)
-    alphas = opacities * splats.compensations if antialiased else opacities
-    sigmas = (2.0 * (alphas / ALPHA_MIN).clamp(min=1.0).log()).sqrt()
-    return (sigmas[:, None] * diagonal.sqrt()).ceil(), alphas >= ALPHA_MIN
+    compute_alphas = opacities * splats.compensations if antialiased else opacities
+    sigmas = (2.0 * (compute_alphas / ALPHA_MIN).clamp(min=1.0).log()).sqrt()
+    return (sigmas[:, None] * diagonal.sqrt()).ceil(), compute_alphas >= ALPHA_MIN

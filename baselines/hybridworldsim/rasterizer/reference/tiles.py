@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, Preset
-from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 
 CHUNK = 256
 """Gaussians that are evaluated at once, over all pixels of a tile."""
@@ -20,7 +20,7 @@ _SLACK = 1e-3
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def single_thread() -> Iterator[None]:
     """Let torch compute in the calling thread: a chunk is too small to share.
 
     Measured with two threads on a machine whose two cores were busy: 20 to 50 times slower than with one.
@@ -47,13 +47,13 @@ class Tile(NamedTuple):
             yield slice(begin, min(begin + CHUNK, self.end))
 
 
-def front_to_back(projected: Projected) -> Tensor:
+def sort_front_to_back(projected: ProjectedGaussians) -> Tensor:
     """Rows (M,) by float32 depth, then by index: the order that gsplat's sort keys give."""
     return torch.argsort(projected.depths.detach().float(), stable=True)
 
 
-def pairs(
-    projected: Projected, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int
+def pair_tiles(
+    projected: ProjectedGaussians, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int
 ) -> tuple[Tensor, list[Tile]]:
     """Pair every tile with the Gaussians that the preset lets reach it.
 
@@ -71,7 +71,7 @@ def pairs(
     """
     tiles_wide, tiles_high = -(-width // tile_size), -(-height // tile_size)
     size = torch.tensor([tiles_wide, tiles_high])
-    order = front_to_back(projected)
+    order = sort_front_to_back(projected)
     means = (projected.means2d.detach().double() + projected.means2d_low)[order]
     radii = projected.radii[order].double()
     first = ((means - radii) / tile_size).floor().clamp(min=0.0).minimum(size).long()  # (M, 2)
@@ -87,7 +87,7 @@ def pairs(
     if preset.extent == "ellipse":
         at = torch.stack([column, row], dim=-1)  # (P, 2)
         near = at * tile_size + 0.5 - means[owner]
-        least = _least_form(near, near + (tile_size - 1), projected.conics.detach().double()[order][owner])
+        least = _min_form(near, near + (tile_size - 1), projected.conics.detach().double()[order][owner])
         form = 2.0 * (opacities.detach().double() / ALPHA_MIN).log()[order]
         reached = least <= form[owner] + _SLACK
         owner, column, row = owner[reached], column[reached], row[reached]
@@ -105,7 +105,7 @@ def pairs(
     return order[owner[by_tile]], some
 
 
-def _least_form(low: Tensor, high: Tensor, conics: Tensor) -> Tensor:
+def _min_form(low: Tensor, high: Tensor, conics: Tensor) -> Tensor:
     """The least (P,) of the quadratic form of `conics` (P, 3) over rectangles from `low` to `high` (P, 2).
 
     It is taken on the side that faces the origin, where the form in the other coordinate is least: one of two sides.
@@ -119,7 +119,7 @@ def _least_form(low: Tensor, high: Tensor, conics: Tensor) -> Tensor:
     return torch.minimum(*forms)
 
 
-def alphas(x: Tensor, y: Tensor, conics: Tensor, opacities: Tensor, alpha_max: float) -> Tensor:
+def compute_alphas(x: Tensor, y: Tensor, conics: Tensor, opacities: Tensor, alpha_max: float) -> Tensor:
     """What L Gaussians would take of the light of P pixels.
 
     Args:

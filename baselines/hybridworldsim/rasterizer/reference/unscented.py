@@ -8,7 +8,7 @@ from torch import Tensor
 from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, UT_ALPHA, UT_BETA, UT_SPREAD, Lens
 
 
-def unscented(
+def project_unscented(
     means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height: int, lens: Lens
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Project by the unscented transform (Wan and van der Merwe 2000), with gsplat's parameters.
@@ -49,22 +49,22 @@ def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Len
     k1, k2, k3, k4, k5, k6 = lens.radial_coeffs
     p1, p2 = lens.tangential_coeffs
     s1, s2, s3, s4 = lens.thin_prism_coeffs
-    behind = points[..., 2] <= 0.0
-    ahead = torch.where(behind[..., None], torch.tensor([0.0, 0.0, 1.0], dtype=points.dtype), points)
-    u, v = (ahead[..., :2] / ahead[..., 2:]).unbind(-1)
+    is_behind = points[..., 2] <= 0.0
+    in_front = torch.where(is_behind[..., None], torch.tensor([0.0, 0.0, 1.0], dtype=points.dtype), points)
+    u, v = (in_front[..., :2] / in_front[..., 2:]).unbind(-1)
     r2 = u * u + v * v
-    above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    impossible = behind | (below <= 0.0)  # what is not a number stays so, and is found degenerate
-    radial = above / torch.where(impossible, 1.0, below)
-    bent = torch.stack(
+    numerator = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    impossible = is_behind | (denominator <= 0.0)  # what is not a number stays so, and is found degenerate
+    radial = numerator / torch.where(impossible, 1.0, denominator)
+    distorted = torch.stack(
         [
             radial * u + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + r2 * (s1 + r2 * s2),
             radial * v + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v + r2 * (s3 + r2 * s4),
         ],
         dim=-1,
     )
-    pixels = K.diagonal()[:2] * bent + K[:2, 2]
+    pixels = K.diagonal()[:2] * distorted + K[:2, 2]
     return torch.where(impossible[..., None], 0.0, pixels), ~impossible & (radial > RADIAL_MIN)
 
 
@@ -79,11 +79,11 @@ def _fisheye(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> 
     full = torch.atan2(r, z)
     angle = full.clamp(max=last)
     a2 = angle * angle
-    grown = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
-    behind = z <= 0.0
+    distorted_angle = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+    is_behind = z <= 0.0
     # on the axis the angle over the radius tends to 1 / z
-    scale = torch.where(on_axis, 1.0 / torch.where(behind, 1.0, z), grown / r)
-    impossible = behind | (scale <= 0.0)
+    scale = torch.where(on_axis, 1.0 / torch.where(is_behind, 1.0, z), distorted_angle / r)
+    impossible = is_behind | (scale <= 0.0)
     pixels = K.diagonal()[:2] * scale[..., None] * points[..., :2] + K[:2, 2]
     return torch.where(impossible[..., None], 0.0, pixels), ~impossible & ((full < last) | on_axis)
 

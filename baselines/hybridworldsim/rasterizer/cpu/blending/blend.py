@@ -10,17 +10,17 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from hybridworldsim.kernels.memory import filled, room
+from hybridworldsim.kernels.memory import empty_aligned, full_aligned
 from hybridworldsim.kernels.threads import in_parallel
-from hybridworldsim.rasterizer.blended import Blended
-from hybridworldsim.rasterizer.cpu.blending.backward import SUMS, blend_tiles_backward, collect
-from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, TILE_PX, Canvas, blank
-from hybridworldsim.rasterizer.cpu.blending.forward import BATCH, PLACED, blend_tiles
+from hybridworldsim.rasterizer.blended_image import BlendedImage
+from hybridworldsim.rasterizer.cpu.blending.backward import SUMS, blend_tiles_backward, reduce_lines
+from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, TILE_PX, Canvas, make_canvas
+from hybridworldsim.rasterizer.cpu.blending.forward import BATCH, PLACEMENT_SIZE, blend_tiles
 from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
-from hybridworldsim.rasterizer.cpu.blending.splats import Splats, splats_of
-from hybridworldsim.rasterizer.cpu.blending.tiles import Tiles, tiles_of
+from hybridworldsim.rasterizer.cpu.blending.splats import Splats, pack_splats
+from hybridworldsim.rasterizer.cpu.blending.tiles import Tiles, assign_tiles
 from hybridworldsim.rasterizer.presets import Preset
-from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from mirror.arrays import Float32, Float64, Int32, Int64
 from mirror.errors import UsageError
 
@@ -33,7 +33,7 @@ _SHARE: Final = 8
 
 
 def blend(
-    projected: Projected,
+    projected: ProjectedGaussians,
     features: Tensor,
     opacities: Tensor,
     width: int,
@@ -42,7 +42,7 @@ def blend(
     preset: Preset,
     tile_size: int,
     absgrad: bool,
-) -> Blended:
+) -> BlendedImage:
     """Blend ellipses front to back, by depth and then by index.
 
     Args:
@@ -72,7 +72,7 @@ def blend(
     image, alpha, counts = _Blend.apply(
         projected.means2d, projected.conics, features, opacities, projected, width, height, preset.alpha_max, absgrad
     )
-    return Blended(image, alpha, counts)
+    return BlendedImage(image, alpha, counts)
 
 
 class _Slice(NamedTuple):
@@ -81,14 +81,14 @@ class _Slice(NamedTuple):
     Attributes:
         order: (R,) which ones.
         tiles: the tiles that they reach, of those that were not done before.
-        passed: (T,) how many Gaussians of each tile came before.
-        until: (T,) the place in front of which the last Gaussian is that was looked at.
+        counts_before: (T,) how many Gaussians of each tile came before.
+        processed_end: (T,) the place in front of which the last Gaussian is that was looked at.
     """
 
     order: Int32
     tiles: Tiles
-    passed: Int32
-    until: Int64
+    counts_before: Int32
+    processed_end: Int64
 
 
 class _Blend(torch.autograd.Function):
@@ -99,15 +99,15 @@ class _Blend(torch.autograd.Function):
         conics: Tensor,
         features: Tensor,
         opacities: Tensor,
-        projected: Projected,
+        projected: ProjectedGaussians,
         width: int,
         height: int,
         alpha_max: float,
         absgrad: bool,
     ) -> tuple[Tensor, Tensor, dict[str, int]]:
-        canvas = blank(width, height, max(4, features.shape[1]))
+        canvas = make_canvas(width, height, max(4, features.shape[1]))
         values = opacities.detach().numpy()
-        splats = splats_of(
+        splats = pack_splats(
             means2d.detach().numpy(),
             projected.means2d_low.numpy(),
             projected.factors.numpy(),
@@ -117,18 +117,18 @@ class _Blend(torch.autograd.Function):
             canvas.tiles_x,
             canvas.tiles_y,
         )
-        order, slices, seen = depth_order(projected.depths.detach().numpy()), [], np.zeros(2, np.int64)
+        order, slices, work = depth_order(projected.depths.detach().numpy()), [], np.zeros(2, np.int64)
         for part in _slices(order):
             if not canvas.alive.any():
                 break
-            slices.append(_blended(canvas, splats, part, alpha_max, seen))
-        image, alpha = canvas.picture(features.shape[1])
+            slices.append(_blend_slice(canvas, splats, part, alpha_max, work))
+        image, alpha = canvas.to_image(features.shape[1])
         context.saved = (means2d, values, splats, slices, canvas, image.shape, alpha_max, absgrad)
         context.set_materialize_grads(False)
         counts = {
-            "pairs": sum(len(part.tiles.turns) for part in slices),
-            "processed_pairs": int(seen[0]),
-            "processed_blocks": int(seen[1]),
+            "pairs": sum(len(part.tiles.pair_ranks) for part in slices),
+            "processed_pairs": int(work[0]),
+            "processed_blocks": int(work[1]),
             "stopped_tiles": int((~canvas.alive).sum()),
         }
         return torch.from_numpy(image), torch.from_numpy(alpha), counts
@@ -137,14 +137,28 @@ class _Blend(torch.autograd.Function):
     @once_differentiable
     def backward(context: Any, by_image: Tensor | None, by_alpha: Tensor | None, _: None) -> tuple[Any, ...]:
         means2d, opacities, splats, slices, canvas, shape, alpha_max, absgrad = context.saved
-        found = _Gradients.none(len(opacities), shape[2])
-        to_colours, light, behind = canvas.gradients(_array(by_image, shape), _array(by_alpha, shape[:2]))
-        firsts = _firsts(slices, len(opacities))
-        line = LANES * -(-(SUMS + splats.channels) // LANES)
-        lines = room(firsts[-1] * line)
+        found = _Gradients.zeros(len(opacities), shape[2])
+        to_colours, transmittance, background_sum = canvas.gradients_to_blocks(
+            _array(by_image, shape), _array(by_alpha, shape[:2])
+        )
+        first_lines = _first_lines(slices, len(opacities))
+        line_size = LANES * -(-(SUMS + splats.channels) // LANES)
+        lines = empty_aligned(first_lines[-1] * line_size)
         for part in reversed(slices):
-            _go_back(canvas, splats, part, alpha_max, to_colours, light, behind, firsts, lines, line, absgrad)
-        _collect(splats, opacities, firsts, lines, line, found)
+            _backward_slice(
+                canvas,
+                splats,
+                part,
+                alpha_max,
+                to_colours,
+                transmittance,
+                background_sum,
+                first_lines,
+                lines,
+                line_size,
+                absgrad,
+            )
+        _reduce_gradients(splats, opacities, first_lines, lines, line_size, found)
         if absgrad:
             means2d.absgrad = torch.from_numpy(found.absolute)
         return (*map(torch.from_numpy, found[:4]), None, None, None, None, None)
@@ -168,7 +182,7 @@ class _Gradients(NamedTuple):
     absolute: Float32
 
     @classmethod
-    def none(cls, count: int, channels: int) -> _Gradients:
+    def zeros(cls, count: int, channels: int) -> _Gradients:
         """Of Gaussians that nothing shows."""
         return cls(
             np.zeros((count, 2), np.float32),
@@ -197,45 +211,45 @@ def _tile_rows(canvas: Canvas) -> Int64:
     return np.arange(len(canvas.alive)).reshape(canvas.tiles_y, canvas.tiles_x)
 
 
-def _blended(canvas: Canvas, splats: Splats, order: Int32, alpha_max: float, seen: Int64) -> _Slice:
+def _blend_slice(canvas: Canvas, splats: Splats, order: Int32, alpha_max: float, work: Int64) -> _Slice:
     """Blend Gaussians into all tiles that are not done; counts what was looked at, and pairs of block and Gaussian."""
-    tiles = tiles_of(splats, order, canvas.tiles_x, canvas.alive)
-    part = _Slice(order, tiles, canvas.passed.copy(), np.empty(len(canvas.alive), np.int64))
+    tiles = assign_tiles(splats, order, canvas.tiles_x, canvas.alive)
+    part = _Slice(order, tiles, canvas.counts_before.copy(), np.empty(len(canvas.alive), np.int64))
     numbers, counts = _tile_rows(canvas), np.zeros((canvas.tiles_y, 2), np.int64)
 
     def blend_row(row: int) -> None:
         blend_tiles(
-            numbers[row], tiles.begins, tiles.ids, part.passed, splats.rows, splats.stride, splats.channels,
-            canvas.tiles_x, alpha_max, canvas.light, canvas.colours, canvas.last, canvas.alive,
-            room(BATCH * PLACED), room(BATCH, np.int32), room(BLOCKS, np.uint64), part.until,
-            counts[row],
+            numbers[row], tiles.tile_starts, tiles.ids, part.counts_before, splats.rows, splats.stride,
+            splats.channels, canvas.tiles_x, alpha_max, canvas.transmittance, canvas.colours, canvas.last, canvas.alive,
+            empty_aligned(BATCH * PLACEMENT_SIZE), empty_aligned(BATCH, np.int32), empty_aligned(BLOCKS, np.uint64),
+            part.processed_end, counts[row],
         )  # fmt: skip
 
     in_parallel(blend_row, canvas.tiles_y)
-    canvas.passed[:] += np.diff(tiles.begins).astype(np.int32)
-    seen += counts.sum(axis=0)
+    canvas.counts_before[:] += np.diff(tiles.tile_starts).astype(np.int32)
+    work += counts.sum(axis=0)
     return part
 
 
-def _firsts(slices: list[_Slice], count: int) -> Int64:
+def _first_lines(slices: list[_Slice], count: int) -> Int64:
     """Where the lines (M + 1,) of each Gaussian begin: one for each of its tiles."""
-    firsts = np.zeros(count + 1, np.int64)
+    first_lines = np.zeros(count + 1, np.int64)
     for part in slices:
-        firsts[part.order + 1] = part.tiles.pairs
-    return np.cumsum(firsts, out=firsts)
+        first_lines[part.order + 1] = part.tiles.pairs
+    return np.cumsum(first_lines, out=first_lines)
 
 
-def _go_back(
+def _backward_slice(
     canvas: Canvas,
     splats: Splats,
     part: _Slice,
     alpha_max: float,
     to_colours: Float32,
-    light: Float32,
-    behind: Float32,
-    firsts: Int64,
+    transmittance: Float32,
+    background_sum: Float32,
+    first_lines: Int64,
     lines: Float32,
-    line: int,
+    line_size: int,
     absgrad: bool,
 ) -> None:
     """Write the gradients of each pair of tile and Gaussian of a slice."""
@@ -243,21 +257,24 @@ def _go_back(
 
     def write(row: int) -> None:
         blend_tiles_backward(
-            numbers[row], tiles.begins, tiles.ids, tiles.turns, firsts, part.passed, part.until, splats.rows,
-            splats.stride, splats.channels, canvas.tiles_x, alpha_max, light, behind, to_colours, canvas.last,
-            room(BATCH * PLACED), room(BATCH, np.int32), filled((line - SUMS) * LANES, 0.0), lines, line, absgrad,
+            numbers[row], tiles.tile_starts, tiles.ids, tiles.pair_ranks, first_lines, part.counts_before,
+            part.processed_end, splats.rows, splats.stride, splats.channels, canvas.tiles_x, alpha_max, transmittance,
+            background_sum, to_colours, canvas.last, empty_aligned(BATCH * PLACEMENT_SIZE),
+            empty_aligned(BATCH, np.int32), full_aligned((line_size - SUMS) * LANES, 0.0), lines, line_size, absgrad,
         )  # fmt: skip
 
     in_parallel(write, canvas.tiles_y)
 
 
-def _collect(splats: Splats, opacities: Float32, firsts: Int64, lines: Float32, line: int, found: _Gradients) -> None:
+def _reduce_gradients(
+    splats: Splats, opacities: Float32, first_lines: Int64, lines: Float32, line_size: int, found: _Gradients
+) -> None:
     """Add up the lines of each Gaussian."""
     edges = np.linspace(0, len(opacities), _PARTS + 1).astype(np.int64)
     in_parallel(
-        lambda number: collect(
-            edges[number], edges[number + 1], firsts, lines, line, splats.rows, splats.stride, opacities, found.means,
-            found.conics, found.opacities, found.features, found.absolute, room(line),
+        lambda number: reduce_lines(
+            edges[number], edges[number + 1], first_lines, lines, line_size, splats.rows, splats.stride, opacities,
+            found.means, found.conics, found.opacities, found.features, found.absolute, empty_aligned(line_size),
         ),
         _PARTS,
     )  # fmt: skip

@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.memory import filled, room
+from hybridworldsim.kernels.memory import empty_aligned, full_aligned
 from hybridworldsim.kernels.threads import in_parallel
-from hybridworldsim.kernels.vectors import by_pixel, load, store, store_threes
+from hybridworldsim.kernels.vectors import load, store, store_rgb, transpose_channels
 from mirror.arrays import Bool, Float32, Int32
 
 TILE_PX: Final = 16
@@ -27,10 +27,10 @@ class Canvas(NamedTuple):
         tiles_x: columns of tiles.
         tiles_y: rows of them.
         channels: of the colours.
-        light: (T * 256,) what is left of it; negative where a pixel is done.
+        transmittance: (T * 256,) what is left of it; negative where a pixel is done.
         colours: (T * channels * 256,) blended so far, a tile channel by channel.
         last: (T * 256,) the number in its tile of a pixel's hindmost Gaussian; -1 if it has none.
-        passed: (T,) how many Gaussians of each tile there were.
+        counts_before: (T,) how many Gaussians of each tile there were.
         alive: (T,) whether not all of a tile's pixels are done.
     """
 
@@ -39,24 +39,24 @@ class Canvas(NamedTuple):
     tiles_x: int
     tiles_y: int
     channels: int
-    light: Float32
+    transmittance: Float32
     colours: Float32
     last: Int32
-    passed: Int32
+    counts_before: Int32
     alive: Bool
 
-    def picture(self, channels: int) -> tuple[Float32, Float32]:
+    def to_image(self, channels: int) -> tuple[Float32, Float32]:
         """The first channels (H, W, channels), and alpha (H, W)."""
-        flat, alpha = room(self.height * self.width * channels), room(self.height * self.width)
+        flat, alpha = empty_aligned(self.height * self.width * channels), empty_aligned(self.height * self.width)
         image, alpha = flat.reshape(self.height, self.width, channels), alpha.reshape(self.height, self.width)
 
         def write(row: int) -> None:
-            _from_blocks(row, self.colours, self.light, self.channels, self.tiles_x, image, flat, alpha)
+            _blocks_to_image(row, self.colours, self.transmittance, self.channels, self.tiles_x, image, flat, alpha)
 
         in_parallel(write, self.tiles_y)
         return image, alpha
 
-    def gradients(self, by_image: Float32, by_alpha: Float32) -> tuple[Float32, Float32, Float32]:
+    def gradients_to_blocks(self, by_image: Float32, by_alpha: Float32) -> tuple[Float32, Float32, Float32]:
         """Gradients as the canvas lies.
 
         Args:
@@ -67,26 +67,36 @@ class Canvas(NamedTuple):
             To the colours (T * channels * 256,); the light that is left (T * 256,); minus that times the gradient to
             alpha (T * 256,).
         """
-        to_colours = filled(len(self.colours), 0.0)
-        light, behind = room(len(self.light)), room(len(self.light))
+        to_colours = full_aligned(len(self.colours), 0.0)
+        transmittance, background_sum = empty_aligned(len(self.transmittance)), empty_aligned(len(self.transmittance))
 
         def write(row: int) -> None:
-            _into_blocks(row, by_image, by_alpha, self.light, self.channels, self.tiles_x, to_colours, light, behind)
+            _gradients_to_blocks(
+                row,
+                by_image,
+                by_alpha,
+                self.transmittance,
+                self.channels,
+                self.tiles_x,
+                to_colours,
+                transmittance,
+                background_sum,
+            )
 
         in_parallel(write, self.tiles_y)
-        return to_colours, light, behind
+        return to_colours, transmittance, background_sum
 
 
-def blank(width: int, height: int, channels: int) -> Canvas:
+def make_canvas(width: int, height: int, channels: int) -> Canvas:
     """Nothing blended yet; what lies beyond the picture is done."""
     tiles_x, tiles_y = -(-width // TILE_PX), -(-height // TILE_PX)
     count = tiles_x * tiles_y
-    light = filled(count * PIXELS, 1.0)
-    blocks = light.reshape(tiles_y, tiles_x, 4, 4, 4, 4)
-    below, beside = height - (tiles_y - 1) * TILE_PX, width - (tiles_x - 1) * TILE_PX
-    for pixel in range(below, TILE_PX):
+    transmittance = full_aligned(count * PIXELS, 1.0)
+    blocks = transmittance.reshape(tiles_y, tiles_x, 4, 4, 4, 4)
+    rows_used, columns_used = height - (tiles_y - 1) * TILE_PX, width - (tiles_x - 1) * TILE_PX
+    for pixel in range(rows_used, TILE_PX):
         blocks[-1, :, pixel // 4, :, pixel % 4] = -1.0
-    for pixel in range(beside, TILE_PX):
+    for pixel in range(columns_used, TILE_PX):
         blocks[:, -1, :, pixel // 4, :, pixel % 4] = -1.0
     return Canvas(
         width,
@@ -94,19 +104,19 @@ def blank(width: int, height: int, channels: int) -> Canvas:
         tiles_x,
         tiles_y,
         channels,
-        light,
-        filled(count * PIXELS * channels, 0.0),
-        filled(count * PIXELS, -1, np.int32),
+        transmittance,
+        full_aligned(count * PIXELS * channels, 0.0),
+        full_aligned(count * PIXELS, -1, np.int32),
         np.zeros(count, np.int32),
         np.ones(count, np.bool_),
     )
 
 
 @kernel()
-def _from_blocks(
+def _blocks_to_image(
     tile_y: int,
     colours: Float32,
-    light: Float32,
+    transmittance: Float32,
     channels: int,
     tiles_x: int,
     image: Float32,
@@ -114,69 +124,69 @@ def _from_blocks(
     alpha: Float32,
 ) -> None:
     """Write a row of tiles into a picture."""
-    height, width, wide = image.shape
+    height, width, image_channels = image.shape
     for tile_x in range(tiles_x):
         tile = tile_y * tiles_x + tile_x
         for block in range(BLOCKS):
             y0, x0 = tile_y * TILE_PX + block // 4 * 4, tile_x * TILE_PX + block % 4 * 4
-            lit, coloured = tile * PIXELS + block * LANES, tile * channels * PIXELS + block * LANES
-            whole = y0 + 4 <= height and x0 + 4 <= width and 3 <= wide <= 4
+            pixel_start, color_start = tile * PIXELS + block * LANES, tile * channels * PIXELS + block * LANES
+            whole = y0 + 4 <= height and x0 + 4 <= width and 3 <= image_channels <= 4
             if whole:
-                rows = by_pixel(
+                rows = transpose_channels(
                     (
-                        load(colours, coloured),
-                        load(colours, coloured + PIXELS),
-                        load(colours, coloured + 2 * PIXELS),
-                        load(colours, coloured + 3 * PIXELS),
+                        load(colours, color_start),
+                        load(colours, color_start + PIXELS),
+                        load(colours, color_start + 2 * PIXELS),
+                        load(colours, color_start + 3 * PIXELS),
                     )
                 )
-                to, step = (y0 * width + x0) * wide, width * wide
-                if wide == 4:
+                to, step = (y0 * width + x0) * image_channels, width * image_channels
+                if image_channels == 4:
                     store(flat, to, rows[0])
                     store(flat, to + step, rows[1])
                     store(flat, to + 2 * step, rows[2])
                     store(flat, to + 3 * step, rows[3])
                 else:
-                    store_threes(flat, to, rows[0])
-                    store_threes(flat, to + step, rows[1])
-                    store_threes(flat, to + 2 * step, rows[2])
-                    store_threes(flat, to + 3 * step, rows[3])
+                    store_rgb(flat, to, rows[0])
+                    store_rgb(flat, to + step, rows[1])
+                    store_rgb(flat, to + 2 * step, rows[2])
+                    store_rgb(flat, to + 3 * step, rows[3])
             for down in range(min(4, height - y0)):
                 for across in range(min(4, width - x0)):
                     lane = down * 4 + across
                     y, x = np.uint64(y0 + down), np.uint64(x0 + across)
-                    alpha[y, x] = np.float32(1.0) - abs(light[np.uint64(lit + lane)])
+                    alpha[y, x] = np.float32(1.0) - abs(transmittance[np.uint64(pixel_start + lane)])
                     if whole:
                         continue
-                    for channel in range(wide):
-                        image[y, x, np.uint64(channel)] = colours[np.uint64(coloured + channel * PIXELS + lane)]
+                    for channel in range(image_channels):
+                        image[y, x, np.uint64(channel)] = colours[np.uint64(color_start + channel * PIXELS + lane)]
 
 
 @kernel()
-def _into_blocks(
+def _gradients_to_blocks(
     tile_y: int,
     by_image: Float32,
     by_alpha: Float32,
-    left: Float32,
+    remaining: Float32,
     channels: int,
     tiles_x: int,
     to_colours: Float32,
-    light: Float32,
-    behind: Float32,
+    transmittance: Float32,
+    background_sum: Float32,
 ) -> None:
     """Write a row of tiles of gradients into blocks."""
-    height, width, wide = by_image.shape
+    height, width, image_channels = by_image.shape
     for tile_x in range(tiles_x):
         tile = tile_y * tiles_x + tile_x
         for block in range(BLOCKS):
             y0, x0 = tile_y * TILE_PX + block // 4 * 4, tile_x * TILE_PX + block % 4 * 4
-            lit, coloured = tile * PIXELS + block * LANES, tile * channels * PIXELS + block * LANES
+            pixel_start, color_start = tile * PIXELS + block * LANES, tile * channels * PIXELS + block * LANES
             for lane in range(LANES):
-                at = np.uint64(lit + lane)
-                light[at], behind[at] = abs(left[at]), np.float32(0.0)
+                at = np.uint64(pixel_start + lane)
+                transmittance[at], background_sum[at] = abs(remaining[at]), np.float32(0.0)
                 y, x = np.uint64(y0 + lane // 4), np.uint64(x0 + lane % 4)
                 if y < np.uint64(height) and x < np.uint64(width):
-                    behind[at] = -light[at] * by_alpha[y, x]
-                    for channel in range(wide):
-                        place = np.uint64(coloured + channel * PIXELS + lane)
+                    background_sum[at] = -transmittance[at] * by_alpha[y, x]
+                    for channel in range(image_channels):
+                        place = np.uint64(color_start + channel * PIXELS + lane)
                         to_colours[place] = by_image[y, x, np.uint64(channel)]

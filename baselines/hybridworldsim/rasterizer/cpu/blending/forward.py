@@ -13,22 +13,22 @@ import numpy as np
 
 from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.vectors import (
-    bits,
-    choose,
-    choose_whole,
-    fetch,
+    abs_,
+    broadcast,
     fma,
-    having,
-    least,
-    lift,
+    fnma,
+    from_bits,
+    has_bits,
     load,
-    lowest,
-    magnitude,
-    mask_of,
-    spread,
+    load_one,
+    min_or_b,
+    prefetch,
+    scale_by_power,
+    select,
+    select_int,
     store,
-    take,
-    times_power,
+    to_bits,
+    trailing_zeros,
 )
 from hybridworldsim.rasterizer.cpu.blending.canvas import BLOCKS, LANES, PIXELS, TILE_PX
 from hybridworldsim.rasterizer.cpu.blending.splats import (
@@ -36,15 +36,15 @@ from hybridworldsim.rasterizer.cpu.blending.splats import (
     FEATURES,
     FLOOR,
     LEVEL,
-    NEAR,
-    placed_at,
+    REACH,
+    to_unit_space,
 )
-from hybridworldsim.rasterizer.cpu.blending.tiles import AHEAD
+from hybridworldsim.rasterizer.cpu.blending.tiles import PREFETCH_DISTANCE
 from hybridworldsim.rasterizer.presets import TRANSMITTANCE_STOP
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 
 BATCH: Final = 64
-PLACED: Final = 6
+PLACEMENT_SIZE: Final = 6
 """Columns of a Gaussian placed in a tile: u and v at its centre, the factors, the level."""
 
 _LANE: Final = np.arange(LANES, dtype=np.float32)
@@ -69,77 +69,77 @@ def exp2(exponent: Any) -> Any:
     """2 to the power of a vector's elements to 2e-7, from -126 to 126; anything beyond."""
     shifted = exponent + _SHIFT
     part = exponent - (shifted - _SHIFT)
-    power = fma(fma(fma(spread(_E5), part, _E4), part, _E3), part, _E2)
-    return times_power(fma(fma(power, part, _E1), part, np.float32(1.0)), shifted)
+    power = fma(fma(fma(broadcast(_E5), part, _E4), part, _E3), part, _E2)
+    return scale_by_power(fma(fma(power, part, _E1), part, np.float32(1.0)), shifted)
 
 
 @kernel(inline="always")
-def placed(
+def place_in_tile(
     rows: Float32, row: int, centre_x: Any, centre_y: Any, out: Float32, at: int, block_x: Any, block_y: Any
 ) -> Any:
     """Place a Gaussian in a tile; which of the tile's blocks it may reach, as bits."""
     f11, f12, f22 = rows[row + FACTORS], rows[row + FACTORS + 1], rows[row + FACTORS + 2]
-    u, v = placed_at(rows, row, centre_x, centre_y)
+    u, v = to_unit_space(rows, row, centre_x, centre_y)
     level = rows[row + LEVEL]
     out[at], out[at + 1], out[at + 2], out[at + 3], out[at + 4], out[at + 5] = u, v, f11, f12, f22, level
     at_x = fma(block_x, f11, fma(block_y, f12, u))
     at_y = fma(block_y, f22, v)
     square = at_y * at_y
-    return bits((fma(at_x, at_x, square) <= rows[row + NEAR]) & (square <= rows[row + NEAR + 1]))
+    return to_bits((fma(at_x, at_x, square) <= rows[row + REACH]) & (square <= rows[row + REACH + 1]))
 
 
 @kernel(inline="always")
-def by_block(reached: Int32, listed: AnyArray) -> None:
+def group_by_block(block_bits: Int32, gaussian_bits: AnyArray) -> None:
     """From the blocks that each Gaussian reaches, the Gaussians that reach each block: as bits."""
     for block in range(BLOCKS):
         word, bit = np.uint64(0), np.int32(1 << block)
         for group in range(BATCH // LANES):
-            found = having(load(reached, group * LANES), bit)
-            word |= np.uint64(bits(found)) << np.uint64(group * LANES)
-        listed[block] = word
+            found = has_bits(load(block_bits, group * LANES), bit)
+            word |= np.uint64(to_bits(found)) << np.uint64(group * LANES)
+        gaussian_bits[block] = word
 
 
 @kernel()
 def blend_tiles(
     tiles: Int64,
-    begins: Int64,
+    tile_starts: Int64,
     ids: Int32,
-    passed: Int32,
+    counts_before: Int32,
     rows: Float32,
     stride: int,
     channels: int,
     tiles_x: int,
     alpha_max: float,
-    light: Float32,
+    transmittance: Float32,
     colours: Float32,
     last: Int32,
     alive: Bool,
     scratch: Float32,
-    reached: Int32,
-    listed: AnyArray,
-    until: Int64,
+    block_bits: Int32,
+    gaussian_bits: AnyArray,
+    processed_end: Int64,
     seen: Int64,
 ) -> None:
     """Blend the Gaussians of some tiles behind what is blended already.
 
     Args:
         tiles: which ones.
-        begins: where the places of each tile begin.
+        tile_starts: where the places of each tile begin.
         ids: the Gaussian at each place.
-        passed: (T,) how many Gaussians of each tile came before.
+        counts_before: (T,) how many Gaussians of each tile came before.
         rows: of the Gaussians.
         stride: of these rows.
         channels: of the features.
         tiles_x: columns of tiles.
         alpha_max: the greatest alpha.
-        light: (T * 256,) transmittance of the pixels so far, block by block.
+        transmittance: (T * 256,) transmittance of the pixels so far, block by block.
         colours: (T * channels * 256,) blended so far.
         last: (T * 256,) the number in its tile of the hindmost Gaussian of a pixel.
         alive: (T,) whether a tile's pixels are not all done; a pixel that is done has negative light.
         scratch: (BATCH * PLACED,).
-        reached: (BATCH,).
-        listed: (BATCH,).
-        until: (T,) written: the place in front of which the last Gaussian that was looked at is.
+        block_bits: (BATCH,).
+        gaussian_bits: (BATCH,).
+        processed_end: (T,) written: the place in front of which the last Gaussian that was looked at is.
         seen: (2,) counts Gaussians that were looked at, and pairs of block and Gaussian.
     """
     block_x, block_y = load(BLOCK_X, 0), load(BLOCK_Y, 0)
@@ -148,69 +148,81 @@ def blend_tiles(
         tile = tiles[number]
         centre_x = np.float32((tile % tiles_x) * TILE_PX + TILE_PX // 2)
         centre_y = np.float32((tile // tiles_x) * TILE_PX + TILE_PX // 2)
-        begin, end = begins[tile], begins[tile + 1]
-        offset, until[tile] = passed[tile] - begin, begin
-        open_blocks, tried = 0, 0
+        begin, end = tile_starts[tile], tile_starts[tile + 1]
+        offset, processed_end[tile] = counts_before[tile] - begin, begin
+        open_blocks, block_pairs = 0, 0
         for block in range(BLOCKS):
-            if bits(load(light, tile * PIXELS + block * LANES) > np.float32(0.0)) != 0:
+            if to_bits(load(transmittance, tile * PIXELS + block * LANES) > np.float32(0.0)) != 0:
                 open_blocks |= 1 << block
         for batch in range(begin, end, BATCH):
             if open_blocks == 0:
                 break
             count = min(BATCH, end - batch)
-            until[tile] = batch + count
-            reached[:] = 0
+            processed_end[tile] = batch + count
+            block_bits[:] = 0
             for k in range(count):
-                fetch(rows, ids[batch + k + AHEAD] * stride)
+                prefetch(rows, ids[batch + k + PREFETCH_DISTANCE] * stride)
                 row = ids[batch + k] * stride
-                reached[k] = placed(rows, row, centre_x, centre_y, scratch, k * PLACED, block_x, block_y)
-            by_block(reached, listed)
+                block_bits[k] = place_in_tile(
+                    rows, row, centre_x, centre_y, scratch, k * PLACEMENT_SIZE, block_x, block_y
+                )
+            group_by_block(block_bits, gaussian_bits)
             for block in range(BLOCKS):
-                left = listed[block]
-                if (open_blocks >> block) & 1 == 0 or left == 0:
+                gaussians_left = gaussian_bits[block]
+                if (open_blocks >> block) & 1 == 0 or gaussians_left == 0:
                     continue
                 at = tile * PIXELS + block * LANES
                 x, y = load(PIXEL_X, block * LANES), load(PIXEL_Y, block * LANES)
-                through = load(light, at)
-                alive_here = through > np.float32(0.0)
+                in_front = load(transmittance, at)
+                active = in_front > np.float32(0.0)
                 latest = load(last, at)
                 to = tile * PIXELS * channels + block * LANES
                 red, green = load(colours, to), load(colours, to + PIXELS)
                 blue, other = load(colours, to + 2 * PIXELS), load(colours, to + 3 * PIXELS)
-                while left != 0:
-                    k = lowest(left)
-                    left &= left - np.uint64(1)
-                    p = k * PLACED
-                    tried += 1
-                    u = fma(x, lift(scratch, p + 2), fma(y, lift(scratch, p + 3), lift(scratch, p)))
-                    v = fma(y, lift(scratch, p + 4), lift(scratch, p + 1))
-                    exponent = take(u, u, take(v, v, lift(scratch, p + 5)))
-                    inside = (exponent >= FLOOR) & alive_here
-                    alpha = least(exp2(exponent), cap)
-                    weight = through * alpha
-                    behind = through - weight
-                    ends = inside & (behind <= _STOP)
-                    inside = inside & (behind > _STOP)
-                    weight = choose(inside, weight, np.float32(0.0))
-                    through = choose(inside, behind, through)
-                    latest = choose_whole(inside, np.int32(offset + batch + k), latest)
+                while gaussians_left != 0:
+                    k = trailing_zeros(gaussians_left)
+                    gaussians_left &= gaussians_left - np.uint64(1)
+                    p = k * PLACEMENT_SIZE
+                    block_pairs += 1
+                    u = fma(
+                        x,
+                        load_one(scratch, p + 2),
+                        fma(y, load_one(scratch, p + 3), load_one(scratch, p)),
+                    )
+                    v = fma(y, load_one(scratch, p + 4), load_one(scratch, p + 1))
+                    exponent = fnma(u, u, fnma(v, v, load_one(scratch, p + 5)))
+                    inside = (exponent >= FLOOR) & active
+                    alpha = min_or_b(exp2(exponent), cap)
+                    weight = in_front * alpha
+                    after = in_front - weight
+                    ends = inside & (after <= _STOP)
+                    inside = inside & (after > _STOP)
+                    weight = select(inside, weight, np.float32(0.0))
+                    in_front = select(inside, after, in_front)
+                    latest = select_int(inside, np.int32(offset + batch + k), latest)
                     row = ids[batch + k] * stride + FEATURES
-                    red, green = fma(weight, lift(rows, row), red), fma(weight, lift(rows, row + 1), green)
-                    blue, other = fma(weight, lift(rows, row + 2), blue), fma(weight, lift(rows, row + 3), other)
+                    red, green = (
+                        fma(weight, load_one(rows, row), red),
+                        fma(weight, load_one(rows, row + 1), green),
+                    )
+                    blue, other = (
+                        fma(weight, load_one(rows, row + 2), blue),
+                        fma(weight, load_one(rows, row + 3), other),
+                    )
                     for channel in range(4, channels):
                         place = to + channel * PIXELS
-                        store(colours, place, fma(weight, lift(rows, row + channel), load(colours, place)))
-                    if bits(ends) != 0:
-                        alive_here = alive_here & (ends ^ mask_of(_EVERY))
-                        if bits(alive_here) == 0:
+                        store(colours, place, fma(weight, load_one(rows, row + channel), load(colours, place)))
+                    if to_bits(ends) != 0:
+                        active = active & (ends ^ from_bits(_EVERY))
+                        if to_bits(active) == 0:
                             open_blocks &= ~(1 << block)
                             break
-                store(light, at, choose(alive_here, through, spread(np.float32(0.0)) - magnitude(through)))
+                store(transmittance, at, select(active, in_front, broadcast(np.float32(0.0)) - abs_(in_front)))
                 store(last, at, latest)
                 store(colours, to, red)
                 store(colours, to + PIXELS, green)
                 store(colours, to + 2 * PIXELS, blue)
                 store(colours, to + 3 * PIXELS, other)
-        seen[0] += until[tile] - begin
-        seen[1] += tried
+        seen[0] += processed_end[tile] - begin
+        seen[1] += block_pairs
         alive[tile] = open_blocks != 0

@@ -13,22 +13,22 @@ from mirror.arrays import AnyArray, Float32, Int32, Int64
 _BITS: Final = 11
 _BINS: Final = 1 << _BITS
 _PARTS: Final = 8
-_FEW: Final = 4096
+_NUMPY_BELOW: Final = 4096
 
 
 def depth_order(depths: Float32) -> Int32:
     """The order (M,) of depths (M,), equal ones by index; 0 and above, not NaN."""
     count = len(depths)
-    if count < _FEW:
+    if count < _NUMPY_BELOW:
         return np.argsort(depths, kind="stable").astype(np.int32)
     keys, order = depths.view(np.uint32), np.arange(count, dtype=np.int32)
     edges = np.linspace(0, count, _PARTS + 1).astype(np.int64)
     for shift in range(0, 32, _BITS):
-        keys, order = _by_digit(keys, order, edges, shift)
+        keys, order = _sort_by_digit(keys, order, edges, shift)
     return order
 
 
-def _by_digit(keys: AnyArray, order: Int32, edges: Int64, shift: int) -> tuple[AnyArray, Int32]:
+def _sort_by_digit(keys: AnyArray, order: Int32, edges: Int64, shift: int) -> tuple[AnyArray, Int32]:
     """Sort by some bits, keeping what is equal in order."""
     counts = np.zeros((_PARTS, _BINS), np.int64)
     in_parallel(lambda part: _count(keys, edges[part], edges[part + 1], shift, counts[part]), _PARTS)

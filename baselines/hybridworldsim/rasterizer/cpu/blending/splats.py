@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
 from hybridworldsim.rasterizer.presets import ALPHA_MIN
@@ -18,8 +18,8 @@ MEAN: Final = 0
 MEAN_LOW: Final = 2
 FACTORS: Final = 4
 LEVEL: Final = 7
-NEAR: Final = 8
-LEAN_LOW: Final = 10
+REACH: Final = 8
+F12_LOW: Final = 10
 FEATURES: Final = 12
 """Columns of a row: the mean (2) and what rounding took from it (2), the factors (3), log2 of the opacity, how near a
 block's centre is to the ellipse's if they may touch (2, squares: of both of u and v, and of v), what rounding took from
@@ -50,7 +50,7 @@ class Splats(NamedTuple):
     boxes: AnyArray
 
 
-def splats_of(
+def pack_splats(
     means: Float32,
     means_low: Float32,
     factors: Float64,
@@ -73,37 +73,37 @@ def splats_of(
         tiles_y: rows of them.
     """
     count, channels = features.shape
-    wide = max(4, channels)
-    stride = 4 * ((FEATURES + wide + 3) // 4)
-    rows, boxes = room(count * stride), np.empty((count, 4), np.uint16)
+    padded_channels = max(4, channels)
+    stride = 4 * ((FEATURES + padded_channels + 3) // 4)
+    rows, boxes = empty_aligned(count * stride), np.empty((count, 4), np.uint16)
     with np.errstate(divide="ignore", invalid="ignore"):
         levels = np.log2(opacities)
     edges = np.linspace(0, count, _PARTS + 1).astype(np.int64)
 
-    def lay(part: int) -> None:
-        _lay(
+    def pack(part: int) -> None:
+        _pack(
             edges[part], edges[part + 1], means, means_low, factors, levels, features, radii, tiles_x, tiles_y,
             rows, stride, boxes,
         )  # fmt: skip
 
-    in_parallel(lay, _PARTS)
-    return Splats(rows, stride, wide, boxes)
+    in_parallel(pack, _PARTS)
+    return Splats(rows, stride, padded_channels, boxes)
 
 
 @kernel(inline="always")
-def factors_of(rows: Float32, row: Any) -> Any:
+def load_factors(rows: Float32, row: Any) -> Any:
     """The three factors of a row, as float64."""
-    lean = np.float64(rows[row + FACTORS + 1]) + rows[row + LEAN_LOW]
-    return np.float64(rows[row + FACTORS]), lean, np.float64(rows[row + FACTORS + 2])
+    f12_exact = np.float64(rows[row + FACTORS + 1]) + rows[row + F12_LOW]
+    return np.float64(rows[row + FACTORS]), f12_exact, np.float64(rows[row + FACTORS + 2])
 
 
 @kernel(inline="always")
-def placed_at(rows: Float32, row: Any, x: Any, y: Any) -> Any:
+def to_unit_space(rows: Float32, row: Any, x: Any, y: Any) -> Any:
     """A point of the image in the space where a Gaussian is round: u and v.
 
     In float64: far along a needle both terms of u are many times its width.
     """
-    f11, f12, f22 = factors_of(rows, row)
+    f11, f12, f22 = load_factors(rows, row)
     dx = (np.float64(x) - rows[row + MEAN]) - rows[row + MEAN_LOW]
     dy = (np.float64(y) - rows[row + MEAN + 1]) - rows[row + MEAN_LOW + 1]
     return np.float32(f11 * dx + f12 * dy), np.float32(f22 * dy)
@@ -116,7 +116,7 @@ def _tile(pixel: Any, tiles: int) -> int:
 
 
 @kernel()
-def _lay(
+def _pack(
     begin: int,
     end: int,
     means: Float32,
@@ -138,8 +138,8 @@ def _lay(
         x, y, level = means[i, 0], means[i, 1], levels[i]
         f11, f22 = np.float32(factors[i, 0] * _SCALE), np.float32(factors[i, 2] * _SCALE)
         # rounding f11 or f22 makes a needle a little thinner or shorter; f12 / f11, its direction, may not be rounded
-        lean = factors[i, 1] / factors[i, 0] * f11
-        f12 = np.float32(lean)
+        f12_exact = factors[i, 1] / factors[i, 0] * f11
+        f12 = np.float32(f12_exact)
         rows[row], rows[row + np.uint64(1)] = x, y
         rows[row + np.uint64(2)], rows[row + np.uint64(3)] = means_low[i, 0], means_low[i, 1]
         rows[row + np.uint64(4)], rows[row + np.uint64(5)], rows[row + np.uint64(6)] = f11, f12, f22
@@ -149,7 +149,7 @@ def _lay(
         near, near_v = reach + math.sqrt(block_u * block_u + block_v * block_v), reach + block_v
         rows[row + np.uint64(8)] = near * near * (one + _SLACK)
         rows[row + np.uint64(9)] = near_v * near_v * (one + _SLACK)
-        rows[row + np.uint64(10)] = np.float32(lean - f12)
+        rows[row + np.uint64(10)] = np.float32(f12_exact - f12)
         for channel in range(channels):
             rows[row + np.uint64(FEATURES + channel)] = features[i, channel]
         for channel in range(channels, stride - FEATURES):

@@ -8,18 +8,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel
-from hybridworldsim.kernels.vectors import fetch
+from hybridworldsim.kernels.vectors import prefetch
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
-from hybridworldsim.rasterizer.cpu.blending.splats import FLOOR, LEVEL, MEAN, MEAN_LOW, Splats, factors_of
+from hybridworldsim.rasterizer.cpu.blending.splats import FLOOR, LEVEL, MEAN, MEAN_LOW, Splats, load_factors
 from hybridworldsim.rasterizer.limits import refuse_too_many_pairs
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 
 _PARTS: Final = 16
-AHEAD: Final = 12
+PREFETCH_DISTANCE: Final = 12
 """How many more ids there are than places: a row may be fetched so many places before it is needed."""
-_SOON: Final = 16
+_ORDER_PREFETCH_DISTANCE: Final = 16
 _SLACK_PX: Final = 0.01
 
 
@@ -27,19 +27,19 @@ class Tiles(NamedTuple):
     """Pairs of a tile and a Gaussian.
 
     Attributes:
-        begins: (T + 1,) where each tile's places begin, T tiles row by row.
-        ids: (P,) the Gaussian at each place, and `AHEAD` more that are nobody's.
-        turns: (P,) how many pairs of the same Gaussian come before, tile by tile.
+        tile_starts: (T + 1,) where each tile's places begin, T tiles row by row.
+        ids: (P,) the Gaussian at each place, and `PREFETCH_DISTANCE` more that are nobody's.
+        pair_ranks: (P,) how many pairs of the same Gaussian come before, tile by tile.
         pairs: (R,) how many each Gaussian has, R Gaussians in depth order.
     """
 
-    begins: Int64
+    tile_starts: Int64
     ids: Int32
-    turns: Int32
+    pair_ranks: Int32
     pairs: Int64
 
 
-def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
+def assign_tiles(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
     """Pairs of Gaussians and tiles.
 
     Args:
@@ -53,37 +53,45 @@ def tiles_of(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
     """
     edges = np.linspace(0, len(order), _PARTS + 1).astype(np.int64)
     # a part writes one tile beyond its last at most
-    starts, boxes, living = np.ones(_PARTS + 1, np.int64), splats.boxes, _summed(alive, tiles_x)
+    starts, boxes, alive_sums = np.ones(_PARTS + 1, np.int64), splats.boxes, _integral_image(alive, tiles_x)
     starts[0] = 0
-    in_parallel(lambda part: _boxed(edges[part], edges[part + 1], order, boxes, living, starts[part + 1 :]), _PARTS)
+    in_parallel(
+        lambda part: _count_box_tiles(edges[part], edges[part + 1], order, boxes, alive_sums, starts[part + 1 :]),
+        _PARTS,
+    )
     np.cumsum(starts, out=starts)
     refuse_too_many_pairs(int(starts[-1]))
-    reached = room(starts[-1], np.int32)
+    tile_list = empty_aligned(starts[-1], np.int32)
     pairs, places = np.empty(len(order), np.int64), np.zeros((_PARTS, len(alive)), np.int64)
 
-    def find(part: int) -> None:
-        _find(
-            edges[part], edges[part + 1], order, boxes, living, splats.rows, splats.stride, tiles_x, alive, reached,
-            starts[part], pairs, places[part],
+    def list_part(part: int) -> None:
+        _list_tiles(
+            edges[part], edges[part + 1], order, boxes, alive_sums, splats.rows, splats.stride, tiles_x, alive,
+            tile_list, starts[part], pairs, places[part],
         )  # fmt: skip
 
-    in_parallel(find, _PARTS)
+    in_parallel(list_part, _PARTS)
     counts = places.sum(axis=0)
-    begins = np.concatenate([[0], np.cumsum(counts)])
+    tile_starts = np.concatenate([[0], np.cumsum(counts)])
     np.cumsum(places, axis=0, out=places)
     places[1:], places[0] = places[:-1].copy(), 0
-    places += begins[:-1]
-    ids, turns = room(begins[-1] + AHEAD, np.int32), room(begins[-1], np.int32)
-    ids[begins[-1] :] = 0
+    places += tile_starts[:-1]
+    ids, pair_ranks = (
+        empty_aligned(tile_starts[-1] + PREFETCH_DISTANCE, np.int32),
+        empty_aligned(tile_starts[-1], np.int32),
+    )
+    ids[tile_starts[-1] :] = 0
 
-    def put(part: int) -> None:
-        _place(edges[part], edges[part + 1], order, reached, starts[part], pairs, places[part], ids, turns)
+    def sort_part(part: int) -> None:
+        _sort_by_tile(
+            edges[part], edges[part + 1], order, tile_list, starts[part], pairs, places[part], ids, pair_ranks
+        )
 
-    in_parallel(put, _PARTS)
-    return Tiles(begins, ids, turns, pairs)
+    in_parallel(sort_part, _PARTS)
+    return Tiles(tile_starts, ids, pair_ranks, pairs)
 
 
-def _summed(alive: Bool, tiles_x: int) -> Int32:
+def _integral_image(alive: Bool, tiles_x: int) -> Int32:
     """How many tiles (tiles_y + 1, tiles_x + 1) above and left of each corner are alive."""
     sums = np.zeros((len(alive) // tiles_x + 1, tiles_x + 1), np.int32)
     np.cumsum(np.cumsum(alive.reshape(-1, tiles_x), axis=0), axis=1, out=sums[1:, 1:])
@@ -91,34 +99,34 @@ def _summed(alive: Bool, tiles_x: int) -> Int32:
 
 
 @kernel(inline="always")
-def _living(living: Int32, x0: Any, x1: Any, y0: Any, y1: Any) -> Any:
+def _count_alive(alive_sums: Int32, x0: Any, x1: Any, y0: Any, y1: Any) -> Any:
     """How many tiles of a box are alive."""
-    return np.int64(living[y1, x1]) - living[y0, x1] - living[y1, x0] + living[y0, x0]
+    return np.int64(alive_sums[y1, x1]) - alive_sums[y0, x1] - alive_sums[y1, x0] + alive_sums[y0, x0]
 
 
 @kernel()
-def _boxed(begin: int, end: int, order: Int32, boxes: AnyArray, living: Int32, counts: Int64) -> None:
+def _count_box_tiles(begin: int, end: int, order: Int32, boxes: AnyArray, alive_sums: Int32, counts: Int64) -> None:
     """How many living tiles boxes have, added."""
     total = 0
     for rank in range(begin, end):
-        fetch(boxes, order[min(rank + _SOON, end - 1)] * 4)
+        prefetch(boxes, order[min(rank + _ORDER_PREFETCH_DISTANCE, end - 1)] * 4)
         i = order[rank]
-        total += _living(living, boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3])
+        total += _count_alive(alive_sums, boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3])
     counts[0] += total
 
 
 @kernel()
-def _find(
+def _list_tiles(
     begin: int,
     end: int,
     order: Int32,
     boxes: AnyArray,
-    living: Int32,
+    alive_sums: Int32,
     rows: Float32,
     stride: int,
     tiles_x: int,
     alive: Bool,
-    reached: Int32,
+    tile_list: Int32,
     start: int,
     pairs: Int64,
     counts: Int64,
@@ -126,15 +134,15 @@ def _find(
     """Write down the living tiles of Gaussians, one after the other."""
     place = start
     for rank in range(begin, end):
-        soon = order[min(rank + _SOON, end - 1)]
-        fetch(rows, soon * stride)
-        fetch(boxes, soon * 4)
+        soon = order[min(rank + _ORDER_PREFETCH_DISTANCE, end - 1)]
+        prefetch(rows, soon * stride)
+        prefetch(boxes, soon * 4)
         i = order[rank]
         row = i * stride
         x0, x1 = np.int64(boxes[i, 0]), np.int64(boxes[i, 1])
         y0, y1 = np.int64(boxes[i, 2]), np.int64(boxes[i, 3])
         pairs[rank] = 0
-        if _living(living, x0, x1, y0, y1) == 0:
+        if _count_alive(alive_sums, x0, x1, y0, y1) == 0:
             continue
         before = place
         # an ellipse reaches all tiles of a box that is one tile wide or high
@@ -142,16 +150,16 @@ def _find(
             for y in range(y0, y1):
                 for x in range(x0, x1):
                     tile = y * tiles_x + x
-                    reached[place] = tile
+                    tile_list[place] = tile
                     counts[tile] += alive[tile]
                     place += alive[tile]
         else:
             mean_x = np.float64(rows[row + MEAN]) + rows[row + MEAN_LOW]
             mean_y = np.float64(rows[row + MEAN + 1]) + rows[row + MEAN_LOW + 1]
-            f11, f12, f22 = factors_of(rows, row)
+            f11, f12, f22 = load_factors(rows, row)
             square = np.float64(rows[row + LEVEL]) - FLOOR
             high = math.sqrt(square) / f22
-            lean, wide, steep = f12 / f11, 1.0 / f11, f22 * f22
+            slope, wide, steep = f12 / f11, 1.0 / f11, f22 * f22
             # where the ellipse is farthest right, and at the negative of it farthest left
             right = -f12 * high / math.sqrt(f12 * f12 + steep)
             for y in range(y0, y1):
@@ -160,38 +168,38 @@ def _find(
                 if low_y > high_y:
                     continue
                 at_right, at_left = min(max(right, low_y), high_y), min(max(-right, low_y), high_y)
-                x_right = math.sqrt(max(square - steep * at_right * at_right, 0.0)) * wide - lean * at_right
-                x_left = -math.sqrt(max(square - steep * at_left * at_left, 0.0)) * wide - lean * at_left
+                x_right = math.sqrt(max(square - steep * at_right * at_right, 0.0)) * wide - slope * at_right
+                x_left = -math.sqrt(max(square - steep * at_left * at_left, 0.0)) * wide - slope * at_left
                 from_x = (mean_x + x_left - (0.5 + _SLACK_PX)) * (1.0 / TILE_PX)
                 to_x = (mean_x + x_right - (0.5 - _SLACK_PX)) * (1.0 / TILE_PX) + 1.0
                 first_x: Any = max(x0, int(min(max(from_x, 0.0), 1e6)))
                 last_x: Any = min(x1, int(min(max(to_x, 0.0), 1e6)))
                 for x in range(first_x, last_x):
                     tile = y * tiles_x + x
-                    reached[place] = tile
+                    tile_list[place] = tile
                     counts[tile] += alive[tile]
                     place += alive[tile]
         pairs[rank] = place - before
 
 
 @kernel()
-def _place(
+def _sort_by_tile(
     begin: int,
     end: int,
     order: Int32,
-    reached: Int32,
+    tile_list: Int32,
     start: int,
     pairs: Int64,
     places: Int64,
     ids: Int32,
-    turns: Int32,
+    pair_ranks: Int32,
 ) -> None:
     """Order pairs by tile: `places` says where the part's next pair of each tile goes."""
     at = start
     for rank in range(begin, end):
         for turn in range(pairs[rank]):
-            tile = reached[at + turn]
+            tile = tile_list[at + turn]
             place = places[tile]
             places[tile] = place + 1
-            ids[place], turns[place] = order[rank], turn
+            ids[place], pair_ranks[place] = order[rank], turn
         at += pairs[rank]

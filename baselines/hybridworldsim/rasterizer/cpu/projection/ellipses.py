@@ -1,7 +1,7 @@
 """What all projections share: which Gaussians may be seen at all, which ellipses reach the picture, and their record.
 
 Kernels take the Gaussians as `(means, quats, scales, opacities)`, flat, and give what they see as the tensors of
-`Projected`, `RECORD`.
+`ProjectedGaussians`, `RECORD`.
 """
 
 from __future__ import annotations
@@ -70,18 +70,18 @@ def rotation(quaternion: Any) -> Any:
 
 
 @kernel(inline="always")
-def to_camera(view: Any, point: Any) -> Any:
+def to_camera(camera: Any, point: Any) -> Any:
     """A point of the world in the camera's frame."""
     x, y, z = point
     return (
-        view.r00 * x + view.r01 * y + (view.r02 * z + view.t0),
-        view.r10 * x + view.r11 * y + (view.r12 * z + view.t1),
-        view.r20 * x + view.r21 * y + (view.r22 * z + view.t2),
+        camera.r00 * x + camera.r01 * y + (camera.r02 * z + camera.t0),
+        camera.r10 * x + camera.r11 * y + (camera.r12 * z + camera.t1),
+        camera.r20 * x + camera.r21 * y + (camera.r22 * z + camera.t2),
     )
 
 
 @kernel(inline="always")
-def along(row: Any, first: Any, second: Any, third: Any) -> Any:
+def row_times_matrix(row: Any, first: Any, second: Any, third: Any) -> Any:
     """A row vector times the matrix of three rows."""
     return (
         row[0] * first[0] + row[1] * second[0] + row[2] * third[0],
@@ -97,17 +97,17 @@ def dot(a: Any, b: Any) -> Any:
 
 
 @kernel(inline="always")
-def times(a: Any, b: Any) -> Any:
+def multiply(a: Any, b: Any) -> Any:
     """Product of two triples, element by element."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @kernel(inline="always")
-def logarithm(a: Any) -> Any:
+def log(a: Any) -> Any:
     """Natural, of a positive ordinary number, to 1e-10."""
     m, e = lanes.mantissa(a), lanes.exponent(a)
     above = m > 1.4142135623730951
-    m, e = lanes.choose(above, 0.5 * m, m), lanes.choose(above, e + 1.0, e)
+    m, e = lanes.select(above, 0.5 * m, m), lanes.select(above, e + 1.0, e)
     s = (m - 1.0) / (m + 1.0)
     q = s * s
     series = 1.0 + q * (1 / 3 + q * (1 / 5 + q * (1 / 7 + q * (1 / 9 + q * (1 / 11)))))
@@ -115,23 +115,23 @@ def logarithm(a: Any) -> Any:
 
 
 @kernel(inline="always")
-def extent(view: Any, xx: Any, yy: Any, determinant: Any, opacity: Any) -> Any:
+def compute_extent(camera: Any, xx: Any, yy: Any, determinant: Any, opacity: Any) -> Any:
     """Half the extent of a blurred covariance in x and y, whole pixels."""
-    if view.square:
+    if camera.square:
         half = 0.5 * (xx + yy)
-        longest = half + lanes.root(lanes.greater(half * half - determinant, SQUARE_DISCRIMINANT_MIN))
-        both = lanes.whole_above(SQUARE_SIGMAS * lanes.root(longest))
+        longest = half + lanes.sqrt(lanes.max_or_b(half * half - determinant, SQUARE_DISCRIMINANT_MIN))
+        both = lanes.ceil(SQUARE_SIGMAS * lanes.sqrt(longest))
         return both, both
-    squared = lanes.greater(2.0 * logarithm(opacity * (1.0 / ALPHA_MIN)), 0.0)
-    return lanes.whole_above(lanes.root(squared * xx)), lanes.whole_above(lanes.root(squared * yy))
+    squared = lanes.max_or_b(2.0 * log(opacity * (1.0 / ALPHA_MIN)), 0.0)
+    return lanes.ceil(lanes.sqrt(squared * xx)), lanes.ceil(lanes.sqrt(squared * yy))
 
 
 @kernel()
-def candidates(view: Any, gaussians: Any, begin: Any, end: Any, rows: Any, counts: Any) -> Any:
+def find_candidates(camera: Any, gaussians: Any, begin: Any, end: Any, rows: Any, counts: Any) -> Any:
     """Find Gaussians that may reach the picture, by bounds that need no rotation; return how many.
 
     Args:
-        view: `View`.
+        camera: `KernelCamera`.
         gaussians: (3 N,), (4 N,), (3 N,), (N,).
         begin: first Gaussian.
         end: past the last.
@@ -139,34 +139,34 @@ def candidates(view: Any, gaussians: Any, begin: Any, end: Any, rows: Any, count
         counts: (6,) gets how many were culled, by the order of `CAUSES`.
     """
     means, _, scales, opacities = gaussians
-    half_x, half_y = 0.5 * view.width, 0.5 * view.height
+    half_x, half_y = 0.5 * camera.width, 0.5 * camera.height
     found = 0
     near_count, far_count, frustum_count, opacity_count = 0, 0, 0, 0
     for row in range(begin, end, 8):
         for lane in range(8):
             rows[found + lane] = min(row + lane, end - 1)
-        left = lanes.first_lanes(end - row)
-        x, y, z = to_camera(view, lanes.triples(means, rows, found))
-        near_count += lanes.how_many(left & (z < view.near))
-        far_count += lanes.how_many(left & (z > view.far))
-        inside = left & (z >= view.near) & (z <= view.far)
-        if lanes.bits(inside) == 0:
+        lanes_in_use = lanes.first_lanes(end - row)
+        x, y, z = to_camera(camera, lanes.load_triples(means, rows, found))
+        near_count += lanes.count_set(lanes_in_use & (z < camera.near))
+        far_count += lanes.count_set(lanes_in_use & (z > camera.far))
+        inside = lanes_in_use & (z >= camera.near) & (z <= camera.far)
+        if lanes.to_bits(inside) == 0:
             continue
-        s0, s1, s2 = lanes.triples(scales, rows, found)
-        size = lanes.greater(lanes.greater(lanes.magnitude(s0), lanes.magnitude(s1)), lanes.magnitude(s2))
+        s0, s1, s2 = lanes.load_triples(scales, rows, found)
+        size = lanes.max_or_b(lanes.max_or_b(lanes.abs_(s0), lanes.abs_(s1)), lanes.abs_(s2))
         opacity = lanes.gather(opacities, rows, found, 1, 0)
-        if not view.square:
-            opacity_count += lanes.how_many(inside & (opacity < ALPHA_MIN))
+        if not camera.square:
+            opacity_count += lanes.count_set(inside & (opacity < ALPHA_MIN))
             inside = inside & (opacity >= ALPHA_MIN)
         # sqrt(2 ln(255 o)) is less than o sqrt(2 ln 255) where o is more than 1
-        reach = lanes.greater(opacity, 1.0)
-        size, margin = reach * size, reach * view.margin
-        off_x = lanes.magnitude(view.fx * x + (view.cx - half_x) * z) - (half_x + margin) * z
-        off_y = lanes.magnitude(view.fy * y + (view.cy - half_y) * z) - (half_y + margin) * z
-        beside = (off_x > view.reach_x * size) | (off_y > view.reach_y * size)
-        frustum_count += lanes.how_many(inside & beside)
-        inside = inside & (off_x <= view.reach_x * size) & (off_y <= view.reach_y * size)
-        kept = lanes.bits(inside)
+        reach = lanes.max_or_b(opacity, 1.0)
+        size, margin = reach * size, reach * camera.margin
+        off_x = lanes.abs_(camera.fx * x + (camera.cx - half_x) * z) - (half_x + margin) * z
+        off_y = lanes.abs_(camera.fy * y + (camera.cy - half_y) * z) - (half_y + margin) * z
+        beside = (off_x > camera.reach_x * size) | (off_y > camera.reach_y * size)
+        frustum_count += lanes.count_set(inside & beside)
+        inside = inside & (off_x <= camera.reach_x * size) & (off_y <= camera.reach_y * size)
+        kept = lanes.to_bits(inside)
         for lane in range(8):
             rows[found] = row + lane
             found += (kept >> lane) & 1
@@ -180,83 +180,89 @@ def candidates(view: Any, gaussians: Any, begin: Any, end: Any, rows: Any, count
 
 
 @kernel(inline="always")
-def record(
-    view: Any,
+def write_records(
+    camera: Any,
     rows: Any,
     start: Any,
-    shown: Any,
+    valid_lanes: Any,
     mean: Any,
     depth: Any,
     shape: Any,
     opacity: Any,
-    seen: Any,
+    written: Any,
     output: Any,
     counts: Any,
 ) -> Any:
     """Write those of eight ellipses that reach the picture; return how many there are in all.
 
     Args:
-        view: `View`.
+        camera: `KernelCamera`.
         rows: indices of Gaussians.
         start: first of the eight in `rows`.
-        shown: mask of those that are left to be judged.
+        valid_lanes: mask of those that are left to be judged.
         mean: x and y, pixels.
         depth: metres.
         shape: xx, xy, yy and determinant of the covariance before the blur, pixel^2.
         opacity: before antialiasing.
-        seen: how many are in the output.
+        written: how many are in the output.
         output: arrays as in `RECORD`; 8 rows longer than what they get.
         counts: (6,) int64, is increased by how many are culled, by the order of `CAUSES`.
     """
     ids, means2d, means2d_low, depths, conics, factors, compensations, radii = output
     xx, xy, yy, sharp = shape
-    determinant = sharp + view.blur * (xx + yy) + view.blur * view.blur
-    xx, yy = xx + view.blur, yy + view.blur
-    compensation = lanes.spread(1.0)
-    if view.antialiased:
-        compensation = lanes.root(lanes.greater(sharp / determinant, view.ratio_min))
+    determinant = sharp + camera.blur * (xx + yy) + camera.blur * camera.blur
+    xx, yy = xx + camera.blur, yy + camera.blur
+    compensation = lanes.broadcast(1.0)
+    if camera.antialiased:
+        compensation = lanes.sqrt(lanes.max_or_b(sharp / determinant, camera.ratio_min))
         opacity = opacity * compensation
-    radius_x, radius_y = extent(view, xx, yy, determinant, opacity)
+    radius_x, radius_y = compute_extent(camera, xx, yy, determinant, opacity)
 
-    sound = shown & (determinant > 0.0) & (determinant < DETERMINANT_MAX) & (xx + yy < FLOAT32_MAX * determinant)
-    sound = sound & (lanes.magnitude(mean[0]) < FLOAT32_MAX) & (lanes.magnitude(mean[1]) < FLOAT32_MAX)
+    sound = valid_lanes & (determinant > 0.0) & (determinant < DETERMINANT_MAX) & (xx + yy < FLOAT32_MAX * determinant)
+    sound = sound & (lanes.abs_(mean[0]) < FLOAT32_MAX) & (lanes.abs_(mean[1]) < FLOAT32_MAX)
     opaque = sound
-    if not view.square:
+    if not camera.square:
         opaque = sound & (opacity >= ALPHA_MIN)
-    large = opaque & ((radius_x > view.clip) | (radius_y > view.clip))
-    inside = large & (mean[0] + radius_x > 0.0) & (mean[0] - radius_x < view.width)
-    inside = inside & (mean[1] + radius_y > 0.0) & (mean[1] - radius_y < view.height)
-    counts[2] += lanes.how_many(large) - lanes.how_many(inside)
-    counts[3] += lanes.how_many(opaque) - lanes.how_many(large)
-    counts[4] += lanes.how_many(sound) - lanes.how_many(opaque)
-    counts[5] += lanes.how_many(shown) - lanes.how_many(sound)
-    kept = lanes.bits(inside)
+    large = opaque & ((radius_x > camera.clip) | (radius_y > camera.clip))
+    inside = large & (mean[0] + radius_x > 0.0) & (mean[0] - radius_x < camera.width)
+    inside = inside & (mean[1] + radius_y > 0.0) & (mean[1] - radius_y < camera.height)
+    counts[2] += lanes.count_set(large) - lanes.count_set(inside)
+    counts[3] += lanes.count_set(opaque) - lanes.count_set(large)
+    counts[4] += lanes.count_set(sound) - lanes.count_set(opaque)
+    counts[5] += lanes.count_set(valid_lanes) - lanes.count_set(sound)
+    kept = lanes.to_bits(inside)
     if kept == 0:
-        return seen
+        return written
 
     # (f11 dx + f12 dy)^2 + (f22 dy)^2, the square completed in x
-    scale = 1.0 / lanes.root(yy * determinant)
+    scale = 1.0 / lanes.sqrt(yy * determinant)
     inverse = scale * scale * yy
-    lanes.put_pairs(means2d, seen, mean[0], mean[1])
-    lanes.put_pairs(means2d_low, seen, mean[0] - lanes.rounded(mean[0]), mean[1] - lanes.rounded(mean[1]))
-    lanes.put(depths, seen, depth)
-    lanes.put_triples(conics, seen, yy * inverse, 0.0 - xy * inverse, xx * inverse)
-    lanes.put_triples(factors, seen, yy * scale, 0.0 - xy * scale, lanes.root(determinant) * scale)
-    lanes.put(compensations, seen, compensation)
-    lanes.put_pairs(radii, seen, lanes.lesser(radius_x, RADIUS_MAX), lanes.lesser(radius_y, RADIUS_MAX))
+    lanes.store_pairs(means2d, written, mean[0], mean[1])
+    lanes.store_pairs(
+        means2d_low, written, mean[0] - lanes.round_to_float32(mean[0]), mean[1] - lanes.round_to_float32(mean[1])
+    )
+    lanes.store(depths, written, depth)
+    lanes.store_triples(conics, written, yy * inverse, 0.0 - xy * inverse, xx * inverse)
+    lanes.store_triples(factors, written, yy * scale, 0.0 - xy * scale, lanes.sqrt(determinant) * scale)
+    lanes.store(compensations, written, compensation)
+    lanes.store_pairs(radii, written, lanes.min_or_b(radius_x, RADIUS_MAX), lanes.min_or_b(radius_y, RADIUS_MAX))
     for lane in range(8):
-        ids[seen + lane] = rows[start + lane]
+        ids[written + lane] = rows[start + lane]
     if kept == 255:
-        return seen + 8
-    begin = seen
+        return written + 8
+    begin = written
     for lane in range(begin, begin + 8):
-        ids[seen] = ids[lane]
-        means2d[seen, 0], means2d[seen, 1] = means2d[lane, 0], means2d[lane, 1]
-        means2d_low[seen, 0], means2d_low[seen, 1] = means2d_low[lane, 0], means2d_low[lane, 1]
-        depths[seen] = depths[lane]
-        conics[seen, 0], conics[seen, 1], conics[seen, 2] = conics[lane, 0], conics[lane, 1], conics[lane, 2]
-        factors[seen, 0], factors[seen, 1], factors[seen, 2] = factors[lane, 0], factors[lane, 1], factors[lane, 2]
-        compensations[seen] = compensations[lane]
-        radii[seen, 0], radii[seen, 1] = radii[lane, 0], radii[lane, 1]
-        seen += (kept >> (lane - begin)) & 1
-    return seen
+        ids[written] = ids[lane]
+        means2d[written, 0], means2d[written, 1] = means2d[lane, 0], means2d[lane, 1]
+        means2d_low[written, 0], means2d_low[written, 1] = means2d_low[lane, 0], means2d_low[lane, 1]
+        depths[written] = depths[lane]
+        conics[written, 0], conics[written, 1], conics[written, 2] = conics[lane, 0], conics[lane, 1], conics[lane, 2]
+        factors[written, 0], factors[written, 1], factors[written, 2] = (
+            factors[lane, 0],
+            factors[lane, 1],
+            factors[lane, 2],
+        )
+        compensations[written] = compensations[lane]
+        radii[written, 0], radii[written, 1] = radii[lane, 0], radii[lane, 1]
+        written += (kept >> (lane - begin)) & 1
+    return written

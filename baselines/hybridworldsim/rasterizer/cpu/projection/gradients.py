@@ -15,19 +15,19 @@ _RATIO_MIN = 1e-290  # of the determinants, below which the root's slope overflo
 
 
 @kernel(inline="always")
-def scaled(factor: Any, triple: Any) -> Any:
+def scale(factor: Any, triple: Any) -> Any:
     """A triple times a number."""
     return factor * triple[0], factor * triple[1], factor * triple[2]
 
 
 @kernel(inline="always")
-def plus(a: Any, b: Any) -> Any:
+def add(a: Any, b: Any) -> Any:
     """Sum of two triples."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @kernel(inline="always")
-def mixed(a: Any, first: Any, b: Any, second: Any) -> Any:
+def combine(a: Any, first: Any, b: Any, second: Any) -> Any:
     """Sum of two triples, each times a number."""
     return a * first[0] + b * second[0], a * first[1] + b * second[1], a * first[2] + b * second[2]
 
@@ -41,47 +41,47 @@ def select_rows(ids: Any, start: Any, end: Any, rows: Any) -> None:
 
 
 @kernel(inline="always")
-def asked_for(upstream: Any, strides: Any, rows: Any, left: Any) -> Any:
+def load_upstream(upstream: Any, strides: Any, rows: Any, lanes_in_use: Any) -> Any:
     """Gradients to mean (x, y), depth, conic (xx, xy, yy) and compensation; zero for spare lanes."""
     to_means2d, to_depths, to_conics, to_compensations = upstream
     by_mean, by_depth, by_conic, by_compensation = strides
     return (
         (
-            lanes.choose(left, lanes.gather(to_means2d, rows, 0, by_mean, 0), 0.0),
-            lanes.choose(left, lanes.gather(to_means2d, rows, 0, by_mean, 1), 0.0),
+            lanes.select(lanes_in_use, lanes.gather(to_means2d, rows, 0, by_mean, 0), 0.0),
+            lanes.select(lanes_in_use, lanes.gather(to_means2d, rows, 0, by_mean, 1), 0.0),
         ),
-        lanes.choose(left, lanes.gather(to_depths, rows, 0, by_depth, 0), 0.0),
+        lanes.select(lanes_in_use, lanes.gather(to_depths, rows, 0, by_depth, 0), 0.0),
         (
-            lanes.choose(left, lanes.gather(to_conics, rows, 0, by_conic, 0), 0.0),
-            lanes.choose(left, lanes.gather(to_conics, rows, 0, by_conic, 1), 0.0),
-            lanes.choose(left, lanes.gather(to_conics, rows, 0, by_conic, 2), 0.0),
+            lanes.select(lanes_in_use, lanes.gather(to_conics, rows, 0, by_conic, 0), 0.0),
+            lanes.select(lanes_in_use, lanes.gather(to_conics, rows, 0, by_conic, 1), 0.0),
+            lanes.select(lanes_in_use, lanes.gather(to_conics, rows, 0, by_conic, 2), 0.0),
         ),
-        lanes.choose(left, lanes.gather(to_compensations, rows, 0, by_compensation, 0), 0.0),
+        lanes.select(lanes_in_use, lanes.gather(to_compensations, rows, 0, by_compensation, 0), 0.0),
     )
 
 
 @kernel(inline="always")
-def covariance_gradient(view: Any, shape: Any, to_conic: Any, to_compensation: Any) -> Any:
+def covariance_gradient(camera: Any, shape: Any, to_conic: Any, to_compensation: Any) -> Any:
     """Gradient to xx, xy and yy of the 2D covariance (xy as one of two equal entries).
 
     Args:
-        view: `View`.
+        camera: `KernelCamera`.
         shape: xx, xy, yy and determinant of the covariance before the blur.
         to_conic: gradients to the three entries of the conic.
         to_compensation: gradient to the compensation.
     """
     xx, xy, yy, sharp = shape
-    blurred_x, blurred_y = xx + view.blur, yy + view.blur
-    inverse = 1.0 / (sharp + view.blur * (xx + yy) + view.blur * view.blur)
+    blurred_x, blurred_y = xx + camera.blur, yy + camera.blur
+    inverse = 1.0 / (sharp + camera.blur * (xx + yy) + camera.blur * camera.blur)
     p, q, r = blurred_y * inverse, 0.0 - xy * inverse, blurred_x * inverse
     half = 0.5 * to_conic[1]
     t00, t01 = p * to_conic[0] + q * half, p * half + q * to_conic[2]
     t10, t11 = q * to_conic[0] + r * half, q * half + r * to_conic[2]
     to_xx, to_xy, to_yy = 0.0 - (t00 * p + t01 * q), 0.0 - (t00 * q + t01 * r), 0.0 - (t10 * q + t11 * r)
-    if view.antialiased:
+    if camera.antialiased:
         ratio = sharp * inverse
-        free = (ratio > view.ratio_min) & (ratio > _RATIO_MIN)
-        to_ratio = lanes.choose(free, 0.5 * to_compensation / lanes.root(ratio), 0.0) * inverse
+        free = (ratio > camera.ratio_min) & (ratio > _RATIO_MIN)
+        to_ratio = lanes.select(free, 0.5 * to_compensation / lanes.sqrt(ratio), 0.0) * inverse
         to_xx = to_xx + to_ratio * (yy - ratio * blurred_y)
         to_xy = to_xy + to_ratio * (ratio - 1.0) * xy
         to_yy = to_yy + to_ratio * (xx - ratio * blurred_x)
@@ -104,15 +104,15 @@ def quaternion_gradient(quaternion: Any, k: Any, first: Any, second: Any, third:
 
 
 @kernel(inline="always")
-def hand_back(
-    rows: Any, count: Any, done: Any, buffer: Any, to_mean: Any, to_quat: Any, to_scale: Any, output: Any
+def store_gradients(
+    rows: Any, count: Any, next_row: Any, buffer: Any, to_mean: Any, to_quat: Any, to_scale: Any, output: Any
 ) -> Any:
     """Write gradients of up to eight Gaussians, and zeros for those before them that are not seen.
 
     Args:
         rows: as `select_rows` leaves them.
         count: of those that are no spare.
-        done: the first Gaussian that nothing is written of yet.
+        next_row: the first Gaussian that nothing is written of yet.
         buffer: (80,) of the output's type, for its own use.
         to_mean: three lanes.
         to_quat: four lanes.
@@ -120,22 +120,22 @@ def hand_back(
         output: (N, 3), (N, 4) and (N, 3).
 
     Returns:
-        `done` from now on.
+        `next_row` from now on.
     """
     to_means, to_quats, to_scales = output
-    lanes.put(buffer, 0, to_mean[0])
-    lanes.put(buffer, 8, to_mean[1])
-    lanes.put(buffer, 16, to_mean[2])
-    lanes.put(buffer, 24, to_quat[0])
-    lanes.put(buffer, 32, to_quat[1])
-    lanes.put(buffer, 40, to_quat[2])
-    lanes.put(buffer, 48, to_quat[3])
-    lanes.put(buffer, 56, to_scale[0])
-    lanes.put(buffer, 64, to_scale[1])
-    lanes.put(buffer, 72, to_scale[2])
+    lanes.store(buffer, 0, to_mean[0])
+    lanes.store(buffer, 8, to_mean[1])
+    lanes.store(buffer, 16, to_mean[2])
+    lanes.store(buffer, 24, to_quat[0])
+    lanes.store(buffer, 32, to_quat[1])
+    lanes.store(buffer, 40, to_quat[2])
+    lanes.store(buffer, 48, to_quat[3])
+    lanes.store(buffer, 56, to_scale[0])
+    lanes.store(buffer, 64, to_scale[1])
+    lanes.store(buffer, 72, to_scale[2])
     for lane in range(min(8, count)):
         row = rows[8 + lane]
-        for unseen in range(done, row):
+        for unseen in range(next_row, row):
             to_means[unseen, 0], to_means[unseen, 1], to_means[unseen, 2] = 0.0, 0.0, 0.0
             to_quats[unseen, 0], to_quats[unseen, 1], to_quats[unseen, 2], to_quats[unseen, 3] = 0.0, 0.0, 0.0, 0.0
             to_scales[unseen, 0], to_scales[unseen, 1], to_scales[unseen, 2] = 0.0, 0.0, 0.0
@@ -144,16 +144,20 @@ def hand_back(
         to_quats[row, 2], to_quats[row, 3] = buffer[40 + lane], buffer[48 + lane]
         to_scales[row, 0], to_scales[row, 1] = buffer[56 + lane], buffer[64 + lane]
         to_scales[row, 2] = buffer[72 + lane]
-        done = row + 1
-    return done
+        next_row = row + 1
+    return next_row
 
 
 @kernel(inline="always")
-def total_rows(first: Any, second: Any, third: Any, translation: Any, to_viewmat: Any) -> None:
+def store_viewmat_sums(first: Any, second: Any, third: Any, translation: Any, to_viewmat: Any) -> None:
     """Write the lanes' sums for a view matrix: nine of the rotation, row by row, and three of the translation."""
-    to_viewmat[0], to_viewmat[1], to_viewmat[2] = lanes.total(first[0]), lanes.total(first[1]), lanes.total(first[2])
-    to_viewmat[3], to_viewmat[4] = lanes.total(second[0]), lanes.total(second[1])
-    to_viewmat[5], to_viewmat[6] = lanes.total(second[2]), lanes.total(third[0])
-    to_viewmat[7], to_viewmat[8] = lanes.total(third[1]), lanes.total(third[2])
-    to_viewmat[9], to_viewmat[10] = lanes.total(translation[0]), lanes.total(translation[1])
-    to_viewmat[11] = lanes.total(translation[2])
+    to_viewmat[0], to_viewmat[1], to_viewmat[2] = (
+        lanes.sum_lanes(first[0]),
+        lanes.sum_lanes(first[1]),
+        lanes.sum_lanes(first[2]),
+    )
+    to_viewmat[3], to_viewmat[4] = lanes.sum_lanes(second[0]), lanes.sum_lanes(second[1])
+    to_viewmat[5], to_viewmat[6] = lanes.sum_lanes(second[2]), lanes.sum_lanes(third[0])
+    to_viewmat[7], to_viewmat[8] = lanes.sum_lanes(third[1]), lanes.sum_lanes(third[2])
+    to_viewmat[9], to_viewmat[10] = lanes.sum_lanes(translation[0]), lanes.sum_lanes(translation[1])
+    to_viewmat[11] = lanes.sum_lanes(translation[2])

@@ -12,25 +12,25 @@ from typing import Any
 from hybridworldsim.kernels import lanes
 from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.rasterizer.cpu.projection.ellipses import (
-    along,
-    candidates,
     dot,
-    record,
+    find_candidates,
+    multiply,
     rotation,
-    times,
+    row_times_matrix,
     to_camera,
+    write_records,
 )
 
 
 @kernel(inline="always")
-def jacobian(view: Any, u: Any, v: Any, inverse_depth: Any) -> Any:
+def jacobian(camera: Any, u: Any, v: Any, inverse_depth: Any) -> Any:
     """Of pixels by world coordinates: its two rows, and the clamped u = x/z, v = y/z that they were taken at."""
-    u = lanes.lesser(lanes.greater(u, view.left), view.right)
-    v = lanes.lesser(lanes.greater(v, view.top), view.bottom)
-    a, b = view.fx * inverse_depth, view.fy * inverse_depth
+    u = lanes.min_or_b(lanes.max_or_b(u, camera.left), camera.right)
+    v = lanes.min_or_b(lanes.max_or_b(v, camera.top), camera.bottom)
+    a, b = camera.fx * inverse_depth, camera.fy * inverse_depth
     return (
-        (a * (view.r00 - u * view.r20), a * (view.r01 - u * view.r21), a * (view.r02 - u * view.r22)),
-        (b * (view.r10 - v * view.r20), b * (view.r11 - v * view.r21), b * (view.r12 - v * view.r22)),
+        (a * (camera.r00 - u * camera.r20), a * (camera.r01 - u * camera.r21), a * (camera.r02 - u * camera.r22)),
+        (b * (camera.r10 - v * camera.r20), b * (camera.r11 - v * camera.r21), b * (camera.r12 - v * camera.r22)),
         u,
         v,
     )
@@ -46,11 +46,11 @@ def covariance(a: Any, b: Any) -> Any:
 
 
 @kernel()
-def project_part(view: Any, gaussians: Any, begin: Any, end: Any, rows: Any, output: Any, counts: Any) -> Any:
+def project_part(camera: Any, gaussians: Any, begin: Any, end: Any, rows: Any, output: Any, counts: Any) -> Any:
     """Project Gaussians of a range and write those that the camera sees, in order; return how many.
 
     Args:
-        view: `View`.
+        camera: `KernelCamera`.
         gaussians: (3 N,), (4 N,), (3 N,), (N,).
         begin: first Gaussian.
         end: past the last.
@@ -59,21 +59,21 @@ def project_part(view: Any, gaussians: Any, begin: Any, end: Any, rows: Any, out
         counts: (6,) int64, is increased by how many were culled, by the order of `CAUSES`.
     """
     means, quats, scales, opacities = gaussians
-    found = candidates(view, gaussians, begin, end, rows, counts)
-    seen = 0
+    found = find_candidates(camera, gaussians, begin, end, rows, counts)
+    written = 0
     for start in range(0, found, 8):
-        x, y, z = to_camera(view, lanes.triples(means, rows, start))
-        first, second, third, _, turned = rotation(lanes.quadruples(quats, rows, start))
+        x, y, z = to_camera(camera, lanes.load_triples(means, rows, start))
+        first, second, third, _, is_rotation = rotation(lanes.load_quadruples(quats, rows, start))
         inverse_depth = 1.0 / z
         u, v = x * inverse_depth, y * inverse_depth
-        over_x, over_y, _, _ = jacobian(view, u, v, inverse_depth)
-        a, b = along(over_x, first, second, third), along(over_y, first, second, third)
-        size = lanes.triples(scales, rows, start)
-        shape = covariance(times(a, size), times(b, size))
-        mean = view.fx * u + view.cx, view.fy * v + view.cy
+        over_x, over_y, _, _ = jacobian(camera, u, v, inverse_depth)
+        a, b = row_times_matrix(over_x, first, second, third), row_times_matrix(over_y, first, second, third)
+        size = lanes.load_triples(scales, rows, start)
+        shape = covariance(multiply(a, size), multiply(b, size))
+        mean = camera.fx * u + camera.cx, camera.fy * v + camera.cy
         opacity = lanes.gather(opacities, rows, start, 1, 0)
-        left = lanes.first_lanes(found - start)
-        shown = left & turned
-        counts[5] += lanes.how_many(left) - lanes.how_many(shown)
-        seen = record(view, rows, start, shown, mean, z, shape, opacity, seen, output, counts)
-    return seen
+        lanes_in_use = lanes.first_lanes(found - start)
+        valid_lanes = lanes_in_use & is_rotation
+        counts[5] += lanes.count_set(lanes_in_use) - lanes.count_set(valid_lanes)
+        written = write_records(camera, rows, start, valid_lanes, mean, z, shape, opacity, written, output, counts)
+    return written

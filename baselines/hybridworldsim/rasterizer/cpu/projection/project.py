@@ -9,16 +9,16 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel
-from hybridworldsim.rasterizer.cpu.projection.bending import Bending, bending_of
 from hybridworldsim.rasterizer.cpu.projection.ellipses import CAUSES
-from hybridworldsim.rasterizer.cpu.projection.packing import PART, InOrder
+from hybridworldsim.rasterizer.cpu.projection.kernel_camera import KernelCamera, to_kernel_camera
+from hybridworldsim.rasterizer.cpu.projection.kernel_lens import KernelLens, to_kernel_lens
+from hybridworldsim.rasterizer.cpu.projection.ordered_output import PART, OrderedOutput
 from hybridworldsim.rasterizer.cpu.projection.pinhole import project_part
 from hybridworldsim.rasterizer.cpu.projection.pinhole_backward import project_part_backward
 from hybridworldsim.rasterizer.cpu.projection.unscented import SCRATCH, unscented_part, unscented_part_backward
-from hybridworldsim.rasterizer.cpu.projection.view import View, view_of
-from hybridworldsim.rasterizer.projected import Projected
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 
 if TYPE_CHECKING:
     from hybridworldsim.rasterizer.lenses import Lens
@@ -47,7 +47,7 @@ def project(
     preset: Preset,
     antialiased: bool,
     lens: Lens | None,
-) -> Projected:
+) -> ProjectedGaussians:
     """Project Gaussians into one camera and keep those that reach its picture.
 
     Differentiable to means, quats, scales and viewmat. A Gaussian that cannot be projected (a quaternion that is
@@ -73,7 +73,7 @@ def project(
     Returns:
         What is seen, float32; conics and factors float64.
     """
-    view = view_of(
+    camera = to_kernel_camera(
         viewmat.detach().to(torch.float64).cpu().numpy(),
         K.detach().to(torch.float64).cpu().numpy(),
         width,
@@ -86,11 +86,11 @@ def project(
         antialiased=antialiased,
         lens=lens,
     )
-    bending = None if lens is None else bending_of(lens, view)
+    kernel_lens = None if lens is None else to_kernel_lens(lens, camera)
     means2d, depths, conics, compensations, ids, low, factors, radii, counts = _Project.apply(
-        means, quats, scales, viewmat, opacities, view, bending
+        means, quats, scales, viewmat, opacities, camera, kernel_lens
     )
-    return Projected(
+    return ProjectedGaussians(
         ids=ids,
         means2d=means2d,
         means2d_low=low,
@@ -118,29 +118,31 @@ class _Project(torch.autograd.Function):
         scales: Tensor,
         viewmat: Tensor,
         opacities: Tensor,
-        view: View,
-        bending: Bending | None,
+        camera: KernelCamera,
+        kernel_lens: KernelLens | None,
     ) -> tuple[Tensor, ...]:
         dtype, number = means.dtype, len(means)
-        given = tuple(flat(tensor, dtype) for tensor in (means, quats, scales, opacities))
+        inputs_flat = tuple(flat(tensor, dtype) for tensor in (means, quats, scales, opacities))
         parts = -(-number // PART)
-        outputs = InOrder(number)
+        outputs = OrderedOutput(number)
         counts = np.zeros((parts, len(CAUSES)), np.int64)
 
         def one(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
-            with outputs.part(part) as place:
-                if bending is None:
-                    place.count = project_part(view, given, *span, place.rows, place.arrays, counts[part])
+            with outputs.open_part(part) as place:
+                if kernel_lens is None:
+                    place.count = project_part(camera, inputs_flat, *span, place.rows, place.arrays, counts[part])
                 else:
-                    own = place.rows, np.empty(SCRATCH)
-                    place.count = unscented_part(view, bending, given, *span, *own, place.arrays, counts[part])
+                    scratch = place.rows, np.empty(SCRATCH)
+                    place.count = unscented_part(
+                        camera, kernel_lens, inputs_flat, *span, *scratch, place.arrays, counts[part]
+                    )
 
         in_parallel(one, parts)
-        ids, means2d, low, depths, conics, factors, compensations, radii = outputs.filled()
+        ids, means2d, low, depths, conics, factors, compensations, radii = outputs.tensors()
         culled = torch.from_numpy(counts.sum(axis=0))
         ctx.save_for_backward(means, quats, scales, viewmat, ids)
-        ctx.view, ctx.bending = view, bending
+        ctx.camera, ctx.kernel_lens = camera, kernel_lens
         ctx.mark_non_differentiable(ids, low, factors, radii, culled)
         ctx.set_materialize_grads(False)
         return means2d, depths, conics, compensations, ids, low, factors, radii, culled
@@ -149,32 +151,37 @@ class _Project(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, quats, scales, viewmat, ids = ctx.saved_tensors
-        dtype, number, seen = means.dtype, len(means), len(ids)
-        given = tuple(flat(tensor, dtype) for tensor in (means, quats, scales))
+        dtype, number, written = means.dtype, len(means), len(ids)
+        inputs_flat = tuple(flat(tensor, dtype) for tensor in (means, quats, scales))
         upstream = tuple(
             flat(torch.zeros(3) if gradient is None else gradient, kind) for gradient, kind in zip(gradients, _UPSTREAM)
         )
         strides = tuple(0 if gradient is None else width for gradient, width in zip(gradients, (2, 1, 3, 1)))
-        to_given = tuple(room(number * width, given[0].dtype).reshape(number, width) for width in (3, 4, 3))
+        to_inputs_flat = tuple(
+            empty_aligned(number * width, inputs_flat[0].dtype).reshape(number, width) for width in (3, 4, 3)
+        )
         indices = ids.numpy()
-        parts = -(-seen // PART)
+        parts = -(-written // PART)
         to_viewmat = np.zeros((parts, 12))
 
         def one(part: int) -> None:
-            span = part * PART, min((part + 1) * PART, seen)
-            rows, buffer = np.empty(16, np.int64), np.empty(80, given[0].dtype)
-            asked, answer = (given, indices, upstream, strides, *span), (buffer, to_given, to_viewmat[part])
-            if ctx.bending is None:
-                project_part_backward(ctx.view, *asked, rows, *answer)
+            span = part * PART, min((part + 1) * PART, written)
+            rows, buffer = np.empty(16, np.int64), np.empty(80, inputs_flat[0].dtype)
+            arguments, outputs = (
+                (inputs_flat, indices, upstream, strides, *span),
+                (buffer, to_inputs_flat, to_viewmat[part]),
+            )
+            if ctx.kernel_lens is None:
+                project_part_backward(ctx.camera, *arguments, rows, *outputs)
             else:
-                unscented_part_backward(ctx.view, ctx.bending, *asked, rows, np.empty(SCRATCH), *answer)
+                unscented_part_backward(ctx.camera, ctx.kernel_lens, *arguments, rows, np.empty(SCRATCH), *outputs)
 
         in_parallel(one, parts)
-        for array in to_given:
-            array[int(indices[-1]) + 1 if seen else 0 :] = 0.0
+        for array in to_inputs_flat:
+            array[int(indices[-1]) + 1 if written else 0 :] = 0.0
         total = np.zeros((4, 4))
         summed = to_viewmat.sum(axis=0)
         total[:3, :3], total[:3, 3] = summed[:9].reshape(3, 3), summed[9:]
         inputs = (means, quats, scales)
-        to_inputs = [torch.from_numpy(array).to(tensor.dtype) for array, tensor in zip(to_given, inputs)]
+        to_inputs = [torch.from_numpy(array).to(tensor.dtype) for array, tensor in zip(to_inputs_flat, inputs)]
         return *to_inputs, torch.from_numpy(total).to(viewmat.dtype), None, None, None

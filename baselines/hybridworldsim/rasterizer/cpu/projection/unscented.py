@@ -12,26 +12,26 @@ from typing import Any, Final
 
 from hybridworldsim.kernels import lanes
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.rasterizer.cpu.projection.bending import pixel
 from hybridworldsim.rasterizer.cpu.projection.ellipses import (
-    along,
-    candidates,
     dot,
-    record,
+    find_candidates,
     rotation,
+    row_times_matrix,
     to_camera,
+    write_records,
 )
 from hybridworldsim.rasterizer.cpu.projection.gradients import (
-    asked_for,
+    add,
+    combine,
     covariance_gradient,
-    hand_back,
-    mixed,
-    plus,
+    load_upstream,
     quaternion_gradient,
-    scaled,
+    scale,
     select_rows,
-    total_rows,
+    store_gradients,
+    store_viewmat_sums,
 )
+from hybridworldsim.rasterizer.cpu.projection.kernel_lens import project_point
 from hybridworldsim.rasterizer.lenses import UT_ALPHA, UT_BETA, UT_SPREAD
 
 SCRATCH: Final = 512
@@ -44,27 +44,27 @@ _POINTS: Final = 184  # after these: seven gradients in the camera's frame
 
 
 @kernel(inline="always")
-def _axes(view: Any, first: Any, second: Any, third: Any) -> Any:
+def _axes(camera: Any, first: Any, second: Any, third: Any) -> Any:
     """Rows of the rotation from a Gaussian to the camera: its axes are the columns."""
     return (
-        along((view.r00, view.r01, view.r02), first, second, third),
-        along((view.r10, view.r11, view.r12), first, second, third),
-        along((view.r20, view.r21, view.r22), first, second, third),
+        row_times_matrix((camera.r00, camera.r01, camera.r02), first, second, third),
+        row_times_matrix((camera.r10, camera.r11, camera.r12), first, second, third),
+        row_times_matrix((camera.r20, camera.r21, camera.r22), first, second, third),
     )
 
 
 @kernel(inline="always")
 def _put_steps(axes: Any, size: Any, scratch: Any) -> None:
     """Write from the mean to the points, axis by axis."""
-    lanes.put(scratch, 0, UT_SPREAD * size[0] * axes[0][0])
-    lanes.put(scratch, 8, UT_SPREAD * size[0] * axes[1][0])
-    lanes.put(scratch, 16, UT_SPREAD * size[0] * axes[2][0])
-    lanes.put(scratch, 24, UT_SPREAD * size[1] * axes[0][1])
-    lanes.put(scratch, 32, UT_SPREAD * size[1] * axes[1][1])
-    lanes.put(scratch, 40, UT_SPREAD * size[1] * axes[2][1])
-    lanes.put(scratch, 48, UT_SPREAD * size[2] * axes[0][2])
-    lanes.put(scratch, 56, UT_SPREAD * size[2] * axes[1][2])
-    lanes.put(scratch, 64, UT_SPREAD * size[2] * axes[2][2])
+    lanes.store(scratch, 0, UT_SPREAD * size[0] * axes[0][0])
+    lanes.store(scratch, 8, UT_SPREAD * size[0] * axes[1][0])
+    lanes.store(scratch, 16, UT_SPREAD * size[0] * axes[2][0])
+    lanes.store(scratch, 24, UT_SPREAD * size[1] * axes[0][1])
+    lanes.store(scratch, 32, UT_SPREAD * size[1] * axes[1][1])
+    lanes.store(scratch, 40, UT_SPREAD * size[1] * axes[2][1])
+    lanes.store(scratch, 48, UT_SPREAD * size[2] * axes[0][2])
+    lanes.store(scratch, 56, UT_SPREAD * size[2] * axes[1][2])
+    lanes.store(scratch, 64, UT_SPREAD * size[2] * axes[2][2])
 
 
 @kernel(inline="always")
@@ -73,9 +73,9 @@ def _point(number: Any, mean: Any, scratch: Any) -> Any:
     sign = 0.0 if number == 0 else (1.0 if number < 4 else -1.0)
     axis = 24 * ((number + 2) % 3)
     return (
-        mean[0] + sign * lanes.fetch(scratch, axis),
-        mean[1] + sign * lanes.fetch(scratch, axis + 8),
-        mean[2] + sign * lanes.fetch(scratch, axis + 16),
+        mean[0] + sign * lanes.load(scratch, axis),
+        mean[1] + sign * lanes.load(scratch, axis + 8),
+        mean[2] + sign * lanes.load(scratch, axis + 16),
     )
 
 
@@ -85,24 +85,24 @@ def _moments(scratch: Any) -> Any:
 
     Leaves the offsets d in place of the pixels of the points but the first.
     """
-    centre_x, centre_y = lanes.fetch(scratch, _PIXELS), lanes.fetch(scratch, _PIXELS + 8)
-    zero = lanes.spread(0.0)
+    centre_x, centre_y = lanes.load(scratch, _PIXELS), lanes.load(scratch, _PIXELS + 8)
+    zero = lanes.broadcast(0.0)
     shift_x, shift_y, xx, xy, yy, sharp, across = zero, zero, zero, zero, zero, zero, zero
     for number in range(1, 7):
         at = _PIXELS + 16 * number
-        x, y = lanes.fetch(scratch, at) - centre_x, lanes.fetch(scratch, at + 8) - centre_y
-        lanes.put(scratch, at, x)
-        lanes.put(scratch, at + 8, y)
+        x, y = lanes.load(scratch, at) - centre_x, lanes.load(scratch, at + 8) - centre_y
+        lanes.store(scratch, at, x)
+        lanes.store(scratch, at + 8, y)
         shift_x, shift_y = shift_x + _WEIGHT * x, shift_y + _WEIGHT * y
         xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
     # the determinant as a sum of squared minors (Cauchy-Binet): a needle keeps its width
     for number in range(1, 7):
         at = _PIXELS + 16 * number
-        x, y = lanes.fetch(scratch, at), lanes.fetch(scratch, at + 8)
+        x, y = lanes.load(scratch, at), lanes.load(scratch, at + 8)
         minor = x * shift_y - y * shift_x
         across = across + minor * minor
         for other in range(1, number):
-            minor = x * lanes.fetch(scratch, _PIXELS + 16 * other + 8) - y * lanes.fetch(scratch, _PIXELS + 16 * other)
+            minor = x * lanes.load(scratch, _PIXELS + 16 * other + 8) - y * lanes.load(scratch, _PIXELS + 16 * other)
             sharp = sharp + minor * minor
     return (
         (shift_x, shift_y),
@@ -117,13 +117,13 @@ def _moments(scratch: Any) -> Any:
 
 @kernel()
 def unscented_part(
-    view: Any, lens: Any, gaussians: Any, begin: Any, end: Any, rows: Any, scratch: Any, output: Any, counts: Any
+    camera: Any, lens: Any, gaussians: Any, begin: Any, end: Any, rows: Any, scratch: Any, output: Any, counts: Any
 ) -> Any:
     """Project Gaussians of a range and write those that the camera sees, in order; return how many.
 
     Args:
-        view: `View`.
-        lens: `Bending`.
+        camera: `KernelCamera`.
+        lens: `KernelLens`.
         gaussians: (3 N,), (4 N,), (3 N,), (N,).
         begin: first Gaussian.
         end: past the last.
@@ -133,34 +133,36 @@ def unscented_part(
         counts: (6,) int64, is increased by how many were culled, by the order of `CAUSES`.
     """
     means, quats, scales, opacities = gaussians
-    found = candidates(view, gaussians, begin, end, rows, counts)
-    seen = 0
+    found = find_candidates(camera, gaussians, begin, end, rows, counts)
+    written = 0
     for start in range(0, found, 8):
-        mean = to_camera(view, lanes.triples(means, rows, start))
-        first, second, third, _, turned = rotation(lanes.quadruples(quats, rows, start))
-        _put_steps(_axes(view, first, second, third), lanes.triples(scales, rows, start), scratch)
-        lit = 0
+        mean = to_camera(camera, lanes.load_triples(means, rows, start))
+        first, second, third, _, is_rotation = rotation(lanes.load_quadruples(quats, rows, start))
+        _put_steps(_axes(camera, first, second, third), lanes.load_triples(scales, rows, start), scratch)
+        visible = 0
         for number in range(7):
-            x, y, _, _, valid = pixel(view, lens, _point(number, mean, scratch))
-            lanes.put(scratch, _PIXELS + 16 * number, x)
-            lanes.put(scratch, _PIXELS + 16 * number + 8, y)
+            x, y, _, _, valid = project_point(camera, lens, _point(number, mean, scratch))
+            lanes.store(scratch, _PIXELS + 16 * number, x)
+            lanes.store(scratch, _PIXELS + 16 * number + 8, y)
             inside = (x >= lens.left) & (x < lens.right) & (y >= lens.top) & (y < lens.bottom)
-            lit |= lanes.bits(valid & inside)
+            visible |= lanes.to_bits(valid & inside)
         shift, shape = _moments(scratch)
-        centre = lanes.fetch(scratch, _PIXELS) + shift[0], lanes.fetch(scratch, _PIXELS + 8) + shift[1]
-        left = lanes.first_lanes(found - start)
-        whole = left & turned
-        shown = whole & lanes.mask_of(lit)
-        counts[2] += lanes.how_many(whole) - lanes.how_many(shown)
-        counts[5] += lanes.how_many(left) - lanes.how_many(whole)
+        centre = lanes.load(scratch, _PIXELS) + shift[0], lanes.load(scratch, _PIXELS + 8) + shift[1]
+        lanes_in_use = lanes.first_lanes(found - start)
+        whole = lanes_in_use & is_rotation
+        valid_lanes = whole & lanes.from_bits(visible)
+        counts[2] += lanes.count_set(whole) - lanes.count_set(valid_lanes)
+        counts[5] += lanes.count_set(lanes_in_use) - lanes.count_set(whole)
         opacity = lanes.gather(opacities, rows, start, 1, 0)
-        seen = record(view, rows, start, shown, centre, mean[2], shape, opacity, seen, output, counts)
-    return seen
+        written = write_records(
+            camera, rows, start, valid_lanes, centre, mean[2], shape, opacity, written, output, counts
+        )
+    return written
 
 
 @kernel()
 def unscented_part_backward(
-    view: Any,
+    camera: Any,
     lens: Any,
     gaussians: Any,
     ids: Any,
@@ -177,8 +179,8 @@ def unscented_part_backward(
     """Gradients of the Gaussians that a camera saw, of a range; zeros for those between that it did not see.
 
     Args:
-        view: `View`.
-        lens: `Bending`.
+        camera: `KernelCamera`.
+        lens: `KernelLens`.
         gaussians: (3 N,), (4 N,), (3 N,).
         ids: (M,) of the Gaussians seen, ascending.
         upstream: gradients to what was written of them, see the module `gradients`.
@@ -193,48 +195,48 @@ def unscented_part_backward(
         to_viewmat: (12,) gets the part's sum for the rotation, row by row, and the translation.
     """
     means, quats, scales = gaussians
-    view_x, view_y = (view.r00, view.r01, view.r02), (view.r10, view.r11, view.r12)
-    view_z = (view.r20, view.r21, view.r22)
-    zero = lanes.spread(0.0)
+    view_x, view_y = (camera.r00, camera.r01, camera.r02), (camera.r10, camera.r11, camera.r12)
+    view_z = (camera.r20, camera.r21, camera.r22)
+    zero = lanes.broadcast(0.0)
     sum_x, sum_y, sum_z, sum_t = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero), (zero, zero, zero)
-    done = 0 if begin == 0 else ids[begin - 1] + 1
+    next_row = 0 if begin == 0 else ids[begin - 1] + 1
     for start in range(begin, end, 8):
         select_rows(ids, start, end, rows)
-        world, quaternion = lanes.triples(means, rows, 8), lanes.quadruples(quats, rows, 8)
-        size = lanes.triples(scales, rows, 8)
-        mean = to_camera(view, world)
+        world, quaternion = lanes.load_triples(means, rows, 8), lanes.load_quadruples(quats, rows, 8)
+        size = lanes.load_triples(scales, rows, 8)
+        mean = to_camera(camera, world)
         first, second, third, k, _ = rotation(quaternion)
-        axes = _axes(view, first, second, third)
+        axes = _axes(camera, first, second, third)
         _put_steps(axes, size, scratch)
         for number in range(7):
-            x, y, _, _, _ = pixel(view, lens, _point(number, mean, scratch))
-            lanes.put(scratch, _PIXELS + 16 * number, x)
-            lanes.put(scratch, _PIXELS + 16 * number + 8, y)
+            x, y, _, _, _ = project_point(camera, lens, _point(number, mean, scratch))
+            lanes.store(scratch, _PIXELS + 16 * number, x)
+            lanes.store(scratch, _PIXELS + 16 * number + 8, y)
         shift, shape = _moments(scratch)
 
-        to_mean, to_depth, to_conic, to_compensation = asked_for(
+        to_mean, to_depth, to_conic, to_compensation = load_upstream(
             upstream, strides, rows, lanes.first_lanes(end - start)
         )
-        to_xx, to_xy, to_yy = covariance_gradient(view, shape, to_conic, to_compensation)
+        to_xx, to_xy, to_yy = covariance_gradient(camera, shape, to_conic, to_compensation)
         shift_x = _WEIGHT * (to_mean[0] + 2.0 * _OUTER * (to_xx * shift[0] + to_xy * shift[1]))
         shift_y = _WEIGHT * (to_mean[1] + 2.0 * _OUTER * (to_xy * shift[0] + to_yy * shift[1]))
         rest_x, rest_y = to_mean
-        camera = (zero, zero, to_depth)
+        to_mean_camera = (zero, zero, to_depth)
         for back in range(7):
             number = 6 - back  # the mean is last: it gets what the others leave
             to_pixel_x, to_pixel_y = rest_x, rest_y
             if number > 0:
                 at = _PIXELS + 16 * number
-                x, y = lanes.fetch(scratch, at), lanes.fetch(scratch, at + 8)
+                x, y = lanes.load(scratch, at), lanes.load(scratch, at + 8)
                 to_pixel_x = 2.0 * _WEIGHT * (to_xx * x + to_xy * y) + shift_x
                 to_pixel_y = 2.0 * _WEIGHT * (to_xy * x + to_yy * y) + shift_y
                 rest_x, rest_y = rest_x - to_pixel_x, rest_y - to_pixel_y
-            _, _, slope_x, slope_y, _ = pixel(view, lens, _point(number, mean, scratch))
-            to_point = mixed(to_pixel_x, slope_x, to_pixel_y, slope_y)
-            lanes.put(scratch, _POINTS + 24 * number, to_point[0])
-            lanes.put(scratch, _POINTS + 24 * number + 8, to_point[1])
-            lanes.put(scratch, _POINTS + 24 * number + 16, to_point[2])
-            camera = plus(camera, to_point)
+            _, _, slope_x, slope_y, _ = project_point(camera, lens, _point(number, mean, scratch))
+            to_point = combine(to_pixel_x, slope_x, to_pixel_y, slope_y)
+            lanes.store(scratch, _POINTS + 24 * number, to_point[0])
+            lanes.store(scratch, _POINTS + 24 * number + 8, to_point[1])
+            lanes.store(scratch, _POINTS + 24 * number + 16, to_point[2])
+            to_mean_camera = add(to_mean_camera, to_point)
 
         along_x, along_y, along_z = _step_gradient(0, scratch), _step_gradient(8, scratch), _step_gradient(16, scratch)
         to_size = (
@@ -248,26 +250,30 @@ def unscented_part_backward(
         to_quaternion = quaternion_gradient(
             quaternion,
             k,
-            plus(mixed(view.r00, to_x, view.r10, to_y), scaled(view.r20, to_z)),
-            plus(mixed(view.r01, to_x, view.r11, to_y), scaled(view.r21, to_z)),
-            plus(mixed(view.r02, to_x, view.r12, to_y), scaled(view.r22, to_z)),
+            add(combine(camera.r00, to_x, camera.r10, to_y), scale(camera.r20, to_z)),
+            add(combine(camera.r01, to_x, camera.r11, to_y), scale(camera.r21, to_z)),
+            add(combine(camera.r02, to_x, camera.r12, to_y), scale(camera.r22, to_z)),
         )
-        sum_x = plus(sum_x, plus((dot(to_x, first), dot(to_x, second), dot(to_x, third)), scaled(camera[0], world)))
-        sum_y = plus(sum_y, plus((dot(to_y, first), dot(to_y, second), dot(to_y, third)), scaled(camera[1], world)))
-        sum_z = plus(sum_z, plus((dot(to_z, first), dot(to_z, second), dot(to_z, third)), scaled(camera[2], world)))
-        sum_t = plus(sum_t, camera)
-        to_world = along(camera, view_x, view_y, view_z)
-        done = hand_back(rows, end - start, done, buffer, to_world, to_quaternion, to_size, output)
-    total_rows(sum_x, sum_y, sum_z, sum_t, to_viewmat)
+        sum_x = add(
+            sum_x, add((dot(to_x, first), dot(to_x, second), dot(to_x, third)), scale(to_mean_camera[0], world))
+        )
+        sum_y = add(
+            sum_y, add((dot(to_y, first), dot(to_y, second), dot(to_y, third)), scale(to_mean_camera[1], world))
+        )
+        sum_z = add(
+            sum_z, add((dot(to_z, first), dot(to_z, second), dot(to_z, third)), scale(to_mean_camera[2], world))
+        )
+        sum_t = add(sum_t, to_mean_camera)
+        to_world = row_times_matrix(to_mean_camera, view_x, view_y, view_z)
+        next_row = store_gradients(rows, end - start, next_row, buffer, to_world, to_quaternion, to_size, output)
+    store_viewmat_sums(sum_x, sum_y, sum_z, sum_t, to_viewmat)
 
 
 @kernel(inline="always")
 def _step_gradient(coordinate: Any, scratch: Any) -> Any:
     """Gradient to one coordinate of the three axes, one standard deviation long."""
     return (
-        UT_SPREAD * (lanes.fetch(scratch, _POINTS + 24 + coordinate) - lanes.fetch(scratch, _POINTS + 96 + coordinate)),
-        UT_SPREAD
-        * (lanes.fetch(scratch, _POINTS + 48 + coordinate) - lanes.fetch(scratch, _POINTS + 120 + coordinate)),
-        UT_SPREAD
-        * (lanes.fetch(scratch, _POINTS + 72 + coordinate) - lanes.fetch(scratch, _POINTS + 144 + coordinate)),
+        UT_SPREAD * (lanes.load(scratch, _POINTS + 24 + coordinate) - lanes.load(scratch, _POINTS + 96 + coordinate)),
+        UT_SPREAD * (lanes.load(scratch, _POINTS + 48 + coordinate) - lanes.load(scratch, _POINTS + 120 + coordinate)),
+        UT_SPREAD * (lanes.load(scratch, _POINTS + 72 + coordinate) - lanes.load(scratch, _POINTS + 144 + coordinate)),
     )

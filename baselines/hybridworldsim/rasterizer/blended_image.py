@@ -7,7 +7,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 
-class Blended(NamedTuple):
+class BlendedImage(NamedTuple):
     """One camera's picture before a background is added.
 
     Float32 of the CPU backend, float64 of the reference. `image` and `alpha` carry gradients.

@@ -17,9 +17,9 @@ from torch.autograd.function import once_differentiable
 
 from hybridworldsim.kernels import lanes
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel
-from hybridworldsim.rasterizer.cpu.projection.packing import PART
+from hybridworldsim.rasterizer.cpu.projection.ordered_output import PART
 from hybridworldsim.rasterizer.cpu.projection.project import flat
 from mirror.arrays import Float64
 from mirror.errors import UsageError
@@ -44,7 +44,7 @@ def _polynomials() -> Float64:
 _TABLE: Final = _polynomials()
 
 
-def harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
+def spherical_harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
     """Sum spherical harmonics; differentiable to directions and coefficients.
 
     Args:
@@ -64,7 +64,7 @@ def harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor
     if coefficients.ndim != 3 or coefficients.shape[2] != 3 or coefficients.shape[1] < (degree + 1) ** 2:
         shape = f"(N, K, 3) with K >= {(degree + 1) ** 2}"
         raise UsageError(f"coefficients of shape {tuple(coefficients.shape)}", place="coefficients", expected=shape)
-    summed: Tensor = _Harmonics.apply(directions, coefficients, ids, degree)
+    summed: Tensor = _SphericalHarmonics.apply(directions, coefficients, ids, degree)
     return summed
 
 
@@ -73,29 +73,29 @@ def _unit(directions: Any, rows: Any, start: Any, end: Any) -> Any:
     """Eight directions of length 1, or 0, and one over their lengths, or 0."""
     for lane in range(8):
         rows[lane] = start + lane if start + lane < end else start
-    x, y, z = lanes.triples(directions, rows, 0)
+    x, y, z = lanes.load_triples(directions, rows, 0)
     squared = x * x + y * y + z * z
-    inverse = lanes.choose(squared > 0.0, 1.0 / lanes.root(squared), 0.0)
+    inverse = lanes.select(squared > 0.0, 1.0 / lanes.sqrt(squared), 0.0)
     return x * inverse, y * inverse, z * inverse, inverse
 
 
 @kernel(inline="always")
 def _basis(degree: Any, x: Any, y: Any, z: Any, basis: Any) -> None:
     """Write each harmonic of eight unit vectors."""
-    real, imaginary = lanes.spread(1.0), lanes.spread(0.0)
+    real, imaginary = lanes.broadcast(1.0), lanes.broadcast(0.0)
     for m in range(degree + 1):
         for l in range(m, degree + 1):  # noqa: E741
-            value = lanes.spread(_TABLE[l, m, l - m])
+            value = lanes.broadcast(_TABLE[l, m, l - m])
             for power in range(l - m - 1, -1, -1):
                 value = value * z + _TABLE[l, m, power]
-            lanes.put(basis, 8 * (l * l + l + m), value * real)
+            lanes.store(basis, 8 * (l * l + l + m), value * real)
             if m > 0:
-                lanes.put(basis, 8 * (l * l + l - m), value * imaginary)
+                lanes.store(basis, 8 * (l * l + l - m), value * imaginary)
         real, imaginary = x * real - y * imaginary, x * imaginary + y * real
 
 
 @kernel()
-def harmonics_part(
+def spherical_harmonics_part(
     degree: Any,
     directions: Any,
     coefficients: Any,
@@ -135,7 +135,7 @@ def harmonics_part(
 
 
 @kernel()
-def harmonics_part_backward(
+def spherical_harmonics_part_backward(
     degree: Any,
     directions: Any,
     coefficients: Any,
@@ -187,21 +187,21 @@ def harmonics_part_backward(
             for k in range(count, coefficients.shape[1]):
                 to_own[k, 0], to_own[k, 1], to_own[k, 2] = 0.0, 0.0, 0.0
 
-        to_x, to_y, to_z = lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0)
-        real, imaginary = lanes.spread(1.0), lanes.spread(0.0)
-        less_real, less_imaginary = lanes.spread(0.0), lanes.spread(0.0)
+        to_x, to_y, to_z = lanes.broadcast(0.0), lanes.broadcast(0.0), lanes.broadcast(0.0)
+        real, imaginary = lanes.broadcast(1.0), lanes.broadcast(0.0)
+        less_real, less_imaginary = lanes.broadcast(0.0), lanes.broadcast(0.0)
         for m in range(degree + 1):
-            to_real, to_imaginary = lanes.spread(0.0), lanes.spread(0.0)
+            to_real, to_imaginary = lanes.broadcast(0.0), lanes.broadcast(0.0)
             for l in range(m, degree + 1):  # noqa: E741
-                value, slope = lanes.spread(_TABLE[l, m, l - m]), lanes.spread(0.0)
+                value, slope = lanes.broadcast(_TABLE[l, m, l - m]), lanes.broadcast(0.0)
                 for power in range(l - m - 1, -1, -1):
                     slope = slope * z + value
                     value = value * z + _TABLE[l, m, power]
-                to_even = lanes.fetch(to_basis, 8 * (l * l + l + m))
+                to_even = lanes.load(to_basis, 8 * (l * l + l + m))
                 to_real = to_real + value * to_even
                 to_z = to_z + slope * to_even * real
                 if m > 0:
-                    to_odd = lanes.fetch(to_basis, 8 * (l * l + l - m))
+                    to_odd = lanes.load(to_basis, 8 * (l * l + l - m))
                     to_imaginary = to_imaginary + value * to_odd
                     to_z = to_z + slope * to_odd * imaginary
             # d (x + i y)^m = m (x + i y)^(m - 1) (dx + i dy)
@@ -211,7 +211,7 @@ def harmonics_part_backward(
             real, imaginary = x * real - y * imaginary, x * imaginary + y * real
         # a longer direction is the same direction
         outward = to_x * x + to_y * y + to_z * z
-        lanes.put_triples(
+        lanes.store_triples(
             to_directions,
             start,
             inverse * (to_x - outward * x),
@@ -220,17 +220,17 @@ def harmonics_part_backward(
         )
 
 
-class _Harmonics(torch.autograd.Function):
+class _SphericalHarmonics(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, directions: Tensor, coefficients: Tensor, ids: Tensor | None, degree: int) -> Tensor:
         dtype, number = coefficients.dtype, len(directions)
         taken = np.arange(number) if ids is None else ids.numpy()
         given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), taken
-        summed = room(number * 3, given[0].dtype).reshape(number, 3)
+        summed = empty_aligned(number * 3, given[0].dtype).reshape(number, 3)
 
         def one(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
-            harmonics_part(degree, *given, *span, np.empty(8, np.int64), np.empty(200, summed.dtype), summed)
+            spherical_harmonics_part(degree, *given, *span, np.empty(8, np.int64), np.empty(200, summed.dtype), summed)
 
         in_parallel(one, -(-number // PART))
         ctx.save_for_backward(directions, coefficients)
@@ -245,13 +245,15 @@ class _Harmonics(torch.autograd.Function):
         given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), ctx.taken
         to_summed = flat(gradients[0], dtype).reshape(-1, 3)
         kind = given[0].dtype
-        to_directions = room((number + 8) * 3, kind).reshape(-1, 3)
-        to_coefficients = room(coefficients.numel(), kind).reshape(given[1].shape)
+        to_directions = empty_aligned((number + 8) * 3, kind).reshape(-1, 3)
+        to_coefficients = empty_aligned(coefficients.numel(), kind).reshape(given[1].shape)
 
         def one(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
             own = np.empty(8, np.int64), np.empty(200, kind), np.empty(200, kind)
-            harmonics_part_backward(ctx.degree, *given, to_summed, *span, *own, to_directions, to_coefficients)
+            spherical_harmonics_part_backward(
+                ctx.degree, *given, to_summed, *span, *own, to_directions, to_coefficients
+            )
 
         in_parallel(one, -(-number // PART))
         to_coefficients[int(ctx.taken[-1]) + 1 if number else 0 :] = 0.0

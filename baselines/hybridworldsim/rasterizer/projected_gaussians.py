@@ -7,7 +7,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 
-class Projected(NamedTuple):
+class ProjectedGaussians(NamedTuple):
     """The M Gaussians that reach a picture, by ascending index.
 
     Float32 of the CPU backend but for `conics` and `factors`, float64 of the reference. `means2d`, `depths`, `conics`

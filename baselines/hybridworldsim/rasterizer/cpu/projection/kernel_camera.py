@@ -13,11 +13,11 @@ from mirror.arrays import Float64
 DEPTH_MIN = 1e-30
 """Nothing on or behind the camera plane is ever kept, metres."""
 
-_ANYWHERE = 1e300  # pixels; a lens may bend a ray into the picture from wherever it comes
+_UNBOUNDED = 1e300  # pixels; a lens may bend a ray into the picture from wherever it comes
 _SIGMAS = 3.33  # an opaque Gaussian is below ALPHA_MIN there
 
 
-class View(NamedTuple):
+class KernelCamera(NamedTuple):
     """One camera and the limits under which it sees a Gaussian; numbers that kernels take as they are.
 
     Attributes:
@@ -67,7 +67,7 @@ class View(NamedTuple):
     ratio_min: float
 
 
-def view_of(
+def to_kernel_camera(
     viewmat: Float64,
     K: Float64,
     width: int,
@@ -80,7 +80,7 @@ def view_of(
     preset: Preset,
     antialiased: bool,
     lens: Lens | None,
-) -> View:
+) -> KernelCamera:
     """Gather what kernels need of a camera.
 
     Args:
@@ -97,15 +97,15 @@ def view_of(
         lens: None for a pinhole.
     """
     fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
-    beside_x, beside_y = 0.15 * width / fx, 0.15 * height / fy
-    right, left = (width - cx) / fx + beside_x, -cx / fx - beside_x
-    bottom, top = (height - cy) / fy + beside_y, -cy / fy - beside_y
+    margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
+    right, left = (width - cx) / fx + margin_x, -cx / fx - margin_x
+    bottom, top = (height - cy) / fy + margin_y, -cy / fy - margin_y
     stretch = float(np.linalg.norm(viewmat[:3, :3], 2)) * (1.0 + 1e-9)
     reach_x = stretch * abs(fx) * float(np.hypot(1.0, max(abs(left), abs(right))))
     reach_y = stretch * abs(fy) * float(np.hypot(1.0, max(abs(top), abs(bottom))))
     square = preset.extent == "square"
     if lens is not None:
-        reaches = (0.0, 0.0, _ANYWHERE)
+        reaches = (0.0, 0.0, _UNBOUNDED)
     elif square:
         reach = SQUARE_SIGMAS * float(np.hypot(reach_x, reach_y))
         reaches = (reach, reach, SQUARE_SIGMAS * (2.0 * eps2d + SQUARE_DISCRIMINANT_MIN**0.5) ** 0.5 + 1.0)
@@ -118,4 +118,4 @@ def view_of(
         *(max(near_plane, DEPTH_MIN), far_plane, eps2d, radius_clip),
         *(*reaches, preset.compensation_min**2),
     ]
-    return View(antialiased, square, *map(float, numbers))
+    return KernelCamera(antialiased, square, *map(float, numbers))

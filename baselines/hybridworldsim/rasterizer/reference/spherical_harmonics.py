@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 
-def harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
+def spherical_harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
     """Sum spherical harmonics.
 
     Args:

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, Preset
-from hybridworldsim.rasterizer.projected import Projected
-from hybridworldsim.rasterizer.reference.tiles import alphas, one_thread, pairs
+from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
+from hybridworldsim.rasterizer.reference.tiles import compute_alphas, pair_tiles, single_thread
 
 ALPHA_TOLERANCE = 1e-4
 """Relative distance from `ALPHA_MIN` within which float32 may decide otherwise."""
@@ -18,7 +18,7 @@ STOP_TOLERANCE = 1e-3
 """Relative distance from `TRANSMITTANCE_STOP` within which float32 may decide otherwise."""
 
 
-class Marks(NamedTuple):
+class RoundingMarks(NamedTuple):
     """Where a float32 kernel may differ from the reference by more than rounding.
 
     Attributes:
@@ -33,8 +33,10 @@ class Marks(NamedTuple):
 
 
 @torch.no_grad()
-@one_thread()
-def mark(projected: Projected, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int) -> Marks:
+@single_thread()
+def find_rounding_marks(
+    projected: ProjectedGaussians, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int
+) -> RoundingMarks:
     """Follow the path of the light in float64 and find what lies near a threshold.
 
     A Gaussian whose alpha flips at the cut changes the picture by no more than its weight, and the light behind it by
@@ -49,37 +51,37 @@ def mark(projected: Projected, opacities: Tensor, width: int, height: int, *, pr
         preset: whose cap of alpha.
         tile_size: pixels.
     """
-    rows, tiles = pairs(projected, opacities, width, height, preset=preset, tile_size=tile_size)
+    rows, tiles = pair_tiles(projected, opacities, width, height, preset=preset, tile_size=tile_size)
     means, conics = projected.means2d.double() + projected.means2d_low, projected.conics.double()
     opacities = opacities.double()
     marked = torch.zeros(height * width, dtype=torch.bool)
     jump = torch.zeros(height * width, dtype=torch.float64)
     for tile in tiles:
-        light = torch.ones(len(tile.pixels), dtype=torch.float64)  # in front of the chunk
-        widened = torch.zeros_like(light)  # by how much flips so far may have changed it, relatively
-        going = torch.ones(len(tile.pixels), dtype=torch.bool)
+        transmittance = torch.ones(len(tile.pixels), dtype=torch.float64)  # in front of the chunk
+        widening = torch.zeros_like(transmittance)  # by how much flips so far may have changed it, relatively
+        active = torch.ones(len(tile.pixels), dtype=torch.bool)
         for chunk in tile.chunks():
-            if not going.any():
+            if not active.any():
                 break
             ids = rows[chunk]
             x, y = (means[ids, axis, None] - tile.centres[:, axis] for axis in range(2))
-            alpha = alphas(x, y, conics[ids], opacities[ids], preset.alpha_max)  # (L, P)
+            alpha = compute_alphas(x, y, conics[ids], opacities[ids], preset.alpha_max)  # (L, P)
             at_cut = (alpha / ALPHA_MIN - 1.0).abs() <= ALPHA_TOLERANCE
             alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
-            behind = light * (1.0 - alpha).cumprod(0)
-            before = torch.cat([light[None], behind[:-1]])
-            loose = widened + (at_cut * (ALPHA_MIN / (1.0 - 2.0 * ALPHA_MIN))).cumsum(0)
-            at_stop = (behind / TRANSMITTANCE_STOP - 1.0).abs() <= STOP_TOLERANCE + loose
+            after = transmittance * (1.0 - alpha).cumprod(0)
+            before = torch.cat([transmittance[None], after[:-1]])
+            tolerance = widening + (at_cut * (ALPHA_MIN / (1.0 - 2.0 * ALPHA_MIN))).cumsum(0)
+            at_stop = (after / TRANSMITTANCE_STOP - 1.0).abs() <= STOP_TOLERANCE + tolerance
             at_stop &= (alpha > 0.0) | at_cut
 
             # a path goes on until the first Gaussian that surely stops it or may stop it; in the second case the light
             # in front of that one bounds all that follows
-            goes_on = (behind > TRANSMITTANCE_STOP) & ~at_stop
-            goes_on = going & goes_on.cummin(0).values
-            ends = ~goes_on & torch.cat([going[None], goes_on[:-1]])
-            at_cut &= goes_on
+            continues = (after > TRANSMITTANCE_STOP) & ~at_stop
+            continues = active & continues.cummin(0).values
+            ends = ~continues & torch.cat([active[None], continues[:-1]])
+            at_cut &= continues
             at_stop &= ends
-            jump[tile.pixels] += (before * (at_stop + at_cut * (1.0 + loose) * ALPHA_MIN)).sum(0)
+            jump[tile.pixels] += (before * (at_stop + at_cut * (1.0 + tolerance) * ALPHA_MIN)).sum(0)
             marked[tile.pixels] |= (at_cut | at_stop).any(0)
-            light, widened, going = behind[-1], loose[-1], goes_on[-1]
-    return Marks(marked.view(height, width), jump.view(height, width))
+            transmittance, widening, active = after[-1], tolerance[-1], continues[-1]
+    return RoundingMarks(marked.view(height, width), jump.view(height, width))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import torch
 
-from hybridworldsim.rasterizer.reference import harmonics
+from hybridworldsim.rasterizer.reference import spherical_harmonics
 
 
 def _polynomials(x, y, z):
@@ -33,7 +33,7 @@ def test_harmonics_are_the_polynomials_of_gaussian_splatting():
     for degree in range(4):
         some = (degree + 1) ** 2
         expected = torch.einsum("mk,mkc->mc", basis[:, :some], coefficients[:, :some])
-        assert torch.allclose(harmonics(degree, directions, coefficients), expected, rtol=0, atol=1e-13)
+        assert torch.allclose(spherical_harmonics(degree, directions, coefficients), expected, rtol=0, atol=1e-13)
 
 
 def test_harmonics_are_orthonormal_to_degree_four():
@@ -44,7 +44,7 @@ def test_harmonics_are_orthonormal_to_degree_four():
     directions = torch.stack(
         [ring * angles.cos(), ring * angles.sin(), nodes[:, None].expand(-1, count)], dim=-1
     ).reshape(-1, 3)
-    basis = harmonics(4, directions, torch.eye(25, dtype=torch.float64).expand(len(directions), 25, 25))
+    basis = spherical_harmonics(4, directions, torch.eye(25, dtype=torch.float64).expand(len(directions), 25, 25))
     measure = (weights[:, None] * 2 * math.pi / count).expand(-1, count).reshape(-1, 1)
     assert torch.allclose(basis.T @ (measure * basis), torch.eye(25, dtype=torch.float64), atol=1e-12)
 
@@ -53,12 +53,12 @@ def test_harmonics_pass_gradcheck():
     random = torch.Generator().manual_seed(2)
     directions = torch.randn(3, 3, generator=random, dtype=torch.float64, requires_grad=True)
     coefficients = torch.randn(3, 16, 3, generator=random, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda d, c: harmonics(3, d, c), (directions, coefficients))
+    assert torch.autograd.gradcheck(lambda d, c: spherical_harmonics(3, d, c), (directions, coefficients))
 
 
 def test_a_direction_of_zero_gives_numbers_and_no_gradient():
     directions = torch.tensor([[0.0, 0.0, 0.0], [1e-30, 0.0, 0.0]], requires_grad=True)
-    colours = harmonics(3, directions, torch.ones(2, 16, 3))
+    colours = spherical_harmonics(3, directions, torch.ones(2, 16, 3))
     colours.sum().backward()
     assert colours.isfinite().all()
     assert directions.grad.isfinite().all()
@@ -66,4 +66,4 @@ def test_a_direction_of_zero_gives_numbers_and_no_gradient():
 
 
 def test_no_directions_give_no_colours():
-    assert harmonics(2, torch.zeros(0, 3), torch.zeros(0, 9, 3)).shape == (0, 3)
+    assert spherical_harmonics(2, torch.zeros(0, 3), torch.zeros(0, 9, 3)).shape == (0, 3)

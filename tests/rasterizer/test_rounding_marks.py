@@ -7,7 +7,7 @@ import torch
 
 from hybridworldsim.rasterizer.presets import ALPHA_MIN
 from hybridworldsim.rasterizer.reference import blend
-from hybridworldsim.rasterizer.reference.marks import mark
+from hybridworldsim.rasterizer.reference.rounding_marks import find_rounding_marks
 from tests.rasterizer._small import PRESET, gaussians, project_small
 
 WIDTH, HEIGHT = 160, 120
@@ -15,7 +15,7 @@ K = torch.tensor([[140.0, 0.0, 80.0], [0.0, 140.0, 60.0], [0.0, 0.0, 1.0]], dtyp
 
 
 def _marks(seen, opacities):
-    return mark(seen, opacities, WIDTH, HEIGHT, preset=PRESET, tile_size=16)
+    return find_rounding_marks(seen, opacities, WIDTH, HEIGHT, preset=PRESET, tile_size=16)
 
 
 def test_unmarked_pixels_stay_where_they_are_when_inputs_are_rounded():

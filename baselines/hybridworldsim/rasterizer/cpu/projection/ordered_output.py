@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybridworldsim.kernels.memory import room
+from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.rasterizer.cpu.projection.ellipses import RECORD
 from mirror.arrays import AnyArray, Int64
 
@@ -23,9 +23,10 @@ PART: Final = 16384
 _SPARE: Final = 8  # rows that a kernel may write beyond what it keeps
 
 
-def _empty(rows: int) -> tuple[AnyArray, ...]:
+def _empty_records(rows: int) -> tuple[AnyArray, ...]:
     return tuple(
-        room((rows + _SPARE) * math.prod(shape), dtype).reshape(rows + _SPARE, *shape) for dtype, shape in RECORD
+        empty_aligned((rows + _SPARE) * math.prod(shape), dtype).reshape(rows + _SPARE, *shape)
+        for dtype, shape in RECORD
     )
 
 
@@ -37,23 +38,23 @@ class _Workspace(NamedTuple):
 
 
 _LOCK: Final = Lock()
-_FREE: Final[list[_Workspace]] = []
+_UNUSED: Final[list[_Workspace]] = []
 
 
-def _taken() -> _Workspace:
+def _borrow_workspace() -> _Workspace:
     with _LOCK:
-        if _FREE:
-            return _FREE.pop()
-    return _Workspace(np.empty(PART + _SPARE, np.int64), _empty(PART))
+        if _UNUSED:
+            return _UNUSED.pop()
+    return _Workspace(np.empty(PART + _SPARE, np.int64), _empty_records(PART))
 
 
-def _given_back(workspace: _Workspace) -> None:
+def _return_workspace(workspace: _Workspace) -> None:
     with _LOCK:
-        _FREE.append(workspace)
+        _UNUSED.append(workspace)
 
 
 @dataclass
-class Place:
+class PartOutput:
     """Where a part writes.
 
     Attributes:
@@ -67,7 +68,7 @@ class Place:
     count: int = 0
 
 
-class InOrder:
+class OrderedOutput:
     """Arrays that parts of unknown length fill in order.
 
     The part whose turn it is writes where it belongs; others write elsewhere and are moved.
@@ -77,44 +78,44 @@ class InOrder:
     """
 
     def __init__(self, capacity: int) -> None:
-        self._arrays = _empty(capacity)
-        self._turn = 0
-        self._filled = 0
-        self._waiting: dict[int, tuple[int, _Workspace | None]] = {}
+        self._arrays = _empty_records(capacity)
+        self._next_part = 0
+        self._row_count = 0
+        self._finished: dict[int, tuple[int, _Workspace | None]] = {}
         self._lock = Lock()
 
     @contextmanager
-    def part(self, number: int) -> Iterator[Place]:
+    def open_part(self, number: int) -> Iterator[PartOutput]:
         """A place for a part, whose first ``count`` rows are taken in the end.
 
         Args:
             number: of the part; they count from 0, and none is left out.
         """
-        workspace = _taken()
+        workspace = _borrow_workspace()
         with self._lock:
-            settled = number == self._turn
-            arrays = tuple(array[self._filled :] for array in self._arrays) if settled else workspace.arrays
-        place = Place(workspace.rows, arrays)
+            in_place = number == self._next_part
+            arrays = tuple(array[self._row_count :] for array in self._arrays) if in_place else workspace.arrays
+        place = PartOutput(workspace.rows, arrays)
         yield place
-        if settled:
-            _given_back(workspace)
-        self._hand_in(number, place.count, None if settled else workspace)
+        if in_place:
+            _return_workspace(workspace)
+        self._finish_part(number, place.count, None if in_place else workspace)
 
-    def _hand_in(self, number: int, count: int, elsewhere: _Workspace | None) -> None:
-        due = []
+    def _finish_part(self, number: int, count: int, workspace: _Workspace | None) -> None:
+        to_move = []
         with self._lock:
-            self._waiting[number] = count, elsewhere
-            while self._turn in self._waiting:
-                ready, source = self._waiting.pop(self._turn)
+            self._finished[number] = count, workspace
+            while self._next_part in self._finished:
+                count, source = self._finished.pop(self._next_part)
                 if source is not None:
-                    due.append((self._filled, ready, source))
-                self._filled += ready
-                self._turn += 1
-        for begin, ready, source in due:
+                    to_move.append((self._row_count, count, source))
+                self._row_count += count
+                self._next_part += 1
+        for begin, count, source in to_move:
             for array, rows in zip(self._arrays, source.arrays):
-                array[begin : begin + ready] = rows[:ready]
-            _given_back(source)
+                array[begin : begin + count] = rows[:count]
+            _return_workspace(source)
 
-    def filled(self) -> tuple[Tensor, ...]:
+    def tensors(self) -> tuple[Tensor, ...]:
         """All parts' rows, once each part is done."""
-        return tuple(torch.from_numpy(array[: self._filled]) for array in self._arrays)
+        return tuple(torch.from_numpy(array[: self._row_count]) for array in self._arrays)

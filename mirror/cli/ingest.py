@@ -67,7 +67,7 @@ class Arguments:
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """One path a drive: a folder or file that a reader recognises."""
+    """One path a drive: a folder or file that a reader recognises; or a folder of them."""
     out: Path | None = None
     """The dataset's folder. Needed but for --dry-run."""
     rois: Path | None = None
@@ -123,7 +123,9 @@ def main(argv: Sequence[str]) -> int:
     from mirror.ingest.run import ingest
     from mirror.ingest.traversal import WriteOptions
     from mirror.progress import progress_bar
+    from mirror.recordings.found import find_recordings
 
+    found = find_recordings(arguments.recordings, arguments.reader)
     rois = read_rois(arguments.rois) if arguments.rois else []
     rois += [parse_roi(text) for text in arguments.roi]
     options = IngestOptions(
@@ -145,11 +147,13 @@ def main(argv: Sequence[str]) -> int:
     )
     out = arguments.out or Path("dry-run")
     with progress_bar(quiet=arguments.json) as bar:
-        report = ingest(arguments.recordings, rois, out, options, bar)
+        report = ingest(found.recordings, rois, out, options, bar)
     if arguments.json:
-        print(json.dumps(_plain(report, out)))
+        passed_over = [str(path) for path in found.passed_over]
+        print(json.dumps({**_plain(report, out), "passed_over": passed_over}))
     else:
         _print(report, out, dry_run=arguments.dry_run)
+        print_failures(report.failures, found.passed_over)
     if not report.failures:
         return ExitCode.DONE
     return ExitCode.PARTLY_DONE if report.drives or report.unchanged else ExitCode.COULD_NOT_RUN
@@ -200,14 +204,18 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
     }
 
 
-def _told(path: Path, error: MirrorError) -> str:
-    """The error with its recording, if it does not name it already."""
-    return str(error) if error.file is not None and error.file.startswith(str(path)) else f"{path}: {error}"
+def print_failures(failures: Sequence[tuple[Path, MirrorError]], passed_over: Sequence[Path]) -> None:
+    """Print what was not read, and why, on standard error: a line each."""
+    for path in passed_over:
+        print(f"passed over {path}: no reader recognises it", file=sys.stderr)
+    for path, error in failures:
+        # The recording is named once.
+        named = error.file is not None and error.file.startswith(str(path))
+        print(f"failed {error}" if named else f"failed {path}: {error}", file=sys.stderr)
 
 
 def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
     from rich.table import Table
-    from rich.text import Text
 
     from mirror.cli.output import plain_console
 
@@ -234,8 +242,6 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
             console.print(f"{drive_id}: rows that make no pose were dropped: {counts}", highlight=False, markup=False)
     if report.unchanged:
         console.print(f"{len(report.unchanged)} drives unchanged, nothing to do for them")
-    for path, error in report.failures:
-        console.print(Text("failed", style="red"), _told(path, error))
     if dry_run:
         console.print("dry run: nothing was written")
         return

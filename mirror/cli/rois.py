@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,20 +11,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.cli.ingest import Cleaning, Trigger, given, reader_options
+from mirror.cli.ingest import Cleaning, Trigger, given, print_failures, reader_options
 from mirror.command_line import parsed
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from mirror.ingest.propose import Proposal
+    from mirror.ingest.propose import Proposal, Sparse
 
 
 @dataclass(frozen=True)
 class Propose:
-    """Rank centres of regions of interest by how many separate traversals pass the trigger there, without overlap."""
+    """Rank centres of regions of interest by how many drives have a traversal there, then by traversals, no overlap."""
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """One path a drive."""
+    """One path a drive, or a folder of recordings."""
     out: Path | None = None
     """Write the proposals here, as the GeoJSON that `mirror ingest --rois` takes."""
     count: int = 10
@@ -69,7 +68,12 @@ def main(argv: Sequence[str]) -> int:
     from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import write_rois
     from mirror.progress import progress_bar
+    from mirror.recordings.found import find_recordings
+    from mirror.schema.folders import require_own_file
 
+    if arguments.out is not None:
+        require_own_file(arguments.out)
+    recordings = find_recordings(arguments.recordings, arguments.reader)
     options = IngestOptions(
         reader=arguments.reader,
         reader_options=reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns),
@@ -79,7 +83,7 @@ def main(argv: Sequence[str]) -> int:
     )
     with progress_bar(quiet=arguments.json) as bar:
         proposals = propose_rois(
-            arguments.recordings,
+            recordings.recordings,
             count=arguments.count,
             radius_m=arguments.radius_m,
             prefix=arguments.prefix,
@@ -92,18 +96,19 @@ def main(argv: Sequence[str]) -> int:
     if arguments.json:
         plain = [{**vars(one), "roi": one.roi.model_dump(exclude_none=True)} for one in found]
         failures = [{"recording": str(path), **error.to_dict()} for path, error in proposals.failures]
-        print(json.dumps({"proposals": plain, "failures": failures}))
+        sparse = None if proposals.sparse is None else vars(proposals.sparse)
+        passed_over = [str(path) for path in recordings.passed_over]
+        print(json.dumps({"proposals": plain, "sparse": sparse, "failures": failures, "passed_over": passed_over}))
     else:
-        if found or len(proposals.failures) < len(arguments.recordings):
-            _print(found, arguments)
-        for path, error in proposals.failures:
-            print(f"failed {path}: {error}", file=sys.stderr)
+        if found or len(proposals.failures) < len(recordings.recordings):
+            _print(found, proposals.sparse, arguments)
+        print_failures(proposals.failures, recordings.passed_over)
     if not proposals.failures:
         return ExitCode.DONE
-    return ExitCode.PARTLY_DONE if len(proposals.failures) < len(arguments.recordings) else ExitCode.COULD_NOT_RUN
+    return ExitCode.PARTLY_DONE if len(proposals.failures) < len(recordings.recordings) else ExitCode.COULD_NOT_RUN
 
 
-def _print(found: Sequence[Proposal], arguments: Propose) -> None:
+def _print(found: Sequence[Proposal], sparse: Sparse | None, arguments: Propose) -> None:
     from rich.table import Table
 
     from mirror.cli.output import plain_console
@@ -111,14 +116,20 @@ def _print(found: Sequence[Proposal], arguments: Propose) -> None:
     console = plain_console()
     if not found:
         console.print(f"no place has {arguments.min_traversals} traversals: lower --min-traversals or the thresholds")
+        if sparse is not None:
+            console.print(
+                f"the fixes of {sparse.drives} of {sparse.of} drives lie farther apart than --max-gap"
+                f" {sparse.max_gap_s:g}, at which a visit ends: try --max-gap {sparse.spacing_s:g}",
+                soft_wrap=True,
+            )
         return
     table = Table(box=None, pad_edge=False)
-    for name in ("roi", "centre", "traversals", "drives", "refused", "minutes", "km"):
+    for name in ("roi", "centre", "drives", "traversals", "refused", "minutes", "km"):
         table.add_column(name, justify="left" if name in ("roi", "centre") else "right")
     for one in found:
         roi = one.roi
         centre = f"{roi.longitude_deg:.6f}, {roi.latitude_deg:.6f}" if roi.frame is None else f"{roi.x_m}, {roi.y_m}"
-        figures = (one.traversals, one.drives, one.refused, f"{one.duration_s / 60:.1f}", f"{one.path_m / 1000:.2f}")
+        figures = (one.drives, one.traversals, one.refused, f"{one.duration_s / 60:.1f}", f"{one.path_m / 1000:.2f}")
         table.add_row(roi.scene_id, centre, *map(str, figures))
     console.print(table)
     if arguments.out is not None:

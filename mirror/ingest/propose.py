@@ -63,11 +63,35 @@ class _Driven:
 
 
 @dataclass(frozen=True)
+class Sparse:
+    """Drives whose fixes are so far apart that gaps cut them to pieces.
+
+    Attributes:
+        drives: how many; over half of the time of each lies in gaps over ``max_gap_s``.
+        of: how many drives there are.
+        max_gap_s: the threshold.
+        spacing_s: a threshold that all but a twentieth of their gaps keep.
+    """
+
+    drives: int
+    of: int
+    max_gap_s: float
+    spacing_s: float
+
+
+@dataclass(frozen=True)
 class Proposals:
-    """What `propose_rois` found: the proposals, best first, and the recordings that could not be read."""
+    """What `propose_rois` found.
+
+    Attributes:
+        ranked: the proposals, best first.
+        failures: recordings that could not be read.
+        sparse: drives whose fixes are too far apart for the trigger; None: there are none.
+    """
 
     ranked: tuple[Proposal, ...]
     failures: tuple[tuple[Path, MirrorError], ...]
+    sparse: Sparse | None = None
 
 
 def propose_rois(
@@ -79,7 +103,10 @@ def propose_rois(
     options: IngestOptions | None = None,
     progress: ProgressReporter | None = None,
 ) -> Proposals:
-    """Rank ROI centres by how many separate traversals pass the trigger there.
+    """Rank ROI centres by how many drives have a traversal there.
+
+    One drive may pass a place several times, and a stop on the way makes two traversals of one pass: so drives count
+    before traversals.
 
     Args:
         recordings: one path a drive; poses are read, pictures are not.
@@ -90,7 +117,7 @@ def propose_rois(
         progress: told of every recording.
 
     Returns:
-        ROIs whose circles do not overlap, by accepted passes, then drives, then driven length.
+        ROIs whose circles do not overlap, by drives, then accepted passes, then driven length.
     """
     options, progress = options or IngestOptions(), progress or NullProgress()
     trigger_options = thresholds(TriggerOptions, options.trigger)
@@ -129,7 +156,7 @@ def propose_rois(
         centres = _candidates(tracks, radius_m)
         rois = [_roi(frame, place, radius_m, f"candidate_{number}") for number, place in enumerate(centres)]
         ranked += _judge(tracks, rois, Trigger(rois, trigger_options, cleaning))
-    ranked.sort(key=lambda one: (-one.traversals, -one.drives, -one.path_m, one.roi.scene_id))
+    ranked.sort(key=lambda one: (-one.drives, -one.traversals, -one.path_m, one.roi.scene_id))
     chosen: list[Proposal] = []
     for one in ranked:
         if len(chosen) == count:
@@ -137,11 +164,24 @@ def propose_rois(
         if one.traversals and all(_apart(one.roi, other.roi) for other in chosen):
             named = one.roi.model_copy(update={"scene_id": f"{prefix}_{len(chosen) + 1}"})
             chosen.append(Proposal(named, one.traversals, one.drives, one.refused, one.duration_s, one.path_m))
-    return Proposals(tuple(chosen), tuple(failures))
+    return Proposals(tuple(chosen), tuple(failures), _sparse(driven, trigger_options.max_gap_s))
+
+
+def _sparse(driven: Sequence[_Driven], max_gap_s: float) -> Sparse | None:
+    gaps: list[Float64] = []
+    for one in driven:
+        steps_s = np.diff(one.track.timestamp_ns[one.track.kept()]) * 1e-9
+        # A clip is judged whole, whatever its gaps.
+        if not one.is_clip and steps_s[steps_s > max_gap_s].sum() > 0.5 * steps_s.sum():
+            gaps.append(steps_s)
+    if not gaps:
+        return None
+    spacing_s = math.ceil(float(np.quantile(np.concatenate(gaps), 0.95)))
+    return Sparse(len(gaps), len(driven), max_gap_s, max(float(spacing_s), math.floor(max_gap_s) + 1.0))
 
 
 def _candidates(tracks: Sequence[_Driven], radius_m: float) -> Float64:
-    """Centres worth judging, (N, 2): mean driven places of grid cells, those near most visits first.
+    """Centres worth judging, (N, 2): mean driven places of grid cells, those near most drives, then visits, first.
 
     A cell is a fraction of the radius wide; a visit is counted to every cell within the radius.
     """
@@ -159,6 +199,7 @@ def _candidates(tracks: Sequence[_Driven], radius_m: float) -> Float64:
     ]
     sums: dict[tuple[int, int], Float64] = defaultdict(lambda: np.zeros(3))
     near: Counter[tuple[int, int]] = Counter()
+    drives: Counter[tuple[int, int]] = Counter()
     for place, one, rows in zip(places, tracks, kept):
         cells, entered_ns = _cells_in_order(place, middle, scale, size, one.track.timestamp_ns[rows])
         seen_ns: dict[tuple[int, int], int] = {}
@@ -172,7 +213,8 @@ def _candidates(tracks: Sequence[_Driven], radius_m: float) -> Float64:
                 if around not in seen_ns or stamp - seen_ns[around] > 60_000_000_000:
                     near[around] += 1
                 seen_ns[around] = stamp
-    best = sorted(sums, key=lambda cell: (-near[cell], cell))[:_FINALISTS]
+        drives.update(seen_ns)
+    best = sorted(sums, key=lambda cell: (-drives[cell], -near[cell], cell))[:_FINALISTS]
     return np.array([sums[cell][:2] / sums[cell][2] / scale + middle for cell in best]).reshape(-1, 2)
 
 

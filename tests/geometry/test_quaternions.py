@@ -100,6 +100,15 @@ def test_slerp_is_uniform_and_takes_the_shorter_way(seed: int, share: float, tin
     assert abs(angle_between_deg(a, slerp(a, close, share)) - np.degrees(share * tiny)) < 1e-13
 
 
+def test_equal_and_different_ends_may_stand_side_by_side() -> None:
+    a, b = random_rotations(4, 5), random_rotations(4, 6)
+    b[1], b[3] = a[1], -a[3]
+    found = slerp(a, b, 0.3)
+    assert np.isfinite(found).all()
+    for index in range(4):
+        assert np.abs(found[index] - slerp(a[index], b[index], 0.3)).max() <= EPS
+
+
 def test_slerp_meets_its_ends_bit_for_bit() -> None:
     a, b = random_rotations(300), random_rotations(300, 1)
     assert (slerp(a, b, 0.0) == a).all()

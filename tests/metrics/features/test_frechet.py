@@ -148,6 +148,30 @@ def test_a_shift_at_an_offset(offset):
     assert abs(got.value - 50 * 0.0625) <= got.error <= 1e-5
 
 
+def test_the_bound_holds_what_rounding_did_to_the_means():
+    """Two means far out and close together: a rounding of one of their entries moves the distance within the bound."""
+    covariance = np.eye(2)
+    first, second = np.full(2, 1e8), np.full(2, 1e8 + 1)
+    rounded = np.nextafter(second, np.inf)
+    found, moved = (
+        frechet_distance(
+            FeatureStatistics.from_moments(first, covariance, 9), FeatureStatistics.from_moments(mean, covariance, 9)
+        )
+        for mean in (second, rounded)
+    )
+    assert found.value == pytest.approx(2.0, abs=1e-6)
+    assert 1e-8 < abs(moved.value - found.value) < found.error < 1e-6
+
+
+def test_the_bound_is_as_large_from_either_side():
+    rng = np.random.default_rng(0)
+    first = rng.normal(size=(400, 12)) * np.geomspace(1, 1e-5, 12)
+    second = rng.normal(size=(90, 12)) + 0.1
+    one, other = frechet_distance(first, second), frechet_distance(second, first)
+    assert one.value == pytest.approx(other.value, abs=one.error)
+    assert one.error == pytest.approx(other.error, rel=1e-6)
+
+
 def test_flat_features():
     got = frechet_distance(np.full((9, 5), 0.1), np.full((7, 5), 0.4))
     assert got.value == pytest.approx(5 * 0.09, rel=1e-13)

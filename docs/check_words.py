@@ -1,0 +1,47 @@
+"""Refuses retired words: ``python docs/check_words.py``; the glossary's table lists them (docs/glossary.md)."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PLACES = (
+    "README.md",
+    "CONTRIBUTING.md",
+    "docs/glossary.md",
+    "docs/architecture.md",
+    "docs/performance.md",
+    "docs/loading.md",
+)
+"""Where no retired word stands any more. A folder is added here when its words are swept."""
+
+
+def retired() -> list[str]:
+    """The words of the glossary's table."""
+    table = (ROOT / "docs" / "glossary.md").read_text().partition("## Retired words")[2]
+    cells = re.findall(r"^\| ([^|]+) \|", table, re.M)[1:]
+    return [word for cell in cells if not cell.startswith("---") for word in cell.split(", ")]
+
+
+def main() -> int:
+    """Print each place with a retired word; 1 if there is one."""
+    words = re.compile(rf"\b({'|'.join(map(re.escape, retired()))})\b")
+    hits = 0
+    for place in PLACES:
+        path = ROOT / place
+        files = [path] if path.is_file() else sorted([*path.rglob("*.py"), *path.rglob("*.md")])
+        for file in files:
+            text = file.read_text()
+            if file.name == "glossary.md":
+                text = text.partition("## Retired words")[0]
+            for number, line in enumerate(text.splitlines(), start=1):
+                for word in words.findall(line):
+                    hits += 1
+                    print(f"{file.relative_to(ROOT)}:{number}: {word!r} is retired: see docs/glossary.md")
+    return int(hits > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from mirror.dataset.layout import Layout
 from mirror.errors import RecordingError
 from mirror.ingest.judge import fingerprint, judge_drive
+from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteOptions, write_traversal
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.calibration import Calibration, calibration_table, require_covariance
@@ -124,8 +125,8 @@ def test_ingest_refuses_those_of_any_reader(tmp_path: Path) -> None:
     source = fingerprint(recording, "third", "drive")
     drive = judge_drive(path, recording, source, trigger, [SCENE], CleaningOptions())
     (number,) = drive.slices
-    layout = Layout(tmp_path / "d")
+    staging = Staging(Layout(tmp_path / "d"))
     with pytest.raises(RecordingError, match="not symmetric") as caught:
-        write_traversal(layout, drive, number, SCENE, "", WriteOptions(), 1, lambda _: None)
+        write_traversal(staging, drive, number, SCENE, "", WriteOptions(), 1, lambda _: None)
     assert caught.value.place == "calibration 0, camera front_wide"
     assert not any((tmp_path / "d").rglob("manifest.json"))

@@ -17,7 +17,8 @@ from mirror.geometry.poses import Poses
 from mirror.ingest.propose import propose_rois
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest
-from mirror.schema.documents import Roi
+from mirror.schema.documents import DriveDocument, Roi
+from mirror.schema.files import read_json
 from tests.ingest.recordings import tree
 
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -191,7 +192,8 @@ def test_comma2k19_segment_from_ecef(real_data: Path, tmp_path: Path) -> None:
     assert one.accepted == (one.duration_s >= 10.0)
     speed = np.linalg.norm(np.load(route / "40" / "global_pose" / "frame_velocities")[inside], axis=1).mean()
     assert one.mean_speed_mps == pytest.approx(speed, rel=0.01)
-    assert drive.start_ns // 10**9 == 1_533_226_488
+    document = read_json(tmp_path / "d" / "drives" / drive.info.drive_id / "drive.json", DriveDocument)
+    assert document.start_ns // 10**9 == 1_533_226_488
 
 
 def test_a_copy_of_real_recordings_ends_with_the_same_bytes(real_data: Path, tmp_path: Path) -> None:

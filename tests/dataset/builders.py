@@ -9,6 +9,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -259,7 +260,7 @@ class Builder:
         lens = self.lenses.get(camera)
         return self.size if lens is None else (lens.width_px, lens.height_px)
 
-    def _lens(self, camera: str) -> dict[str, object]:
+    def _lens(self, camera: str) -> dict[str, Any]:
         return asdict(self.lenses[camera]) if camera in self.lenses else {}
 
     def _ledger(self, drive_id: str, traversal_id: str | None, item: Pass) -> dict[str, object]:

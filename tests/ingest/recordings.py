@@ -53,7 +53,7 @@ def write_recording(
         for number, part in enumerate(np.array_split(np.arange(len(rows)), parts)):
             text = header + "\n".join(rows[index] for index in part) + "\n"
             (folder / "poses" / f"part_{number + 1}.csv").write_text(text)
-    document = {
+    document: dict[str, object] = {
         "format": "mirror-folder",
         "version": "1.0",
         "drive_id": drive_id,

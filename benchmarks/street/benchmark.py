@@ -18,7 +18,7 @@ from benchmarks.report import Peer, Row, report
 from benchmarks.street.learning import learning_rows
 from benchmarks.street.reference_model import exact, plain_picture
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.seeding import Initial, street_of
+from hybridworldsim.model.initialization import Initial, street_of
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import RenderOutput, Street

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from hybridworldsim.model.seeding import Initial
+from hybridworldsim.model.initialization import Initial
 from hybridworldsim.model.settings import Rate
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import Source, Viewpoint
 from mirror_baselines.splatting.settings import Densification, Splatting
 

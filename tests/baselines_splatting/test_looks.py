@@ -11,8 +11,8 @@ from hybridworldsim.model.settings import Rate
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror_baselines import mtgs_style, omnire_style
-from mirror_baselines.omnire_style.cube import Cube
-from mirror_baselines.splatting.seeding import seeded
+from mirror_baselines.omnire_style.sky_cube import Cube
+from mirror_baselines.splatting.gaussian_init import seeded
 from mirror_baselines.splatting.settings import LearningRates
 from tests.baselines_splatting.scenes import GROWING, SOURCES, initial, picture, small, stripes, viewpoint
 

@@ -21,7 +21,7 @@ from hybridworldsim.methods.layers import Layers, layers_for, method_of
 from hybridworldsim.methods.street import OpenStreet
 from hybridworldsim.model.blocks import Block, divide, views_of
 from hybridworldsim.training.data_loader import Pictures
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main

@@ -78,7 +78,7 @@ def test_no_other_reader_of_json_documents_comes_in() -> None:
         # What pip wrote of this installation.
         "mirror/installation.py",
         # Words of a command line, and texts inside of safetensors that were written by the same module.
-        "baselines/hybridworldsim/methods/changed.py",
+        "baselines/hybridworldsim/methods/overrides.py",
         "baselines/hybridworldsim/methods/static.py",
         "baselines/hybridworldsim/model/storage.py",
         "baselines/hybridworldsim/training/run/checkpoint.py",

@@ -13,6 +13,10 @@ from benchmarks.studies.static_reconstruction.choices import baseline_name
 from benchmarks.studies.static_reconstruction.equal_bytes import count_parameters, with_equal_bytes
 from benchmarks.studies.static_reconstruction.methods import BASELINES
 from hybridworldsim.model.seeding import Initial, street_of
+from benchmarks.studies.static_reconstruction.choices import name_of
+from benchmarks.studies.static_reconstruction.methods import RIVALS
+from benchmarks.studies.static_reconstruction.small import as_small, numbers_of
+from hybridworldsim.model.initialization import Initial, street_of
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64

@@ -23,7 +23,7 @@ from benchmarks.studies.static_reconstruction.tables import JobResult
 from benchmarks.studies.static_reconstruction.tuning_tables import choices_table, grid_table
 from hybridworldsim.model.settings import Rate, Settings
 from mirror_baselines import mtgs_style, omnire_style
-from mirror_baselines.splatting.scaled import scaled
+from mirror_baselines.splatting.scaling import scaled
 
 GRID = load_declaration().tuning
 METHODS = ("ours", *(baseline_name(package) for package in BASELINES))

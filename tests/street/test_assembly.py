@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from hybridworldsim.model.nodes.assembly import assembled
+from hybridworldsim.model.nodes.gaussian_assembly import assembled
 
 
 def plain(geometry, colours, means, offsets, log_scales):

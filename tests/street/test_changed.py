@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hybridworldsim.methods.changed import changed
+from hybridworldsim.methods.overrides import changed
 from hybridworldsim.model.settings import Settings
 from mirror.errors import UsageError
 from mirror_baselines.splatting.settings import Splatting

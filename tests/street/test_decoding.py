@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks.street.reference_model import plain_anchors, plain_gaussians
-from hybridworldsim.model.nodes.gathering import told
+from hybridworldsim.model.nodes.network_inputs import told
 from hybridworldsim.model.visible import visible
 from hybridworldsim.training.viewpoint import viewpoint_of
 from tests.street.streets import SOURCES, street, view

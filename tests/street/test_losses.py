@@ -7,8 +7,8 @@ from torch.nn import functional
 
 from benchmarks.street.reference_losses import curvature, normals_of
 from benchmarks.street.reference_losses import normal_loss as plain_normal_loss
-from hybridworldsim.model.curvature import normal_loss
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
+from hybridworldsim.model.normal_loss import normal_loss
 
 K = torch.tensor([[60.0, 0.0, 32.0], [0.0, 55.0, 24.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybridworldsim.model.seeding import Initial, ground_seeds, sky_seeds
+from hybridworldsim.model.initialization import Initial, ground_seeds, sky_seeds
 from mirror.arrays import Float64
 from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_normalise
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from hybridworldsim.model.learning import StreetTrainer
-from hybridworldsim.model.seeding import Initial, street_of
+from hybridworldsim.model.initialization import Initial, street_of
 from hybridworldsim.model.settings import Refinement, Settings
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.model.trainer import StreetTrainer
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import Source, Viewpoint, viewpoint_of
 from mirror.protocols.views.view import View
 

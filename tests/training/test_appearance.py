@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hybridworldsim.training.appearance import AppearanceSelector, seen_of
-from hybridworldsim.training.lines import Lines, chamfer_m, filled
+from hybridworldsim.training.driven_lines import Lines, chamfer_m, filled
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror.protocols.views.view import View

@@ -19,17 +19,17 @@ from safetensors.torch import load_file
 from torch import nn
 
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.learning import StreetTrainer
-from hybridworldsim.model.seeding import street_of
+from hybridworldsim.model.initialization import street_of
 from hybridworldsim.model.storage import save_block
+from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.training.budget import Budget, Clock
-from hybridworldsim.training.learner import StepReport
 from hybridworldsim.training.loop import REPORTS, Options, train
-from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.run.curves import read_curves
 from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters, write_parameters
-from hybridworldsim.training.run.specimens import Preview
+from hybridworldsim.training.run.previews import Preview
+from hybridworldsim.training.trainable_method import StepReport
+from hybridworldsim.training.training_image import TrainingPicture
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.files import TEMPORARY
 from tests.conftest import ROOT

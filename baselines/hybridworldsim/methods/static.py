@@ -14,20 +14,20 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from hybridworldsim.methods.changed import changed
 from hybridworldsim.methods.layers import KINDS, Layers, layers_for
-from hybridworldsim.methods.opened import Opened, Renderer, open_block
+from hybridworldsim.methods.overrides import changed
+from hybridworldsim.methods.renderers import Opened, Renderer, open_block
 from hybridworldsim.model.blocks import SIZE_M, Block, divide, views_of
-from hybridworldsim.model.initial import driven_m, initial_of, surroundings_of
-from hybridworldsim.model.seeding import Initial
+from hybridworldsim.model.initialization import Initial
+from hybridworldsim.model.scene_geometry import driven_m, initial_of, surroundings_of
 from hybridworldsim.training.appearance import AppearanceSelector, seen_of
 from hybridworldsim.training.budget import Budget
 from hybridworldsim.training.data_loader import NoSupervisionError, Pictures
-from hybridworldsim.training.learner import TrainableMethod
 from hybridworldsim.training.loop import Options, train
 from hybridworldsim.training.run.folder import Outcome, Run, RunFolder
 from hybridworldsim.training.run.parameters import write_parameters
-from hybridworldsim.training.run.specimens import Preview
+from hybridworldsim.training.run.previews import Preview
+from hybridworldsim.training.trainable_method import TrainableMethod
 from hybridworldsim.training.viewpoint import Source
 from hybridworldsim.training.views import TrainingViews, training_views
 from mirror.arrays import Float64

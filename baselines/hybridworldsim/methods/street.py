@@ -10,22 +10,22 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-from hybridworldsim.methods.fitting import fit_looks
+from hybridworldsim.methods.appearance_fitting import fit_looks
 from hybridworldsim.methods.static import StaticMethod, block_folders
 from hybridworldsim.model.appearance import Appearance
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
-from hybridworldsim.model.learning import StreetTrainer
+from hybridworldsim.model.initialization import Initial, street_of
 from hybridworldsim.model.ply_export import bake, shortfall_db, write_ply
-from hybridworldsim.model.seeding import Initial, street_of
 from hybridworldsim.model.settings import Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import Street
+from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.training.appearance import FITTED, AppearanceSelector, Blend
-from hybridworldsim.training.learner import Rendering, TrainableMethod
-from hybridworldsim.training.lines import Lines
+from hybridworldsim.training.driven_lines import Lines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
-from hybridworldsim.training.run.specimens import pixels
+from hybridworldsim.training.run.previews import pixels
+from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy

@@ -15,8 +15,8 @@ from torch.nn import functional
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.nodes.anchors import Anchors
-from hybridworldsim.model.nodes.assembly import GEOMETRY
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
+from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY
 from hybridworldsim.model.parts import LEAST, AppearanceSelector, parts_of
 from hybridworldsim.model.street import Street
 from hybridworldsim.model.visible import visible

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import torch
 
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import viewpoint_of
 from mirror.arrays import Float32, Float64
 from mirror.dataset.dataset import Dataset

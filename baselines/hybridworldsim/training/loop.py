@@ -17,11 +17,11 @@ from torch import Tensor
 
 from hybridworldsim.training.budget import Budget, Clock
 from hybridworldsim.training.data_loader import Pictures, stream
-from hybridworldsim.training.learner import StepReport, TrainableMethod
-from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.run.checkpoint import Position, Sums
 from hybridworldsim.training.run.folder import Outcome, RunFolder
-from hybridworldsim.training.run.specimens import Preview, write_specimens
+from hybridworldsim.training.run.previews import Preview, write_specimens
+from hybridworldsim.training.trainable_method import StepReport, TrainableMethod
+from hybridworldsim.training.training_image import TrainingPicture
 from mirror.errors import DatasetError
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.views.view import View

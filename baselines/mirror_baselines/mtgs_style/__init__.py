@@ -5,7 +5,7 @@ A traversal that was not trained on is shown as the source that its viewpoint na
 
 from __future__ import annotations
 
-from mirror_baselines.mtgs_style.learner import make
 from mirror_baselines.mtgs_style.settings import BY_HAND, RELEASED, TUNED, MtgsStyle
+from mirror_baselines.mtgs_style.trainer import make
 
 __all__ = ["BY_HAND", "RELEASED", "TUNED", "MtgsStyle", "make"]

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from hybridworldsim.methods.static import StaticMethod
-from mirror_baselines.mtgs_style.learner import make
 from mirror_baselines.mtgs_style.settings import TUNED
+from mirror_baselines.mtgs_style.trainer import make
 
 METHOD: Final = StaticMethod("mtgs_style", make, lambda seed: replace(TUNED, seed=seed))

@@ -6,7 +6,7 @@ one traversal, the nearest to the one that is to be rendered; who trains it choo
 
 from __future__ import annotations
 
-from mirror_baselines.omnire_style.learner import make
 from mirror_baselines.omnire_style.settings import BY_HAND, RELEASED, TUNED, OmnireStyle
+from mirror_baselines.omnire_style.trainer import make
 
 __all__ = ["BY_HAND", "RELEASED", "TUNED", "OmnireStyle", "make"]

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from hybridworldsim.methods.static import StaticMethod
-from mirror_baselines.omnire_style.learner import make
 from mirror_baselines.omnire_style.settings import TUNED
+from mirror_baselines.omnire_style.trainer import make
 
 METHOD: Final = StaticMethod("omnire_style", make, lambda seed: replace(TUNED, seed=seed), sky=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hybridworldsim.model.curvature import normal_loss
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
-from hybridworldsim.training.picture import TrainingPicture
-from mirror_baselines.splatting.look import Finished
+from hybridworldsim.model.normal_loss import normal_loss
+from hybridworldsim.training.training_image import TrainingPicture
+from mirror_baselines.splatting.appearance import Finished
 from mirror_baselines.splatting.settings import Weights
 
 Weighted = dict[str, tuple[float, Tensor]]

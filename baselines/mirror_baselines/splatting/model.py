@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from hybridworldsim.model.visible import visible
 from hybridworldsim.training.viewpoint import Source, Viewpoint
-from mirror_baselines.splatting.look import Look
+from mirror_baselines.splatting.appearance import Look
 
 GEOMETRY: Final = ("means", "quats", "scales", "opacities")
 _SIGMAS = 3.33
@@ -20,7 +20,7 @@ class Gaussians(nn.Module):
     """Explicit Gaussians.
 
     Args:
-        seeds: what it begins with, see `mirror_baselines.splatting.seeding.seeded`.
+        seeds: what it begins with, see `mirror_baselines.splatting.gaussian_init.seeded`.
         look: how they get colours.
     """
 

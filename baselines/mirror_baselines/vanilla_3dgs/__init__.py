@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mirror_baselines.vanilla_3dgs.learner import make
 from mirror_baselines.vanilla_3dgs.settings import BY_HAND, RELEASED, TUNED
+from mirror_baselines.vanilla_3dgs.trainer import make
 
 __all__ = ["BY_HAND", "RELEASED", "TUNED", "make"]

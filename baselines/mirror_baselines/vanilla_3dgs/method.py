@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from hybridworldsim.methods.static import StaticMethod
-from mirror_baselines.vanilla_3dgs.learner import make
 from mirror_baselines.vanilla_3dgs.settings import TUNED
+from mirror_baselines.vanilla_3dgs.trainer import make
 
 METHOD: Final = StaticMethod("vanilla_3dgs", make, lambda seed: replace(TUNED, seed=seed))

@@ -7,7 +7,7 @@ from typing import Final
 
 from hybridworldsim.model.settings import Rate
 from mirror_baselines.splatting import tuned
-from mirror_baselines.splatting.scaled import scaled
+from mirror_baselines.splatting.scaling import scaled
 from mirror_baselines.splatting.settings import Splatting
 
 RELEASED: Final = Splatting()

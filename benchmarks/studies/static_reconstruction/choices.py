@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from hybridworldsim.model.settings import Settings
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
-from mirror_baselines.splatting.scaled import faster
+from mirror_baselines.splatting.scaling import faster
 from mirror_baselines.splatting.settings import Weights
 
 AS_TUNED: Final = "as-tuned"

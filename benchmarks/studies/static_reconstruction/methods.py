@@ -18,7 +18,7 @@ from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
 from hybridworldsim.methods.street import make as make_street
 from hybridworldsim.model.settings import Refinement, Settings
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
-from mirror_baselines.splatting.scaled import scaled
+from mirror_baselines.splatting.scaling import scaled
 
 OURS: Final = "ours"
 STRUCTURE: Final = "ours-structure"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hybridworldsim.model.settings import Settings
-from mirror_baselines.splatting.scaled import faster
+from mirror_baselines.splatting.scaling import faster
 
 
 def scale_settings(settings: Settings, rates: float, sizes: float) -> Settings:

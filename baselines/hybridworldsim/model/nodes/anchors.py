@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from hybridworldsim.model.decoders import ModulatedMLP, decoded
-from hybridworldsim.model.nodes.assembly import GEOMETRY, assembled
-from hybridworldsim.model.nodes.gathering import rows_of, told
+from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY, assembled
+from hybridworldsim.model.nodes.network_inputs import rows_of, told
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.model.visible import visible
 from hybridworldsim.training.viewpoint import Viewpoint

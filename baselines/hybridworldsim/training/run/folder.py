@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from hybridworldsim.training.learner import TrainableMethod
 from hybridworldsim.training.run.checkpoint import Position, read_checkpoint, write_checkpoint
 from hybridworldsim.training.run.curves import Row, read_curves, write_chart, write_curves
+from hybridworldsim.training.trainable_method import TrainableMethod
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import Document
 from mirror.schema.files import TEMPORARY, read_json, write_json

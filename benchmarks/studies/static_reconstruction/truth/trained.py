@@ -16,7 +16,7 @@ from benchmarks.studies.static_reconstruction.jobs import Job, model_folder, mod
 from benchmarks.studies.static_reconstruction.methods import Entry, entries
 from benchmarks.studies.static_reconstruction.truth.request import TruthRequest, request_truth
 from benchmarks.studies.static_reconstruction.truth.street import StreetTruth
-from hybridworldsim.methods.opened import Renderer
+from hybridworldsim.methods.renderers import Renderer
 from hybridworldsim.methods.static import block_folders
 from hybridworldsim.training.run.folder import MODEL, TrainedCamera, read_run
 from mirror.errors import UsageError

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import Source, Viewpoint
 
 

@@ -12,8 +12,8 @@ from torch.optim import Optimizer
 from hybridworldsim.model.settings import Rate
 from hybridworldsim.training.viewpoint import Source, Viewpoint
 from mirror.errors import UsageError
-from mirror_baselines.splatting.look import Finished, Look
-from mirror_baselines.splatting.per_picture import PerPicture
+from mirror_baselines.splatting.appearance import Finished, Look
+from mirror_baselines.splatting.per_image import PerPicture
 
 _IDENTITY: Final = torch.eye(3, 4)
 

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from torch import Tensor, nn
 
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import Viewpoint
 
 

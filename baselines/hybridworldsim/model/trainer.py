@@ -8,19 +8,19 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hybridworldsim.model.curvature import normal_loss
 from hybridworldsim.model.densification.anchors import AnchorRefiner
 from hybridworldsim.model.densification.code_gaussians import CodeRefiner
-from hybridworldsim.model.densification.pull import pulls
+from hybridworldsim.model.densification.image_gradients import pulls
 from hybridworldsim.model.densification.schedule import due
 from hybridworldsim.model.lazy_adam import BETA1, BETA2, EPS, LazyAdam
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
+from hybridworldsim.model.normal_loss import normal_loss
 from hybridworldsim.model.settings import Rate, Settings
 from hybridworldsim.model.street import RenderOutput, Rows, Street
 from hybridworldsim.model.visibility_cache import VisibilityCache
-from hybridworldsim.training.learner import Rendering, StepReport
-from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.state import dumped, load
+from hybridworldsim.training.trainable_method import Rendering, StepReport
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import Viewpoint
 
 _SENSORS = 0.1
@@ -28,7 +28,7 @@ _SENSORS = 0.1
 
 
 class StreetTrainer:
-    """A street that learns; a `hybridworldsim.training.learner.TrainableMethod`.
+    """A street that learns; a `hybridworldsim.training.trainable_method.TrainableMethod`.
 
     Args:
         street: the model, changed in place.

@@ -10,11 +10,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import Optimizer
 
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import Source, Viewpoint
-from mirror_baselines.omnire_style.cube import Cube
-from mirror_baselines.splatting.look import Finished, Look
-from mirror_baselines.splatting.per_picture import PerPicture
+from mirror_baselines.omnire_style.sky_cube import Cube
+from mirror_baselines.splatting.appearance import Finished, Look
+from mirror_baselines.splatting.per_image import PerPicture
 
 if TYPE_CHECKING:
     from mirror_baselines.omnire_style.settings import OmnireStyle

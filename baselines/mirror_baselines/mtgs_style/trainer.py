@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from hybridworldsim.model.seeding import Initial
-from mirror_baselines.mtgs_style.look import TraversalLook
+from hybridworldsim.model.initialization import Initial
+from mirror_baselines.mtgs_style.appearance import TraversalLook
 from mirror_baselines.mtgs_style.settings import MtgsStyle
-from mirror_baselines.splatting.learner import SplattingLearner
+from mirror_baselines.splatting.gaussian_init import seeded
 from mirror_baselines.splatting.model import Gaussians
-from mirror_baselines.splatting.seeding import seeded
+from mirror_baselines.splatting.trainer import SplattingLearner
 
 
 def make(initial: Initial, settings: MtgsStyle) -> SplattingLearner:

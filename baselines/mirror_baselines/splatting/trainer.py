@@ -1,4 +1,4 @@
-"""Explicit Gaussians that learn from pictures; a `hybridworldsim.training.learner.TrainableMethod`."""
+"""Explicit Gaussians that learn from pictures; a `hybridworldsim.training.trainable_method.TrainableMethod`."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from torch import Tensor
 from torch.optim import SGD, Optimizer
 
 from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.training.learner import Rendering, StepReport
-from hybridworldsim.training.picture import TrainingPicture
 from hybridworldsim.training.state import dumped, load
+from hybridworldsim.training.trainable_method import Rendering, StepReport
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import Viewpoint
+from mirror_baselines.splatting.appearance import Finished
 from mirror_baselines.splatting.density import Density
-from mirror_baselines.splatting.look import Finished
 from mirror_baselines.splatting.losses import picture_losses, surface_losses
 from mirror_baselines.splatting.model import Gaussians
 from mirror_baselines.splatting.row_adam import RowAdam

@@ -10,13 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 from pydantic import TypeAdapter
 
-from hybridworldsim.model.seeding import Initial
+from hybridworldsim.model.initialization import Initial
 from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, AppearanceSelector
-from hybridworldsim.training.learner import Rendering, TrainableMethod
-from hybridworldsim.training.lines import Lines
+from hybridworldsim.training.driven_lines import Lines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters
-from hybridworldsim.training.run.specimens import pixels
+from hybridworldsim.training.run.previews import pixels
+from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
 from hybridworldsim.training.viewpoint import Source, viewpoint_of
 from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from hybridworldsim.model.seeding import Initial
-from mirror_baselines.splatting.learner import SplattingLearner
-from mirror_baselines.splatting.look import Look
+from hybridworldsim.model.initialization import Initial
+from mirror_baselines.splatting.appearance import Look
+from mirror_baselines.splatting.gaussian_init import seeded
 from mirror_baselines.splatting.model import Gaussians
-from mirror_baselines.splatting.seeding import seeded
 from mirror_baselines.splatting.settings import Splatting
+from mirror_baselines.splatting.trainer import SplattingLearner
 
 
 def make(initial: Initial, settings: Splatting) -> SplattingLearner:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.seeding import Initial
+from hybridworldsim.model.initialization import Initial
 from hybridworldsim.mvs.ground import Ground, driven, fit_ground, wheel_places
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64, UInt8

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import torch
 
-from hybridworldsim.training.learner import TrainableMethod
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.trainable_method import TrainableMethod
+from hybridworldsim.training.training_image import TrainingPicture
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import UInt8
 from mirror.schema.files import write_bytes

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import torch
 
-from hybridworldsim.model.seeding import Initial
-from mirror_baselines.omnire_style.look import AffineLook
+from hybridworldsim.model.initialization import Initial
+from mirror_baselines.omnire_style.appearance import AffineLook
 from mirror_baselines.omnire_style.settings import OmnireStyle
-from mirror_baselines.splatting.learner import SplattingLearner
+from mirror_baselines.splatting.gaussian_init import seeded
 from mirror_baselines.splatting.model import Gaussians
-from mirror_baselines.splatting.seeding import seeded
+from mirror_baselines.splatting.trainer import SplattingLearner
 
 
 def make(initial: Initial, settings: OmnireStyle) -> SplattingLearner:

@@ -7,8 +7,8 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from hybridworldsim.model.initialization import Initial, background_points, ground_seeds, sky_seeds, spacing
 from hybridworldsim.model.nodes.code_gaussians import Seeds
-from hybridworldsim.model.seeding import Initial, background_points, ground_seeds, sky_seeds, spacing
 from mirror_baselines.splatting.settings import GaussianInit
 
 _BAND0 = 0.28209479177387814

@@ -9,16 +9,16 @@ import numpy as np
 
 from mirror.arrays import Float64
 
-STANDING_M: Final = 0.25
+STATIONARY_M: Final = 0.25
 
 
-def moving(taken: Iterable[tuple[Hashable, Float64]], standing_m: float = STANDING_M) -> list[int]:
+def select_moving(taken: Iterable[tuple[Hashable, Float64]], stationary_m: float = STATIONARY_M) -> list[int]:
     """Positions of pictures whose camera has moved since the last of its own that was kept.
 
     Args:
         taken: of each picture which camera of which traversal took it, and (3,) where, metres; those of a camera in
             order of time.
-        standing_m: a camera that is nearer than this to where the last kept picture was taken stands. 0: all move.
+        stationary_m: a camera that is nearer than this to where the last kept picture was taken stands. 0: all move.
 
     Returns:
         In the given order; the first of each camera is always among them.
@@ -26,7 +26,7 @@ def moving(taken: Iterable[tuple[Hashable, Float64]], standing_m: float = STANDI
     last: dict[Hashable, Float64] = {}
     kept = []
     for position, (camera, here) in enumerate(taken):
-        if camera in last and np.linalg.norm(here - last[camera]) < standing_m:
+        if camera in last and np.linalg.norm(here - last[camera]) < stationary_m:
             continue
         last[camera] = here
         kept.append(position)

@@ -16,9 +16,9 @@ import torch
 
 from benchmarks.report import Peer, Row, report
 from benchmarks.street.learning import learning_rows
-from benchmarks.street.reference_model import exact, plain_picture
+from benchmarks.street.reference_model import exact, plain_image
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.initialization import Initial, street_of
+from hybridworldsim.model.initialization import InitialGeometry, initial_street
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import RenderOutput, Street
@@ -52,7 +52,7 @@ def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
         return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
 
     settings = Settings(first_anchors=anchors, first_spacing_m=0.2, refinement=Refinement(most=anchors), seed=seed)
-    street = street_of(Initial(points, far, way, flat, 75.0, [_SOURCE]), settings)
+    street = initial_street(InitialGeometry(points, far, way, flat, 75.0, [_SOURCE]), settings)
     with torch.no_grad():
         for node in (street.background, street.ground, street.sky):
             torch.nn.init.normal_(node.codes, std=1.0)
@@ -97,9 +97,9 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
     found, wall_ms = timed(picture, views)
     core_ms, decode_ms = timed(picture, views, time.process_time)[1], timed(decode, views)[1]
     true = exact(street)
-    errors = [(one.rgb - plain_picture(true, one, view, latent)).abs().max() for one, view in zip(found, views)]
+    errors = [(one.rgb - plain_image(true, one, view, latent)).abs().max() for one, view in zip(found, views)]
     drawn = float(np.mean([sum(map(len, one.parts)) for one in found]))
-    held = sum(part.held for part in found[0].parts)
+    held = sum(part.stored_count for part in found[0].parts)
     size = f"{WIDTH} x {HEIGHT}, {len(street.background)} anchors, {drawn:.0f} of {held} Gaussians drawn"
     peers = (Peer("paper, quoted", PAPER_MS),)
     threads = torch.get_num_threads()

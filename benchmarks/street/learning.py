@@ -12,7 +12,7 @@ from benchmarks.report import Peer, Row, best_ms
 from benchmarks.street import reference_losses as plain
 from hybridworldsim.model.lazy_adam import BETA1, BETA2, LazyAdam
 from hybridworldsim.model.normal_loss import normal_loss
-from hybridworldsim.model.ssim_loss import similarity
+from hybridworldsim.model.ssim_loss import ssim
 
 WIDTH, HEIGHT = 480, 270
 _KNOWN, _PATCH = 0.06, 6
@@ -46,7 +46,7 @@ def _similarity() -> Row:
     taken = torch.rand(HEIGHT, WIDTH, 3, generator=generator).double()
     drawn = (taken + 0.1 * torch.randn(HEIGHT, WIDTH, 3, generator=generator)).clamp(0.0, 1.0)
     return _loss(
-        "loss of structure", lambda one: 1.0 - similarity(one, taken.to(one.dtype)).mean(),
+        "loss of structure", lambda one: 1.0 - ssim(one, taken.to(one.dtype)).mean(),
         lambda one: 1.0 - plain.similarity(one, taken.to(one.dtype)).mean(), drawn,
     )  # fmt: skip
 
@@ -77,8 +77,8 @@ def _adam() -> Row:
 
     def lazily(step: int) -> None:
         rows, pulls = seen[step % _STEPS]
-        adam.take(rows, {"codes": _RATE})["codes"].grad = pulls
-        adam.learn()
+        adam.begin_step(rows, {"codes": _RATE})["codes"].grad = pulls
+        adam.end_step()
 
     def all_rows(table: _Table, optimiser: torch.optim.Adam, step: int) -> None:
         rows, pulls = seen[step % _STEPS]
@@ -89,7 +89,7 @@ def _adam() -> Row:
         lazily(step)
         all_rows(whole, plainly, step)
         all_rows(exact, truly, step)
-    adam.settle({"codes": _RATE})
+    adam.catch_up({"codes": _RATE})
     error, peer = (float((one.codes.detach().double() - exact.codes.detach()).abs().max()) for one in (lazy, whole))
     return Row(
         "a step of Adam",

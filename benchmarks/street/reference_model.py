@@ -12,7 +12,7 @@ from hybridworldsim.model.decoders import ModulatedMLP
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.street import RenderOutput, Street, draw
+from hybridworldsim.model.street import RenderOutput, Street, render
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
@@ -65,7 +65,7 @@ def exact(street: Street) -> Street:
 
 
 @torch.inference_mode()
-def plain_picture(street: Street, drawn: RenderOutput, view: Viewpoint, latent: Tensor) -> Tensor:
+def plain_image(street: Street, drawn: RenderOutput, view: Viewpoint, latent: Tensor) -> Tensor:
     """(H, W, 3) of a street in float64, decoded here and rasterized as ever.
 
     Args:
@@ -76,13 +76,13 @@ def plain_picture(street: Street, drawn: RenderOutput, view: Viewpoint, latent: 
     """
     eye, latent = view.centre.double(), latent.double()
     background, ground, sky = drawn.parts
-    seen = background.rows[:0] if background.seen is None else background.seen
+    seen = background.rows[:0] if background.anchor_ids is None else background.anchor_ids
     tables = [
         plain_anchors(street.background, seen, eye, latent, latent),
         plain_gaussians(street.ground, ground.rows, eye, latent),
         plain_gaussians(street.sky, sky.rows, eye, latent),
     ]
-    return draw(view, tuple(map(_splats, tables))).rgb
+    return render(view, tuple(map(_splats, tables))).rgb
 
 
 def _splats(tables: tuple[Tensor, ...]) -> Splats:

@@ -11,7 +11,7 @@ from torch import Tensor
 from benchmarks.report import Peer, Row
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
-from hybridworldsim.model.parts import AppearanceSelector
+from hybridworldsim.model.parts import LatentSelector
 from hybridworldsim.model.street import Street
 from mirror.arrays import Float64
 from mirror.geometry.poses import Poses
@@ -24,7 +24,7 @@ def seam_rows(
     blocks: Sequence[tuple[Block, Street]],
     views: Sequence[View],
     inside: Sequence[View],
-    looks: Callable[[View], AppearanceSelector],
+    looks: Callable[[View], LatentSelector],
     name: str,
 ) -> list[Row]:
     """Steps of cameras across the boundary of two blocks, and inside them.
@@ -43,11 +43,11 @@ def seam_rows(
     street, alone = Composition(blocks), [Composition([one]) for one in blocks]
 
     def composed(view: View) -> Tensor:
-        return street.draw(view, looks(view))[0].rgb.clamp(0.0, 1.0)
+        return street.render(view, looks(view))[0].rgb.clamp(0.0, 1.0)
 
     def switched(view: View) -> Tensor:
         beyond = float((view.pose.translation[0, :2] - middle) @ way) >= 0.0
-        return alone[beyond].draw(view, looks(view))[0].rgb.clamp(0.0, 1.0)
+        return alone[beyond].render(view, looks(view))[0].rgb.clamp(0.0, 1.0)
 
     def onto_m(view: View) -> float:
         return float((middle - view.pose.translation[0, :2]) @ way)

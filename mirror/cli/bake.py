@@ -74,9 +74,9 @@ def main(argv: Sequence[str]) -> int:
     pixels = load_protocol("static-reconstruction").pixels
     views = views_along(dataset, traversal, recorded(dataset, traversal).at_rate(2.0), pixels, cameras)
     views = tuple(view for view in views if view.camera == views[0].camera)
-    looking = AppearancePolicy(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
+    appearance = AppearancePolicy(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
     options = BakeOptions(arguments.degree, arguments.sky, arguments.reach)
-    baking = baking_method(document.method).bake(arguments.model, views, arguments.out, options, looking)
+    baking = baking_method(document.method).bake(arguments.model, views, arguments.out, options, appearance)
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), **asdict(baking)}))
     else:

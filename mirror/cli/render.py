@@ -129,19 +129,19 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
             f"split {split} has views of {', '.join(bare)} too", expected="a model of each of its scenes",
             remedy="reconstruct them, and name all models; or make a split of fewer scenes",
         )  # fmt: skip
-    looking = AppearancePolicy(arguments.appearance, plan.views, truth=(dataset, plan))
+    appearance = AppearancePolicy(arguments.appearance, plan.views, truth=(dataset, plan))
 
     def renderer(_: Dataset, asked: Plan) -> Iterator[Render]:
         for scene, model in models.items():
             own = [view for view in asked.views if view.scene_id == scene]
             if own:
-                render = installed_method(name).open(model, looking)
+                render = installed_method(name).open(model, appearance)
                 yield from (([view], render(view)) for view in own)
 
     about = Method(name=name, licence=licence_of(name), trained_on=_trained_on(models.values()))
     with progress_bar(quiet=arguments.json) as bar:
         count = write_submission(
-            dataset, plan, renderer, about, appearance_of(looking), arguments.out, bar, _costs(models.values()),
+            dataset, plan, renderer, about, appearance_of(appearance), arguments.out, bar, _costs(models.values()),
             of=_hash(models.values()),
         )  # fmt: skip
     said = {"out": str(arguments.out), "views": count, "method": name}
@@ -200,18 +200,18 @@ def _costs(models: Iterable[Path]) -> Runtime:
     )
 
 
-def appearance_of(looking: AppearancePolicy) -> Appearance:
+def appearance_of(appearance: AppearancePolicy) -> Appearance:
     """What a manifest says of the looks of pictures that were not trained on."""
     from mirror.evaluation.submission.manifest import Appearance
     from mirror.methods.appearance import FITTED_PART
 
-    if looking.policy == "nearest":
+    if appearance.policy == "nearest":
         return Appearance(policy="nearest-traversal", description="by the symmetric chamfer distance of driven lines")
-    if looking.policy == "mean":
+    if appearance.policy == "mean":
         return Appearance(policy="mean", description="of the latents of the camera")
-    if looking.policy == "fit":
+    if appearance.policy == "fit":
         return Appearance(policy="fitted", description="the latent alone", held_out_pixels=(FITTED_PART,))
-    return Appearance(policy="other", description=f"given: {looking.policy}")
+    return Appearance(policy="other", description=f"given: {appearance.policy}")
 
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:

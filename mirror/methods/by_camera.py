@@ -35,8 +35,8 @@ def by_camera(policies: str, cameras: Sequence[str]) -> dict[str, str]:
 
 
 def opened_by_camera(
-    method: InstalledMethod, model: Path, looking: AppearancePolicy, policies: Mapping[str, str]
+    method: InstalledMethod, model: Path, appearance: AppearancePolicy, policies: Mapping[str, str]
 ) -> Callable[[View], UInt8]:
     """A renderer of views whose cameras have policies of their own."""
-    renderers = {one: method.open(model, replace(looking, policy=one)) for one in dict.fromkeys(policies.values())}
+    renderers = {one: method.open(model, replace(appearance, policy=one)) for one in dict.fromkeys(policies.values())}
     return lambda view: renderers[policies[view.camera]](view)

@@ -100,5 +100,5 @@ class InstalledMethod(Protocol):
             watch: told how it goes.
         """
 
-    def open(self, model: Path, looking: AppearancePolicy = ...) -> Callable[[View], UInt8]:
+    def open(self, model: Path, appearance: AppearancePolicy = ...) -> Callable[[View], UInt8]:
         """A renderer of a trained model: pixels (H, W, 3), RGB, of a view."""

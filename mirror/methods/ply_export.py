@@ -50,7 +50,7 @@ class BakingMethod(Protocol):
     """An installed method that can bake."""
 
     def bake(
-        self, model: Path, views: Sequence[View], out: Path, options: BakeOptions, looking: AppearancePolicy = ...
+        self, model: Path, views: Sequence[View], out: Path, options: BakeOptions, appearance: AppearancePolicy = ...
     ) -> Baking:
         """Write a model as a PLY.
 
@@ -59,7 +59,7 @@ class BakingMethod(Protocol):
             views: of one camera on one drive: what is baked looks as they do.
             out: the file.
             options: how.
-            looking: how pictures look that were not trained on.
+            appearance: how pictures look that were not trained on.
         """
         ...
 

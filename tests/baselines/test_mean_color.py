@@ -15,7 +15,7 @@ from mirror.evaluation.submission.writing import write_submission
 from mirror.methods.training_images import training_pictures
 from mirror.protocols.document import Protocol
 from mirror.protocols.views import plan_views
-from mirror_baselines.mean_color import APPEARANCE, METHOD, MOST_PICTURES, mean_colour, render
+from mirror_baselines.mean_color import APPEARANCE, MAX_IMAGES, METHOD, mean_colour, render
 from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
 
 
@@ -34,9 +34,9 @@ class Still:
 
 @pytest.mark.parametrize("count", [1, 2, 17])
 def test_mean_of_all_pixels(count: int) -> None:
-    pictures = [Still(seed) for seed in range(count)]
-    expected = np.concatenate([one.pixels.reshape(-1, 3) for one in pictures]).astype(np.float64).mean(axis=0)
-    assert mean_colour(pictures) == pytest.approx(expected, abs=1e-9)
+    images = [Still(seed) for seed in range(count)]
+    expected = np.concatenate([one.pixels.reshape(-1, 3) for one in images]).astype(np.float64).mean(axis=0)
+    assert mean_colour(images) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("value", [0, 255])
@@ -47,19 +47,19 @@ def test_saturated(value: int) -> None:
 
 
 def test_of_many_pictures_some_are_opened() -> None:
-    pictures = [Still(seed, (1, 1)) for seed in range(3 * MOST_PICTURES)]
+    images = [Still(seed, (1, 1)) for seed in range(3 * MAX_IMAGES)]
     Still.opened = 0
-    mean_colour(pictures)
-    assert Still.opened == MOST_PICTURES
+    mean_colour(images)
+    assert Still.opened == MAX_IMAGES
 
 
 def test_views_are_one_colour(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:
     plan = plan_views(dataset, protocol, "novel")
     # Every training drive has as many pictures that are not asked for.
     expected = np.mean([colour for _, _, _, colour, role in DRIVES if role == "train"], axis=0)
-    for _, picture in render(dataset, plan):
-        assert (picture == picture[0, 0]).all()
-        assert np.abs(picture[0, 0] - expected).max() <= 2
+    for _, image in render(dataset, plan):
+        assert (image == image[0, 0]).all()
+        assert np.abs(image[0, 0] - expected).max() <= 2
     out = tmp_path / "submission"
     write_submission(dataset, plan, render, METHOD, APPEARANCE, out)
     assert check_submission(open_untrusted(out), plan).problems == ()

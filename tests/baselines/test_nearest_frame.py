@@ -22,7 +22,7 @@ from mirror.evaluation.submission.writing import write_submission
 from mirror.geometry.poses import Poses
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.views import plan_views
-from mirror_baselines.nearest_frame import APPEARANCE, METHOD, METRES_A_RADIAN, nearest, render
+from mirror_baselines.nearest_frame import APPEARANCE, METHOD, METRES_PER_RADIAN, find_nearest, render
 from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
 
 COLOURS = {name: np.array(colour) for name, _, _, colour, _ in DRIVES}
@@ -41,7 +41,7 @@ def brute_force(wanted: Poses, there: Poses) -> list[int]:
         for theirs, place in zip(there.rotation, there.translation):
             other = Rotation.from_quat(theirs, scalar_first=True).apply([0.0, 0.0, 1.0])
             angle = np.arccos(np.clip(looking @ other, -1.0, 1.0))
-            costs.append(np.sum((at - place) ** 2) + (METRES_A_RADIAN * 2.0 * np.sin(angle / 2.0)) ** 2)
+            costs.append(np.sum((at - place) ** 2) + (METRES_PER_RADIAN * 2.0 * np.sin(angle / 2.0)) ** 2)
         found.append(int(np.argmin(costs)))
     return found
 
@@ -53,34 +53,34 @@ def test_nearest_is_that_of_the_definition(seed: int, wanted: int, there: int, o
     expected = brute_force(ours, theirs)
     shift = np.array([offset_m, -offset_m, offset_m])
     moved = [Poses(poses.rotation, poses.translation + shift) for poses in (ours, theirs)]
-    assert nearest(*moved).tolist() == expected
+    assert find_nearest(*moved).tolist() == expected
 
 
 def test_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     generator = np.random.default_rng(3)
     ours, theirs = random_poses(generator, 50), random_poses(generator, 40)
-    whole = nearest(ours, theirs)
+    whole = find_nearest(ours, theirs)
     monkeypatch.setattr("mirror_baselines.nearest_frame.matching._PAIRS", 7)
-    assert nearest(ours, theirs).tolist() == whole.tolist()
+    assert find_nearest(ours, theirs).tolist() == whole.tolist()
 
 
 def test_equally_near_and_none_at_all() -> None:
     same = Poses(np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)), np.zeros((3, 3)))
-    assert nearest(same, same).tolist() == [0, 0, 0]
-    assert nearest(Poses(np.empty((0, 4)), np.empty((0, 3))), same).tolist() == []
+    assert find_nearest(same, same).tolist() == [0, 0, 0]
+    assert find_nearest(Poses(np.empty((0, 4)), np.empty((0, 3))), same).tolist() == []
 
 
 def test_a_turn_counts_as_metres() -> None:
     turned = Rotation.from_euler("y", 0.5).as_quat(scalar_first=True)
     there = Poses(np.array([turned, [1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [4.9, 0.0, 0.0]]))
-    assert nearest(Poses.identity(), there).tolist() == [1]
+    assert find_nearest(Poses.identity(), there).tolist() == [1]
     farther = Poses(there.rotation, np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
-    assert nearest(Poses.identity(), farther).tolist() == [0]
+    assert find_nearest(Poses.identity(), farther).tolist() == [0]
 
 
 def test_views_show_the_nearest_drive_of_the_same_way(dataset: Dataset, protocol: Protocol) -> None:
     plan = plan_views(dataset, protocol, "novel")
-    shown = {view.path: picture for views, picture in render(dataset, plan) for view in views}
+    shown = {view.path: image for views, image in render(dataset, plan) for view in views}
     assert set(shown) == {view.path for view in plan.views}
     for view in plan.views:
         if view.group == "novel":
@@ -123,11 +123,11 @@ def test_only_what_is_needed_is_read(dataset: Dataset, protocol: Protocol) -> No
 
 def test_moved_cameras_may_be_shown_their_own_picture(dataset: Dataset) -> None:
     plan = plan_views(dataset, load_protocol("lane-shift"), "novel")
-    for views, picture in render(dataset, plan):
+    for views, image in render(dataset, plan):
         for view in views:
             drive = view.traversal_id.split(".")[1]
             if view.group in ("right-1m", "left-1m"):
-                assert np.abs(picture.mean(axis=(0, 1)) - COLOURS[drive]).max() < 3
+                assert np.abs(image.mean(axis=(0, 1)) - COLOURS[drive]).max() < 3
 
 
 def test_the_submission_is_sound_and_scored(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:

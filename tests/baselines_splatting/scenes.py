@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from hybridworldsim.model.initialization import Initial
+from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.settings import Rate
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Source, Viewpoint
 from mirror_baselines.splatting.settings import Densification, Splatting
 
@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 48, 32
 SOURCES = (Source("a", "front"), Source("b", "front"))
 
 
-def initial(count: int = 120) -> Initial:
+def initial(count: int = 120) -> InitialGeometry:
     rng = np.random.default_rng(3)
     points = rng.uniform((8.0, -6.0, 0.0), (9.0, 6.0, 4.0), (count, 3))
     driven = np.column_stack((np.linspace(0.0, 6.0, 7), np.zeros(7), np.zeros(7)))
@@ -26,7 +26,9 @@ def initial(count: int = 120) -> Initial:
         return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
 
     far = rng.uniform((60.0, -30.0, 0.0), (70.0, 30.0, 9.0), (20, 3))
-    return Initial(points, far, driven, ground, 30.0, SOURCES, rng.integers(0, 255, (count, 3)).astype(np.uint8))
+    return InitialGeometry(
+        points, far, driven, ground, 30.0, SOURCES, rng.integers(0, 255, (count, 3)).astype(np.uint8)
+    )
 
 
 def small(settings: Splatting, **changes) -> Splatting:
@@ -54,13 +56,13 @@ def viewpoint(place: float = 0.0, source: Source = SOURCES[0]) -> Viewpoint:
     return Viewpoint(WIDTH, HEIGHT, torch.from_numpy(K).float(), torch.from_numpy(viewmat).float(), source)
 
 
-def picture(rgb: torch.Tensor | float, at: Viewpoint | None = None, depth_m: float | None = 8.5) -> TrainingPicture:
+def image(rgb: torch.Tensor | float, at: Viewpoint | None = None, depth_m: float | None = 8.5) -> TrainingImage:
     at = viewpoint() if at is None else at
     pixels = rgb if isinstance(rgb, torch.Tensor) else torch.full((HEIGHT, WIDTH, 3), rgb)
     sky = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
     sky[: HEIGHT // 4] = True
     depth = None if depth_m is None else torch.where(sky, 0.0, torch.full((HEIGHT, WIDTH), depth_m))
-    return TrainingPicture(at, pixels, torch.ones(HEIGHT, WIDTH, dtype=torch.bool), sky, depth)
+    return TrainingImage(at, pixels, torch.ones(HEIGHT, WIDTH, dtype=torch.bool), sky, depth)
 
 
 def stripes(phase: float = 0.0) -> torch.Tensor:
@@ -68,9 +70,9 @@ def stripes(phase: float = 0.0) -> torch.Tensor:
     return torch.stack((columns, columns.flip(1), columns), 2)
 
 
-def pictures(count: int = 6) -> list[TrainingPicture]:
+def images(count: int = 6) -> list[TrainingImage]:
     """Of both traversals, in turn, from places all but the same."""
-    return [picture(stripes(), viewpoint(0.02 * k, SOURCES[k % 2])) for k in range(count)]
+    return [image(stripes(), viewpoint(0.02 * k, SOURCES[k % 2])) for k in range(count)]
 
 
 GROWING = Densification(begin=0.05, end=0.9, rounds=6, resets=1, most=400, gradient=1e-6, split_m=0.3, largest_m=None)

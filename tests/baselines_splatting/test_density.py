@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mirror_baselines import vanilla_3dgs
-from tests.baselines_splatting.scenes import GROWING, initial, pictures, small
+from tests.baselines_splatting.scenes import GROWING, images, initial, small
 
 pytest.importorskip("gsplat", reason="gsplat is not installed: its strategy is what densifies")
 
@@ -16,9 +16,9 @@ pytest.importorskip("gsplat", reason="gsplat is not installed: its strategy is w
 def _rounds(steps, monkeypatch, **changes):
     """Progress at each round, and at each reset of opacities, of training of so many steps."""
     settings = replace(GROWING, **changes)
-    learner = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
-    density, rounds, resets = learner._density, [], []
-    after = density.after
+    trainer = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
+    density, rounds, resets = trainer._density, [], []
+    after = density.after_backward
     monkeypatch.setattr("mirror_baselines.splatting.density.reset_opa", lambda *_: resets.append(None))
 
     def watched(tables, optimizers, meta, progress):
@@ -29,10 +29,10 @@ def _rounds(steps, monkeypatch, **changes):
             resets[-1] = progress
         return rounds[-1:] == [progress]
 
-    monkeypatch.setattr(density, "after", watched)
-    shown = pictures(2)
+    monkeypatch.setattr(density, "after_backward", watched)
+    shown = images(2)
     for step in range(steps):
-        learner.step(shown[step % 2], step / steps)
+        trainer.step(shown[step % 2], step / steps)
     return rounds, resets
 
 
@@ -51,10 +51,10 @@ def test_rounds_that_fall_into_one_step_are_one(monkeypatch):
 
 
 def test_what_is_transparent_goes():
-    learner = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=replace(GROWING, gradient=1e9)))
+    trainer = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=replace(GROWING, gradient=1e9)))
     with torch.no_grad():
-        learner.model.tables["opacities"][:10] = -9.0
-    begun, shown = len(learner.model), pictures(2)
+        trainer.model.tables["opacities"][:10] = -9.0
+    begun, shown = len(trainer.model), images(2)
     for step in range(20):
-        report = learner.step(shown[step % 2], step / 40)
+        report = trainer.step(shown[step % 2], step / 40)
     assert report.gaussians == begun - 10

@@ -18,10 +18,10 @@ import torch
 
 import mirror
 from hybridworldsim.methods.layers import Layers, layers_for, method_of
-from hybridworldsim.methods.street import OpenStreet
+from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block, divide, views_of
-from hybridworldsim.training.data_loader import Pictures
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.data_loader import TrainingImageCache
+from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main
@@ -158,16 +158,16 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     for word in ("nearest", "mean", next(name for name in dataset.traversals() if ".near." in name)):
         out = tmp_path / f"pictures-{len(looks)}"
         cameras = ("--cameras", "front_wide", "--traversal", new, "--appearance", word)
-        told = said(capsys, "render", model, *shifted, *cameras, "--out", out)
+        printed = said(capsys, "render", model, *shifted, *cameras, "--out", out)
         files = sorted(out.glob("front_wide/*.png"))
-        assert len(files) == told["pictures"] > 4
+        assert len(files) == printed["pictures"] > 4
         looks[word] = np.mean([cv2.imread(str(file))[..., ::-1].mean((0, 1)) for file in files], axis=0)
     near, far = (next(name for name in dataset.traversals() if f".{word}." in name) for word in ("near", "far"))
     film = tmp_path / "street.mp4"
     swept = ("--cameras", "front_wide", "--traversal", new, "--appearance", f"sweep:{near}:{far}", "--out", film)
-    told = said(capsys, "render", model, *shifted, *swept)
+    printed = said(capsys, "render", model, *shifted, *swept)
     read = cv2.VideoCapture(str(film))
-    frames = [read.read()[1] for _ in range(told["pictures"])]
+    frames = [read.read()[1] for _ in range(printed["pictures"])]
     assert len(frames) > 4 and frames[0].shape[1] == 48 and not read.read()[0]
     # It begins with a red look and ends with a green one.
     (_, green, red), (_, last_green, last_red) = (frames[place].mean((0, 1)) for place in (0, -1))
@@ -234,8 +234,8 @@ def test_rivals_go_through_the_same_verbs(
     model = tmp_path / "model"
     said(capsys, *reconstruct(dataset, model, "--method", method, "--steps", 6))
     words = ("render", model, "--dataset", dataset.root, "--trajectory", "forward:1", "--cameras", "front_wide")
-    told = said(capsys, *words, "--width", 48, "--hz", 2, "--out", tmp_path / "pictures")
-    assert told["method"] == method and told["pictures"] == len(list((tmp_path / "pictures").rglob("*.png"))) > 1
+    printed = said(capsys, *words, "--width", 48, "--hz", 2, "--out", tmp_path / "pictures")
+    assert printed["method"] == method and printed["pictures"] == len(list((tmp_path / "pictures").rglob("*.png"))) > 1
     for mixed in ("mean", "sweep:day:night"):
         words_of = (*words, "--appearance", mixed, "--out", tmp_path / "mixed")
         assert f"{method} has no latents" in said(capsys, *words_of, code=ExitCode.COULD_NOT_RUN)["problem"]
@@ -490,8 +490,8 @@ def test_a_layer_that_one_traversal_lacks_is_told_of_and_an_empty_one_is_read(
     build_index(layout.root)
     words = reconstruct(dataset, tmp_path / "model", "--steps", 9, "--initialise", "lidar@1")
     assert main([str(word) for word in words]) == ExitCode.DONE
-    told = capsys.readouterr().err
-    assert f"without points: {third}\n" in told and f"without depth: {third}\n" in told
+    printed = capsys.readouterr().err
+    assert f"without points: {third}\n" in printed and f"without depth: {third}\n" in printed
     chosen = mirror.open(dataset.root).with_layers(points="lidar@1")
     assert len(chosen.points()) == 50
     with pytest.raises(DatasetError, match="no points layer lidar@1"):
@@ -584,14 +584,14 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
     said(capsys, *words, "--out", whole)
     drawn = []
 
-    def interrupted(opened: OpenStreet, view: View) -> UInt8:
+    def interrupted(opened: StreetRenderer, view: View) -> UInt8:
         drawn.append(view.path)
         if len(drawn) == 6:
             raise KeyboardInterrupt
         return usual(opened, view)
 
-    usual = OpenStreet.__call__
-    monkeypatch.setattr(OpenStreet, "__call__", interrupted)
+    usual = StreetRenderer.__call__
+    monkeypatch.setattr(StreetRenderer, "__call__", interrupted)
     assert main([str(word) for word in (*words, "--out", out)]) == 130
     assert "run the same command again" in capsys.readouterr().err and not (out / "manifest.json").exists()
     other = said(capsys, *words, "--appearance", "mean", "--out", out, code=ExitCode.COULD_NOT_RUN)
@@ -662,9 +662,9 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hybridworldsim.methods.static.divide", lambda driven, size_m: divide(driven, 16.0))
-    usual, masked = Pictures.__call__, set[str]()
+    usual, masked = TrainingImageCache.__call__, set[str]()
 
-    def covered(pictures: Pictures, view: View) -> TrainingPicture:
+    def covered(pictures: TrainingImageCache, view: View) -> TrainingImage:
         picture = usual(pictures, view)
         return replace(picture, scored=torch.zeros_like(picture.scored)) if view.path in masked else picture
 
@@ -674,7 +674,7 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     everything = training_views(dataset, load_protocol("static-reconstruction"), "novel", "street").views
     block = Block((0, 0), tuple(origin.tolist()), 16.0, 4.0)
     masked.update(one.path for one in views_of(block, everything))
-    monkeypatch.setattr(Pictures, "__call__", covered)
+    monkeypatch.setattr(TrainingImageCache, "__call__", covered)
     model = tmp_path / "model"
     capsys.readouterr()
     assert main([str(word) for word in reconstruct(dataset, model, "--steps", 2)]) == ExitCode.DONE

@@ -108,7 +108,7 @@ def test_layers_are_written_for_training_traversals_only(dataset: Path) -> None:
 
 def test_pictures_of_a_standing_vehicle_are_not_matched(dataset: Path) -> None:
     report = initialise(
-        mirror.open(dataset), "s", method="road", estimator=LevelRoad(), options=Options(width_px=48, standing_m=1e3)
+        mirror.open(dataset), "s", method="road", estimator=LevelRoad(), options=Options(width_px=48, stationary_m=1e3)
     )
     assert report.pictures == 2 * len(CAMERAS)
     images = [image for frame in mirror.open(dataset).where(split="s").frames() for image in frame.images.values()]

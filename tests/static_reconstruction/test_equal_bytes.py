@@ -12,11 +12,7 @@ import torch
 from benchmarks.studies.static_reconstruction.choices import baseline_name
 from benchmarks.studies.static_reconstruction.equal_bytes import count_parameters, with_equal_bytes
 from benchmarks.studies.static_reconstruction.methods import BASELINES
-from hybridworldsim.model.seeding import Initial, street_of
-from benchmarks.studies.static_reconstruction.choices import name_of
-from benchmarks.studies.static_reconstruction.methods import RIVALS
-from benchmarks.studies.static_reconstruction.small import as_small, numbers_of
-from hybridworldsim.model.initialization import Initial, street_of
+from hybridworldsim.model.initialization import InitialGeometry, initial_street
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
@@ -27,19 +23,21 @@ def level(places: Float64) -> tuple[Float64, Float64]:
 
 
 @pytest.fixture
-def initial() -> Initial:
+def initial() -> InitialGeometry:
     rng = np.random.default_rng(0)
     driven = np.column_stack([np.linspace(-20.0, 20.0, 30), np.zeros((30, 2))])
     sources = [Source(f"s.{drive}.0", "front_wide") for drive in "abcd"]
-    return Initial(rng.uniform(-20.0, 20.0, (4000, 3)), rng.uniform(80.0, 90.0, (50, 3)), driven, level, 30.0, sources)
+    return InitialGeometry(
+        rng.uniform(-20.0, 20.0, (4000, 3)), rng.uniform(80.0, 90.0, (50, 3)), driven, level, 30.0, sources
+    )
 
 
 def numbers(model: torch.nn.Module) -> int:
     return sum(parameter.numel() for parameter in model.parameters())
 
 
-def test_numbers_of_our_model(initial: Initial) -> None:
-    street = street_of(initial, Settings())
+def test_numbers_of_our_model(initial: InitialGeometry) -> None:
+    street = initial_street(initial, Settings())
     full = replace(
         Settings(),
         refinement=Refinement(most=len(street.background), most_ground=len(street.ground), most_sky=len(street.sky)),
@@ -49,13 +47,13 @@ def test_numbers_of_our_model(initial: Initial) -> None:
 
 
 @pytest.mark.parametrize("package", BASELINES, ids=lambda package: baseline_name(package))
-def test_baselines_have_our_bytes(package: Any, initial: Initial) -> None:
+def test_baselines_have_our_bytes(package: Any, initial: InitialGeometry) -> None:
     settings = with_equal_bytes(package.TUNED)
     counts, sizes = [], []
     for most in (1000, 2000):
-        learner = package.make(initial, replace(settings, seeding=replace(settings.seeding, most=most)))
-        counts.append(len(learner.model))
-        sizes.append(numbers(learner.model))
+        trainer = package.make(initial, replace(settings, seeding=replace(settings.seeding, most=most)))
+        counts.append(len(trainer.model))
+        sizes.append(numbers(trainer.model))
     each = (sizes[1] - sizes[0]) / (counts[1] - counts[0])
     full = sizes[0] + each * (settings.densification.most - counts[0])
     assert full == pytest.approx(count_parameters(Settings()), rel=1e-2)

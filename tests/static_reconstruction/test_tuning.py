@@ -23,7 +23,7 @@ from benchmarks.studies.static_reconstruction.tables import JobResult
 from benchmarks.studies.static_reconstruction.tuning_tables import choices_table, grid_table
 from hybridworldsim.model.settings import Rate, Settings
 from mirror_baselines import mtgs_style, omnire_style
-from mirror_baselines.splatting.scaling import scaled
+from mirror_baselines.splatting.scaling import scale_splatting
 
 GRID = load_declaration().tuning
 METHODS = ("ours", *(baseline_name(package) for package in BASELINES))
@@ -42,18 +42,18 @@ def test_every_method_tries_every_cell_and_baselines_their_released_choices() ->
 def test_the_middle_of_the_grid_is_what_a_method_has() -> None:
     assert scale_settings(Settings(), 1.0, 1.0) == Settings()
     for package in BASELINES:
-        assert scaled(package.BY_HAND, 1.0, 1.0) == package.BY_HAND
+        assert scale_splatting(package.BY_HAND, 1.0, 1.0) == package.BY_HAND
 
 
 def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
-    settings, changed = omnire_style.BY_HAND, scaled(omnire_style.BY_HAND, 2.0, 0.5)
+    settings, changed = omnire_style.BY_HAND, scale_splatting(omnire_style.BY_HAND, 2.0, 0.5)
     assert changed.rates.means == Rate(2.0 * settings.rates.means.first, 2.0 * settings.rates.means.last)
     assert changed.affine.first == pytest.approx(2.0 * settings.affine.first)
     assert changed.densification.most == settings.densification.most // 2
-    back = scaled(changed, 0.5, 2.0)
+    back = scale_splatting(changed, 0.5, 2.0)
     assert back == settings
     # None stays none: no rate appears that a method does not have.
-    assert scaled(mtgs_style.BY_HAND, 2.0, 1.0).exposure is None
+    assert scale_splatting(mtgs_style.BY_HAND, 2.0, 1.0).exposure is None
     ours = scale_settings(Settings(), 0.5, 2.0)
     assert ours.refinement.most == 2 * Settings().refinement.most
     assert (

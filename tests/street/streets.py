@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.street import Street
@@ -52,7 +52,7 @@ def street(anchors: int = 300, seed: int = 0, k: int = 10, hidden: int = 12) -> 
             background,
             code_gaussians(flat, 1.5, seed + 1, hidden),
             code_gaussians(300.0 * around, 30.0, seed + 2, hidden),
-            Appearance(SOURCES, 8),
+            AppearanceLatents(SOURCES, 8),
         )
 
 

@@ -5,13 +5,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.partition import partition
-from hybridworldsim.model.parts import parts_of
+from hybridworldsim.model.parts import split_street
 from hybridworldsim.model.street import Street
-from hybridworldsim.training.viewpoint import viewpoint_of
+from hybridworldsim.training.viewpoint import to_viewpoint
 from mirror.metrics.images.psnr import psnr
 from tests.street.streets import SOURCES, shifted, street, view
 
@@ -20,7 +20,7 @@ B = Block((1, 0), (30.0, 0.0, 0.0), 40.0, 10.0)
 UTM = np.array([441_000.0, 4_475_000.0, 600.0])
 
 
-def looks(appearance: Appearance) -> tuple[torch.Tensor, torch.Tensor]:
+def looks(appearance: AppearanceLatents) -> tuple[torch.Tensor, torch.Tensor]:
     latent = appearance(SOURCES[0])
     return latent, latent
 
@@ -49,17 +49,17 @@ def test_the_partition_is_one_in_a_blocks_own_part_and_a_half_midway() -> None:
     torch.testing.assert_close(partition(places, centres, 25.0)[:, 0], torch.tensor([1.0, 1.0, 0.5, 0.0]).double())
 
 
-def picture(blocks: list[tuple[Block, Street]], x_m: float, by: np.ndarray | float = 0.0) -> np.ndarray:
+def image(blocks: list[tuple[Block, Street]], x_m: float, by: np.ndarray | float = 0.0) -> np.ndarray:
     here = np.array([x_m, 0.0, 1.5]) + by
-    drawn, _ = Composition(blocks).draw(view(*here.tolist()), looks)
+    drawn, _ = Composition(blocks).render(view(*here.tolist()), looks)
     return drawn.rgb.clamp(0.0, 1.0).mul(255.0).round().byte().numpy()
 
 
 def test_one_block_alone_is_drawn_as_it_is() -> None:
     one = street()
-    drawn, counts = Composition([(A, one)]).draw(view(-15.0), looks)
+    drawn, counts = Composition([(A, one)]).render(view(-15.0), looks)
     with torch.no_grad():
-        expected = one(viewpoint_of(view(-15.0), np.zeros(3)), looks(one.appearance)[0])
+        expected = one(to_viewpoint(view(-15.0), np.zeros(3)), looks(one.appearance)[0])
     torch.testing.assert_close(drawn.rgb, expected.rgb, atol=2e-5, rtol=0.0)
     assert counts["nodes_drawn"] == 3 and counts["decoded"] < counts["held"]
 
@@ -68,9 +68,9 @@ def test_two_blocks_of_the_same_gaussians_are_drawn_as_one() -> None:
     one = street()
     both = [(A, one), (B, shifted(one, np.array([-30.0, 0.0, 0.0])))]
     # Beyond the strip nothing is drawn twice, but for the sky that B does not show.
-    assert np.array_equal(picture(both, 22.0), picture([both[1]], 22.0))
+    assert np.array_equal(image(both, 22.0), image([both[1]], 22.0))
     for x_m in (-15.0, 10.0, 15.0):
-        assert psnr(picture(both, x_m), picture([both[0]], x_m)) > 33.0
+        assert psnr(image(both, x_m), image([both[0]], x_m)) > 33.0
 
 
 def test_crossing_a_boundary_changes_no_more_than_a_step_elsewhere() -> None:
@@ -78,7 +78,7 @@ def test_crossing_a_boundary_changes_no_more_than_a_step_elsewhere() -> None:
     step = 0.02
 
     def change(x_m: float) -> float:
-        return float(psnr(picture(both, x_m - step), picture(both, x_m + step)))
+        return float(psnr(image(both, x_m - step), image(both, x_m + step)))
 
     inside = min(change(-5.0), change(38.0))
     for x_m in (10.0, 15.0, 20.0):
@@ -88,12 +88,12 @@ def test_crossing_a_boundary_changes_no_more_than_a_step_elsewhere() -> None:
 def test_far_structures_do_not_stand_before_a_neighbours_geometry() -> None:
     a, b = street(), street(seed=3)
     a.sky.means.data[:20] = torch.tensor((35.0, 0.0, 2.0))  # within B, and a wall before A's camera
-    wall = picture([(A, a)], 0.0)
+    wall = image([(A, a)], 0.0)
     a_without = street()
     a_without.sky.logits.data[:20] = -20.0
     a_without.sky.means.data[:20] = torch.tensor((35.0, 0.0, 2.0))
-    assert np.array_equal(picture([(A, a), (B, b)], 0.0), picture([(A, a_without), (B, b)], 0.0))
-    assert not np.array_equal(wall, picture([(A, a_without)], 0.0))
+    assert np.array_equal(image([(A, a), (B, b)], 0.0), image([(A, a_without), (B, b)], 0.0))
+    assert not np.array_equal(wall, image([(A, a_without)], 0.0))
 
 
 def test_a_long_streets_blocks_leave_each_others_domes_whole() -> None:
@@ -106,27 +106,27 @@ def test_a_long_streets_blocks_leave_each_others_domes_whole() -> None:
     beyond[7:40] = 300.0 * torch.nn.functional.normalize(
         dome[:33] * torch.tensor((0.0, 0.1, 0.1)) + torch.eye(3)[0], dim=1
     )
-    parts = parts_of(list(zip(row, streets))).parts
+    parts = split_street(list(zip(row, streets))).parts
     assert len(parts[0].street.sky) == len(beyond) - 7
-    assert len(parts_of([(row[0], streets[0])]).parts[0].street.sky) == len(beyond)
+    assert len(split_street([(row[0], streets[0])]).parts[0].street.sky) == len(beyond)
 
 
 def test_a_view_out_of_the_street_is_black() -> None:
-    drawn, counts = Composition([(A, street())]).draw(view(5000.0), looks)
+    drawn, counts = Composition([(A, street())]).render(view(5000.0), looks)
     assert drawn.rgb.shape == (54, 96, 3) and drawn.alpha.shape == drawn.depth_m.shape == (54, 96)
     assert not drawn.rgb.any() and not drawn.alpha.any() and counts["nodes_drawn"] == counts["drawn"] == 0
 
 
 def test_blocks_that_the_view_does_not_see_are_not_decoded() -> None:
     blocks = [(A, street()), (B, street(seed=3))]
-    _, back = Composition(blocks).draw(view(200.0), looks)
+    _, back = Composition(blocks).render(view(200.0), looks)
     assert back["nodes_drawn"] == 1  # the sky of B
-    _, front = Composition(blocks).draw(view(-80.0), looks)
+    _, front = Composition(blocks).render(view(-80.0), looks)
     assert front["nodes_drawn"] == 5
 
 
 def test_utm_sized_origins_give_the_same_picture() -> None:
     a, b = street(), street(seed=3)
-    near = picture([(A, a), (B, b)], 5.0)
-    far = picture([(far_block(A, UTM), a), (far_block(B, UTM), b)], 5.0, UTM)
+    near = image([(A, a), (B, b)], 5.0)
+    far = image([(far_block(A, UTM), a), (far_block(B, UTM), b)], 5.0, UTM)
     assert psnr(near, far) > 60.0

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from benchmarks.street.reference_model import plain_anchors, plain_gaussians
-from hybridworldsim.model.nodes.network_inputs import told
-from hybridworldsim.model.visible import visible
-from hybridworldsim.training.viewpoint import viewpoint_of
+from hybridworldsim.model.nodes.network_inputs import network_inputs
+from hybridworldsim.model.visible import select_visible
+from hybridworldsim.training.viewpoint import to_viewpoint
 from tests.street.streets import SOURCES, street, view
 
 PLACES = (view(-25.0), view(3.0, 5.0), view(200.0))
@@ -35,7 +35,7 @@ def same_with_gradients(found, expected, node, exact):
         torch.testing.assert_close(one.grad.double(), other.grad, rtol=0.0, atol=1e-5 * scale + 1e-6, msg=name)
 
 
-def bent(seed: int, k: int, hidden: int):
+def modulated(seed: int, k: int, hidden: int):
     """A street all of whose parameters say something."""
     one = street(seed=seed, k=k, hidden=hidden)
     for network in (one.background.geometry, one.background.colour):
@@ -49,17 +49,17 @@ def bent(seed: int, k: int, hidden: int):
 @pytest.mark.parametrize("place", PLACES)
 def test_decoding_is_that_of_plain_torch(hidden, k, place):
     torch.manual_seed(hidden)
-    one, exact = bent(hidden, k, hidden), bent(hidden, k, hidden)
+    one, exact = modulated(hidden, k, hidden), modulated(hidden, k, hidden)
     exact.load_state_dict(one.state_dict())
     exact.double()
-    viewpoint = viewpoint_of(place, np.zeros(3))
+    viewpoint = to_viewpoint(place, np.zeros(3))
     eye = viewpoint.centre.double()
     latent, content = (one.appearance(source).detach() for source in SOURCES)
     latent, content = latent + 0.3, content - 0.3
     splats = one.background.decode(viewpoint, latent, content)
     same_with_gradients(
         numbers(splats),
-        plain_anchors(exact.background, splats.seen, eye, latent.double(), content.double()),
+        plain_anchors(exact.background, splats.anchor_ids, eye, latent.double(), content.double()),
         one.background,
         exact.background,
     )
@@ -70,10 +70,10 @@ def test_decoding_is_that_of_plain_torch(hidden, k, place):
 
 
 def test_an_appearance_learns():
-    one, exact = bent(1, 4, 16), bent(1, 4, 16)
+    one, exact = modulated(1, 4, 16), modulated(1, 4, 16)
     exact.load_state_dict(one.state_dict())
     exact.double()
-    viewpoint = viewpoint_of(view(-25.0), np.zeros(3))
+    viewpoint = to_viewpoint(view(-25.0), np.zeros(3))
     splats = one.ground.decode(viewpoint, one.appearance(SOURCES[0]))
     splats.colours.sum().backward()
     plain_gaussians(exact.ground, splats.rows, viewpoint.centre.double(), exact.appearance(SOURCES[0]))[
@@ -87,7 +87,7 @@ def test_an_empty_street_is_an_empty_picture():
     for node in (one.ground, one.sky):
         for name, table in list(node.named_parameters(recurse=False)):
             setattr(node, name, torch.nn.Parameter(table.detach()[:0]))
-    drawn = one(viewpoint_of(view(), np.zeros(3)), one.appearance(SOURCES[0]))
+    drawn = one(to_viewpoint(view(), np.zeros(3)), one.appearance(SOURCES[0]))
     assert not drawn.alpha.any() and not drawn.rgb.any()
 
 
@@ -95,13 +95,13 @@ def test_numbers_that_are_not_finite_are_left_out():
     one = street()
     one.background.codes.data[3] = torch.nan
     one.ground.means.data[5] = torch.inf
-    drawn = one(viewpoint_of(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]))
+    drawn = one(to_viewpoint(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]))
     assert torch.isfinite(drawn.rgb).all()
 
 
 def test_a_camera_at_a_point_is_told_of_no_direction():
     codes, means = torch.ones(2, 5, requires_grad=True), torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    found = told(codes, means, means[0], 2.0)
+    found = network_inputs(codes, means, means[0], 2.0)
     assert found.shape == (2, 12)
     assert found[0].tolist() == [1.0] * 5 + [0.0, 0.0, 0.0] + [0.5, 1.0, 1.5] + [1.0]
     found.sum().backward()
@@ -109,9 +109,9 @@ def test_a_camera_at_a_point_is_told_of_no_direction():
 
 
 def test_rows_at_hand_are_taken_as_they_are():
-    one = bent(2, 4, 16)
-    viewpoint, latent = viewpoint_of(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]).detach()
-    ids = one.ground.seen(viewpoint)
+    one = modulated(2, 4, 16)
+    viewpoint, latent = to_viewpoint(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]).detach()
+    ids = one.ground.visible_ids(viewpoint)
     leaf = one.ground.codes.detach()[ids].requires_grad_()
     given = one.ground.decode(viewpoint, latent, one.ground.rows(ids, {"codes": leaf}))
     looked_up = one.ground.decode(viewpoint, latent)
@@ -122,12 +122,12 @@ def test_rows_at_hand_are_taken_as_they_are():
 
 
 def test_the_same_at_any_number_of_threads():
-    one, threads = bent(0, 10, 64), torch.get_num_threads()
+    one, threads = modulated(0, 10, 64), torch.get_num_threads()
     found = []
     try:
         for count in (1, 2):
             torch.set_num_threads(count)
-            found.append(told(one.ground.codes, one.ground.means, torch.zeros(3)))
+            found.append(network_inputs(one.ground.codes, one.ground.means, torch.zeros(3)))
     finally:
         torch.set_num_threads(threads)
     assert torch.equal(*found)
@@ -138,7 +138,7 @@ def test_the_rows_that_are_seen_are_those_whose_sphere_meets_the_pyramid():
     means = 100.0 * (torch.rand(5000, 3, generator=generator) - 0.5)
     reach = torch.rand(5000, generator=generator)
     for place in (view(), view(-60.0, fx_px=400.0), view(3.0, 3.0, 30.0, fx_px=10.0)):
-        viewpoint = viewpoint_of(place, np.zeros(3))
+        viewpoint = to_viewpoint(place, np.zeros(3))
         x, y, z = (means.double() @ viewpoint.viewmat[:3, :3].double().T + viewpoint.viewmat[:3, 3].double()).unbind(1)
         seen = z + reach > 0.05
         for along, axis, size in ((x, 0, viewpoint.width_px), (y, 1, viewpoint.height_px)):
@@ -146,6 +146,6 @@ def test_the_rows_that_are_seen_are_those_whose_sphere_meets_the_pyramid():
             for slope, side in ((middle / focal, along), ((size - middle) / focal, -along)):
                 # The signed distance to the side's plane, whose normal points inwards.
                 seen &= (side + slope * z) / (1.0 + slope * slope) ** 0.5 > -reach
-        ours = visible(viewpoint, means, reach)
+        ours = select_visible(viewpoint, means, reach)
         assert 0 < len(ours) < 5000 and ours.diff().gt(0).all()
         assert len(np.setxor1d(ours.numpy(), seen.nonzero().squeeze(1).numpy())) <= 1

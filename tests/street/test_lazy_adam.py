@@ -30,12 +30,12 @@ def plain(node):
 
 def stepped(adam, rows, rng):
     """A step with random gradients of some rows; returns the gradients."""
-    leaves = adam.take(torch.from_numpy(rows), RATES)
-    told = {name: torch.from_numpy(rng.normal(size=leaf.shape)).float() for name, leaf in leaves.items()}
+    leaves = adam.begin_step(torch.from_numpy(rows), RATES)
+    network_inputs = {name: torch.from_numpy(rng.normal(size=leaf.shape)).float() for name, leaf in leaves.items()}
     for name, leaf in leaves.items():
-        leaf.grad = told[name]
-    adam.learn()
-    return told
+        leaf.grad = network_inputs[name]
+    adam.end_step()
+    return network_inputs
 
 
 def both_stepped(adam, rows, rng, reference, exact):
@@ -60,7 +60,7 @@ def test_rows_end_where_adam_takes_them_that_is_told_of_zeros(seed, steps, share
     adam, reference = lazy(one), plain(exact)
     for _ in range(steps):
         both_stepped(adam, some(rng, 30, share), rng, reference, exact)
-    adam.settle(RATES)
+    adam.catch_up(RATES)
     for name in ("table", "numbers", "fixed"):
         torch.testing.assert_close(
             one.get_parameter(name).detach().double(), exact.get_parameter(name).detach(), rtol=1e-4, atol=1e-4
@@ -72,7 +72,7 @@ def test_a_row_that_is_seen_once_in_a_thousand_steps_goes_as_far():
     adam, reference, rng = lazy(one), plain(exact), np.random.default_rng(0)
     for step in range(2001):
         both_stepped(adam, np.array([0, 1] if step % 1000 == 0 else [0]), rng, reference, exact)
-    adam.settle(RATES)
+    adam.catch_up(RATES)
     assert one.table[1].detach().sub(exact.table[1].detach()).abs().max() < 1e-5
     assert one.table[0].detach().sub(exact.table[0].detach()).abs().max() < 1e-3
 
@@ -81,11 +81,11 @@ def test_moments_fade_while_the_rate_is_zero():
     one, exact = node_of(2), node_of(2, torch.float64)
     adam, reference, rng = lazy(one), plain(exact), np.random.default_rng(0)
     both_stepped(adam, np.array([0, 1]), rng, reference, exact)
-    adam.settle(dict.fromkeys(RATES, 0.0))
+    adam.catch_up(dict.fromkeys(RATES, 0.0))
     for _ in range(20):
-        adam.take(torch.tensor([0]), dict.fromkeys(RATES, 0.0))
-        adam.learn()
-    adam.settle(dict.fromkeys(RATES, 0.0))
+        adam.begin_step(torch.tensor([0]), dict.fromkeys(RATES, 0.0))
+        adam.end_step()
+    adam.catch_up(dict.fromkeys(RATES, 0.0))
     for group in reference.param_groups:
         group["lr"] = 0.0
     exact.zero_grad(set_to_none=False)
@@ -105,7 +105,7 @@ def test_rows_that_were_never_seen_stay_where_they_are():
     before, adam, rng = node.table.detach().clone(), lazy(node), np.random.default_rng(0)
     for _ in range(5):
         stepped(adam, np.array([1]), rng)
-    adam.settle(RATES)
+    adam.catch_up(RATES)
     assert torch.equal(node.table.detach()[[0, 2]], before[[0, 2]])
     assert not torch.equal(node.table.detach()[1], before[1])
 
@@ -114,11 +114,11 @@ def test_what_is_taken_is_up_to_date_and_what_nothing_is_drawn_of_goes_on():
     node = node_of(4)
     adam, rng = lazy(node), np.random.default_rng(0)
     stepped(adam, np.array([0, 2]), rng)
-    leaves = adam.take(torch.tensor([0, 2, 3]), RATES)
+    leaves = adam.begin_step(torch.tensor([0, 2, 3]), RATES)
     for name, leaf in leaves.items():
         assert torch.equal(leaf.detach(), node.get_parameter(name).detach()[[0, 2, 3]])
     before = node.table.detach().clone()
-    adam.learn()
+    adam.end_step()
     assert (node.table.detach() != before).flatten(1).any(1).tolist() == [True, False, True, False]
 
 
@@ -126,7 +126,7 @@ def test_rows_take_their_moments_with_them():
     node = node_of(4)
     adam, rng = lazy(node), np.random.default_rng(0)
     stepped(adam, np.arange(4), rng)
-    adam.settle(RATES)
+    adam.catch_up(RATES)
     value, before = node.table.detach().clone(), adam.state()
     added = {"table": torch.full((1, 2, 3), 9.0), "numbers": torch.zeros(1), "fixed": torch.zeros(1, 2)}
     adam.replace(torch.tensor([1, 3]), added)
@@ -158,7 +158,7 @@ def test_it_goes_on_exactly_where_it_was_kept():
         rng = np.random.default_rng(4)
         for _ in range(9):
             stepped(each, some(rng, 20, 0.3), rng)
-        each.settle(RATES)
+        each.catch_up(RATES)
     assert torch.equal(one.table, other.table)
     assert torch.equal(one.numbers, other.numbers)
 
@@ -167,10 +167,10 @@ def test_it_goes_on_exactly_where_it_was_kept():
 def test_no_rows_and_an_empty_node_are_fine(rows):
     node = node_of(len(rows))
     adam = lazy(node)
-    leaves = adam.take(torch.tensor(rows, dtype=torch.int64), RATES)
+    leaves = adam.begin_step(torch.tensor(rows, dtype=torch.int64), RATES)
     assert leaves["table"].shape == (len(rows), 2, 3)
-    adam.learn()
-    adam.settle(RATES)
+    adam.end_step()
+    adam.catch_up(RATES)
 
 
 def test_the_same_at_any_number_of_threads():
@@ -182,7 +182,7 @@ def test_the_same_at_any_number_of_threads():
             adam, rng = lazy(node), np.random.default_rng(0)
             for _ in range(3):
                 stepped(adam, some(rng, 6000, 0.5), rng)
-            adam.settle(RATES)
+            adam.catch_up(RATES)
             found.append(node.table.detach().clone())
     finally:
         torch.set_num_threads(threads)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.storage import load_block, save_block
-from hybridworldsim.training.viewpoint import Source, viewpoint_of
+from hybridworldsim.training.viewpoint import Source, to_viewpoint
 from mirror.errors import DatasetError
 from mirror.metrics.images.psnr import psnr
 from tests.street.streets import SOURCES, street, view
@@ -45,10 +45,10 @@ def test_half_precision_hardly_changes_a_picture(tmp_path: Path) -> None:
     one = street()
     save_block(tmp_path / "half", BLOCK, one, half=True)
     _, other, _ = load_block(tmp_path / "half")
-    viewpoint = viewpoint_of(view(-25.0), np.zeros(3))
+    viewpoint = to_viewpoint(view(-25.0), np.zeros(3))
     with torch.no_grad():
         pictures = [each(viewpoint, each.appearance(SOURCES[0])).rgb.clamp(0, 1) for each in (one, other)]
-    ours, theirs = (picture.mul(255.0).round().byte().numpy() for picture in pictures)
+    ours, theirs = (image.mul(255.0).round().byte().numpy() for image in pictures)
     assert psnr(ours, theirs) > 45.0
 
 
@@ -82,7 +82,7 @@ def test_another_traversal_takes_one_latent_for_itself_and_one_for_each_camera(t
     for traversals in (1, 2, 101):
         one = street()
         sources = [Source(f"s.{number:03}.0", camera) for number in range(traversals) for camera in ("front", "rear")]
-        one.appearance = Appearance(sources, 8)
+        one.appearance = AppearanceLatents(sources, 8)
         sizes[traversals] = save_block(tmp_path / str(traversals), BLOCK, one)
     # Three latents of 8 numbers; the header has the names of the two sources.
     each = (sizes[101] - sizes[1]) / 100

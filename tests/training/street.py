@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from hybridworldsim.model.initialization import Initial, street_of
+from hybridworldsim.model.initialization import InitialGeometry, initial_street
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.model.trainer import StreetTrainer
-from hybridworldsim.training.training_image import TrainingPicture
-from hybridworldsim.training.viewpoint import Source, Viewpoint, viewpoint_of
+from hybridworldsim.training.training_image import TrainingImage
+from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
 from mirror.protocols.views.view import View
 
 WIDTH, HEIGHT = 32, 20
@@ -58,7 +58,7 @@ def views(count: int = 6, traversals: Sequence[str] = TRAVERSALS) -> list[View]:
     return [view(traversal, frame) for traversal in traversals for frame in range(count)]
 
 
-def initial(sources: Sequence[Source] | None = None) -> Initial:
+def initial(sources: Sequence[Source] | None = None) -> InitialGeometry:
     """Points on a wall at x = 20 m and a flat road."""
     y, z = np.meshgrid(np.linspace(-8, 8, 20), np.linspace(0, 6, 10))
     wall = np.column_stack((np.full(y.size, 20.0), y.ravel(), z.ravel()))
@@ -68,14 +68,14 @@ def initial(sources: Sequence[Source] | None = None) -> Initial:
         return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
 
     sources = sources or [Source(name, "front_wide") for name in TRAVERSALS]
-    return Initial(wall, np.array([[90.0, 0.0, 5.0]]), driven, ground, 30.0, sources)
+    return InitialGeometry(wall, np.array([[90.0, 0.0, 5.0]]), driven, ground, 30.0, sources)
 
 
-def learner(settings: Settings = SETTINGS) -> StreetTrainer:
-    return StreetTrainer(street_of(initial(), settings), settings)
+def trainer(settings: Settings = SETTINGS) -> StreetTrainer:
+    return StreetTrainer(initial_street(initial(), settings), settings)
 
 
-def picture_of(viewpoint: Viewpoint, night: bool) -> TrainingPicture:
+def picture_of(viewpoint: Viewpoint, night: bool) -> TrainingImage:
     """Stripes on the wall, a grey road, a sky: by the ray of each pixel."""
     v, u = torch.meshgrid(torch.arange(HEIGHT) + 0.5, torch.arange(WIDTH) + 0.5, indexing="ij")
     across, down = (u - WIDTH / 2) / 20.0, (v - HEIGHT / 2) / 20.0
@@ -86,20 +86,20 @@ def picture_of(viewpoint: Viewpoint, night: bool) -> TrainingPicture:
     rgb = torch.where((z < 0.0)[..., None], torch.tensor([0.35, 0.35, 0.35]), rgb)
     depth = torch.where(z < 0.0, 1.5 / down.clamp_min(1e-3), torch.where(z > 6.0, 0.0, ahead))
     rgb = (rgb * (0.3 if night else 1.0)).clamp(0.0, 1.0)
-    return TrainingPicture(viewpoint, rgb, torch.ones(HEIGHT, WIDTH, dtype=torch.bool), z > 6.0, depth)
+    return TrainingImage(viewpoint, rgb, torch.ones(HEIGHT, WIDTH, dtype=torch.bool), z > 6.0, depth)
 
 
-Edit = Callable[[TrainingPicture], TrainingPicture]
+Edit = Callable[[TrainingImage], TrainingImage]
 
 
 @dataclass
 class Painted:
-    """Opens pictures as `hybridworldsim.training.data_loader.Pictures` does, without a dataset."""
+    """Opens pictures as `hybridworldsim.training.data_loader.TrainingImageCache` does, without a dataset."""
 
-    edit: Edit = lambda picture: picture
+    edit: Edit = lambda image: image
     opened: int = 0
 
-    def __call__(self, one: View) -> TrainingPicture:
+    def __call__(self, one: View) -> TrainingImage:
         self.opened += 1
-        made = picture_of(viewpoint_of(one, np.zeros(3)), "night" in one.traversal_id)
+        made = picture_of(to_viewpoint(one, np.zeros(3)), "night" in one.traversal_id)
         return replace(self.edit(made), name=one.path)

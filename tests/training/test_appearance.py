@@ -8,12 +8,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybridworldsim.training.appearance import AppearanceSelector, seen_of
-from hybridworldsim.training.driven_lines import Lines, chamfer_m, filled
+from hybridworldsim.training.appearance import AppearanceSelector, trained_cameras
+from hybridworldsim.training.driven_lines import DrivenLines, chamfer_m, densify_line
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror.protocols.views.view import View
-from tests.training.street import Painted, learner, view
+from tests.training.street import Painted, trainer, view
 
 CAMERAS = ("front_wide", "rear")
 BACK = (0.5, -0.5, -0.5, 0.5)
@@ -32,11 +32,11 @@ def line(traversal: str, y_m: float, cameras: tuple[str, ...] = CAMERAS, weather
 
 
 TRAINED = [*line("s.day.0", 0.0), *line("s.day.1", 8.0, weather="rain"), *line("s.night.0", 4.0)]
-SEEN = seen_of(TRAINED)
+SEEN = trained_cameras(TRAINED)
 
 
 def look(policy: str, asked: list[View], which: int = 0, everywhere: bool = False):
-    return AppearanceSelector(SEEN, policy, asked, everywhere).of(asked[which])
+    return AppearanceSelector(SEEN, policy, asked, everywhere).select(asked[which])
 
 
 def test_what_was_trained_on_keeps_its_look() -> None:
@@ -54,7 +54,7 @@ def test_whole_lines_are_compared_not_the_nearest_picture() -> None:
     # It begins where one traversal drove, and goes on where another did.
     asked = [*line("s.new.0", 0.0)[:4], *line("s.new.0", 8.0)[4:]]
     assert look("nearest", asked).content.traversal_id == "s.day.1"
-    assert AppearanceSelector(SEEN, "nearest").of(asked[0]).content.traversal_id == "s.day.0"
+    assert AppearanceSelector(SEEN, "nearest").select(asked[0]).content.traversal_id == "s.day.0"
 
 
 def test_words_mean_light_weather_or_a_traversal() -> None:
@@ -73,11 +73,13 @@ def test_a_light_that_is_edited_moves_nothing() -> None:
 
 def test_blocks_agree_on_a_look_and_take_the_nearest_where_they_have_not_seen_it() -> None:
     asked = line("s.new.0", 5.0)
-    parts = [seen_of([one for one in TRAINED if one.traversal_id != absent]) for absent in ("s.night.0", "s.day.0")]
+    parts = [
+        trained_cameras([one for one in TRAINED if one.traversal_id != absent]) for absent in ("s.night.0", "s.day.0")
+    ]
 
     def chosen(policy: str) -> list[str]:
         return [
-            AppearanceSelector(own, policy, asked, lines=Lines(SEEN, asked)).of(asked[0]).content.traversal_id
+            AppearanceSelector(own, policy, asked, lines=DrivenLines(SEEN, asked)).select(asked[0]).content.traversal_id
             for own in parts
         ]
 
@@ -87,9 +89,9 @@ def test_blocks_agree_on_a_look_and_take_the_nearest_where_they_have_not_seen_it
     with pytest.raises(UsageError, match="'night'"):
         AppearanceSelector(parts[0], "night", asked)
     # Nobody else has seen it: what is said of a street does not change what a block has seen itself.
-    assert AppearanceSelector(SEEN, "nearest", asked, lines=Lines(SEEN, asked)).of(asked[0]) == AppearanceSelector(
-        SEEN, "nearest", asked
-    ).of(asked[0])
+    assert AppearanceSelector(SEEN, "nearest", asked, lines=DrivenLines(SEEN, asked)).select(
+        asked[0]
+    ) == AppearanceSelector(SEEN, "nearest", asked).select(asked[0])
 
 
 def test_mean_is_of_the_camera() -> None:
@@ -101,7 +103,7 @@ def test_mean_is_of_the_camera() -> None:
 def test_a_sweep_goes_from_one_to_the_other() -> None:
     asked = line("s.new.0", 0.5)
     looks = AppearanceSelector(SEEN, "sweep:day:night", asked)
-    shares = [looks.of(one).colours for one in asked[::2]]
+    shares = [looks.select(one).colours for one in asked[::2]]
     assert [blend[1][1] for blend in shares] == pytest.approx(np.linspace(0.0, 1.0, 10).tolist())
     assert {blend[0][0].traversal_id for blend in shares} == {"s.day.0"}
 
@@ -112,7 +114,7 @@ def test_cameras_of_other_names_are_told_by_where_they_look() -> None:
 
 
 def test_an_edit_of_the_light_moves_nothing() -> None:
-    street = learner().street
+    street = trainer().street
     with torch.no_grad():
         # As after training: what is there depends on the look.
         street.appearance.drives.mul_(20.0)
@@ -142,29 +144,31 @@ def test_chamfer_is_symmetric_and_does_not_depend_on_the_origin(shift: float, co
 def test_a_line_is_filled_up_evenly_and_keeps_its_places() -> None:
     places = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.2, 0.0, 0.0], [1.2, 0.4, 0.0]])
     expected = [[0.0, 0, 0], [0.4, 0, 0], [0.8, 0, 0], [1.2, 0, 0], [1.2, 0, 0], [1.2, 0.4, 0]]
-    np.testing.assert_allclose(filled(places), expected, atol=1e-12)
-    np.testing.assert_array_equal(filled(places[:1]), places[:1])
+    np.testing.assert_allclose(densify_line(places), expected, atol=1e-12)
+    np.testing.assert_array_equal(densify_line(places[:1]), places[:1])
 
 
 def test_a_line_that_several_blocks_saw_is_all_of_it() -> None:
     """Each block knows the part that it was trained on."""
-    halves = [seen_of([one for one in TRAINED if (one.world_SE3_camera[4] < 5.0) == first]) for first in (True, False)]
+    halves = [
+        trained_cameras([one for one in TRAINED if (one.world_SE3_camera[4] < 5.0) == first]) for first in (True, False)
+    ]
     asked = line("s.new.0", 1.0)
-    lines = Lines([one for half in halves for one in half], asked)
+    lines = DrivenLines([one for half in halves for one in half], asked)
     chosen = {
-        AppearanceSelector(half, "nearest", asked, lines=lines).of(asked[0]).content.traversal_id for half in halves
+        AppearanceSelector(half, "nearest", asked, lines=lines).select(asked[0]).content.traversal_id for half in halves
     }
     assert chosen == {"s.day.0"}
     reference = [
         chamfer_m(
             np.concatenate(
                 [
-                    filled(np.array([one.pose.translation[0] for one in asked if one.camera == camera]))
+                    densify_line(np.array([one.pose.translation[0] for one in asked if one.camera == camera]))
                     for camera in CAMERAS
                 ]
             ),
             np.concatenate(
-                [filled(np.array(one.centre_m)) for half in halves for one in half if one.traversal_id == name]
+                [densify_line(np.array(one.centre_m)) for half in halves for one in half if one.traversal_id == name]
             ),
         )
         for name in ("s.day.0", "s.night.0")

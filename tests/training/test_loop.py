@@ -19,21 +19,21 @@ from safetensors.torch import load_file
 from torch import nn
 
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.initialization import street_of
+from hybridworldsim.model.initialization import initial_street
 from hybridworldsim.model.storage import save_block
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.training.budget import Budget, Clock
 from hybridworldsim.training.loop import REPORTS, Options, train
 from hybridworldsim.training.run.curves import read_curves
-from hybridworldsim.training.run.folder import Outcome, Run, RunFolder, is_taken, read_run
+from hybridworldsim.training.run.folder import Run, RunFolder, TrainingOutcome, is_occupied, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters, write_parameters
 from hybridworldsim.training.run.previews import Preview
 from hybridworldsim.training.trainable_method import StepReport
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.training_image import TrainingImage
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.files import TEMPORARY
 from tests.conftest import ROOT
-from tests.training.street import SETTINGS, Painted, initial, learner, view, views
+from tests.training.street import SETTINGS, Painted, initial, trainer, view, views
 
 RUN = Run(
     method="hybridworldsim",
@@ -69,10 +69,10 @@ def _one_thread():
 
 def run(
     path: Path, steps: int = 60, pictures: Painted | None = None, options: Options | None = None, **more
-) -> Outcome:
+) -> TrainingOutcome:
     folder = RunFolder(path)
     folder.begin(RUN)
-    trained = more.pop("learner", None) or learner()
+    trained = more.pop("trainer", None) or trainer()
     half = more.pop("half", False)
     return train(
         trained,
@@ -89,7 +89,7 @@ def run(
 def test_training_brings_pictures_nearer_and_leaves_a_whole_folder(tmp_path: Path) -> None:
     one = view("s.day.0", 2)
     specimen = Preview("training-0", Painted()(one), Painted()(one).viewpoint.source)
-    done = run(tmp_path / "run", 120, options=Options(specimens=[specimen]))
+    done = run(tmp_path / "run", 120, options=Options(previews=[specimen]))
     rows = read_curves(tmp_path / "run" / "curves.csv", 1000)
     assert done.steps == 120 and done.skipped == 0 and len(rows) == REPORTS
     assert rows[-1]["psnr_db"] > rows[0]["psnr_db"] + 3.0 and done.psnr_db == pytest.approx(rows[-1]["psnr_db"])
@@ -102,9 +102,9 @@ def test_training_brings_pictures_nearer_and_leaves_a_whole_folder(tmp_path: Pat
 
 
 def test_the_model_alone_renders_what_the_learner_did(tmp_path: Path) -> None:
-    trained = learner()
-    run(tmp_path / "run", learner=trained)
-    fresh = street_of(replace_points(), SETTINGS)
+    trained = trainer()
+    run(tmp_path / "run", trainer=trained)
+    fresh = initial_street(replace_points(), SETTINGS)
     set_parameters(fresh, read_parameters(tmp_path / "run" / "model.safetensors"))
     viewpoint = Painted()(view("s.night.0", 3)).viewpoint
     with torch.no_grad():
@@ -118,14 +118,14 @@ def replace_points():
 
 
 def test_half_precision_takes_half_the_bytes_of_tables_and_hardly_shows(tmp_path: Path) -> None:
-    trained = learner()
-    whole = run(tmp_path / "whole", learner=trained)
+    trained = trainer()
+    whole = run(tmp_path / "whole", trainer=trained)
     half = run(tmp_path / "half", half=True)
     tables = ("offsets", "codes", "log_scales", "quats", "logits")
     numbers = sum(table.numel() for name, table in trained.street.named_parameters() if name.endswith(tables))
     # But for how long the header writes where each begins.
     assert whole.model_bytes - half.model_bytes == pytest.approx(2 * numbers, abs=100)
-    fresh = street_of(initial(), SETTINGS)
+    fresh = initial_street(initial(), SETTINGS)
     set_parameters(fresh, read_parameters(tmp_path / "half" / "model.safetensors"))
     viewpoint = Painted()(view("s.day.0", 3)).viewpoint
     with torch.no_grad():
@@ -147,26 +147,26 @@ def test_what_pictures_and_networks_have_stays_whole_in_half_precision(tmp_path:
 def test_a_killed_process_leaves_nothing_in_the_way(tmp_path: Path) -> None:
     left = tmp_path / f".run.json.7{TEMPORARY}"
     left.touch()
-    assert not is_taken(tmp_path) and not is_taken(tmp_path / "new") and is_taken(left)
+    assert not is_occupied(tmp_path) and not is_occupied(tmp_path / "new") and is_occupied(left)
     folder = RunFolder(tmp_path)
-    assert folder.begin(RUN) is None and left.exists() and is_taken(tmp_path)
-    with folder.alone():
+    assert folder.begin(RUN) is None and left.exists() and is_occupied(tmp_path)
+    with folder.lock():
         assert not left.exists() and (tmp_path / "run.json").exists()
 
 
 def test_who_asks_does_not_touch_what_another_process_is_writing(tmp_path: Path) -> None:
     run(tmp_path, steps=2)
     folder, writing = RunFolder(tmp_path), tmp_path / f".checkpoint.safetensors.7{TEMPORARY}"
-    with folder.alone():
+    with folder.lock():
         writing.touch()
-        with pytest.raises(DatasetError, match="another process is training"), RunFolder(tmp_path).alone():
+        with pytest.raises(DatasetError, match="another process is training"), RunFolder(tmp_path).lock():
             pass
         assert writing.exists()
 
 
 def test_a_checkpoint_without_all_that_is_kept_is_refused(tmp_path: Path) -> None:
-    trained = learner()
-    run(tmp_path, steps=2, learner=trained)
+    trained = trainer()
+    run(tmp_path, steps=2, trainer=trained)
 
     class Older(type(trained)):
         def restore(self, state):
@@ -177,7 +177,7 @@ def test_a_checkpoint_without_all_that_is_kept_is_refused(tmp_path: Path) -> Non
 
 
 def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
-    block, street = Block((0, 0), (1.0, 2.0, 3.0)), learner().street
+    block, street = Block((0, 0), (1.0, 2.0, 3.0)), trainer().street
     for number in range(5):
         save_block(tmp_path / f"{number}.safetensors", block, street)
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
@@ -202,7 +202,7 @@ run(Path(sys.argv[1]), 160, pictures=Stuck(), options=Options(checkpoint_s=0.1))
 @pytest.mark.parametrize("threads", [1, 2])
 def test_killed_and_resumed_it_is_the_same_model(tmp_path: Path, threads: int) -> None:
     torch.set_num_threads(threads)
-    environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'baselines'}"}
     child = subprocess.Popen(
         [sys.executable, "-c", _CHILD, str(tmp_path / "killed"), str(threads)], env=environment, cwd=ROOT
     )
@@ -261,9 +261,9 @@ def test_a_done_run_says_so_and_another_is_refused(tmp_path: Path) -> None:
 def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
     folder.begin(RUN)
-    with folder.alone(), pytest.raises(DatasetError, match="another process"), RunFolder(tmp_path / "run").alone():
+    with folder.lock(), pytest.raises(DatasetError, match="another process"), RunFolder(tmp_path / "run").lock():
         pass
-    with folder.alone():
+    with folder.lock():
         pass
 
 
@@ -276,7 +276,7 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
 
 
 def edited(**changes):
-    return Painted(lambda picture: replace(picture, **{name: make(picture) for name, make in changes.items()}))
+    return Painted(lambda image: replace(image, **{name: make(image) for name, make in changes.items()}))
 
 
 @pytest.mark.parametrize(
@@ -311,28 +311,28 @@ def stopping_at(count: int) -> Painted:
 
 def test_a_loss_that_is_none_is_refused(tmp_path: Path) -> None:
     class Diverging(StreetTrainer):
-        def step(self, picture, progress):
+        def step(self, image, progress):
             return StepReport({"rgb": 0.1, "depth": torch.inf}, 1)
 
     with pytest.raises(DatasetError, match=r"loss depth is inf at step 0.*look at the poses, masks and depth"):
-        run(tmp_path / "run", learner=Diverging(learner().street, SETTINGS))
+        run(tmp_path / "run", trainer=Diverging(trainer().street, SETTINGS))
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
 
 
 def test_parameters_that_are_none_reach_no_checkpoint(tmp_path: Path) -> None:
     # What they draw is culled, so that no loss tells of them.
-    broken = learner()
+    broken = trainer()
     with torch.no_grad():
         broken.street.appearance.drives[0, 0] = torch.nan
     with pytest.raises(
         DatasetError, match=r"holds numbers that are none at step [12];.*look at the poses, masks and depth"
     ):
-        run(tmp_path / "run", learner=broken)
+        run(tmp_path / "run", trainer=broken)
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
 
 
-def black(picture: TrainingPicture) -> TrainingPicture:
-    return replace(picture, rgb=torch.zeros_like(picture.rgb)) if picture.rgb.max() < 0.31 else picture
+def black(image: TrainingImage) -> TrainingImage:
+    return replace(image, rgb=torch.zeros_like(image.rgb)) if image.rgb.max() < 0.31 else image
 
 
 @pytest.mark.parametrize(
@@ -369,8 +369,8 @@ def test_what_is_masked_decides_nothing(tmp_path: Path) -> None:
     covered[12:, 8:24] = True
     plain = edited(scored=lambda p: p.scored & ~covered)
 
-    def painted(picture: TrainingPicture) -> TrainingPicture:
-        own = plain.edit(picture)
+    def painted(image: TrainingImage) -> TrainingImage:
+        own = plain.edit(image)
         rgb = torch.where(covered[..., None], torch.tensor([1.0, 0.0, 1.0]), own.rgb)
         return replace(own, rgb=rgb, depth_m=torch.where(covered, 2.0, own.depth_m))
 
@@ -383,16 +383,16 @@ def test_what_is_masked_decides_nothing(tmp_path: Path) -> None:
 
 def test_depth_counts_where_the_render_is_mostly_opaque() -> None:
     """What is nearly transparent has a depth that is a quotient of two small numbers."""
-    trained, picture = learner(), Painted()(view("s.day.0", 1))
-    for gone, told in ((0.0, True), (9.0, False)):
+    trained, image = trainer(), Painted()(view("s.day.0", 1))
+    for gone, network_inputs in ((0.0, True), (9.0, False)):
         with torch.no_grad():
             for node in (trained.street.ground, trained.street.sky):
                 node.logits -= gone
             trained.street.background.geometry.out.bias.view(-1, 8)[:, 0] -= gone
-        alpha = trained.render(picture.viewpoint).alpha
-        report = trained.step(picture, 0.0)
-        known = (picture.depth_m > 0.0) & (alpha > 0.5)
-        assert bool(known.any()) == told and (report.losses["depth"] > 0.0) == told
+        alpha = trained.render(image.viewpoint).alpha
+        report = trained.step(image, 0.0)
+        known = (image.depth_m > 0.0) & (alpha > 0.5)
+        assert bool(known.any()) == network_inputs and (report.losses["depth"] > 0.0) == network_inputs
 
 
 def test_pictures_of_which_nothing_is_scored_are_counted_and_left_out(tmp_path: Path) -> None:
@@ -437,12 +437,12 @@ def test_where_nothing_was_learnt_other_settings_begin_anew(tmp_path: Path) -> N
     assert folder.begin(RUN) is None
     # It is another's until somebody trains.
     assert read_run(tmp_path / "run") == other
-    with folder.alone():
-        folder.take(RUN)
+    with folder.lock():
+        folder.claim(RUN)
     assert read_run(tmp_path / "run") == RUN
     run(tmp_path / "run", 2)
-    with folder.alone(), pytest.raises(UsageError, match="a run of other settings began here"):
-        folder.take(other)
+    with folder.lock(), pytest.raises(UsageError, match="a run of other settings began here"):
+        folder.claim(other)
     with pytest.raises(UsageError, match="a run of other settings began here: seed 0, now 1"):
         folder.begin(other)
     (tmp_path / "run" / "outcome.json").unlink()
@@ -460,6 +460,6 @@ def test_where_nothing_was_learnt_other_settings_begin_anew(tmp_path: Path) -> N
     ],
 )
 def test_each_loss_is_switched_off_alone(changes, losses: set[str]) -> None:
-    trained = learner(replace(SETTINGS, **changes))
+    trained = trainer(replace(SETTINGS, **changes))
     assert set(trained.step(Painted()(view("s.day.0", 1)), 0.0).losses) == losses
     assert trained.reads_depth == bool(losses - {"rgb"})

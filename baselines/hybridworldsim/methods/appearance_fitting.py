@@ -11,7 +11,7 @@ from hybridworldsim.model.blocks import Block, views_of
 from hybridworldsim.model.losses import colour_loss
 from hybridworldsim.model.street import Street
 from hybridworldsim.training.appearance import AppearanceSelector
-from hybridworldsim.training.data_loader import Pictures
+from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.run.folder import Run, TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
@@ -23,7 +23,7 @@ _RATE: Final = 0.05
 _MOST_PICTURES: Final = 8
 
 
-def fit_looks(street: Street, block: Block, run: Run, looking: AppearancePolicy) -> tuple[TrainedCamera, ...]:
+def fit_appearances(street: Street, block: Block, run: Run, appearance: AppearancePolicy) -> tuple[TrainedCamera, ...]:
     """Add a latent to a street for each traversal and camera of its scene that sees it and that it was not trained on.
 
     Each begins with the nearest trained one; nothing but the latent is learnt.
@@ -32,7 +32,7 @@ def fit_looks(street: Street, block: Block, run: Run, looking: AppearancePolicy)
         street: gets the latents.
         block: where it is.
         run: what it was trained on.
-        looking: with the truth that may be looked at.
+        appearance: with the truth that may be looked at.
 
     Returns:
         What was trained on or fitted.
@@ -40,17 +40,17 @@ def fit_looks(street: Street, block: Block, run: Run, looking: AppearancePolicy)
     Raises:
         UsageError: there is no truth to look at.
     """
-    if looking.truth is None:
+    if appearance.truth is None:
         raise UsageError(
             "there are no held-out pictures to fit to", place="--appearance fit", expected="--split and --protocol"
         )
-    dataset, plan = looking.truth
+    dataset, plan = appearance.truth
     # What was recorded is not what a camera sees that was moved.
     moved = {group.name for group in plan.protocol.groups if group.ego_shift_m}
     seen = run.sources
-    pictures = Pictures(dataset, plan, np.array(block.origin_m))
+    images = TrainingImageCache(dataset, plan, np.array(block.origin_m))
     known = {Source(one.traversal_id, one.camera) for one in seen}
-    looks = AppearanceSelector(seen, "nearest", looking.views)
+    looks = AppearanceSelector(seen, "nearest", appearance.views)
     by_source: dict[Source, list[View]] = {}
     for view in views_of(
         block, [view for view in plan.views if view.scene_id == run.scene and view.group not in moved]
@@ -61,26 +61,26 @@ def fit_looks(street: Street, block: Block, run: Run, looking: AppearancePolicy)
     fitted = []
     for source, own in by_source.items():
         chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), _MOST_PICTURES)).round().astype(int))
-        near = looks.of(own[0]).content
-        latent = _fitted(street, near, pictures, [own[place] for place in chosen])
+        near = looks.select(own[0]).content
+        latent = _fitted(street, near, images, [own[place] for place in chosen])
         street.appearance.add(source, latent)
         one = next(one for one in seen if (one.traversal_id, one.camera) == near)
         fitted.append(one.model_copy(update={"traversal_id": source.traversal_id, "camera": source.camera}))
     return (*seen, *fitted)
 
 
-def _fitted(street: Street, near: Source, pictures: Pictures, views: list[View]) -> torch.Tensor:
+def _fitted(street: Street, near: Source, images: TrainingImageCache, views: list[View]) -> torch.Tensor:
     latent = street.appearance(near).detach().clone().requires_grad_()
     adam = torch.optim.Adam([latent], lr=_RATE)
     for step in range(_STEPS):
-        picture = pictures(views[step % len(views)])
-        part = torch.zeros_like(picture.scored)
+        image = images(views[step % len(views)])
+        part = torch.zeros_like(image.scored)
         part[:, : int(FITTED_PART.right * part.shape[1])] = True
-        part &= picture.scored
+        part &= image.scored
         if not part.any():
             continue
-        drawn = street(picture.viewpoint, latent)
-        (gradient,) = torch.autograd.grad(colour_loss(drawn.rgb, picture.rgb, part), latent)
+        drawn = street(image.viewpoint, latent)
+        (gradient,) = torch.autograd.grad(colour_loss(drawn.rgb, image.rgb, part), latent)
         latent.grad = gradient
         adam.param_groups[0]["lr"] = _RATE * (1.0 - step / _STEPS)
         adam.step()

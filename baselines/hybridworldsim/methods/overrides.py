@@ -18,7 +18,7 @@ _Settings = TypeVar("_Settings")
 _SEED: Final = "seed"
 
 
-def changed(settings: _Settings, words: Mapping[str, str]) -> _Settings:
+def override_settings(settings: _Settings, words: Mapping[str, str]) -> _Settings:
     """Settings with others in place of some.
 
     Args:

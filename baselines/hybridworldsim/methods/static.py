@@ -15,16 +15,16 @@ import torch
 from scipy.spatial import cKDTree
 
 from hybridworldsim.methods.layers import KINDS, Layers, layers_for
-from hybridworldsim.methods.overrides import changed
-from hybridworldsim.methods.renderers import Opened, Renderer, open_block
+from hybridworldsim.methods.overrides import override_settings
+from hybridworldsim.methods.renderers import NearestBlockRenderer, Renderer, open_block
 from hybridworldsim.model.blocks import SIZE_M, Block, divide, views_of
-from hybridworldsim.model.initialization import Initial
-from hybridworldsim.model.scene_geometry import driven_m, initial_of, surroundings_of
-from hybridworldsim.training.appearance import AppearanceSelector, seen_of
+from hybridworldsim.model.initialization import InitialGeometry
+from hybridworldsim.model.scene_geometry import block_geometry, driven_m, read_scene_geometry
+from hybridworldsim.training.appearance import AppearanceSelector, trained_cameras
 from hybridworldsim.training.budget import Budget
-from hybridworldsim.training.data_loader import NoSupervisionError, Pictures
+from hybridworldsim.training.data_loader import NoSupervisionError, TrainingImageCache
 from hybridworldsim.training.loop import Options, train
-from hybridworldsim.training.run.folder import Outcome, Run, RunFolder
+from hybridworldsim.training.run.folder import Run, RunFolder, TrainingOutcome
 from hybridworldsim.training.run.parameters import write_parameters
 from hybridworldsim.training.run.previews import Preview
 from hybridworldsim.training.trainable_method import TrainableMethod
@@ -43,7 +43,7 @@ from mirror.protocols.views.view import View
 from mirror.schema.files import write_json
 from mirror.schema.folders import Kind, require_own_folder
 
-_SPECIMENS: Final = 2
+_PREVIEWS: Final = 2
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class StaticMethod:
     """
 
     name: str
-    make: Callable[[Initial, Any], TrainableMethod]
+    make: Callable[[InitialGeometry, Any], TrainableMethod]
     settings: Callable[[int], Any]
     block_m: float = SIZE_M
     sky: bool = False
@@ -97,16 +97,16 @@ class StaticMethod:
         training = training_views(layers.dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
         own = layers.dataset.where(split=task.split, role="train", scene=task.scene)
         # Before anything is written: a scene that cannot begin leaves nothing behind.
-        known = surroundings_of(own)
+        known = read_scene_geometry(own)
         for kind in KINDS:
             if bare := layers.lacking(kind, own.traversals()):
                 watch.message(f"without {kind}: {', '.join(bare)}")
-        if training.standing:
-            watch.message(f"{training.standing} pictures of a standing vehicle are left out")
+        if training.stationary_count:
+            watch.message(f"{training.stationary_count} pictures of a standing vehicle are left out")
         if not (out / DOCUMENT).exists():
             write_json(out / DOCUMENT, about)
         held_out = _held_out(layers.dataset, task, watch)
-        found: dict[str, Outcome | None] = {}
+        found: dict[str, TrainingOutcome | None] = {}
         barren: NoSupervisionError | None = None
         finished = read_reconstruction(out).done is not None
         for place, (block, seen) in enumerate(blocks):
@@ -118,7 +118,7 @@ class StaticMethod:
             if block.name not in chosen and folder.outcome is None:
                 found[block.name] = None
                 continue
-            initial = initial_of(known, block, _sources(seen))
+            initial = block_geometry(known, block, _sources(seen))
             points = len(initial.points_m)
             watch.message(f"{block.name}, {place + 1} of {len(blocks)}: {len(seen)} pictures, {points} points")
             one = _Block(block, seen, initial, layers, training, held_out)
@@ -150,7 +150,7 @@ class StaticMethod:
             _finish(out, done)
         return done
 
-    def open(self, model: Path, looking: AppearancePolicy = AppearancePolicy()) -> Renderer:  # noqa: B008 - immutable
+    def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> Renderer:  # noqa: B008 - immutable
         """A renderer; see `InstalledMethod.open`.
 
         Raises:
@@ -158,40 +158,44 @@ class StaticMethod:
             DatasetError: the folder holds no whole model of this method.
         """
         settings = type(self.settings(0))
-        return Opened([open_block(folder, self.make, settings) for folder in block_folders(model)], looking)
+        return NearestBlockRenderer(
+            [open_block(folder, self.make, settings) for folder in block_folders(model)], appearance
+        )
 
-    def write(self, path: Path, block: Block, learner: TrainableMethod, run: Run, *, half: bool) -> int:
+    def write(self, path: Path, block: Block, trainer: TrainableMethod, run: Run, *, half: bool) -> int:
         """Write what rendering needs, and say how many bytes that is."""
-        return write_parameters(path, learner.model, half=half)
+        return write_parameters(path, trainer.model, half=half)
 
-    def _train(self, one: _Block, task: ReconstructionTask, folder: RunFolder, watch: ProgressReporter) -> Outcome:
+    def _train(
+        self, one: _Block, task: ReconstructionTask, folder: RunFolder, watch: ProgressReporter
+    ) -> TrainingOutcome:
         run = self._run(one, task)
         done = folder.begin(run)
         if done is not None:
             watch.message(f"{folder.path} is done: {done.psnr_db:.2f} dB after {done.steps} steps")
             return done
-        learner = self.make(one.initial, self._settings(task))
+        trainer = self.make(one.initial, self._settings(task))
         origin = np.array(one.block.origin_m)
         # Where it reads no depth, maps that others have made are not read either, unless they tell whose sky is meant.
-        deep = one.layers.having("depth") if learner.reads_depth or self.sky else frozenset()
-        with folder.alone():
-            folder.take(run)
+        deep = one.layers.having("depth") if trainer.reads_depth or self.sky else frozenset()
+        with folder.lock():
+            folder.claim(run)
             return train(
-                learner,
-                Pictures(one.layers.dataset, one.training.plan, origin, deep, sky=self.sky),
+                trainer,
+                TrainingImageCache(one.layers.dataset, one.training.plan, origin, deep, sky=self.sky),
                 one.views,
                 Budget(task.steps, task.core_minutes),
                 folder,
-                lambda path: self.write(path, one.block, learner, run, half=task.half),
+                lambda path: self.write(path, one.block, trainer, run, half=task.half),
                 seed=task.seed,
                 options=Options(
-                    specimens=one.specimens(run, watch), title=f"{self.name}, {task.scene}, {one.block.name}"
+                    previews=one.previews(run, watch), title=f"{self.name}, {task.scene}, {one.block.name}"
                 ),
                 watch=watch,
             )
 
     def _settings(self, task: ReconstructionTask) -> Any:
-        return changed(self.settings(task.seed), task.settings)
+        return override_settings(self.settings(task.seed), task.settings)
 
     def _run(self, one: _Block, task: ReconstructionTask) -> Run:
         read = one.layers.dataset.layers
@@ -219,8 +223,8 @@ class StaticMethod:
             calibrations=read.calibrations,
             stage=read.stage,
             pictures=len(one.views),
-            withheld=tuple("/".join(map(str, picture)) for picture in sorted(task.withheld)),
-            sources=seen_of(one.views),
+            withheld=tuple("/".join(map(str, image)) for image in sorted(task.withheld)),
+            sources=trained_cameras(one.views),
         )
 
 
@@ -230,12 +234,12 @@ class _Block:
 
     block: Block
     views: tuple[View, ...]
-    initial: Initial
+    initial: InitialGeometry
     layers: Layers
     training: TrainingViews
     held_out: Plan | None
 
-    def specimens(self, run: Run, watch: ProgressReporter) -> list[Preview]:
+    def previews(self, run: Run, watch: ProgressReporter) -> list[Preview]:
         """A few training and held-out pictures of the block; of what is held out, those that can be had."""
         shown = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
@@ -244,18 +248,18 @@ class _Block:
         looks = AppearanceSelector(run.sources, "nearest", () if self.held_out is None else self.held_out.views)
         found = []
         for name, plan, views in shown:
-            pictures = Pictures(self.layers.dataset, plan, np.array(self.block.origin_m))
-            middles = (np.arange(_SPECIMENS) + 0.5) / _SPECIMENS * len(views)
+            pictures = TrainingImageCache(self.layers.dataset, plan, np.array(self.block.origin_m))
+            middles = (np.arange(_PREVIEWS) + 0.5) / _PREVIEWS * len(views)
             for number, place in enumerate(sorted(set(middles.astype(int).tolist())) if views else []):
                 view = views[place]
                 try:
-                    picture = pictures(view)
+                    image = pictures(view)
                 except DatasetError as error:
                     if plan is not self.held_out:
                         raise
                     watch.message(f"not shown beside the others: {error}")
                     continue
-                found.append(Preview(f"{name}-{number}", picture, looks.of(view).colours[0][0]))
+                found.append(Preview(f"{name}-{number}", image, looks.select(view).colours[0][0]))
         return found
 
 

@@ -10,19 +10,19 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-from hybridworldsim.methods.appearance_fitting import fit_looks
+from hybridworldsim.methods.appearance_fitting import fit_appearances
 from hybridworldsim.methods.static import StaticMethod, block_folders
-from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
-from hybridworldsim.model.initialization import Initial, street_of
-from hybridworldsim.model.ply_export import bake, shortfall_db, write_ply
+from hybridworldsim.model.initialization import InitialGeometry, initial_street
+from hybridworldsim.model.ply_export import bake, psnr_to_model_db, write_ply
 from hybridworldsim.model.settings import Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import Street
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.training.appearance import FITTED, AppearanceSelector, Blend
-from hybridworldsim.training.driven_lines import Lines
+from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.previews import pixels
 from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
@@ -39,9 +39,9 @@ STRUCTURE_WEIGHT: Final = 0.1
 class StreetMethod(StaticMethod):
     """`StaticMethod` whose blocks are composed, and whose looks are latents that can be mixed and fitted."""
 
-    def open(self, model: Path, looking: AppearancePolicy = AppearancePolicy()) -> OpenStreet:  # noqa: B008 - immutable
+    def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> StreetRenderer:  # noqa: B008 - immutable
         """See `StaticMethod.open`."""
-        return OpenStreet([_open(folder) for folder in block_folders(model)], looking)
+        return StreetRenderer([_open(folder) for folder in block_folders(model)], appearance)
 
     def bake(
         self,
@@ -49,22 +49,22 @@ class StreetMethod(StaticMethod):
         views: Sequence[View],
         out: Path,
         options: BakeOptions,
-        looking: AppearancePolicy = AppearancePolicy(),  # noqa: B008
+        appearance: AppearancePolicy = AppearancePolicy(),  # noqa: B008
     ) -> Baking:
         """See `mirror.methods.ply_export.BakingMethod`."""
-        street = OpenStreet([_open(folder) for folder in block_folders(model)], looking)
+        street = StreetRenderer([_open(folder) for folder in block_folders(model)], appearance)
         looks = street.latents(views[0])
         baked = bake(street.blocks, views, looks, degree=options.degree, sky=options.sky, reach_m=options.reach_m)
         size = write_ply(out, baked)
         x, y, z = baked.origin_m.tolist()
-        return Baking(len(baked), size, shortfall_db(baked, street.blocks, views, looks), (x, y, z))
+        return Baking(len(baked), size, psnr_to_model_db(baked, street.blocks, views, looks), (x, y, z))
 
-    def write(self, path: Path, block: Block, learner: TrainableMethod, run: Run, *, half: bool) -> int:
+    def write(self, path: Path, block: Block, trainer: TrainableMethod, run: Run, *, half: bool) -> int:
         """See `StaticMethod.write`."""
-        if not isinstance(learner, StreetTrainer):
-            raise UsageError(f"a {type(learner).__name__}", expected="a learner of a street")
-        learner.settle()
-        return save_block(path, block, learner.street, half=half, about={"settings_hash": run.settings_hash})
+        if not isinstance(trainer, StreetTrainer):
+            raise UsageError(f"a {type(trainer).__name__}", expected="a learner of a street")
+        trainer.catch_up()
+        return save_block(path, block, trainer.street, half=half, about={"settings_hash": run.settings_hash})
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,31 +76,33 @@ class OpenBlock:
     street: Street
 
 
-class OpenStreet:
+class StreetRenderer:
     """Renders views by all blocks that they see.
 
     Args:
         blocks: at least one.
-        looking: how pictures look that were not trained on.
+        appearance: how pictures look that were not trained on.
 
     Raises:
         UsageError: nothing that was trained on matches the policy of the looks, or there is nothing to fit, or to fit
             to.
     """
 
-    def __init__(self, blocks: Sequence[OpenBlock], looking: AppearancePolicy) -> None:
+    def __init__(self, blocks: Sequence[OpenBlock], appearance: AppearancePolicy) -> None:
         seen = [one.run.sources for one in blocks]
-        if looking.policy == FITTED:
-            seen = [fit_looks(one.street, one.block, one.run, looking) for one in blocks]
+        if appearance.policy == FITTED:
+            seen = [fit_appearances(one.street, one.block, one.run, appearance) for one in blocks]
             if all(len(own) == len(one.run.sources) for own, one in zip(seen, blocks)):
                 raise UsageError(
                     "all looks that are asked for were trained on: nothing to fit", place="--appearance",
                     expected="a split or protocol with traversals that were not", remedy="--appearance nearest",
                 )  # fmt: skip
-        lines = Lines([source for own in seen for source in own], looking.views)
+        lines = DrivenLines([source for own in seen for source in own], appearance.views)
         # Whatever is drawn of a block shares its latents.
         self._looks = {
-            id(one.street.appearance): AppearanceSelector(own, looking.policy, looking.views, looking.everywhere, lines)
+            id(one.street.appearance): AppearanceSelector(
+                own, appearance.policy, appearance.views, appearance.everywhere, lines
+            )
             for one, own in zip(blocks, seen)
         }
         self.blocks = [(one.block, one.street) for one in blocks]
@@ -108,31 +110,31 @@ class OpenStreet:
 
     def __call__(self, view: View) -> UInt8:
         """(H, W, 3) of a view."""
-        return pixels(self.drawn(view).rgb)
+        return pixels(self.render(view).rgb)
 
-    def drawn(self, view: View) -> Rendering:
+    def render(self, view: View) -> Rendering:
         """A view with its depth."""
-        drawn, counts = self._composition.draw(view, self.latents(view))
+        drawn, counts = self._composition.render(view, self.latents(view))
         return Rendering(drawn.rgb, drawn.alpha, drawn.depth_m, counts)
 
-    def latents(self, view: View) -> Callable[[Appearance], tuple[Tensor, Tensor]]:
+    def latents(self, view: View) -> Callable[[AppearanceLatents], tuple[Tensor, Tensor]]:
         """Of a block's appearance, what a view's colours and content are drawn with."""
 
-        def of(appearance: Appearance) -> tuple[Tensor, Tensor]:
-            look = self._looks[id(appearance)].of(view)
-            return blended(appearance, look.colours), appearance(look.content)
+        def of(appearance: AppearanceLatents) -> tuple[Tensor, Tensor]:
+            look = self._looks[id(appearance)].select(view)
+            return blend_latents(appearance, look.colours), appearance(look.content)
 
         return of
 
 
-def blended(appearance: Appearance, blend: Blend) -> Tensor:
+def blend_latents(appearance: AppearanceLatents, blend: Blend) -> Tensor:
     """The latent of a mixture of looks."""
     return torch.stack([weight * appearance(source) for source, weight in blend]).sum(0)
 
 
-def make(initial: Initial, settings: Any) -> StreetTrainer:
+def make(initial: InitialGeometry, settings: Any) -> StreetTrainer:
     """A street that has seen no picture yet."""
-    return StreetTrainer(street_of(initial, settings), settings)
+    return StreetTrainer(initial_street(initial, settings), settings)
 
 
 def _open(folder: Path) -> OpenBlock:

@@ -13,7 +13,7 @@ from mirror.errors import UsageError
 _SPREAD = 0.1
 
 
-class Appearance(nn.Module):
+class AppearanceLatents(nn.Module):
     """z(drive, sensor), supplement "Controllable Lighting Change": what a traversal looks like, and a camera in it.
 
     A pair's latent is its traversal's and the pair's own, which begins at zero and learns slowly: a place that one

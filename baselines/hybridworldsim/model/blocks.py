@@ -43,7 +43,7 @@ class Block:
         return f"block_{self.index[0]:02d}_{self.index[1]:02d}"
 
     @property
-    def near_m(self) -> float:
+    def half_extent_m(self) -> float:
         """How far from its centre, along either axis, a block holds geometry of its own: an overlap beyond its edge."""
         return self.size_m / 2.0 + self.overlap_m
 
@@ -59,7 +59,7 @@ class Block:
     def far(self, points_m: Float64) -> Bool:
         """(N,) which points (N, 3) of the world stand so far outside that the block's sky takes them in."""
         beyond = np.abs(np.asarray(points_m, np.float64)[:, :2] - np.array(self.origin_m[:2]))
-        return np.asarray((beyond > self.near_m).any(axis=1))
+        return np.asarray((beyond > self.half_extent_m).any(axis=1))
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.parts import LEAST, AppearanceSelector, Part, faded, parts_of
+from hybridworldsim.model.parts import LEAST, LatentSelector, Part, fade, split_street
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.street import RenderOutput, Street, draw
-from hybridworldsim.model.visible import visible
-from hybridworldsim.training.viewpoint import Viewpoint, viewpoint_of
+from hybridworldsim.model.street import RenderOutput, Street, render
+from hybridworldsim.model.visible import select_visible
+from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
 from mirror.protocols.views.view import View
 
@@ -38,11 +38,11 @@ class Composition:
     """
 
     def __init__(self, blocks: Sequence[tuple[Block, Street]]) -> None:
-        self._all = parts_of(blocks)
+        self._all = split_street(blocks)
         self._ready = [_Ready(part) for part in self._all.parts]
 
     @torch.inference_mode()
-    def draw(self, view: View, looks: AppearanceSelector) -> tuple[RenderOutput, Mapping[str, int]]:
+    def render(self, view: View, looks: LatentSelector) -> tuple[RenderOutput, Mapping[str, int]]:
         """Draw a view.
 
         Args:
@@ -55,20 +55,20 @@ class Composition:
         Raises:
             UsageError: the view's lens is not a pinhole.
         """
-        skies = self._all.skies(view.pose.translation[0])
-        home = self._ready[int(skies.argmax())].part.block
+        sky_weights = self._all.sky_weights(view.pose.translation[0])
+        home = self._ready[int(sky_weights.argmax())].part.block
         shown = []
-        for ready, sky in zip(self._ready, skies.tolist()):
+        for ready, sky in zip(self._ready, sky_weights.tolist()):
             shift = np.array(ready.part.block.origin_m) - np.array(home.origin_m)
-            viewpoint = viewpoint_of(view, np.array(ready.part.block.origin_m))
-            shown += [_moved(splats, shift) for splats in ready.decoded(viewpoint, sky, looks)]
-        drawn = draw(viewpoint_of(view, np.array(home.origin_m)), tuple(shown)) if shown else _nothing(view)
+            viewpoint = to_viewpoint(view, np.array(ready.part.block.origin_m))
+            shown += [_moved(splats, shift) for splats in ready.decode(viewpoint, sky, looks)]
+        drawn = render(to_viewpoint(view, np.array(home.origin_m)), tuple(shown)) if shown else _nothing(view)
         counts = {
             "blocks": len(self._ready),
             "nodes": 3 * len(self._ready),
             "nodes_drawn": len(shown),
-            "held": sum(ready.part.held for ready in self._ready),
-            "decoded": sum(splats.decoded for splats in shown),
+            "held": sum(ready.part.stored_count for ready in self._ready),
+            "decoded": sum(splats.decoded_count for splats in shown),
             "drawn": sum(len(splats) for splats in shown),
         }
         return drawn, counts
@@ -87,9 +87,9 @@ class _Ready:
         self._spheres = [_sphere(node.means, node.log_scales) for node in nodes]
         self._whole = bool((part.background == 1.0).all()), bool((part.ground == 1.0).all())
 
-    def decoded(self, viewpoint: Viewpoint, sky: float, looks: AppearanceSelector) -> list[Splats]:
+    def decode(self, viewpoint: Viewpoint, sky: float, looks: LatentSelector) -> list[Splats]:
         """What the nodes show that a viewpoint may see; nodes that it does not see are not even listed."""
-        background, ground, far = (len(visible(viewpoint, one[None, :3], one[3:])) > 0 for one in self._spheres)
+        background, ground, far = (len(select_visible(viewpoint, one[None, :3], one[3:])) > 0 for one in self._spheres)
         far &= sky > LEAST
         if not (background or ground or far):
             return []
@@ -98,13 +98,13 @@ class _Ready:
         if background:
             splats = street.background.decode(viewpoint, latent, content)
             weights = None if self._whole[0] else self.part.background[splats.rows // street.background.k]
-            shown.append(splats if weights is None else faded(splats, weights))
+            shown.append(splats if weights is None else fade(splats, weights))
         if ground:
             splats = street.ground.decode(viewpoint, latent)
-            shown.append(splats if self._whole[1] else faded(splats, self.part.ground[splats.rows]))
+            shown.append(splats if self._whole[1] else fade(splats, self.part.ground[splats.rows]))
         if far:
             splats = street.sky.decode(viewpoint, latent)
-            shown.append(splats if sky == 1.0 else faded(splats, splats.opacities.new_full((len(splats),), sky)))
+            shown.append(splats if sky == 1.0 else fade(splats, splats.opacities.new_full((len(splats),), sky)))
         return shown
 
 

@@ -24,14 +24,14 @@ class ModulatedMLP(nn.Module):
         bent: whether the appearance bends the matrix of the codes.
     """
 
-    def __init__(self, code: int, beside: int, latent: int, hidden: int, outputs: int, *, bent: bool) -> None:
+    def __init__(self, code: int, beside: int, latent: int, hidden: int, outputs: int, *, modulated: bool) -> None:
         super().__init__()
         joint = nn.Linear(code + beside + latent, hidden)
         own, shared = joint.weight.detach().split([code + beside, latent], dim=1)
         self.code = code
         self.own, self.shared = nn.Parameter(own.clone()), nn.Parameter(shared.clone())
         self.bias = nn.Parameter(joint.bias.detach().clone())
-        self.bend = nn.Parameter(torch.zeros(hidden * code, latent)) if bent else None
+        self.bend = nn.Parameter(torch.zeros(hidden * code, latent)) if modulated else None
         self.out = nn.Linear(hidden, outputs)
 
     def first(self, latent: Tensor, width: int) -> Tensor:
@@ -49,19 +49,19 @@ class ModulatedMLP(nn.Module):
         return torch.cat((matrix, bias[:, None], matrix.new_zeros(len(matrix), width - matrix.shape[1] - 1)), dim=1)
 
 
-def decoded(told: Tensor, *networks: tuple[ModulatedMLP, Tensor]) -> tuple[Tensor, ...]:
+def run_mlps(network_inputs: Tensor, *networks: tuple[ModulatedMLP, Tensor]) -> tuple[Tensor, ...]:
     """What networks make of the same rows, each under an appearance of its own.
 
     Args:
-        told: (N, code + beside + 1 or more) codes, what stands beside them, a one, and zeros; see `told`.
+        network_inputs: (N, code + beside + 1 or more) codes, what stands beside them, a one, zeros.
         networks: each with an appearance (latent,).
 
     Returns:
         Of each network (N, outputs).
     """
-    first = torch.cat([network.first(latent, told.shape[1]) for network, latent in networks])
+    first = torch.cat([network.first(latent, network_inputs.shape[1]) for network, latent in networks])
     lasts = [layer for network, _ in networks for layer in (network.out.weight, network.out.bias)]
-    found: tuple[Tensor, ...] = _Perceptrons.apply(told, first, *lasts)
+    found: tuple[Tensor, ...] = _Perceptrons.apply(network_inputs, first, *lasts)
     return found
 
 

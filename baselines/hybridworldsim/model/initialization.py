@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from hybridworldsim.model.appearance import Appearance
-from hybridworldsim.model.densification.cells import best_of_each, cells
+from hybridworldsim.model.appearance import AppearanceLatents
+from hybridworldsim.model.densification.cells import best_per_cell, cell_keys
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.settings import Settings
@@ -27,7 +27,7 @@ _BEFORE_DOME = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Initial:
+class InitialGeometry:
     """What is known of a block before it is trained.
 
     Attributes:
@@ -50,7 +50,7 @@ class Initial:
     points_rgb: UInt8 | None = None
 
 
-def street_of(initial: Initial, settings: Settings) -> Street:
+def initial_street(initial: InitialGeometry, settings: Settings) -> Street:
     """A street that has seen no picture yet; the same for the same input and seed.
 
     Args:
@@ -63,31 +63,31 @@ def street_of(initial: Initial, settings: Settings) -> Street:
         most = settings.refinement.most_ground
         on_ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m, most)
         if not settings.hybrid:
-            on_ground = both(on_ground, _round(_first_points(initial, settings), settings.first_spacing_m))
+            on_ground = concatenate_seeds(on_ground, _round(_first_points(initial, settings), settings.first_spacing_m))
         in_sky = sky_seeds(initial, settings.sky_count, settings.sky_radius, settings.far_count)
         ground = CodeGaussians(on_ground, settings.plain_code, settings.latent, settings.hidden)
         sky = CodeGaussians(in_sky, settings.plain_code, settings.latent, settings.hidden)
-        return Street(background, ground, sky, Appearance(initial.sources, settings.latent))
+        return Street(background, ground, sky, AppearanceLatents(initial.sources, settings.latent))
 
 
-def thinned(points: Float64, size_m: float, most: int) -> Float64:
+def thin_points(points: Float64, size_m: float, most: int) -> Float64:
     """Points (N, 3), at most one in a cell of a size, and no more than so many: larger cells where it takes them."""
     if most < 1:
         return points[:0]
     while len(points):
-        keys = cells(torch.from_numpy(points), size_m)
-        kept = points[np.sort(best_of_each(keys, torch.zeros(len(points))).numpy())]
+        keys = cell_keys(torch.from_numpy(points), size_m)
+        kept = points[np.sort(best_per_cell(keys, torch.zeros(len(points))).numpy())]
         if len(kept) <= most:
             return kept
         size_m *= 1.1
     return points
 
 
-def _background(initial: Initial, settings: Settings) -> Anchors:
+def _background(initial: InitialGeometry, settings: Settings) -> Anchors:
     points = _first_points(initial, settings) if settings.hybrid else np.empty((0, 3))
     return Anchors(
         torch.from_numpy(points.astype(np.float32)),
-        torch.from_numpy(spacing(points, settings.first_spacing_m).astype(np.float32)),
+        torch.from_numpy(neighbour_spacing(points, settings.first_spacing_m).astype(np.float32)),
         initial.radius_m,
         offsets=settings.offsets,
         code=settings.code,
@@ -96,11 +96,11 @@ def _background(initial: Initial, settings: Settings) -> Anchors:
     )
 
 
-def _first_points(initial: Initial, settings: Settings) -> Float64:
+def _first_points(initial: InitialGeometry, settings: Settings) -> Float64:
     return background_points(initial, settings.first_spacing_m, settings.first_share, settings.first_anchors)
 
 
-def background_points(initial: Initial, spacing_m: float, share: float, most: int) -> Float64:
+def background_points(initial: InitialGeometry, spacing_m: float, share: float, most: int) -> Float64:
     """Points (N, 3) of the background: those far from where vehicles drive are seen small, and thinned more.
 
     Args:
@@ -112,13 +112,13 @@ def background_points(initial: Initial, spacing_m: float, share: float, most: in
     distance, _ = cKDTree(initial.driven_m).query(initial.points_m)
     level = np.ceil(np.log2(np.maximum(share * distance / spacing_m, 1.0))).astype(np.int64)
     spaced = [
-        thinned(initial.points_m[level == one], spacing_m * 2.0**one, len(level))
+        thin_points(initial.points_m[level == one], spacing_m * 2.0**one, len(level))
         for one in range(int(level.max(initial=0)) + 1)
     ]
-    return thinned(np.concatenate(spaced), spacing_m, most)
+    return thin_points(np.concatenate(spaced), spacing_m, most)
 
 
-def spacing(points: Float64, least_m: float) -> Float64:
+def neighbour_spacing(points: Float64, least_m: float) -> Float64:
     """(N,) root of the mean square distance to the three nearest others, metres, from half the least to five times."""
     if len(points) < 4:
         return np.full(len(points), least_m)
@@ -126,7 +126,7 @@ def spacing(points: Float64, least_m: float) -> Float64:
     return np.clip(np.sqrt((distances[:, 1:] ** 2).mean(axis=1)), 0.5 * least_m, 5.0 * least_m)
 
 
-def ground_seeds(initial: Initial, step: float, reach: float, most: int | None = None) -> Seeds:
+def ground_seeds(initial: InitialGeometry, step: float, reach: float, most: int | None = None) -> Seeds:
     """Flat Gaussians on the ground; on a wider grid where many streets meet.
 
     Args:
@@ -160,7 +160,7 @@ def _rings(driven: Float64, step: float, reach: float) -> tuple[Float64, Float64
     return np.concatenate(rings), np.concatenate(widths)
 
 
-def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> Seeds:
+def sky_seeds(initial: InitialGeometry, count: int, radii: float, far_count: int) -> Seeds:
     """Flat Gaussians on a hemisphere round the block, and then round ones on the points beyond the block.
 
     Points beyond the hemisphere are drawn in before it, along the ray from the middle of the block.
@@ -183,10 +183,10 @@ def sky_seeds(initial: Initial, count: int, radii: float, far_count: int) -> See
     # Behind the dome nobody would see them.
     away = np.linalg.norm(initial.far_m, axis=1, keepdims=True)
     before = initial.far_m * np.minimum(1.0, _BEFORE_DOME * radius / np.maximum(away, 1.0))
-    return both(dome, _round(thinned(before, _FAR_SPACING_M, far_count), _FAR_SPACING_M))
+    return concatenate_seeds(dome, _round(thin_points(before, _FAR_SPACING_M, far_count), _FAR_SPACING_M))
 
 
-def both(one: Seeds, other: Seeds) -> Seeds:
+def concatenate_seeds(one: Seeds, other: Seeds) -> Seeds:
     """The Gaussians of two, with the opacity of the first."""
     return Seeds(
         torch.cat([one.means, other.means]),
@@ -198,7 +198,7 @@ def both(one: Seeds, other: Seeds) -> Seeds:
 
 def _round(points: Float64, least_m: float) -> Seeds:
     turned = np.tile((1.0, 0.0, 0.0, 0.0), (len(points), 1))
-    return _seeds(points, turned, np.repeat(0.5 * spacing(points, least_m)[:, None], 3, axis=1), _SOLID)
+    return _seeds(points, turned, np.repeat(0.5 * neighbour_spacing(points, least_m)[:, None], 3, axis=1), _SOLID)
 
 
 def _from_z(normals: Float64) -> Float64:

@@ -50,9 +50,9 @@ class LazyAdam:
         self._last = torch.zeros(count, dtype=torch.int64)
         self.numbers = torch.arange(count)
         self._given, self.steps = count, 0
-        self._taken: tuple[Tensor, dict[str, Tensor], Mapping[str, float]] | None = None
+        self._current_step: tuple[Tensor, dict[str, Tensor], Mapping[str, float]] | None = None
 
-    def take(self, rows: Tensor, rates: Mapping[str, float]) -> dict[str, Tensor]:
+    def begin_step(self, rows: Tensor, rates: Mapping[str, float]) -> dict[str, Tensor]:
         """Begin a step.
 
         Args:
@@ -64,16 +64,16 @@ class LazyAdam:
             next step uses again.
         """
         self.steps += 1
-        leaves = self._caught_up(rows, rates, self.steps)
-        self._taken = rows, leaves, rates
+        leaves = self._catch_up_rows(rows, rates, self.steps)
+        self._current_step = rows, leaves, rates
         return leaves
 
-    def learn(self) -> None:
+    def end_step(self) -> None:
         """End a step: move the rows that were taken by their gradients."""
-        if self._taken is None:
+        if self._current_step is None:
             return
-        rows, leaves, rates = self._taken
-        self._taken = None
+        rows, leaves, rates = self._current_step
+        self._current_step = None
         ids, edges, share = rows.numpy(), spans(len(rows)), float(_CORRECTIONS[min(self.steps, _SETTLED)])
         for name, leaf in leaves.items():
             gradient = np.zeros_like(_flat(leaf)) if leaf.grad is None else _flat(leaf.grad)
@@ -81,9 +81,9 @@ class LazyAdam:
             tables = self._tables(name)
             in_parallel(lambda part: _move(edges[part], edges[part + 1], ids, gradient, rate, *tables), len(edges) - 1)  # noqa: B023
 
-    def settle(self, rates: Mapping[str, float]) -> None:
+    def catch_up(self, rates: Mapping[str, float]) -> None:
         """Bring all rows up to date, between steps."""
-        self._caught_up(torch.arange(len(self._last)), rates, self.steps + 1)
+        self._catch_up_rows(torch.arange(len(self._last)), rates, self.steps + 1)
         self._last.fill_(self.steps)
 
     @torch.no_grad()
@@ -123,12 +123,12 @@ class LazyAdam:
         self._last, self.numbers = state["last"].clone(), state["numbers"].clone()
         self.steps, self._given = state["counters"].tolist()
 
-    def _caught_up(self, rows: Tensor, rates: Mapping[str, float], step: int) -> dict[str, Tensor]:
+    def _catch_up_rows(self, rows: Tensor, rates: Mapping[str, float], step: int) -> dict[str, Tensor]:
         """Rows of the tables as a step finds them, after those before it that did not see them."""
         ids, edges = rows.numpy(), spans(len(rows))
         past = np.empty((len(ids), 3), np.float32)
         asked = ids, step, self._last.numpy(), _CORRECTIONS, past
-        in_parallel(lambda part: _await(edges[part], edges[part + 1], *asked), len(edges) - 1)
+        in_parallel(lambda part: _measure_missed_steps(edges[part], edges[part + 1], *asked), len(edges) - 1)
         leaves = {}
         for name in self.names:
             out = self._room[name][: len(ids)]
@@ -147,7 +147,7 @@ _CORRECTIONS: Final = np.concatenate([[0.0], np.sqrt(1.0 - BETA2**_STEPS) / (1.0
 
 
 @kernel()
-def _await(begin: Any, end: Any, rows: Any, step: Any, last: Any, corrections: Any, past: Any) -> None:
+def _measure_missed_steps(begin: Any, end: Any, rows: Any, step: Any, last: Any, corrections: Any, past: Any) -> None:
     """What passed rows by since they were seen: (M, 3) how far they went on, and what is left of their moments."""
     ratio, settled = BETA1 / math.sqrt(BETA2), len(corrections) - 1
     for place in range(begin, end):

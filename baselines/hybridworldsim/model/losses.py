@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hybridworldsim.model.ssim_loss import similarity
+from hybridworldsim.model.ssim_loss import ssim
 
 
 def colour_loss(rendered: Tensor, taken: Tensor, scored: Tensor) -> Tensor:
@@ -32,7 +32,7 @@ def structure_loss(rendered: Tensor, taken: Tensor, scored: Tensor) -> Tensor:
         scored: (H, W) bool.
     """
     filled = torch.where(scored[..., None], rendered, taken)
-    return 1.0 - torch.where(scored, similarity(filled, taken), 0.0).sum() / scored.sum().clamp_min(1)
+    return 1.0 - torch.where(scored, ssim(filled, taken), 0.0).sum() / scored.sum().clamp_min(1)
 
 
 def depth_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor) -> Tensor:

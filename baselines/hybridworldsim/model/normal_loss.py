@@ -43,7 +43,7 @@ class _NormalLoss(torch.autograd.Function):
         (fx, _, cx), (_, fy, cy), _ = K.double().numpy()
         x, y = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
         gradient = np.zeros((height, width))
-        total, count = differ(rendered, stereo, mask, x, y, gradient)
+        total, count = sum_differences(rendered, stereo, mask, x, y, gradient)
         ctx.gradient = torch.from_numpy(gradient).to(rendered_m.dtype) / max(count, 1)
         return rendered_m.new_tensor(total / max(count, 1))
 
@@ -54,7 +54,7 @@ class _NormalLoss(torch.autograd.Function):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def differ(rendered: Any, stereo: Any, known: Any, x: Any, y: Any, gradient: Any) -> Any:
+def sum_differences(rendered: Any, stereo: Any, known: Any, x: Any, y: Any, gradient: Any) -> Any:
     """Sum of the differences, and of how many pixels; `gradient` (H, W), zeros, gets that of the sum."""
     height, width = rendered.shape
     total, count = 0.0, 0

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.partition import partition
 from hybridworldsim.model.splats import Splats
@@ -26,7 +26,7 @@ _TALLEST: Final = 2.0
 _INSIDE: Final = 0.8
 _STEEP: Final = 0.7
 
-AppearanceSelector: TypeAlias = Callable[[Appearance], tuple[Tensor, Tensor]]
+LatentSelector: TypeAlias = Callable[[AppearanceLatents], tuple[Tensor, Tensor]]
 """Of a block's latents, the appearance of its colours and of what is there."""
 
 _Node = TypeVar("_Node", bound=nn.Module)
@@ -41,14 +41,14 @@ class Part:
         street: its nodes, without the rows that are never shown.
         background: (anchors,) weights.
         ground: (Gaussians,) weights.
-        held: Gaussians before any were left out.
+        stored_count: Gaussians before any were left out.
     """
 
     block: Block
     street: Street
     background: Tensor
     ground: Tensor
-    held: int
+    stored_count: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +67,13 @@ class Parts:
     centres: Tensor
     ramp_m: float
 
-    def skies(self, eye_m: Float64) -> Tensor:
+    def sky_weights(self, eye_m: Float64) -> Tensor:
         """(B,) weights of the blocks' skies for a camera (3,) in the world."""
         place = torch.from_numpy(np.asarray(eye_m[:2] - self.origin_m[:2])[None])
         return partition(place, self.centres, self.ramp_m)[0]
 
 
-def parts_of(blocks: Sequence[tuple[Block, Street]]) -> Parts:
+def split_street(blocks: Sequence[tuple[Block, Street]]) -> Parts:
     """Divide the street among its blocks.
 
     Anchors and the ground's Gaussians are weighted by `partition`, those without weight left out; so are far structures
@@ -122,7 +122,7 @@ def subset(node: _Node, rows: Tensor) -> _Node:
     return smaller
 
 
-def faded(splats: Splats, weights: Tensor) -> Splats:
+def fade(splats: Splats, weights: Tensor) -> Splats:
     """Gaussians whose optical depth is multiplied by weights (N,)."""
     return replace(splats, opacities=1.0 - (1.0 - splats.opacities).clamp_min(1e-6) ** weights)
 
@@ -138,4 +138,4 @@ def _within(other: Block, block: Block, means: Tensor) -> Tensor:
     """(N,) which Gaussians of a block's frame stand where another block has geometry."""
     shift = means.new_tensor(np.array(block.origin_m) - np.array(other.origin_m))
     local = (means + shift).abs()
-    return (local[:, :2] <= other.near_m).all(1) & (local[:, 2] <= _TALLEST * other.near_m)
+    return (local[:, :2] <= other.half_extent_m).all(1) & (local[:, 2] <= _TALLEST * other.half_extent_m)

@@ -17,12 +17,12 @@ from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY
-from hybridworldsim.model.parts import LEAST, AppearanceSelector, parts_of
+from hybridworldsim.model.parts import LEAST, LatentSelector, split_street
 from hybridworldsim.model.street import Street
-from hybridworldsim.model.visible import visible
+from hybridworldsim.model.visible import select_visible
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.reference.spherical_harmonics import spherical_harmonics
-from hybridworldsim.training.viewpoint import Viewpoint, viewpoint_of
+from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.protocols.views.view import View
@@ -40,7 +40,7 @@ _CHANNELS: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Baked:
+class ExportedGaussians:
     """Gaussians as the PLY of 3D Gaussian Splatting has them.
 
     Attributes:
@@ -66,12 +66,12 @@ class Baked:
 def bake(
     blocks: Sequence[tuple[Block, Street]],
     views: Sequence[View],
-    looks: AppearanceSelector,
+    looks: LatentSelector,
     *,
     degree: int = 3,
     sky: Sky = "pull",
     reach_m: float = 150.0,
-) -> Baked:
+) -> ExportedGaussians:
     """Fit Gaussians that do not change with the view to what a street shows one camera on one drive.
 
     Opacities, scales and rotations are means over the views, taken before the networks' last functions; colours
@@ -93,15 +93,15 @@ def bake(
     """
     if not views or not 0 <= degree <= 3:
         raise UsageError(f"{len(views)} views, degree {degree}", expected="at least one view, degree 0 to 3")
-    every = parts_of(blocks)
+    every = split_street(blocks)
     reach_m = max(reach_m, *(_end_m(block, every.origin_m) for block, _ in blocks))
     chosen = [views[int(place)] for place in np.unique(np.linspace(0, len(views) - 1, _MOST_EYES).astype(int))]
-    skies = torch.stack([every.skies(view.pose.translation[0]) for view in chosen]).mean(0).tolist()
+    sky_weights = torch.stack([every.sky_weights(view.pose.translation[0]) for view in chosen]).mean(0).tolist()
     pieces: list[tuple[Tensor, ...]] = []
-    for part, weight in zip(every.parts, skies):
+    for part, weight in zip(every.parts, sky_weights):
         latent, content = (vector.detach() for vector in looks(part.street.appearance))
         origin = np.array(part.block.origin_m)
-        eyes = [viewpoint_of(view, origin) for view in chosen]
+        eyes = [to_viewpoint(view, origin) for view in chosen]
         shift = torch.from_numpy(origin - every.origin_m).float()
         near = list(_background(part.street.background, part.background, eyes, latent, content, degree))
         near += list(_coded(part.street.ground, part.ground, eyes, latent, degree))
@@ -112,26 +112,26 @@ def bake(
         pieces += [(means + shift, *rest) for means, *rest in near]
         pieces += [_brought(means + shift, rest, sky, reach_m) for means, *rest in far]
     means, quats, log_scales, logits, colours = (torch.cat(columns) for columns in zip(*pieces))
-    return Baked(means, quats, log_scales, logits, colours, every.origin_m)
+    return ExportedGaussians(means, quats, log_scales, logits, colours, every.origin_m)
 
 
-def shortfall_db(
-    baked: Baked, blocks: Sequence[tuple[Block, Street]], views: Sequence[View], looks: AppearanceSelector
+def psnr_to_model_db(
+    baked: ExportedGaussians, blocks: Sequence[tuple[Block, Street]], views: Sequence[View], looks: LatentSelector
 ) -> float:
     """What baking loses: PSNR of the baked street's pictures against the model's, over all pixels of some views."""
     street = Composition(blocks)
     errors = []
     for view in views:
-        expected = street.draw(view, looks)[0].rgb.clamp(0.0, 1.0)
-        errors.append((draw_baked(baked, view).clamp(0.0, 1.0) - expected).square().mean())
+        expected = street.render(view, looks)[0].rgb.clamp(0.0, 1.0)
+        errors.append((render_gaussians(baked, view).clamp(0.0, 1.0) - expected).square().mean())
     return float(-10.0 * torch.stack(errors).mean().clamp_min(1e-10).log10())
 
 
 @torch.inference_mode()
-def draw_baked(baked: Baked, view: View) -> Tensor:
+def render_gaussians(baked: ExportedGaussians, view: View) -> Tensor:
     """(H, W, 3) as a viewer shows it."""
-    viewpoint = viewpoint_of(view, baked.origin_m)
-    pictures, _, _ = rasterization(
+    viewpoint = to_viewpoint(view, baked.origin_m)
+    images, _, _ = rasterization(
         baked.means,
         baked.quats,
         baked.log_scales.exp(),
@@ -144,10 +144,10 @@ def draw_baked(baked: Baked, view: View) -> Tensor:
         near_plane=0.2,
         sh_degree=round(baked.harmonics.shape[1] ** 0.5) - 1,
     )
-    return pictures[0]
+    return images[0]
 
 
-def write_ply(path: Path, baked: Baked) -> int:
+def write_ply(path: Path, baked: ExportedGaussians) -> int:
     """Write the PLY that viewers of 3D Gaussian Splatting open.
 
     Opacities are logits, scales logarithms, rotations scalar first, harmonics above the constant channel by channel.
@@ -231,7 +231,7 @@ def _seeing(means: Tensor, reach: Tensor, eyes: Sequence[Viewpoint]) -> Tensor:
     """(V, N) how much each view counts for each row."""
     weights = torch.full((len(eyes), len(means)), _UNSEEN)
     for own, eye in zip(weights, eyes):
-        own[visible(eye, means, reach)] = 1.0
+        own[select_visible(eye, means, reach)] = 1.0
         own /= (means - eye.centre).square().sum(1) + _NEAR_M2
     return weights / weights.sum(0)
 
@@ -281,7 +281,7 @@ def _fitted(
 
 def _end_m(block: Block, origin_m: Float64) -> float:
     """How far from a place of the world a block's geometry goes."""
-    aside = np.abs(np.array(block.origin_m[:2]) - origin_m[:2]) + block.near_m
+    aside = np.abs(np.array(block.origin_m[:2]) - origin_m[:2]) + block.half_extent_m
     return float(np.hypot(*aside))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.initialization import Initial
+from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.mvs.ground import Ground, driven, fit_ground, wheel_places
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64, UInt8
@@ -22,7 +22,7 @@ def driven_m(dataset: Dataset) -> Float64:
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
+class SceneGeometry:
     """What is known of a scene before any of its blocks is trained, in the world.
 
     Attributes:
@@ -38,7 +38,7 @@ class Surroundings:
     ground: Ground
 
 
-def surroundings_of(dataset: Dataset) -> Surroundings:
+def read_scene_geometry(dataset: Dataset) -> SceneGeometry:
     """What is known of a scene.
 
     Args:
@@ -65,10 +65,10 @@ def surroundings_of(dataset: Dataset) -> Surroundings:
         )  # fmt: skip
     on_ground = np.array(points.kind) == "ground"
     ground = fit_ground(wheel_places(driven(dataset)), points.position_m[on_ground])
-    return Surroundings(points.position_m[~on_ground], points.rgb[~on_ground], driven_m(dataset), ground)
+    return SceneGeometry(points.position_m[~on_ground], points.rgb[~on_ground], driven_m(dataset), ground)
 
 
-def initial_of(known: Surroundings, block: Block, sources: Sequence[Source]) -> Initial:
+def block_geometry(known: SceneGeometry, block: Block, sources: Sequence[Source]) -> InitialGeometry:
     """What is known of a block before it is trained.
 
     Args:
@@ -86,12 +86,12 @@ def initial_of(known: Surroundings, block: Block, sources: Sequence[Source]) -> 
         return known.ground.height(world) - origin[2], known.ground.normal(world)
 
     far = block.far(known.points_m)
-    return Initial(
+    return InitialGeometry(
         block.local(known.points_m[~far]),
         block.local(known.points_m[far]),
         _within(block, block.local(known.driven_m)),
         surface,
-        block.near_m,
+        block.half_extent_m,
         sources,
         known.points_rgb[~far],
     )
@@ -100,4 +100,4 @@ def initial_of(known: Surroundings, block: Block, sources: Sequence[Source]) -> 
 def _within(block: Block, driven: Float64) -> Float64:
     """Driven places that a block holds geometry of; the nearest one, if it holds none."""
     beyond = np.abs(driven[:, :2]).max(axis=1)
-    return driven[beyond <= max(block.near_m, float(beyond.min()))]
+    return driven[beyond <= max(block.half_extent_m, float(beyond.min()))]

@@ -20,9 +20,9 @@ class Splats:
         opacities: (N,) in [0, 1].
         colours: (N, 3) in [0, 1].
         rows: (N,) int64: which of the node's Gaussians these are.
-        held: how many Gaussians the node has in all.
-        decoded: how many it decoded.
-        seen: (M,) int64: of a node of anchors, which of them were decoded.
+        stored_count: how many Gaussians the node has in all.
+        decoded_count: how many it decoded.
+        anchor_ids: (M,) int64: of a node of anchors, which of them were decoded.
     """
 
     means: Tensor
@@ -31,15 +31,15 @@ class Splats:
     opacities: Tensor
     colours: Tensor
     rows: Tensor
-    held: int
-    decoded: int
-    seen: Tensor | None = None
+    stored_count: int
+    decoded_count: int
+    anchor_ids: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.means)
 
 
-def joined(parts: Sequence[Splats]) -> Splats:
+def concatenate_splats(parts: Sequence[Splats]) -> Splats:
     """Those of several nodes one after the other; `rows` counts through them all."""
     return Splats(
         torch.cat([part.means for part in parts]),
@@ -48,6 +48,6 @@ def joined(parts: Sequence[Splats]) -> Splats:
         torch.cat([part.opacities for part in parts]),
         torch.cat([part.colours for part in parts]),
         rows=torch.arange(sum(map(len, parts))),
-        held=sum(part.held for part in parts),
-        decoded=sum(part.decoded for part in parts),
+        stored_count=sum(part.stored_count for part in parts),
+        decoded_count=sum(part.decoded_count for part in parts),
     )

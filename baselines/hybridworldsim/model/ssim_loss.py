@@ -17,7 +17,7 @@ _STEPS = np.arange(-_REACH, _REACH + 1) / _SIGMA
 _WINDOW = (np.exp(-0.5 * _STEPS**2) / np.exp(-0.5 * _STEPS**2).sum()).astype(np.float32)
 
 
-def similarity(rendered: Tensor, taken: Tensor) -> Tensor:
+def ssim(rendered: Tensor, taken: Tensor) -> Tensor:
     """(H, W) structural similarity, mean of the channels; beyond the border there is black, as in 3DGS.
 
     Args:
@@ -26,10 +26,10 @@ def similarity(rendered: Tensor, taken: Tensor) -> Tensor:
 
     Source: Wang et al. 2004, "Image quality assessment: from error visibility to structural similarity".
     """
-    return _Similarity.apply(rendered, taken)
+    return _Ssim.apply(rendered, taken)
 
 
-class _Similarity(torch.autograd.Function):
+class _Ssim(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rendered: Tensor, taken: Tensor) -> Tensor:
         x, y = rendered.detach(), taken.detach()
@@ -58,9 +58,7 @@ class _Similarity(torch.autograd.Function):
         return through.add_(_blurred(share * by_mean)), None
 
 
-def _blurred(picture: Tensor) -> Tensor:
+def _blurred(image: Tensor) -> Tensor:
     """(H, W, 3) convolved with the window."""
-    blurred = cv2.sepFilter2D(
-        picture.contiguous().numpy(), cv2.CV_32F, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT
-    )
+    blurred = cv2.sepFilter2D(image.contiguous().numpy(), cv2.CV_32F, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT)
     return torch.from_numpy(blurred)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
@@ -123,4 +123,4 @@ def _empty(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source])
             )
             for name in ("ground", "sky")
         )
-        return Street(background, ground, sky, Appearance(sources, latent))
+        return Street(background, ground, sky, AppearanceLatents(sources, latent))

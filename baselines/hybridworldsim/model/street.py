@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 
 from torch import Tensor, nn
 
-from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.nodes.anchors import AnchorRows, Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, CodeRows
-from hybridworldsim.model.splats import Splats, joined
+from hybridworldsim.model.splats import Splats, concatenate_splats
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
-class Rows(NamedTuple):
+class NodeRows(NamedTuple):
     """Some of what each node has."""
 
     background: AnchorRows
@@ -52,7 +52,9 @@ class Street(nn.Module):
         appearance: latent vectors.
     """
 
-    def __init__(self, background: Anchors, ground: CodeGaussians, sky: CodeGaussians, appearance: Appearance) -> None:
+    def __init__(
+        self, background: Anchors, ground: CodeGaussians, sky: CodeGaussians, appearance: AppearanceLatents
+    ) -> None:
         super().__init__()
         self.background, self.ground, self.sky, self.appearance = background, ground, sky, appearance
 
@@ -62,7 +64,7 @@ class Street(nn.Module):
         return self.background, self.ground, self.sky
 
     def decode(
-        self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: Rows | None = None
+        self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: NodeRows | None = None
     ) -> tuple[Splats, ...]:
         """What each node shows a viewpoint; of `rows`, or of all that the viewpoint may see."""
         anchors, ground, sky = rows or (None, None, None)
@@ -78,8 +80,8 @@ class Street(nn.Module):
         latent: Tensor,
         content: Tensor | None = None,
         *,
-        rows: Rows | None = None,
-        pulls: bool = False,
+        rows: NodeRows | None = None,
+        track_gradients: bool = False,
     ) -> RenderOutput:
         """Draw a viewpoint.
 
@@ -88,16 +90,16 @@ class Street(nn.Module):
             latent: appearance of the colours.
             content: appearance of what is there; default: the same.
             rows: of what; default: of all that the viewpoint may see.
-            pulls: the backward pass is to tell how strongly the picture pulls at its Gaussians.
+            track_gradients: the backward pass is to tell how strongly the picture pulls at its Gaussians.
         """
         parts = self.decode(viewpoint, latent, latent if content is None else content, rows)
-        return draw(viewpoint, parts, pulls=pulls)
+        return render(viewpoint, parts, track_gradients=track_gradients)
 
 
-def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, pulls: bool = False) -> RenderOutput:
+def render(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: bool = False) -> RenderOutput:
     """Rasterize what nodes show; see `Street.forward`."""
-    splats = joined(parts)
-    pictures, alphas, meta = rasterization(
+    splats = concatenate_splats(parts)
+    images, alphas, meta = rasterization(
         splats.means,
         splats.quats,
         splats.scales,
@@ -109,7 +111,7 @@ def draw(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, pulls: bool = False
         viewpoint.height_px,
         near_plane=0.2,
         render_mode="RGB+ED",
-        absgrad=pulls,
+        absgrad=track_gradients,
         nonfinite="cull",
     )
-    return RenderOutput(pictures[0, ..., :3], alphas[0, ..., 0], pictures[0, ..., 3], parts, meta)
+    return RenderOutput(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., 3], parts, meta)

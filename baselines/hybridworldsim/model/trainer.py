@@ -10,17 +10,17 @@ from torch import Tensor
 
 from hybridworldsim.model.densification.anchors import AnchorRefiner
 from hybridworldsim.model.densification.code_gaussians import CodeRefiner
-from hybridworldsim.model.densification.image_gradients import pulls
-from hybridworldsim.model.densification.schedule import due
+from hybridworldsim.model.densification.image_gradients import image_gradients
+from hybridworldsim.model.densification.schedule import due_refinements
 from hybridworldsim.model.lazy_adam import BETA1, BETA2, EPS, LazyAdam
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.model.normal_loss import normal_loss
 from hybridworldsim.model.settings import Rate, Settings
-from hybridworldsim.model.street import RenderOutput, Rows, Street
+from hybridworldsim.model.street import NodeRows, RenderOutput, Street
 from hybridworldsim.model.visibility_cache import VisibilityCache
-from hybridworldsim.training.state import dumped, load
+from hybridworldsim.training.state import dump, load
 from hybridworldsim.training.trainable_method import Rendering, StepReport
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint
 
 _SENSORS = 0.1
@@ -45,7 +45,7 @@ class StreetTrainer:
         self._anchors = AnchorRefiner(street.background, anchors, refinement)
         self._ground = CodeRefiner(street.ground, ground, refinement, refinement.most_ground)
         self._sky = CodeRefiner(street.sky, sky, refinement, refinement.most_sky)
-        self._sightings = VisibilityCache()
+        self._visibility = VisibilityCache()
         self._steps, self._refined, self._last, self._progress = 0, 0, 0, 0.0
 
     @property
@@ -53,16 +53,16 @@ class StreetTrainer:
         """See `TrainableMethod`."""
         return self.street
 
-    def step(self, picture: TrainingPicture, progress: float) -> StepReport:
+    def step(self, image: TrainingImage, progress: float) -> StepReport:
         """Learn from one picture; see `TrainableMethod`."""
-        settings, street, viewpoint = self.settings, self.street, picture.viewpoint
+        settings, street, viewpoint = self.settings, self.street, image.viewpoint
         self._progress = progress
         for group in self._adam.param_groups:
             group["lr"] = self._rate(group["rate"], group["factor"])
         latent = street.appearance(viewpoint.source)
         growing = self._refined < settings.refinement.times
-        drawn = street(viewpoint, latent, rows=self._taken(viewpoint), pulls=growing)
-        losses = self._losses(drawn, picture)
+        drawn = street(viewpoint, latent, rows=self._visible_rows(viewpoint), track_gradients=growing)
+        losses = self._losses(drawn, image)
         weights = {
             "rgb": 1.0,
             "structure": settings.structure_weight,
@@ -77,12 +77,13 @@ class StreetTrainer:
         self._note(drawn, viewpoint)
         self._adam.step()
         for tables in self._tables:
-            tables.learn()
+            tables.end_step()
         self._steps += 1
         if growing:
             self._refine(drawn, viewpoint, progress)
         return StepReport(
-            {name: float(loss.detach()) for name, loss in losses.items()}, sum(part.held for part in drawn.parts)
+            {name: float(loss.detach()) for name, loss in losses.items()},
+            sum(part.stored_count for part in drawn.parts),
         )
 
     @property
@@ -93,29 +94,32 @@ class StreetTrainer:
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """See `TrainableMethod`."""
-        self.settle()
+        self.catch_up()
         drawn = self.street(viewpoint, self.street.appearance(viewpoint.source))
         counts = {
-            "held": sum(part.held for part in drawn.parts),
-            "decoded": sum(part.decoded for part in drawn.parts),
+            "held": sum(part.stored_count for part in drawn.parts),
+            "decoded": sum(part.decoded_count for part in drawn.parts),
             "drawn": sum(len(part) for part in drawn.parts),
         }
         return Rendering(drawn.rgb, drawn.alpha, drawn.depth_m, counts)
 
-    def settle(self) -> None:
+    def catch_up(self) -> None:
         """Bring all of the street up to date: rows that were not seen of late are behind."""
         for tables, rates in zip(self._tables, self._rates()):
-            tables.settle(rates)
+            tables.catch_up(rates)
 
-    def _taken(self, viewpoint: Viewpoint) -> Rows:
+    def _visible_rows(self, viewpoint: Viewpoint) -> NodeRows:
         """What the viewpoint may see, to be learnt."""
         street = self.street
-        seen = [node.seen(viewpoint) for node in street.nodes]
-        anchors, ground, sky = self._sightings.kept(viewpoint, seen, [tables.numbers for tables in self._tables])
+        seen = [node.visible_ids(viewpoint) for node in street.nodes]
+        anchors, ground, sky = self._visibility.select_rows(
+            viewpoint, seen, [tables.numbers for tables in self._tables]
+        )
         learnt = [
-            tables.take(ids, rates) for tables, ids, rates in zip(self._tables, (anchors, ground, sky), self._rates())
+            tables.begin_step(ids, rates)
+            for tables, ids, rates in zip(self._tables, (anchors, ground, sky), self._rates())
         ]
-        return Rows(
+        return NodeRows(
             street.background.rows(anchors, learnt[0]),
             street.ground.rows(ground, learnt[1]),
             street.sky.rows(sky, learnt[2]),
@@ -128,7 +132,7 @@ class StreetTrainer:
             for part in drawn.parts
         ]
         shown[0] = shown[0] // self.street.background.k
-        self._sightings.note(viewpoint, shown, [tables.numbers for tables in self._tables])
+        self._visibility.record(viewpoint, shown, [tables.numbers for tables in self._tables])
 
     def _rate(self, name: str, factor: float = 1.0) -> float:
         rate: Rate = getattr(self.settings.rates, name)
@@ -139,29 +143,29 @@ class StreetTrainer:
         for tables, far in zip(self._tables, (1.0, 1.0, self.settings.sky_radius)):
             yield {name: self._rate(name, far if name == "means" else 1.0) for name in tables.names}
 
-    def _losses(self, drawn: RenderOutput, picture: TrainingPicture) -> dict[str, Tensor]:
+    def _losses(self, drawn: RenderOutput, image: TrainingImage) -> dict[str, Tensor]:
         settings = self.settings
-        losses = {"rgb": colour_loss(drawn.rgb, picture.rgb, picture.scored)}
+        losses = {"rgb": colour_loss(drawn.rgb, image.rgb, image.scored)}
         if settings.structure_weight:
-            losses["structure"] = structure_loss(drawn.rgb, picture.rgb, picture.scored)
-        if picture.depth_m is not None and self.reads_depth:
-            known = (picture.depth_m > 0.0) & picture.scored & (drawn.alpha.detach() > 0.5)
+            losses["structure"] = structure_loss(drawn.rgb, image.rgb, image.scored)
+        if image.depth_m is not None and self.reads_depth:
+            known = (image.depth_m > 0.0) & image.scored & (drawn.alpha.detach() > 0.5)
             if settings.depth_weight:
-                losses["depth"] = depth_loss(drawn.depth_m, picture.depth_m, known)
+                losses["depth"] = depth_loss(drawn.depth_m, image.depth_m, known)
             if settings.normal_weight and self._steps % settings.normal_every == 0:
-                losses["normal"] = normal_loss(drawn.depth_m, picture.depth_m, known, picture.viewpoint.K)
+                losses["normal"] = normal_loss(drawn.depth_m, image.depth_m, known, image.viewpoint.K)
         return losses
 
     def _refine(self, drawn: RenderOutput, viewpoint: Viewpoint, progress: float) -> None:
         """Keep what the picture tells, and act on it when it is time."""
         refinement = self.settings.refinement
-        (rows, pull), *others = pulls(drawn, viewpoint)
-        self._anchors.note(drawn.parts[0], rows, pull, viewpoint)
+        (rows, pull), *others = image_gradients(drawn, viewpoint)
+        self._anchors.accumulate(drawn.parts[0], rows, pull, viewpoint)
         for refiner, part, (rows, pull) in zip((self._ground, self._sky), drawn.parts[1:], others):
-            refiner.note(part, rows, pull)
-        if due(refinement, progress) > self._refined and self._steps >= self._last + refinement.least_steps:
-            self._refined, self._last = due(refinement, progress), self._steps
-            self.settle()
+            refiner.accumulate(part, rows, pull)
+        if due_refinements(refinement, progress) > self._refined and self._steps >= self._last + refinement.least_steps:
+            self._refined, self._last = due_refinements(refinement, progress), self._steps
+            self.catch_up()
             self._anchors.refine(self._refined, self._generator)
             self._ground.refine(self._refined)
             self._sky.refine(self._refined)
@@ -171,7 +175,7 @@ class StreetTrainer:
         kept = {f"{name}.{key}": table for name, part in self._parts().items() for key, table in part.state().items()}
         counters = torch.tensor([self._steps, self._refined, self._last])
         return {
-            **dumped(self.street, self._adam), **kept, "generator": self._generator.get_state(), "counters": counters,
+            **dump(self.street, self._adam), **kept, "generator": self._generator.get_state(), "counters": counters,
             "progress": torch.tensor(self._progress, dtype=torch.float64),
         }  # fmt: skip
 
@@ -190,7 +194,7 @@ class StreetTrainer:
             "anchors": self._anchors,
             "ground": self._ground,
             "sky": self._sky,
-            "sightings": self._sightings,
+            "sightings": self._visibility,
             **{f"{name}.adam": tables for name, tables in zip(("anchors", "ground", "sky"), self._tables)},
         }
 

@@ -40,7 +40,7 @@ class VisibilityCache:
         self._visited: dict[bytes, _Visited] = {}
         self._bytes = 0
 
-    def kept(self, viewpoint: Viewpoint, seen: Sequence[Tensor], numbers: Sequence[Tensor]) -> list[Tensor]:
+    def select_rows(self, viewpoint: Viewpoint, seen: Sequence[Tensor], numbers: Sequence[Tensor]) -> list[Tensor]:
         """Of what a viewpoint may see that which is worth decoding.
 
         Args:
@@ -56,7 +56,7 @@ class VisibilityCache:
             for rows, own, shown in zip(seen, numbers, visited.shown)
         ]
 
-    def note(self, viewpoint: Viewpoint, shown: Sequence[Tensor], numbers: Sequence[Tensor]) -> None:
+    def record(self, viewpoint: Viewpoint, shown: Sequence[Tensor], numbers: Sequence[Tensor]) -> None:
         """A picture was visited.
 
         Args:
@@ -76,12 +76,12 @@ class VisibilityCache:
 
     def state(self) -> dict[str, Tensor]:
         """All that it keeps."""
-        pictures = list(self._visited.values())
-        bits = [one for picture in pictures for one in picture.shown]
+        images = list(self._visited.values())
+        bits = [one for image in images for one in image.shown]
         return {
             "pictures": torch.from_numpy(np.frombuffer(b"".join(self._visited), np.uint8).copy()),
-            "visits": torch.tensor([picture.visits for picture in pictures], dtype=torch.int64),
-            "nodes": torch.tensor([len(picture.shown) for picture in pictures], dtype=torch.int64),
+            "visits": torch.tensor([image.visits for image in images], dtype=torch.int64),
+            "nodes": torch.tensor([len(image.shown) for image in images], dtype=torch.int64),
             "sizes": torch.tensor([len(one) for one in bits], dtype=torch.int64),
             "bits": torch.from_numpy(np.concatenate([np.empty(0, np.uint8), *bits])),
         }
@@ -115,5 +115,5 @@ def _worth(bits: UInt8, numbers: Int64) -> Bool:
 
 def _key(viewpoint: Viewpoint) -> bytes:
     """What tells a picture from others: who took it, and from where."""
-    told = repr(tuple(viewpoint.source)).encode() + viewpoint.viewmat.numpy().tobytes()
-    return hashlib.blake2b(told, digest_size=_DIGEST).digest()
+    network_inputs = repr(tuple(viewpoint.source)).encode() + viewpoint.viewmat.numpy().tobytes()
+    return hashlib.blake2b(network_inputs, digest_size=_DIGEST).digest()

@@ -17,7 +17,7 @@ from mirror.arrays import Float32
 NEAREST_M: Final = 0.05
 
 
-def visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
+def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
     """Points whose sphere the view's pyramid may meet.
 
     Args:

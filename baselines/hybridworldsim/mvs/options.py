@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hybridworldsim.stationary import STANDING_M
+from hybridworldsim.stationary import STATIONARY_M
 from mirror.protocols.document import Pixels
 
 
@@ -29,7 +29,7 @@ class Options:
     """
 
     width_px: int = 240
-    standing_m: float = STANDING_M
+    standing_m: float = STATIONARY_M
     sources: int = 4
     held_against: int = 8
     near_m: float = 2.0

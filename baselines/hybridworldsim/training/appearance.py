@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from hybridworldsim.training.driven_lines import Lines
+from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.run.folder import TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
@@ -32,7 +32,7 @@ _MOST_PLACES: Final = 48
 
 
 @dataclass(frozen=True)
-class Look:
+class AppearanceChoice:
     """How one picture looks.
 
     Attributes:
@@ -44,7 +44,7 @@ class Look:
     content: Source
 
 
-def seen_of(views: Sequence[View]) -> tuple[TrainedCamera, ...]:
+def trained_cameras(views: Sequence[View]) -> tuple[TrainedCamera, ...]:
     """The traversals and cameras of training views, with some of the places that they were at."""
     by_source: dict[Source, list[View]] = {}
     for view in views:
@@ -83,13 +83,13 @@ class AppearanceSelector:
     policy: str = "nearest"
     views: Sequence[View] = ()
     everywhere: bool = False
-    lines: Lines | None = None
+    lines: DrivenLines | None = None
 
     def __post_init__(self) -> None:
         for word in self._words:
             self._matching(word)
 
-    def of(self, view: View) -> Look:
+    def select(self, view: View) -> AppearanceChoice:
         """The look of one picture.
 
         Raises:
@@ -99,16 +99,16 @@ class AppearanceSelector:
         trained = own in self._by_source
         content = own if trained else self._of_camera(self._traversal(view, None), view)
         if (trained and not self.everywhere) or self.policy in ("nearest", FITTED):
-            return Look(((content, 1.0),), content)
+            return AppearanceChoice(((content, 1.0),), content)
         if self.policy == MEAN:
             alike = [source for source in self._by_source if source.camera == content.camera]
-            return Look(tuple((source, 1.0 / len(alike)) for source in alike), content)
+            return AppearanceChoice(tuple((source, 1.0 / len(alike)) for source in alike), content)
         ends = [self._of_camera(self._traversal(view, word), view) for word in self._words]
         if len(ends) == 1:
             # A held-out picture that is given a look gets all of it; a light that is edited moves nothing.
-            return Look(((ends[0], 1.0),), content if self.everywhere else ends[0])
+            return AppearanceChoice(((ends[0], 1.0),), content if self.everywhere else ends[0])
         share = self._share(view)
-        return Look(((ends[0], 1.0 - share), (ends[1], share)), content)
+        return AppearanceChoice(((ends[0], 1.0 - share), (ends[1], share)), content)
 
     @property
     def _words(self) -> list[str]:
@@ -126,8 +126,8 @@ class AppearanceSelector:
         return {Source(one.traversal_id, one.camera): one for one in self.seen}
 
     @cached_property
-    def _street(self) -> Lines:
-        return self.lines or Lines(self.seen, self.views)
+    def _street(self) -> DrivenLines:
+        return self.lines or DrivenLines(self.seen, self.views)
 
     @cached_property
     def _own(self) -> frozenset[str]:

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 import torch
 
-from hybridworldsim.training.training_image import TrainingPicture
-from hybridworldsim.training.viewpoint import viewpoint_of
+from hybridworldsim.training.training_image import TrainingImage
+from hybridworldsim.training.viewpoint import to_viewpoint
 from mirror.arrays import Float32, Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import DepthImage, Image, Mask
@@ -27,7 +27,7 @@ CACHE_BYTES: Final = 512 << 20
 _AHEAD: Final = 3
 
 
-class Pictures:
+class TrainingImageCache:
     """Opens training pictures of views; those opened last are held, up to a number of bytes.
 
     Args:
@@ -56,11 +56,11 @@ class Pictures:
         self._plan, self._origin, self._most = plan, origin_m, cache_bytes
         self._sky, self._depth_of = sky, depth_of
         self._source = GroundTruth(dataset, plan.protocol, plan.layers)
-        self._held: OrderedDict[str, TrainingPicture] = OrderedDict()
+        self._held: OrderedDict[str, TrainingImage] = OrderedDict()
         self.held_bytes = 0
         self.opened = 0
 
-    def __call__(self, view: View) -> TrainingPicture:
+    def __call__(self, view: View) -> TrainingImage:
         """The picture of a view.
 
         Raises:
@@ -79,7 +79,7 @@ class Pictures:
         # Held as it was recorded: in float32 colours would take four times the bytes.
         return replace(recorded, rgb=recorded.rgb.to(torch.float32).div_(255.0))
 
-    def _open(self, view: View) -> TrainingPicture:
+    def _open(self, view: View) -> TrainingImage:
         """The picture of a view, its colours as they were recorded: uint8."""
         rgb = self._source.picture(view)
         _, image = self._source.recorded(view)
@@ -88,9 +88,9 @@ class Pictures:
         if mask is not None:
             raster = raster_of(image.camera_model, self._plan.protocol.pixels)
             sky = torch.from_numpy(~raster.excluded(mask.decode() == 0))
-        depth_m = None if depth is None else torch.from_numpy(seen_by(view, depth.lens, depth.decode()))
-        return TrainingPicture(
-            viewpoint_of(view, self._origin),
+        depth_m = None if depth is None else torch.from_numpy(resample_depth(view, depth.lens, depth.decode()))
+        return TrainingImage(
+            to_viewpoint(view, self._origin),
             torch.from_numpy(rgb),
             torch.from_numpy(self._source.scored(view)),
             sky,
@@ -99,7 +99,7 @@ class Pictures:
         )
 
 
-def seen_by(view: View, lens: Camera, depth_m: Float32) -> Float32:
+def resample_depth(view: View, lens: Camera, depth_m: Float32) -> Float32:
     """A depth map as a view's lens has it.
 
     Args:
@@ -153,7 +153,9 @@ class NoSupervisionError(DatasetError):
     """Not one picture has a pixel to learn from."""
 
 
-def stream(pictures: Pictures, views: Sequence[View], seed: int, first: int) -> Generator[TrainingPicture, None, None]:
+def stream(
+    images: TrainingImageCache, views: Sequence[View], seed: int, first: int
+) -> Generator[TrainingImage, None, None]:
     """Training pictures without end, in the order of `order`; a thread opens the next ones meanwhile.
 
     Raises:
@@ -163,21 +165,21 @@ def stream(pictures: Pictures, views: Sequence[View], seed: int, first: int) -> 
     barren: set[int] = set()
     places = order(seed, len(views), first)
     with ThreadPoolExecutor(1, "pictures") as ahead:
-        waiting: list[tuple[int, Future[TrainingPicture]]] = []
+        waiting: list[tuple[int, Future[TrainingImage]]] = []
         try:
             while True:
                 while len(waiting) < _AHEAD:
                     place = next(places)
-                    waiting.append((place, ahead.submit(pictures, views[place])))
+                    waiting.append((place, ahead.submit(images, views[place])))
                 place, future = waiting.pop(0)
-                picture = future.result()
-                if not picture.scored.any():
+                image = future.result()
+                if not image.scored.any():
                     barren.add(place)
                     if len(barren) == len(views):
                         raise NoSupervisionError(
                             "masks cover every training picture", expected="pixels of the static street",
                             remedy="look at the masks: road users, the vehicle itself, and what the lens does not see",
                         )  # fmt: skip
-                yield picture
+                yield image
         finally:
             ahead.shutdown(wait=True, cancel_futures=True)

@@ -16,7 +16,7 @@ from mirror.protocols.views.view import View
 _STEP_M: Final = 0.5
 
 
-class Lines:
+class DrivenLines:
     """The lines of a street that were trained on, and those that are asked for.
 
     A line is filled up and sorted into a tree once, and two are compared once, however many blocks of the street ask.
@@ -75,11 +75,11 @@ def _trees(driven: Iterable[tuple[str, Sequence[Sequence[float] | Float64]]]) ->
     """Of each traversal that which its cameras drove."""
     lines: dict[str, list[Float64]] = {}
     for name, places in driven:
-        lines.setdefault(name, []).append(filled(np.array(places)))
+        lines.setdefault(name, []).append(densify_line(np.array(places)))
     return {name: cKDTree(np.concatenate(own)) for name, own in lines.items()}
 
 
-def filled(places: Float64) -> Float64:
+def densify_line(places: Float64) -> Float64:
     """Places (N, 3) of a line, with others between them: neighbours are half a metre apart at most."""
     steps = np.diff(places, axis=0)
     counts = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / _STEP_M), 1.0).astype(np.int64)

@@ -16,12 +16,12 @@ from typing import Final
 from torch import Tensor
 
 from hybridworldsim.training.budget import Budget, Clock
-from hybridworldsim.training.data_loader import Pictures, stream
+from hybridworldsim.training.data_loader import TrainingImageCache, stream
 from hybridworldsim.training.run.checkpoint import Position, Sums
-from hybridworldsim.training.run.folder import Outcome, RunFolder
-from hybridworldsim.training.run.previews import Preview, write_specimens
+from hybridworldsim.training.run.folder import RunFolder, TrainingOutcome
+from hybridworldsim.training.run.previews import Preview, write_previews
 from hybridworldsim.training.trainable_method import StepReport, TrainableMethod
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.training_image import TrainingImage
 from mirror.errors import DatasetError
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.views.view import View
@@ -47,13 +47,13 @@ class Options:
     """
 
     checkpoint_s: float = 30.0
-    specimens: Sequence[Preview] = ()
+    previews: Sequence[Preview] = ()
     title: str = "training"
 
 
 def train(
-    learner: TrainableMethod,
-    pictures: Pictures,
+    trainer: TrainableMethod,
+    images: TrainingImageCache,
     views: Sequence[View],
     budget: Budget,
     folder: RunFolder,
@@ -62,14 +62,14 @@ def train(
     seed: int = 0,
     options: Options | None = None,
     watch: ProgressReporter | None = None,
-) -> Outcome:
+) -> TrainingOutcome:
     """Train until the budget is spent; go on where an earlier call stopped.
 
     Under a budget of steps and at one number of threads the model is the same however often it was interrupted.
 
     Args:
-        learner: as it begins; it is taken to the checkpoint if there is one.
-        pictures: opens them.
+        trainer: as it begins; it is taken to the checkpoint if there is one.
+        images: opens them.
         views: what is trained on, at least one.
         budget: how long.
         folder: that the run began in.
@@ -84,23 +84,23 @@ def train(
         KeyboardInterrupt: after Ctrl-C, once a checkpoint is written.
     """
     options, watch = options or Options(), watch or NullProgress()
-    position = folder.resume(learner)
+    position = folder.resume(trainer)
     clock, wall = Clock(position.spent_s), _Wall(position.wall_s)
     kept = time.monotonic()
     watch.start("training", _THOUSAND)
-    told = 0
+    network_inputs = 0
     live: float | None = None
     gaussians = 0
     progress = budget.progress(position.steps, position.spent_s)
-    with _interruptible() as interrupted, closing(stream(pictures, views, seed, position.shown)) as coming:
+    with _interruptible() as interrupted, closing(stream(images, views, seed, position.shown)) as coming:
         while progress < 1.0:
-            picture = next(coming)
+            image = next(coming)
             position = replace(position, shown=position.shown + 1)
-            if not picture.scored.any():
+            if not image.scored.any():
                 continue
-            _require_numbers(picture)
-            report = learner.step(picture, progress)
-            _require_learnt(report, picture, position.steps)
+            _require_numbers(image)
+            report = trainer.step(image, progress)
+            _require_learnt(report, image, position.steps)
             gaussians = report.gaussians
             psnr = psnr_of(report.losses["rgb"])
             live = psnr if live is None else live + _LIVE * (psnr - live)
@@ -109,22 +109,22 @@ def train(
             clock.pause()
             wall.pause()
             position = replace(position, spent_s=clock.spent_s, wall_s=wall.spent_s)
-            if int(progress * _THOUSAND) > told:
+            if int(progress * _THOUSAND) > network_inputs:
                 watch.status(f"{live:.2f} dB, loss {report.losses['rgb']:.5f}, {gaussians} Gaussians")
-                watch.advance(int(progress * _THOUSAND) - told)
-                told = int(progress * _THOUSAND)
+                watch.advance(int(progress * _THOUSAND) - network_inputs)
+                network_inputs = int(progress * _THOUSAND)
             if progress * REPORTS >= position.reports + 1 or progress >= 1.0:
-                position = _report(folder, position, progress, gaussians, learner, options, watch)
+                position = _report(folder, position, progress, gaussians, trainer, options, watch)
             if interrupted.is_set() or time.monotonic() - kept > options.checkpoint_s:
-                _require_sound(learner, position)
-                folder.keep(learner, position)
+                _require_sound(trainer, position)
+                folder.save_checkpoint(trainer, position)
                 kept = time.monotonic()
             if interrupted.is_set():
                 watch.message(f"interrupted at step {position.steps}: the checkpoint is in {folder.path}")
                 raise KeyboardInterrupt
             clock.resume()
             wall.resume()
-    folder.keep(learner, position)
+    folder.save_checkpoint(trainer, position)
     last = folder.last
     outcome = {
         "steps": position.steps,
@@ -147,12 +147,12 @@ def _report(
     position: Position,
     progress: float,
     gaussians: int,
-    learner: TrainableMethod,
+    trainer: TrainableMethod,
     options: Options,
     watch: ProgressReporter,
 ) -> Position:
     """Write a row of the curves, and pictures at every so many-th."""
-    _require_sound(learner, position)
+    _require_sound(trainer, position)
     sums = position.sums
     losses = {name: total / count for name, (total, count) in sums.losses.items()}
     row = {
@@ -164,7 +164,7 @@ def _report(
         "gaussians": gaussians,
         **losses,
     }
-    folder.report(row, options.title)
+    folder.append_row(row, options.title)
     watch.report(
         f"{progress:4.0%}  step {position.steps}  {position.spent_s / 60.0:.2f} core-minutes  "
         f"PSNR {row['psnr_db']:.2f} dB  loss {losses['rgb']:.5f}  {gaussians} Gaussians"
@@ -172,13 +172,13 @@ def _report(
     # A step may be longer than the time between reports.
     reports = max(int(progress * REPORTS), position.reports + 1)
     if reports // _PICTURES_EVERY > position.reports // _PICTURES_EVERY:
-        write_specimens(folder.pictures, options.specimens, learner, position.steps)
+        write_previews(folder.pictures, options.previews, trainer, position.steps)
     return replace(position, reports=reports, rows=position.rows + 1, sums=Sums())
 
 
-def _require_sound(learner: TrainableMethod, position: Position) -> None:
+def _require_sound(trainer: TrainableMethod, position: Position) -> None:
     # The rasterizer leaves out what has no place, so that no loss tells of such parameters.
-    for name, parameter in learner.model.named_parameters():
+    for name, parameter in trainer.model.named_parameters():
         if not bool(parameter.detach().sum().isfinite()):
             raise DatasetError(
                 f"{name} holds numbers that are none at step {position.steps}",
@@ -194,27 +194,27 @@ def _added(sums: Sums, report: StepReport, psnr: float) -> Sums:
     return Sums(sums.steps + 1, sums.psnr_db + psnr, losses)
 
 
-def _require_numbers(picture: TrainingPicture) -> None:
+def _require_numbers(image: TrainingImage) -> None:
     # A sum is finite only if all of it is, and the cheapest to ask.
     tensors: dict[str, Tensor | None] = {
-        "colours": picture.rgb,
-        "depths": picture.depth_m,
-        "pose": picture.viewpoint.viewmat,
-        "intrinsics": picture.viewpoint.K,
+        "colours": image.rgb,
+        "depths": image.depth_m,
+        "pose": image.viewpoint.viewmat,
+        "intrinsics": image.viewpoint.K,
     }
     for what, tensor in tensors.items():
         if tensor is not None and not bool(tensor.sum().isfinite()):
             raise DatasetError(
-                f"{what} that are no finite numbers", place=picture.name or str(picture.viewpoint.source),
+                f"{what} that are no finite numbers", place=image.name or str(image.viewpoint.source),
                 expected="a picture of finite numbers", remedy="leave the picture out, or correct its pose and depth",
             )  # fmt: skip
 
 
-def _require_learnt(report: StepReport, picture: TrainingPicture, step: int) -> None:
+def _require_learnt(report: StepReport, image: TrainingImage, step: int) -> None:
     for name, loss in report.losses.items():
         if not math.isfinite(loss):
             raise DatasetError(
-                f"the loss {name} is {loss} at step {step}", place=picture.name or str(picture.viewpoint.source),
+                f"the loss {name} is {loss} at step {step}", place=image.name or str(image.viewpoint.source),
                 expected="a finite loss", remedy=_DIVERGED,
             )  # fmt: skip
 
@@ -235,23 +235,23 @@ class _Wall:
 @contextmanager
 def _interruptible() -> Iterator[threading.Event]:
     """Ctrl-C is heard between steps, since half a step is no state to keep; a second one at once."""
-    heard = threading.Event()
+    interrupted = threading.Event()
     if threading.current_thread() is not threading.main_thread():
-        yield heard
+        yield interrupted
         return
     before = signal.getsignal(signal.SIGINT)
     if before == signal.SIG_IGN:
         # In the background of a script that is how it is meant.
-        yield heard
+        yield interrupted
         return
 
-    def hear(number: int, frame: FrameType | None) -> None:
-        if heard.is_set():
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if interrupted.is_set():
             raise KeyboardInterrupt
-        heard.set()
+        interrupted.set()
 
-    signal.signal(signal.SIGINT, hear)
+    signal.signal(signal.SIGINT, on_signal)
     try:
-        yield heard
+        yield interrupted
     finally:
         signal.signal(signal.SIGINT, before)

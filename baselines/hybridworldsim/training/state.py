@@ -12,7 +12,7 @@ from mirror.errors import DatasetError
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
-def dumped(module: nn.Module, optimizer: Optimizer) -> dict[str, Tensor]:
+def dump(module: nn.Module, optimizer: Optimizer) -> dict[str, Tensor]:
     """All parameters and moments, by name.
 
     Args:
@@ -33,7 +33,7 @@ def load(module: nn.Module, state: Mapping[str, Tensor], optimizer: Optimizer | 
 
     Args:
         module: of the same kind as the one that was dumped.
-        state: of `dumped`; what is neither of the model nor of Adam is left alone.
+        state: of `dump`; what is neither of the model nor of Adam is left alone.
         optimizer: Adam of the module; None: it is not to learn.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from torch import Tensor, nn
 
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
@@ -55,11 +55,11 @@ class TrainableMethod(Protocol):
         """Whether it learns from depth maps: they are not read otherwise."""
         ...
 
-    def step(self, picture: TrainingPicture, progress: float) -> StepReport:
+    def step(self, image: TrainingImage, progress: float) -> StepReport:
         """Learn from one picture.
 
         Args:
-            picture: what was taken.
+            image: what was taken.
             progress: from 0 to 1, for the schedules.
         """
         ...

@@ -10,7 +10,7 @@ from hybridworldsim.training.viewpoint import Viewpoint
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingPicture:
+class TrainingImage:
     """What a step learns from.
 
     Attributes:

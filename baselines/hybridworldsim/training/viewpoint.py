@@ -49,7 +49,7 @@ class Viewpoint:
         """(3,) of the camera, in the block's frame, metres."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
-    def seen_by(self, source: Source) -> Viewpoint:
+    def with_source(self, source: Source) -> Viewpoint:
         """The same place with another appearance."""
         return replace(self, source=source)
 
@@ -67,7 +67,7 @@ def require_pinhole(view: View) -> None:
         )  # fmt: skip
 
 
-def viewpoint_of(view: View, origin_m: Float64) -> Viewpoint:
+def to_viewpoint(view: View, origin_m: Float64) -> Viewpoint:
     """The viewpoint of a view of a protocol.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Set
 from dataclasses import dataclass
 
-from hybridworldsim.stationary import STANDING_M, moving
+from hybridworldsim.stationary import STATIONARY_M, select_moving
 from hybridworldsim.training.viewpoint import require_pinhole
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
@@ -28,7 +28,7 @@ class TrainingViews:
 
     plan: Plan
     views: tuple[View, ...]
-    standing: int
+    stationary_count: int
 
 
 def training_views(
@@ -38,7 +38,7 @@ def training_views(
     scene: str,
     *,
     withheld: Set[Picture] = frozenset(),
-    standing_m: float = STANDING_M,
+    stationary_m: float = STATIONARY_M,
 ) -> TrainingViews:
     """The training pictures of a scene, in the raster and with the masks of a protocol.
 
@@ -48,7 +48,7 @@ def training_views(
         split: whose training traversals are meant.
         scene: which scene.
         withheld: pictures that are left out.
-        standing_m: a picture is left out where its camera is nearer than this to the last one kept.
+        stationary_m: a picture is left out where its camera is nearer than this to the last one kept.
 
     Raises:
         UsageError: a lens is not a pinhole in the protocol's raster.
@@ -70,5 +70,5 @@ def training_views(
         )  # fmt: skip
     for view in own:
         require_pinhole(view)
-    kept = moving((((view.traversal_id, view.camera), view.pose.translation[0]) for view in own), standing_m)
+    kept = select_moving((((view.traversal_id, view.camera), view.pose.translation[0]) for view in own), stationary_m)
     return TrainingViews(plan, tuple(own[position] for position in kept), len(own) - len(kept))

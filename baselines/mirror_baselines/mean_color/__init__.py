@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 from mirror.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from mirror_baselines.mean_color.mean import MOST_PICTURES as MOST_PICTURES
+    from mirror_baselines.mean_color.mean import MAX_IMAGES as MAX_IMAGES
     from mirror_baselines.mean_color.mean import mean_colour as mean_colour
     from mirror_baselines.mean_color.mean import render as render
     from mirror_baselines.mean_color.submission import APPEARANCE as APPEARANCE
     from mirror_baselines.mean_color.submission import METHOD as METHOD
 
-__all__ = ["APPEARANCE", "METHOD", "MOST_PICTURES", "mean_colour", "render"]
+__all__ = ["APPEARANCE", "MAX_IMAGES", "METHOD", "mean_colour", "render"]
 
-_MEAN = dict.fromkeys(("MOST_PICTURES", "mean_colour", "render"), "mirror_baselines.mean_color.mean")
+_MEAN = dict.fromkeys(("MAX_IMAGES", "mean_colour", "render"), "mirror_baselines.mean_color.mean")
 _SUBMISSION = dict.fromkeys(("APPEARANCE", "METHOD"), "mirror_baselines.mean_color.submission")
 __getattr__, __dir__ = lazy_names(__name__, _MEAN | _SUBMISSION)

@@ -15,12 +15,12 @@ from mirror.evaluation.submission.writing import Render
 from mirror.methods.training_images import training_pictures
 from mirror.protocols.views import Plan, View
 
-MOST_PICTURES: Final = 200
+MAX_IMAGES: Final = 200
 """So many pictures of a camera, evenly through all of them, are opened at most: the mean hardly changes with more."""
 
 
 def mean_colour(images: Sequence[Image]) -> Float64:
-    """The mean colour (3,), RGB, 0 to 255, of at most `MOST_PICTURES` of some pictures.
+    """The mean colour (3,), RGB, 0 to 255, of at most `MAX_IMAGES` of some pictures.
 
     It is the mean of 8-bit sRGB values, which the squared error that PSNR is made of asks for, not of light.
 
@@ -30,7 +30,7 @@ def mean_colour(images: Sequence[Image]) -> Float64:
     Raises:
         DatasetError: a picture is missing or broken.
     """
-    places = np.linspace(0, len(images) - 1, min(len(images), MOST_PICTURES)).round().astype(int)
+    places = np.linspace(0, len(images) - 1, min(len(images), MAX_IMAGES)).round().astype(int)
     colours = [cv2.mean(images[place].decode())[:3] for place in places.tolist()]
     return np.asarray(np.mean(colours, axis=0))
 
@@ -42,6 +42,6 @@ def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
     for view in plan.views:
         alike.setdefault((view.scene_id, view.camera, view.width_px, view.height_px), []).append(view)
     for (scene, camera, width, height), views in alike.items():
-        picture: UInt8 = np.empty((height, width, 3), np.uint8)
-        picture[:] = colours[scene, camera].round().astype(np.uint8)
-        yield views, picture
+        image: UInt8 = np.empty((height, width, 3), np.uint8)
+        image[:] = colours[scene, camera].round().astype(np.uint8)
+        yield views, image

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from mirror.evaluation.submission.manifest import Appearance, Method
-from mirror_baselines.mean_color.mean import MOST_PICTURES
+from mirror_baselines.mean_color.mean import MAX_IMAGES
 
 METHOD: Final = Method(
     name="mean_color",
@@ -14,5 +14,5 @@ METHOD: Final = Method(
     trained_on="nothing: the colours of the split's training traversals are averaged",
 )
 APPEARANCE: Final = Appearance(
-    policy="mean", description=f"of at most {MOST_PICTURES} training pictures of the camera in the scene"
+    policy="mean", description=f"of at most {MAX_IMAGES} training pictures of the camera in the scene"
 )

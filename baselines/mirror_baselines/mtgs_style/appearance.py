@@ -12,13 +12,13 @@ from torch.optim import Optimizer
 from hybridworldsim.model.settings import Rate
 from hybridworldsim.training.viewpoint import Source, Viewpoint
 from mirror.errors import UsageError
-from mirror_baselines.splatting.appearance import Finished, Look
-from mirror_baselines.splatting.per_image import PerPicture
+from mirror_baselines.splatting.appearance import AppearanceModel, FinishedImage
+from mirror_baselines.splatting.per_image import PerImageTable
 
 _IDENTITY: Final = torch.eye(3, 4)
 
 
-class TraversalLook(Look):
+class TraversalAppearance(AppearanceModel):
     """Spherical harmonics with a part for each traversal: memory grows with their number.
 
     Args:
@@ -33,10 +33,10 @@ class TraversalLook(Look):
         names = sorted({source.traversal_id for source in sources})
         self._traversals = {name: place for place, name in enumerate(names)}
         self._adapters, self._rate = adapters, exposure
-        self.exposures = PerPicture(sources, _IDENTITY.numel())
+        self.exposures = PerImageTable(sources, _IDENTITY.numel())
 
     def tables(self, count: int) -> dict[str, Tensor]:
-        """See `Look`."""
+        """See `AppearanceModel`."""
         rest = (self.sh_degree + 1) ** 2 - 1
         found = {f"shN_{place}": torch.zeros(count, rest, 3) for place in self._traversals.values()}
         if self._adapters:
@@ -44,7 +44,7 @@ class TraversalLook(Look):
         return found
 
     def bands(self, source: Source, degree: int) -> list[tuple[str, int, int]]:
-        """See `Look`.
+        """See `AppearanceModel`.
 
         Raises:
             UsageError: the traversal was not trained on.
@@ -64,23 +64,23 @@ class TraversalLook(Look):
         return found
 
     def optimizers(self) -> list[Optimizer]:
-        """See `Look`."""
+        """See `AppearanceModel`."""
         return [self.exposures.adam]
 
     def prepare(self, viewpoint: Viewpoint, progress: float) -> None:
-        """See `Look`."""
+        """See `AppearanceModel`."""
         if self._rate is not None:
             self.exposures.adam.param_groups[0]["lr"] = self._rate.at(progress)
-            self.exposures.meet(viewpoint, _IDENTITY.flatten())
+            self.exposures.add_image(viewpoint, _IDENTITY.flatten())
 
-    def learn(self, viewpoint: Viewpoint) -> None:
-        """See `Look`."""
-        self.exposures.learn(viewpoint)
+    def update(self, viewpoint: Viewpoint) -> None:
+        """See `AppearanceModel`."""
+        self.exposures.update(viewpoint)
 
-    def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> Finished:
-        """See `Look`; SSIM is of what no matrix has touched."""
+    def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> FinishedImage:
+        """See `AppearanceModel`; SSIM is of what no matrix has touched."""
         row = self.exposures.row(viewpoint)
         if row is None:
-            return Finished(rgb, rgb)
+            return FinishedImage(rgb, rgb)
         matrix = self.exposures.table[row].view(3, 4)
-        return Finished(rgb @ matrix[:, :3].T + matrix[:, 3], rgb)
+        return FinishedImage(rgb @ matrix[:, :3].T + matrix[:, 3], rgb)

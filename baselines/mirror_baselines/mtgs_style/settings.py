@@ -7,7 +7,7 @@ from typing import Final
 
 from hybridworldsim.model.settings import Rate
 from mirror_baselines.splatting import tuned
-from mirror_baselines.splatting.scaling import scaled
+from mirror_baselines.splatting.scaling import scale_splatting
 from mirror_baselines.splatting.settings import Densification, GaussianInit, LearningRates, Splatting, Weights
 
 
@@ -47,5 +47,5 @@ BY_HAND: Final = MtgsStyle(
 )
 """The middle of the tuning's grid. Traversals differ in the constant band, and no band is higher than the first."""
 
-TUNED: Final = scaled(BY_HAND, rates=1.0, sizes=2.0)
+TUNED: Final = scale_splatting(BY_HAND, rates=1.0, sizes=2.0)
 """The best cell at these rates: twice those end higher after two core-minutes, lower after ten (docs/results.md)."""

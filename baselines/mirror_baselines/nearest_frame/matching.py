@@ -18,17 +18,17 @@ from mirror.protocols.document import Pixels
 from mirror.protocols.truth.raster import raster_of
 from mirror.protocols.views import Plan, View
 
-METRES_A_RADIAN: Final = 10.0
+METRES_PER_RADIAN: Final = 10.0
 """What a turn counts as: what is this far away moves by as much in the picture when the camera moves by it."""
 
 _PAIRS: Final = 4_000_000
 
 
-def nearest(wanted: Poses, there: Poses) -> Int64:
+def find_nearest(wanted: Poses, there: Poses) -> Int64:
     """The pose nearest to each of others, by position and heading.
 
     The distance of two cameras is the root of the squared distance of their centres and the squared chord between
-    their viewing directions, a radian counting as `METRES_A_RADIAN`. Of equally near ones the first is taken.
+    their viewing directions, a radian counting as `METRES_PER_RADIAN`. Of equally near ones the first is taken.
 
     Args:
         wanted: (N) ``world_SE3_camera``.
@@ -47,13 +47,13 @@ def nearest(wanted: Poses, there: Poses) -> Int64:
 
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
     """The picture of each view, those that share one together; see `mirror.evaluation.submission.writing.Renderer`."""
-    pictures = training_pictures(dataset, plan)
+    images = training_pictures(dataset, plan)
     views: dict[tuple[str, str], list[View]] = {}
     for view in plan.views:
         views.setdefault((view.scene_id, view.camera), []).append(view)
     for key, own in views.items():
-        there = pictures[key]
-        rows = nearest(_poses(own), there.world_SE3_camera)
+        there = images[key]
+        rows = find_nearest(_poses(own), there.world_SE3_camera)
         for row in np.unique(rows).tolist():
             sharing = [own[place] for place in np.flatnonzero(rows == row).tolist()]
             yield from _shown(there.images[row], sharing, plan.protocol.pixels)
@@ -62,7 +62,7 @@ def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
 def _features(poses: Poses, origin: Float64) -> Float64:
     """(N, 6): where a camera is and where it looks, in metres."""
     forward = poses.matrix()[:, :3, 2]
-    return np.concatenate((poses.translation - origin, METRES_A_RADIAN * forward), axis=1)
+    return np.concatenate((poses.translation - origin, METRES_PER_RADIAN * forward), axis=1)
 
 
 def _closest(ours: Float64, theirs: Float64) -> Int64:

@@ -11,7 +11,7 @@ from hybridworldsim.training.viewpoint import Viewpoint
 _GREY = 0.5
 
 
-class Cube(nn.Module):
+class SkyCube(nn.Module):
     """Six faces, looked up by direction.
 
     Args:
@@ -25,9 +25,9 @@ class Cube(nn.Module):
 
     def forward(self, viewpoint: Viewpoint) -> Tensor:
         """(H, W, 3) of a viewpoint; where it stands does not matter."""
-        return self.seen(directions(viewpoint))
+        return self.sample(ray_directions(viewpoint))
 
-    def seen(self, rays: Tensor) -> Tensor:
+    def sample(self, rays: Tensor) -> Tensor:
         """(H, W, 3) in directions (H, W, 3) of any length."""
         size = self.faces.shape[2]
         longest, axis = rays.abs().max(-1)
@@ -43,7 +43,7 @@ class Cube(nn.Module):
         return found[0].permute(1, 2, 0)
 
 
-def directions(viewpoint: Viewpoint) -> Tensor:
+def ray_directions(viewpoint: Viewpoint) -> Tensor:
     """(H, W, 3) of the pixels' rays in the block's frame, of any length."""
     K = viewpoint.K
     x = (torch.arange(viewpoint.width_px) + 0.5 - K[0, 2]) / K[0, 0]

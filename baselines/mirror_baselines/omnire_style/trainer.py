@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import torch
 
-from hybridworldsim.model.initialization import Initial
-from mirror_baselines.omnire_style.appearance import AffineLook
+from hybridworldsim.model.initialization import InitialGeometry
+from mirror_baselines.omnire_style.appearance import AffineAppearance
 from mirror_baselines.omnire_style.settings import OmnireStyle
-from mirror_baselines.splatting.gaussian_init import seeded
+from mirror_baselines.splatting.gaussian_init import initial_gaussians
 from mirror_baselines.splatting.model import Gaussians
-from mirror_baselines.splatting.trainer import SplattingLearner
+from mirror_baselines.splatting.trainer import SplattingTrainer
 
 
-def make(initial: Initial, settings: OmnireStyle) -> SplattingLearner:
+def make(initial: InitialGeometry, settings: OmnireStyle) -> SplattingTrainer:
     """A model that has seen no picture yet; the same for the same input and seed.
 
     Args:
@@ -21,5 +21,5 @@ def make(initial: Initial, settings: OmnireStyle) -> SplattingLearner:
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        look = AffineLook(initial.sources, settings)
-    return SplattingLearner(Gaussians(seeded(initial, settings.seeding), look), settings)
+        look = AffineAppearance(initial.sources, settings)
+    return SplattingTrainer(Gaussians(initial_gaussians(initial, settings.seeding), look), settings)

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Source, Viewpoint
 
 
 @dataclass(frozen=True, eq=False)
-class Finished:
+class FinishedImage:
     """A picture as it is compared.
 
     Attributes:
@@ -25,7 +25,7 @@ class Finished:
     plain: Tensor
 
 
-class Look(nn.Module):
+class AppearanceModel(nn.Module):
     """Spherical harmonics, the same in all pictures: vanilla 3DGS.
 
     Its parameters are those that belong to no Gaussian; tables with a row a Gaussian are held by the learner, for
@@ -57,13 +57,13 @@ class Look(nn.Module):
         """Of the parameters that belong to no Gaussian."""
         return []
 
-    def learn(self, viewpoint: Viewpoint) -> None:
+    def update(self, viewpoint: Viewpoint) -> None:
         """Take a step with the gradients of these parameters, which then are none."""
 
     def prepare(self, viewpoint: Viewpoint, progress: float) -> None:
         """A picture from here is about to be learnt from; learning rates are to be those of progress, from 0 to 1."""
 
-    def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> Finished:
+    def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> FinishedImage:
         """What the picture becomes.
 
         Args:
@@ -71,8 +71,8 @@ class Look(nn.Module):
             alpha: (H, W).
             viewpoint: whence.
         """
-        return Finished(rgb, rgb)
+        return FinishedImage(rgb, rgb)
 
-    def losses(self, alpha: Tensor, picture: TrainingPicture) -> dict[str, tuple[float, Tensor]]:
+    def losses(self, alpha: Tensor, image: TrainingImage) -> dict[str, tuple[float, Tensor]]:
         """Further losses: weight and value by name."""
         return {}

@@ -16,7 +16,7 @@ from mirror_baselines.splatting.settings import Densification
 _STATISTICS = ("grad2d", "count")
 
 
-class Density:
+class DensityControl:
     """The strategy with its clock, its cap and its chance.
 
     The strategy reads step numbers: here every round has two, the even one at which it refines and the odd one that
@@ -48,16 +48,16 @@ class Density:
         self._round, self._reset = 0, 0
 
     @property
-    def watches(self) -> bool:
+    def is_active(self) -> bool:
         """Whether gradients in the picture are still asked for."""
         return self._round < self.settings.rounds
 
-    def before(self, meta: dict[str, Any]) -> None:
+    def before_backward(self, meta: dict[str, Any]) -> None:
         """To be called before gradients are computed."""
-        if self.watches:
+        if self.is_active:
             meta["means2d"].retain_grad()
 
-    def after(
+    def after_backward(
         self, tables: nn.ParameterDict, optimizers: Mapping[str, Optimizer], meta: dict[str, Any], progress: float
     ) -> bool:
         """To be called with gradients; whether tables were replaced.
@@ -68,7 +68,7 @@ class Density:
             meta: of the rasterizer, packed, whose ``gaussian_ids`` are rows of the tables.
             progress: from 0 to 1.
         """
-        if not self.watches or meta["means2d"].grad is None:
+        if not self.is_active or meta["means2d"].grad is None:
             return False
         settings = self.settings
         share = (progress - settings.begin) / (settings.end - settings.begin)
@@ -97,7 +97,7 @@ class Density:
     def _resets(self, tables: nn.ParameterDict, optimizers: Mapping[str, Optimizer]) -> None:
         """Lower all opacities; gsplat 1.5.3 never does, its condition `0 & step > 0` being false at every step."""
         due = min(self._round // self._rounds_a_reset, self.settings.resets)
-        if due > self._reset and self.watches:
+        if due > self._reset and self.is_active:
             self._reset = due
             reset_opa(tables, optimizers, self._state, 2.0 * self.settings.least_opacity)
 

@@ -7,7 +7,13 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from hybridworldsim.model.initialization import Initial, background_points, ground_seeds, sky_seeds, spacing
+from hybridworldsim.model.initialization import (
+    InitialGeometry,
+    background_points,
+    ground_seeds,
+    neighbour_spacing,
+    sky_seeds,
+)
 from hybridworldsim.model.nodes.code_gaussians import Seeds
 from mirror_baselines.splatting.settings import GaussianInit
 
@@ -15,7 +21,7 @@ _BAND0 = 0.28209479177387814
 _GREY = 0.5
 
 
-def seeded(initial: Initial, settings: GaussianInit) -> dict[str, Tensor]:
+def initial_gaussians(initial: InitialGeometry, settings: GaussianInit) -> dict[str, Tensor]:
     """Parameters of explicit Gaussians by the names that gsplat's strategies know, and the constant band of colour.
 
     Args:
@@ -41,7 +47,7 @@ def seeded(initial: Initial, settings: GaussianInit) -> dict[str, Tensor]:
     }
 
 
-def _sky(initial: Initial, settings: GaussianInit) -> Seeds:
+def _sky(initial: InitialGeometry, settings: GaussianInit) -> Seeds:
     count = settings.sky_count
     seeds = sky_seeds(initial, max(count, 1), settings.sky_radii, settings.far_count)
     if count:
@@ -50,9 +56,9 @@ def _sky(initial: Initial, settings: GaussianInit) -> Seeds:
     return Seeds(seeds.means[1:], seeds.quats[1:], seeds.scales[1:], seeds.opacity)
 
 
-def _background(initial: Initial, settings: GaussianInit) -> tuple[Seeds, Tensor]:
+def _background(initial: InitialGeometry, settings: GaussianInit) -> tuple[Seeds, Tensor]:
     points = background_points(initial, settings.spacing_m, settings.share, settings.most)
-    sizes = settings.size * spacing(points, settings.spacing_m)
+    sizes = settings.size * neighbour_spacing(points, settings.spacing_m)
     colours = np.full((len(points), 3), _GREY)
     if initial.points_rgb is not None and len(points):
         _, rows = cKDTree(initial.points_m).query(points)

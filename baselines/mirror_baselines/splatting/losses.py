@@ -7,8 +7,8 @@ from torch import Tensor
 
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.model.normal_loss import normal_loss
-from hybridworldsim.training.training_image import TrainingPicture
-from mirror_baselines.splatting.appearance import Finished
+from hybridworldsim.training.training_image import TrainingImage
+from mirror_baselines.splatting.appearance import FinishedImage
 from mirror_baselines.splatting.settings import Weights
 
 Weighted = dict[str, tuple[float, Tensor]]
@@ -16,15 +16,15 @@ _SEEN = 0.5
 _NEAREST_M, _FARTHEST_M = 0.1, 80.0
 
 
-def picture_losses(finished: Finished, picture: TrainingPicture, weights: Weights) -> Weighted:
+def image_losses(finished: FinishedImage, image: TrainingImage, weights: Weights) -> Weighted:
     """Losses of colours by name: weight and value; ``rgb``, the mean square error, is always among them.
 
     Args:
         finished: what was drawn.
-        picture: what was taken.
+        image: what was taken.
         weights: of the losses.
     """
-    scored, taken = picture.scored, picture.rgb
+    scored, taken = image.scored, image.rgb
     share = 1.0 - weights.structure
     losses: Weighted = {"rgb": (share, colour_loss(finished.rgb, taken, scored))}
     if weights.pixelwise == "l1":
@@ -36,22 +36,22 @@ def picture_losses(finished: Finished, picture: TrainingPicture, weights: Weight
 
 
 def surface_losses(
-    depth_m: Tensor, alpha: Tensor, picture: TrainingPicture, weights: Weights, *, normals: bool
+    depth_m: Tensor, alpha: Tensor, image: TrainingImage, weights: Weights, *, normals: bool
 ) -> Weighted:
     """Losses of depth and of normals, where the dataset has depth.
 
     Args:
         depth_m: (H, W) expected.
         alpha: (H, W).
-        picture: what was taken.
+        image: what was taken.
         weights: of the losses.
         normals: whether this step has that of normals.
     """
     losses: Weighted = {}
-    if picture.depth_m is None or not (weights.depth or weights.normal):
+    if image.depth_m is None or not (weights.depth or weights.normal):
         return losses
-    stereo = picture.depth_m
-    known = (stereo > 0.0) & picture.scored & (alpha.detach() > _SEEN)
+    stereo = image.depth_m
+    known = (stereo > 0.0) & image.scored & (alpha.detach() > _SEEN)
     if weights.depth:
         if weights.depth_kind == "share":
             value = depth_loss(depth_m, stereo, known)
@@ -62,7 +62,7 @@ def surface_losses(
             value = _mean(error.abs(), near)
         losses["depth"] = (weights.depth, value)
     if weights.normal and normals:
-        value = normal_loss(depth_m, stereo, known, picture.viewpoint.K)
+        value = normal_loss(depth_m, stereo, known, image.viewpoint.K)
         losses["normal"] = (weights.normal * weights.normal_every, value)
     return losses
 

@@ -8,9 +8,9 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.model.visible import visible
+from hybridworldsim.model.visible import select_visible
 from hybridworldsim.training.viewpoint import Source, Viewpoint
-from mirror_baselines.splatting.appearance import Look
+from mirror_baselines.splatting.appearance import AppearanceModel
 
 GEOMETRY: Final = ("means", "quats", "scales", "opacities")
 _SIGMAS = 3.33
@@ -20,11 +20,11 @@ class Gaussians(nn.Module):
     """Explicit Gaussians.
 
     Args:
-        seeds: what it begins with, see `mirror_baselines.splatting.gaussian_init.seeded`.
+        seeds: what it begins with, see `mirror_baselines.splatting.gaussian_init.initial_gaussians`.
         look: how they get colours.
     """
 
-    def __init__(self, seeds: Mapping[str, Tensor], look: Look) -> None:
+    def __init__(self, seeds: Mapping[str, Tensor], look: AppearanceModel) -> None:
         super().__init__()
         tables = {**seeds, **look.tables(len(seeds["means"]))}
         self.tables = nn.ParameterDict({name: nn.Parameter(table) for name, table in tables.items()})
@@ -35,10 +35,10 @@ class Gaussians(nn.Module):
     def __len__(self) -> int:
         return len(self.tables["means"])
 
-    def seen(self, viewpoint: Viewpoint) -> Tensor:
+    def visible_ids(self, viewpoint: Viewpoint) -> Tensor:
         """(M,) int64: rows that a viewpoint may see."""
         reach = _SIGMAS * self.tables["scales"].detach().amax(1).exp()
-        return visible(viewpoint, self.tables["means"].detach(), reach)
+        return select_visible(viewpoint, self.tables["means"].detach(), reach)
 
     def geometry(self, rows: Tensor) -> dict[str, Tensor]:
         """Rows of the tables of geometry, copied: their gradients are as small as what is seen."""

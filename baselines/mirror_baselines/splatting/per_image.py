@@ -13,7 +13,7 @@ from mirror_baselines.splatting.row_adam import RowAdam
 _KEY = 17
 
 
-class PerPicture(nn.Module):
+class PerImageTable(nn.Module):
     """A table with a row a picture, which grows as pictures are met.
 
     Args:
@@ -37,7 +37,7 @@ class PerPicture(nn.Module):
         key = self._key(viewpoint)
         return None if key is None else self._rows.get(key.numpy().tobytes())
 
-    def meet(self, viewpoint: Viewpoint, first: Tensor) -> None:
+    def add_image(self, viewpoint: Viewpoint, first: Tensor) -> None:
         """Give a picture a row unless it has one.
 
         Args:
@@ -59,7 +59,7 @@ class PerPicture(nn.Module):
         self._rows[key.numpy().tobytes()] = len(self.keys)
         self.keys = nn.Parameter(torch.cat([self.keys, key[None]]), requires_grad=False)
 
-    def learn(self, viewpoint: Viewpoint) -> None:
+    def update(self, viewpoint: Viewpoint) -> None:
         """Take a step on a picture's row."""
         row = self.row(viewpoint)
         if row is not None and self.table.grad is not None:

@@ -15,18 +15,18 @@ _T = TypeVar("_T", bound="DataclassInstance")
 _Settings = TypeVar("_Settings", bound=Splatting)
 
 
-def scaled(settings: _Settings, rates: float, sizes: float) -> _Settings:
+def scale_splatting(settings: _Settings, rates: float, sizes: float) -> _Settings:
     """Settings with all learning rates and all numbers of Gaussians times something."""
     seeding, density = settings.seeding, settings.densification
     return replace(
-        faster(settings, rates),
-        rates=faster(settings.rates, rates),
+        scale_rates(settings, rates),
+        rates=scale_rates(settings.rates, rates),
         seeding=replace(seeding, most=round(sizes * seeding.most)),
         densification=replace(density, most=round(sizes * density.most)),
     )
 
 
-def faster(settings: _T, times: float) -> _T:
+def scale_rates(settings: _T, times: float) -> _T:
     """A dataclass whose learning rates are times something."""
     own = {field.name: getattr(settings, field.name) for field in fields(settings)}
     rates = {name: rate for name, rate in own.items() if isinstance(rate, Rate)}

@@ -11,13 +11,13 @@ from torch import Tensor
 from torch.optim import SGD, Optimizer
 
 from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.training.state import dumped, load
+from hybridworldsim.training.state import dump, load
 from hybridworldsim.training.trainable_method import Rendering, StepReport
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint
-from mirror_baselines.splatting.appearance import Finished
-from mirror_baselines.splatting.density import Density
-from mirror_baselines.splatting.losses import picture_losses, surface_losses
+from mirror_baselines.splatting.appearance import FinishedImage
+from mirror_baselines.splatting.density import DensityControl
+from mirror_baselines.splatting.losses import image_losses, surface_losses
 from mirror_baselines.splatting.model import Gaussians
 from mirror_baselines.splatting.row_adam import RowAdam
 from mirror_baselines.splatting.settings import Splatting
@@ -37,7 +37,7 @@ class RenderOutput:
         meta: of the rasterizer, whose ``gaussian_ids`` are rows of the tables.
     """
 
-    finished: Finished
+    finished: FinishedImage
     alpha: Tensor
     depth_m: Tensor
     rows: Tensor
@@ -46,7 +46,7 @@ class RenderOutput:
     meta: dict[str, Any]
 
 
-class SplattingLearner:
+class SplattingTrainer:
     """Gaussians, their optimisers, and how their number changes.
 
     Args:
@@ -57,41 +57,41 @@ class SplattingLearner:
     def __init__(self, model: Gaussians, settings: Splatting) -> None:
         self.model, self.settings = model, settings
         self._adams = {name: RowAdam(table) for name, table in model.tables.items()}
-        self._density = Density(settings.densification, settings.seed, len(model))
+        self._density = DensityControl(settings.densification, settings.seed, len(model))
         self._steps = 0
 
-    def step(self, picture: TrainingPicture, progress: float) -> StepReport:
+    def step(self, image: TrainingImage, progress: float) -> StepReport:
         """Learn from one picture; see `TrainableMethod`."""
         settings, look = self.settings, self.model.look
         self.model.sh_degree.fill_(min(int(progress / settings.sh_step), settings.sh_degree))
         for name, adam in self._adams.items():
             adam.param_groups[0]["lr"] = getattr(settings.rates, name.split("_")[0]).at(progress)
-        look.prepare(picture.viewpoint, progress)
-        drawn = self._draw(picture.viewpoint, learning=True)
+        look.prepare(image.viewpoint, progress)
+        drawn = self._render(image.viewpoint, learning=True)
         weights = settings.weights
         losses = {
-            **picture_losses(drawn.finished, picture, weights),
+            **image_losses(drawn.finished, image, weights),
             **surface_losses(
-                drawn.depth_m, drawn.alpha, picture, weights, normals=self._steps % weights.normal_every == 0
+                drawn.depth_m, drawn.alpha, image, weights, normals=self._steps % weights.normal_every == 0
             ),
-            **look.losses(drawn.alpha, picture),
+            **look.losses(drawn.alpha, image),
         }
         total = torch.stack([weight * loss for weight, loss in losses.values() if weight]).sum()
-        self._density.before(drawn.meta)
+        self._density.before_backward(drawn.meta)
         total.backward()
-        self._update(drawn, picture)
-        self._density.after(self.model.tables, self._adams, drawn.meta, progress)
+        self._update(drawn, image)
+        self._density.after_backward(self.model.tables, self._adams, drawn.meta, progress)
         self._steps += 1
         return StepReport({name: float(loss.detach()) for name, (_, loss) in losses.items()}, len(self.model))
 
-    def _update(self, drawn: RenderOutput, picture: TrainingPicture) -> None:
+    def _update(self, drawn: RenderOutput, image: TrainingImage) -> None:
         for name, leaf in drawn.geometry.items():
             if leaf.grad is not None:
                 self._adams[name].update(drawn.rows, leaf.grad)
         if drawn.harmonics.grad is not None:
-            for name, first, past in self.model.look.bands(picture.viewpoint.source, int(self.model.sh_degree)):
+            for name, first, past in self.model.look.bands(image.viewpoint.source, int(self.model.sh_degree)):
                 self._adams[name].update(drawn.rows, drawn.harmonics.grad, 3 * first, 3 * (past - first))
-        self.model.look.learn(picture.viewpoint)
+        self.model.look.update(image.viewpoint)
 
     @property
     def reads_depth(self) -> bool:
@@ -101,17 +101,17 @@ class SplattingLearner:
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """See `TrainableMethod`."""
-        drawn = self._draw(viewpoint, learning=False)
+        drawn = self._render(viewpoint, learning=False)
         counts = {"held": len(self.model), "decoded": len(drawn.rows), "drawn": len(drawn.meta["gaussian_ids"])}
         return Rendering(drawn.finished.rgb, drawn.alpha, drawn.depth_m, counts)
 
-    def _draw(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
+    def _render(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
         model, settings = self.model, self.settings
-        rows = model.seen(viewpoint)
+        rows = model.visible_ids(viewpoint)
         geometry, harmonics = model.geometry(rows), model.harmonics(rows, viewpoint.source)
         for leaf in (*geometry.values(), harmonics):
             leaf.requires_grad_(learning)
-        pictures, alphas, meta = rasterization(
+        images, alphas, meta = rasterization(
             geometry["means"],
             geometry["quats"],
             geometry["scales"].exp(),
@@ -130,15 +130,15 @@ class SplattingLearner:
         )
         meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
         alpha = alphas[0, ..., 0]
-        finished = model.look.finish(pictures[0, ..., :3], alpha, viewpoint)
-        return RenderOutput(finished, alpha, pictures[0, ..., 3], rows, geometry, harmonics, meta)
+        finished = model.look.finish(images[0, ..., :3], alpha, viewpoint)
+        return RenderOutput(finished, alpha, images[0, ..., 3], rows, geometry, harmonics, meta)
 
     def state(self) -> dict[str, Tensor]:
         """See `TrainableMethod`."""
         moments = self._moments()
         for one in self._optimizers():
             moments.state.update(one.state)
-        return {"counters": torch.tensor([self._steps]), **self._density.state(), **dumped(self.model, moments)}
+        return {"counters": torch.tensor([self._steps]), **self._density.state(), **dump(self.model, moments)}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """See `TrainableMethod`."""

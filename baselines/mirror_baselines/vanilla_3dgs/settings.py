@@ -7,7 +7,7 @@ from typing import Final
 
 from hybridworldsim.model.settings import Rate
 from mirror_baselines.splatting import tuned
-from mirror_baselines.splatting.scaling import scaled
+from mirror_baselines.splatting.scaling import scale_splatting
 from mirror_baselines.splatting.settings import Splatting
 
 RELEASED: Final = Splatting()
@@ -19,5 +19,5 @@ BY_HAND: Final = Splatting(
 )
 """The middle of the tuning's grid."""
 
-TUNED: Final = scaled(BY_HAND, rates=1.0, sizes=2.0)
+TUNED: Final = scale_splatting(BY_HAND, rates=1.0, sizes=2.0)
 """The best cell of the grid (docs/results.md)."""

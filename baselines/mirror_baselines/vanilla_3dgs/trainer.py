@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from hybridworldsim.model.initialization import Initial
-from mirror_baselines.splatting.appearance import Look
-from mirror_baselines.splatting.gaussian_init import seeded
+from hybridworldsim.model.initialization import InitialGeometry
+from mirror_baselines.splatting.appearance import AppearanceModel
+from mirror_baselines.splatting.gaussian_init import initial_gaussians
 from mirror_baselines.splatting.model import Gaussians
 from mirror_baselines.splatting.settings import Splatting
-from mirror_baselines.splatting.trainer import SplattingLearner
+from mirror_baselines.splatting.trainer import SplattingTrainer
 
 
-def make(initial: Initial, settings: Splatting) -> SplattingLearner:
+def make(initial: InitialGeometry, settings: Splatting) -> SplattingTrainer:
     """A model that has seen no picture yet.
 
     Args:
         initial: what is known of the block.
         settings: `RELEASED`, `TUNED` or others.
     """
-    return SplattingLearner(Gaussians(seeded(initial, settings.seeding), Look(settings.sh_degree)), settings)
+    return SplattingTrainer(
+        Gaussians(initial_gaussians(initial, settings.seeding), AppearanceModel(settings.sh_degree)), settings
+    )

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from hybridworldsim.model.settings import Settings
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
-from mirror_baselines.splatting.scaling import faster
+from mirror_baselines.splatting.scaling import scale_rates
 from mirror_baselines.splatting.settings import Weights
 
 AS_TUNED: Final = "as-tuned"
@@ -70,7 +70,7 @@ OWN_CHOICES: Final[Mapping[str, Callable[[Settings], Settings]]] = {
     "depth-as-rivals": lambda settings: replace(settings, depth_weight=0.02),
     "no-normals": lambda settings: replace(settings, normal_weight=0.0),
     "fast-looks": lambda settings: replace(
-        settings, rates=replace(settings.rates, latents=faster(settings.rates, 2.0).latents)
+        settings, rates=replace(settings.rates, latents=scale_rates(settings.rates, 2.0).latents)
     ),
     "grown-longer": lambda settings: _grown_until(settings, 0.8),
 }

@@ -43,9 +43,9 @@ def count_parameters(settings: Settings) -> int:
     anchors = Anchors(none, torch.empty(0), 1.0, offsets=settings.offsets, **sizes)
     seeds = Seeds(none, torch.empty(0, 4), none, 0.5)
     plain = CodeGaussians(seeds, settings.plain_code, settings.latent, settings.hidden)
-    grown = settings.refinement
+    refinement = settings.refinement
     numbers = 0
-    for node, most in ((anchors, grown.most), (plain, grown.most_ground), (plain, grown.most_sky)):
+    for node, most in ((anchors, refinement.most), (plain, refinement.most_ground), (plain, refinement.most_sky)):
         for parameter in node.parameters():
             # Tables with a row a Gaussian have none yet.
             rows = most if len(parameter) == 0 else len(parameter)

@@ -18,7 +18,7 @@ from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
 from hybridworldsim.methods.street import make as make_street
 from hybridworldsim.model.settings import Refinement, Settings
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
-from mirror_baselines.splatting.scaling import scaled
+from mirror_baselines.splatting.scaling import scale_splatting
 
 OURS: Final = "ours"
 STRUCTURE: Final = "ours-structure"
@@ -122,7 +122,7 @@ def _trials() -> Iterator[Entry]:
         yield Entry(choice(OURS, name), _street(change))
     for package in BASELINES:
         for rates, sizes in (*cells, *WIDER[baseline_name(package)]):
-            settings = scaled(package.BY_HAND, rates, sizes)
+            settings = scale_splatting(package.BY_HAND, rates, sizes)
             yield Entry(trial(baseline_name(package), rates, sizes), _explicit(package, settings))
         for name, change in BASELINE_CHOICES[baseline_name(package)].items():
             yield Entry(choice(baseline_name(package), name), _explicit(package, change(package.TUNED)))

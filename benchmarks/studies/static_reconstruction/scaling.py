@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hybridworldsim.model.settings import Settings
-from mirror_baselines.splatting.scaling import faster
+from mirror_baselines.splatting.scaling import scale_rates
 
 
 def scale_settings(settings: Settings, rates: float, sizes: float) -> Settings:
@@ -13,7 +13,7 @@ def scale_settings(settings: Settings, rates: float, sizes: float) -> Settings:
     grown = settings.refinement
     return replace(
         settings,
-        rates=faster(settings.rates, rates),
+        rates=scale_rates(settings.rates, rates),
         first_anchors=round(sizes * settings.first_anchors),
         refinement=replace(
             grown,

@@ -11,7 +11,7 @@ import mirror
 from benchmarks.studies.static_reconstruction.declaration import NOVEL, TRAINING, Declaration
 from benchmarks.studies.static_reconstruction.methods import REDUCED_COUNTS, reduced_split
 from hybridworldsim.methods.layers import are_made, layers_for
-from hybridworldsim.training.appearance import AppearanceSelector, seen_of
+from hybridworldsim.training.appearance import AppearanceSelector, trained_cameras
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.layout import manifest_sha256
 from mirror.errors import DatasetError
@@ -145,9 +145,9 @@ def _nearest_first(dataset: Dataset, declaration: Declaration, scene: str) -> li
     """Training traversals, nearest first: in the order in which the declared policy gives their appearance."""
     plan = plan_views(dataset.where(scene=scene), load_protocol(declaration.protocol), declaration.split)
     held_out = [view for view in plan.views if view.group == NOVEL]
-    seen, order = seen_of([view for view in plan.views if view.group == TRAINING]), []
+    seen, order = trained_cameras([view for view in plan.views if view.group == TRAINING]), []
     while seen:
-        order.append(AppearanceSelector(seen, declaration.policy, held_out).of(held_out[0]).content.traversal_id)
+        order.append(AppearanceSelector(seen, declaration.policy, held_out).select(held_out[0]).content.traversal_id)
         seen = tuple(one for one in seen if one.traversal_id != order[-1])
     return order
 

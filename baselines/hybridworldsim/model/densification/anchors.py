@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from hybridworldsim.model.densification.cells import grown
-from hybridworldsim.model.densification.schedule import wanted
+from hybridworldsim.model.densification.cells import grow_anchors
+from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.settings import Refinement
@@ -34,7 +34,7 @@ class AnchorRefiner:
         self._nearest = torch.full((len(node),), torch.inf)
         self._clear()
 
-    def note(self, part: Splats, rows: Tensor, pull: Tensor, viewpoint: Viewpoint) -> None:
+    def accumulate(self, part: Splats, rows: Tensor, pull: Tensor, viewpoint: Viewpoint) -> None:
         """Take one picture into account.
 
         Args:
@@ -47,10 +47,10 @@ class AnchorRefiner:
         self._pull.view(-1).index_add_(0, offsets, pull)
         self._drawn.view(-1).index_add_(0, offsets, torch.ones_like(pull))
         self._opacity.index_add_(0, part.rows // self._node.k, part.opacities.detach())
-        if part.seen is not None:
-            self._seen[part.seen] += 1.0
-            distance = (self._node.means[part.seen] - viewpoint.centre).norm(dim=1)
-            self._nearest[part.seen] = torch.minimum(self._nearest[part.seen], distance)
+        if part.anchor_ids is not None:
+            self._seen[part.anchor_ids] += 1.0
+            distance = (self._node.means[part.anchor_ids] - viewpoint.centre).norm(dim=1)
+            self._nearest[part.anchor_ids] = torch.minimum(self._nearest[part.anchor_ids], distance)
 
     @torch.no_grad()
     def refine(self, done: int, generator: torch.Generator) -> None:
@@ -63,7 +63,7 @@ class AnchorRefiner:
         refinement = self._refinement
         gone = (self._seen >= _SEEN) & (self._opacity < refinement.least_opacity * self._seen)
         keep = (~gone).nonzero().squeeze(1)
-        room = max(wanted(refinement, done, self._first, refinement.most) - len(keep), 0)
+        room = max(target_count(refinement, done, self._first, refinement.most) - len(keep), 0)
         added, nearest = self._added(room, generator)
         if gone.any() or len(nearest):
             self._tables.replace(keep, added)
@@ -78,7 +78,7 @@ class AnchorRefiner:
         parents = rows // node.k
         points = node.means[parents] + node.offsets.view(-1, 3)[rows] * node.log_scales[parents, :3].exp()
         least = refinement.least_cell * self._nearest[parents]
-        centres, sizes, chosen = grown(points, mean[rows], least, node.means, refinement.cells_m, room)
+        centres, sizes, chosen = grow_anchors(points, mean[rows], least, node.means, refinement.cells_m, room)
         offsets = 2.0 * torch.rand(len(centres), node.k, 3, generator=generator) - 1.0
         tables = {
             "means": centres,

@@ -9,7 +9,7 @@ _BITS = 21
 _HALF = 1 << (_BITS - 1)
 
 
-def cells(points: Tensor, size_m: float) -> Tensor:
+def cell_keys(points: Tensor, size_m: float) -> Tensor:
     """(N,) int64 keys of the cells of a cubic grid that points (N, 3) lie in.
 
     Points beyond a million cells from the origin share the outermost ones.
@@ -18,7 +18,7 @@ def cells(points: Tensor, size_m: float) -> Tensor:
     return (grid[:, 0] << (2 * _BITS)) | (grid[:, 1] << _BITS) | grid[:, 2]
 
 
-def best_of_each(keys: Tensor, scores: Tensor) -> Tensor:
+def best_per_cell(keys: Tensor, scores: Tensor) -> Tensor:
     """(M,) int64: of the rows that share a key the one of the highest score, the first of equal ones; best first."""
     ranked = torch.argsort(scores, descending=True, stable=True)
     _, place = torch.unique(keys[ranked], return_inverse=True)
@@ -27,7 +27,7 @@ def best_of_each(keys: Tensor, scores: Tensor) -> Tensor:
     return ranked[first.sort().values]
 
 
-def grown(
+def grow_anchors(
     points: Tensor, scores: Tensor, least_m: Tensor, occupied: Tensor, sizes_m: tuple[float, ...], room: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Where new anchors stand: at the points of the highest scores whose cells are empty, coarse cells first.
@@ -48,9 +48,9 @@ def grown(
     centres, widths, parents = [occupied.new_empty(0, 3)], [occupied.new_empty(0)], [torch.empty(0, dtype=torch.int64)]
     for left, size_m in zip(range(len(sizes_m), 0, -1), sizes_m):
         standing = torch.cat([occupied, *centres])
-        taken = torch.isin(cells(points, size_m), cells(standing, size_m))
+        taken = torch.isin(cell_keys(points, size_m), cell_keys(standing, size_m))
         free = (~taken & (least_m <= size_m)).nonzero().squeeze(1)
-        chosen = free[best_of_each(cells(points[free], size_m), scores[free])][: max(room // left, 0)]
+        chosen = free[best_per_cell(cell_keys(points[free], size_m), scores[free])][: max(room // left, 0)]
         room -= len(chosen)
         centres.append((torch.floor(points[chosen] / size_m) + 0.5) * size_m)
         widths.append(points.new_full((len(chosen),), size_m))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hybridworldsim.model.densification.schedule import wanted
+from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.settings import Refinement
@@ -35,7 +35,7 @@ class CodeRefiner:
         self._first, self._most = len(node), most
         self._clear()
 
-    def note(self, part: Splats, rows: Tensor, pull: Tensor) -> None:
+    def accumulate(self, part: Splats, rows: Tensor, pull: Tensor) -> None:
         """Take one picture into account; see `AnchorRefiner.note`."""
         own = part.rows[rows]
         self._pull.index_add_(0, own, pull)
@@ -50,7 +50,7 @@ class CodeRefiner:
         """
         node = self._node
         gone = node.logits.sigmoid() < _TRANSPARENT
-        room = max(wanted(self._refinement, done, self._first, self._most) - len(node) + int(gone.sum()), 0)
+        room = max(target_count(self._refinement, done, self._first, self._most) - len(node) + int(gone.sum()), 0)
         score = torch.where((self._drawn >= _DRAWN) & ~gone, self._pull / self._drawn.clamp_min(1.0), 0.0)
         best = torch.argsort(score, descending=True, stable=True)[:room]
         split = best[score[best] > 0.0]

@@ -11,7 +11,7 @@ from hybridworldsim.model.street import RenderOutput
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
-def pulls(drawn: RenderOutput, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]:
+def image_gradients(drawn: RenderOutput, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]:
     """For each node the Gaussians that the picture shows, and how strongly it pulls at their places in it.
 
     Args:

@@ -9,11 +9,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.model.decoders import ModulatedMLP, decoded
-from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY, assembled
-from hybridworldsim.model.nodes.network_inputs import rows_of, told
+from hybridworldsim.model.decoders import ModulatedMLP, run_mlps
+from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY, anchors_to_gaussians
+from hybridworldsim.model.nodes.network_inputs import network_inputs, select_rows
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.visible import visible
+from hybridworldsim.model.visible import select_visible
 from hybridworldsim.training.viewpoint import Viewpoint
 
 _OPACITY = 0.3
@@ -68,8 +68,8 @@ class Anchors(nn.Module):
         self.offsets = nn.Parameter(_SPREAD * (2.0 * torch.rand(count, offsets, 3) - 1.0))
         self.codes = nn.Parameter(torch.zeros(count, code))
         self.log_scales = nn.Parameter(spacing_m.log()[:, None].repeat(1, 6))
-        self.geometry = ModulatedMLP(code, 6, latent, hidden, GEOMETRY * offsets, bent=False)
-        self.colour = ModulatedMLP(code, 6, latent, hidden, 3 * offsets, bent=True)
+        self.geometry = ModulatedMLP(code, 6, latent, hidden, GEOMETRY * offsets, modulated=False)
+        self.colour = ModulatedMLP(code, 6, latent, hidden, 3 * offsets, modulated=True)
         with torch.no_grad():
             # Visible and unturned to begin with: what is not drawn is not learnt.
             bias = self.geometry.out.bias.view(offsets, GEOMETRY)
@@ -79,14 +79,14 @@ class Anchors(nn.Module):
     def __len__(self) -> int:
         return len(self.means)
 
-    def seen(self, viewpoint: Viewpoint) -> Tensor:
+    def visible_ids(self, viewpoint: Viewpoint) -> Tensor:
         """(M,) int64 anchors that a viewpoint may see, whose offsets reach three of their own sizes."""
         with torch.no_grad():
-            return visible(viewpoint, self.means, 3.0 * self.log_scales.amax(1).exp())
+            return select_visible(viewpoint, self.means, 3.0 * self.log_scales.amax(1).exp())
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> AnchorRows:
         """Anchors (M,); rows of tables that are at hand already are not looked up."""
-        return AnchorRows(ids, **rows_of(self, self.TABLES, ids, learnt or {}))
+        return AnchorRows(ids, **select_rows(self, self.TABLES, ids, learnt or {}))
 
     def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: AnchorRows | None = None) -> Splats:
         """Gaussians of anchors.
@@ -98,9 +98,9 @@ class Anchors(nn.Module):
                 the light, which must not move anything.
             rows: of which anchors; None: of all that the viewpoint may see.
         """
-        rows = rows or self.rows(self.seen(viewpoint))
+        rows = rows or self.rows(self.visible_ids(viewpoint))
         geometry, colours = self.read(rows, viewpoint, latent, content)
-        centres, quats, scales, opacities, tints, slots = assembled(
+        centres, quats, scales, opacities, tints, slots = anchors_to_gaussians(
             geometry, colours, rows.means, rows.offsets, rows.log_scales
         )
         return Splats(
@@ -110,13 +110,13 @@ class Anchors(nn.Module):
             opacities,
             tints,
             rows=rows.ids[slots // self.k] * self.k + slots % self.k,
-            held=len(self) * self.k,
-            decoded=len(rows.ids) * self.k,
-            seen=rows.ids,
+            stored_count=len(self) * self.k,
+            decoded_count=len(rows.ids) * self.k,
+            anchor_ids=rows.ids,
         )
 
     def read(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
-        """What the networks say of anchors: (M, k * 8) and (M, k * 3); see `assembled`."""
-        facts = told(rows.codes, rows.means, viewpoint.centre, self.radius_m)
-        geometry, colours = decoded(facts, (self.geometry, content), (self.colour, latent))
+        """What the networks say of anchors: (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
+        facts = network_inputs(rows.codes, rows.means, viewpoint.centre, self.radius_m)
+        geometry, colours = run_mlps(facts, (self.geometry, content), (self.colour, latent))
         return geometry, colours

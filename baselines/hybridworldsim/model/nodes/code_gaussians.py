@@ -9,10 +9,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.model.decoders import ModulatedMLP, decoded
-from hybridworldsim.model.nodes.network_inputs import rows_of, told
+from hybridworldsim.model.decoders import ModulatedMLP, run_mlps
+from hybridworldsim.model.nodes.network_inputs import network_inputs, select_rows
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.visible import visible
+from hybridworldsim.model.visible import select_visible
 from hybridworldsim.training.viewpoint import Viewpoint
 
 _SIGMAS = 3.0
@@ -76,19 +76,19 @@ class CodeGaussians(nn.Module):
         self.log_scales = nn.Parameter(seeds.scales.log())
         self.logits = nn.Parameter(torch.full((count,), seeds.opacity).logit())
         self.codes = nn.Parameter(torch.zeros(count, code))
-        self.colour = ModulatedMLP(code, 3, latent, hidden, 3, bent=True)
+        self.colour = ModulatedMLP(code, 3, latent, hidden, 3, modulated=True)
 
     def __len__(self) -> int:
         return len(self.means)
 
-    def seen(self, viewpoint: Viewpoint) -> Tensor:
+    def visible_ids(self, viewpoint: Viewpoint) -> Tensor:
         """(M,) int64 Gaussians that a viewpoint may see."""
         with torch.no_grad():
-            return visible(viewpoint, self.means, _SIGMAS * self.log_scales.amax(1).exp())
+            return select_visible(viewpoint, self.means, _SIGMAS * self.log_scales.amax(1).exp())
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> CodeRows:
         """Gaussians (M,); rows of tables that are at hand already are not looked up."""
-        return CodeRows(ids, **rows_of(self, self.TABLES, ids, learnt or {}))
+        return CodeRows(ids, **select_rows(self, self.TABLES, ids, learnt or {}))
 
     def decode(self, viewpoint: Viewpoint, latent: Tensor, rows: CodeRows | None = None) -> Splats:
         """Gaussians with their colours.
@@ -98,7 +98,7 @@ class CodeGaussians(nn.Module):
             latent: appearance.
             rows: which; None: all that the viewpoint may see.
         """
-        rows = rows or self.rows(self.seen(viewpoint))
+        rows = rows or self.rows(self.visible_ids(viewpoint))
         return Splats(
             rows.means,
             rows.quats,
@@ -106,11 +106,11 @@ class CodeGaussians(nn.Module):
             rows.logits.sigmoid(),
             self.colours(rows, viewpoint, latent),
             rows=rows.ids,
-            held=len(self),
-            decoded=len(rows.ids),
+            stored_count=len(self),
+            decoded_count=len(rows.ids),
         )
 
     def colours(self, rows: CodeRows, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
         """(M, 3) of Gaussians, as a viewpoint sees them."""
-        (tints,) = decoded(told(rows.codes, rows.means, viewpoint.centre), (self.colour, latent))
+        (tints,) = run_mlps(network_inputs(rows.codes, rows.means, viewpoint.centre), (self.colour, latent))
         return tints.sigmoid()

@@ -22,7 +22,7 @@ GEOMETRY: Final = 8
 """Numbers of a Gaussian that are no colour: opacity, three of scale, four of rotation."""
 
 
-def assembled(
+def anchors_to_gaussians(
     geometry: Tensor, colours: Tensor, means: Tensor, offsets: Tensor, log_scales: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """The Gaussians of anchors; differentiable to all but the anchors' places.
@@ -40,12 +40,12 @@ def assembled(
         colours (G, 3), and (G,) int64 which they are, anchor times k plus offset.
     """
     found: tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
-    found = _Assembly.apply(geometry, colours, means, offsets, log_scales)
+    found = _AnchorsToGaussians.apply(geometry, colours, means, offsets, log_scales)
     return found
 
 
 @kernel()
-def count_drawn(geometry: Any, begin: Any, end: Any) -> Any:
+def count_opaque(geometry: Any, begin: Any, end: Any) -> Any:
     """How many Gaussians of anchors in a range have an opacity above zero."""
     count = 0
     for anchor in range(begin, end):
@@ -55,7 +55,7 @@ def count_drawn(geometry: Any, begin: Any, end: Any) -> Any:
 
 
 @kernel()
-def assemble(
+def write_gaussians(
     geometry: Any, colours: Any, anchors: Any, offsets: Any, log_scales: Any, begin: Any, end: Any,
     first: Any, sizes: Any, means: Any, quats: Any, shares: Any, opacities: Any, tints: Any, slots: Any,
 ) -> None:  # fmt: skip
@@ -85,7 +85,7 @@ def assemble(
 
 
 @kernel()
-def enlarge(begin: Any, end: Any, k: Any, slots: Any, sizes: Any, shares: Any, scales: Any) -> None:
+def write_scales(begin: Any, end: Any, k: Any, slots: Any, sizes: Any, shares: Any, scales: Any) -> None:
     """Scales of Gaussians in a range: their shares of their anchors' sizes."""
     for place in range(begin, end):
         anchor = slots[place] // k
@@ -94,7 +94,7 @@ def enlarge(begin: Any, end: Any, k: Any, slots: Any, sizes: Any, shares: Any, s
 
 
 @kernel()
-def assemble_backward(
+def write_gradients(
     offsets: Any, sizes: Any, shares: Any, opacities: Any, tints: Any, slots: Any, begin: Any, end: Any,
     to_means: Any, to_quats: Any, to_scales: Any, to_opacities: Any, to_tints: Any,
     to_geometry: Any, to_colours: Any, to_offsets: Any, to_log_scales: Any,
@@ -119,7 +119,7 @@ def assemble_backward(
             to_geometry[anchor, own + 4 + part] = to_quats[place, part]
 
 
-class _Assembly(torch.autograd.Function):
+class _AnchorsToGaussians(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, geometry: Tensor, colours: Tensor, means: Tensor, offsets: Tensor, log_scales: Tensor
@@ -129,7 +129,7 @@ class _Assembly(torch.autograd.Function):
         counts = np.zeros(len(edges) - 1, np.int64)
 
         def count(part: int) -> None:
-            counts[part] = count_drawn(given[0], edges[part], edges[part + 1])
+            counts[part] = count_opaque(given[0], edges[part], edges[part + 1])
 
         in_parallel(count, len(counts))
         firsts = np.concatenate([[0], counts.cumsum()])
@@ -140,13 +140,15 @@ class _Assembly(torch.autograd.Function):
 
         def fill(part: int) -> None:
             span = edges[part], edges[part + 1], firsts[part]
-            assemble(*given, *span, sizes, centres, quats, shares, opacities, tints, slots)
+            write_gaussians(*given, *span, sizes, centres, quats, shares, opacities, tints, slots)
 
         in_parallel(fill, len(counts))
         for numbers in (shares, tints):
             torch.from_numpy(numbers).sigmoid_()
         torch.from_numpy(opacities).tanh_()
-        in_parallel(lambda part: enlarge(firsts[part], firsts[part + 1], k, slots, sizes, shares, scales), len(counts))
+        in_parallel(
+            lambda part: write_scales(firsts[part], firsts[part + 1], k, slots, sizes, shares, scales), len(counts)
+        )
         ctx.read = given[3], sizes, shares, opacities, tints, slots
         ctx.firsts, ctx.shapes = firsts, [table.shape for table in (geometry, colours, offsets, log_scales)]
         ids = torch.from_numpy(slots)
@@ -160,7 +162,7 @@ class _Assembly(torch.autograd.Function):
         into = [full_aligned(shape.numel(), 0.0).reshape(shape) for shape in ctx.shapes]
 
         def one(part: int) -> None:
-            assemble_backward(*ctx.read, ctx.firsts[part], ctx.firsts[part + 1], *to, *into)  # type: ignore[call-arg]
+            write_gradients(*ctx.read, ctx.firsts[part], ctx.firsts[part + 1], *to, *into)  # type: ignore[call-arg]
 
         in_parallel(one, len(ctx.firsts) - 1)
         to_geometry, to_colours, to_offsets, to_log_scales = map(torch.from_numpy, into)

@@ -19,12 +19,12 @@ from mirror.arrays import AnyArray
 _MULTIPLE: Final = 4
 
 
-def rows_of(node: nn.Module, names: Sequence[str], ids: Tensor, at_hand: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def select_rows(node: nn.Module, names: Sequence[str], ids: Tensor, at_hand: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Rows (M, ...) of tables of a node, by name; those at hand are taken as they are."""
     return {name: at_hand[name] if name in at_hand else node.get_parameter(name).index_select(0, ids) for name in names}
 
 
-def told(codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | None = None) -> Tensor:
+def network_inputs(codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | None = None) -> Tensor:
     """What a network is told: codes, the directions in which the camera sees them, and where they are.
 
     Args:
@@ -37,11 +37,11 @@ def told(codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | None = Non
         (M, D): the code, three numbers of direction, three of place if they are told, a one, and zeros up to a multiple
         of four, which products of matrices like.
     """
-    found: Tensor = _Told.apply(codes, means, eye, radius_m)
+    found: Tensor = _NetworkInputs.apply(codes, means, eye, radius_m)
     return found
 
 
-class _Told(torch.autograd.Function):
+class _NetworkInputs(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | None) -> Tensor:
         given = _array(codes), _array(means), _array(eye)
@@ -51,7 +51,7 @@ class _Told(torch.autograd.Function):
         out = empty_aligned(len(codes) * width).reshape(len(codes), width)
         share = np.float32(0.0 if radius_m is None else 1.0 / radius_m)
         edges = spans(len(codes))
-        in_parallel(lambda part: tell(edges[part], edges[part + 1], *given, share, out), len(edges) - 1)
+        in_parallel(lambda part: write_network_inputs(edges[part], edges[part + 1], *given, share, out), len(edges) - 1)
         return torch.from_numpy(out)
 
     @staticmethod
@@ -61,7 +61,7 @@ class _Told(torch.autograd.Function):
 
 
 @kernel()
-def tell(begin: Any, end: Any, codes: Any, means: Any, eye: Any, share: Any, out: Any) -> None:
+def write_network_inputs(begin: Any, end: Any, codes: Any, means: Any, eye: Any, share: Any, out: Any) -> None:
     """Write what is told of rows in a range; `share` is of a metre in the radius, 0 if places are not told."""
     size = codes.shape[1]
     for place in range(begin, end):

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from hybridworldsim.mvs.estimator import PosedPicture
-from hybridworldsim.stationary import STANDING_M, moving
+from hybridworldsim.stationary import STATIONARY_M, select_moving
 from mirror.arrays import Bool
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
@@ -52,7 +52,7 @@ class PosedImage:
 
 
 def shots_of(
-    dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset(), standing_m: float = STANDING_M
+    dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset(), stationary_m: float = STATIONARY_M
 ) -> list[PosedImage]:
     """The pictures of a view, in order of traversal, camera and time, but for those of a standing vehicle.
 
@@ -62,7 +62,7 @@ def shots_of(
         dataset: the view.
         pixels: the raster in which they are matched.
         withheld: pictures that are left out.
-        standing_m: see `hybridworldsim.stationary.moving`.
+        stationary_m: see `hybridworldsim.stationary.select_moving`.
 
     Raises:
         DatasetError: the view has none, or poses or calibrations are missing.
@@ -90,7 +90,7 @@ def shots_of(
         )
     shots.sort(key=lambda one: (one.scene_id, one.traversal_id, one.image.camera, one.image.timestamp_ns))
     taken = (((one.traversal_id, one.image.camera), one.world_SE3_camera.translation[0]) for one in shots)
-    return [shots[position] for position in moving(taken, standing_m)]
+    return [shots[position] for position in select_moving(taken, stationary_m)]
 
 
 class Pictures:

@@ -100,7 +100,7 @@ class Run(Document):
     sources: tuple[TrainedCamera, ...]
 
 
-class Outcome(Document):
+class TrainingOutcome(Document):
     """``outcome.json``: what came of it, once it is done.
 
     Attributes:
@@ -134,7 +134,7 @@ class RunFolder:
         self._checkpoint, self._curves = path / "checkpoint.safetensors", path / "curves.csv"
         self._rows: list[Row] = []
 
-    def begin(self, run: Run) -> Outcome | None:
+    def begin(self, run: Run) -> TrainingOutcome | None:
         """Say what the run is, or see that it is the one that began here, or that what began here learnt nothing.
 
         Returns:
@@ -145,7 +145,7 @@ class RunFolder:
             DatasetError: it is not writable.
         """
         if not (self.path / RUN).exists():
-            if is_taken(self.path):
+            if is_occupied(self.path):
                 raise UsageError("not empty, and no run began here", file=self.path, remedy="name a new folder")
             write_json(self.path / RUN, run)
             return None
@@ -153,7 +153,7 @@ class RunFolder:
         # What is done is done, whoever did it.
         now = run if self.outcome is None else run.model_copy(update={"threads": before.threads})
         differing = _differing(before.model_dump(mode="json"), now.model_dump(mode="json"))
-        if differing and not self._is_bare:
+        if differing and not self._is_untrained:
             elsewhere = "name another folder with --out"
             threads = f"--threads {before.threads}, or {elsewhere}" if before.threads != now.threads else elsewhere
             raise UsageError(
@@ -162,7 +162,7 @@ class RunFolder:
             )  # fmt: skip
         return self.outcome
 
-    def take(self, run: Run) -> None:
+    def claim(self, run: Run) -> None:
         """Of who is `alone`: make the run this one, where another began and learnt nothing.
 
         Raises:
@@ -172,18 +172,18 @@ class RunFolder:
             write_json(self.path / RUN, run)
 
     @property
-    def _is_bare(self) -> bool:
+    def _is_untrained(self) -> bool:
         """Whether nothing was learnt yet: what began here failed before it had anything to keep."""
         return self.outcome is None and not self._checkpoint.exists() and not self._curves.exists()
 
     @property
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> TrainingOutcome | None:
         """What came of the run; None: it is not done."""
         path = self.path / OUTCOME
-        return read_json(path, Outcome) if path.exists() else None
+        return read_json(path, TrainingOutcome) if path.exists() else None
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """One process at a time trains a run; the lock goes when its holder dies, however it dies.
 
         Raises:
@@ -201,7 +201,7 @@ class RunFolder:
                 left.unlink(missing_ok=True)
             yield
 
-    def resume(self, learner: TrainableMethod) -> Position:
+    def resume(self, trainer: TrainableMethod) -> Position:
         """Take a learner to where the run is; the beginning, where there is no checkpoint yet.
 
         Raises:
@@ -211,7 +211,7 @@ class RunFolder:
         if self._checkpoint.exists():
             state, position = read_checkpoint(self._checkpoint)
             try:
-                learner.restore(state)
+                trainer.restore(state)
             except KeyError as error:
                 raise DatasetError(
                     f"without {error}", file=self._checkpoint, expected="a checkpoint of this version of the method",
@@ -231,17 +231,17 @@ class RunFolder:
             raise DatasetError("no report yet", file=self._curves, remedy="remove the run folder and train anew")
         return self._rows[-1]
 
-    def keep(self, learner: TrainableMethod, position: Position) -> None:
+    def save_checkpoint(self, trainer: TrainableMethod, position: Position) -> None:
         """Write a checkpoint."""
-        write_checkpoint(self._checkpoint, learner.state(), position)
+        write_checkpoint(self._checkpoint, trainer.state(), position)
 
-    def report(self, row: Row, title: str) -> None:
+    def append_row(self, row: Row, title: str) -> None:
         """Write one more row of the curves, and the chart of a title anew."""
         self._rows.append(row)
         write_curves(self._curves, self._rows)
         write_chart(self.path / "curves.svg", self._rows, title)
 
-    def finish(self, write: Callable[[Path], int], outcome: Mapping[str, Any]) -> Outcome:
+    def finish(self, write: Callable[[Path], int], outcome: Mapping[str, Any]) -> TrainingOutcome:
         """Write model and outcome, in this order.
 
         Args:
@@ -249,12 +249,12 @@ class RunFolder:
             outcome: but for these bytes.
         """
         size = write(self.model)
-        done = Outcome(**outcome, model_bytes=size)
+        done = TrainingOutcome(**outcome, model_bytes=size)
         write_json(self.path / OUTCOME, done)
         return done
 
 
-def is_taken(path: Path) -> bool:
+def is_occupied(path: Path) -> bool:
     """Whether a path is a file, or a folder with more in it than what a killed process left behind."""
     if not path.is_dir():
         return path.exists()

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.training.trainable_method import TrainableMethod
-from hybridworldsim.training.training_image import TrainingPicture
+from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import UInt8
 from mirror.schema.files import write_bytes
@@ -28,24 +28,24 @@ class Preview:
 
     Attributes:
         name: of its files.
-        picture: what was taken.
+        image: what was taken.
         source: whose appearance it is rendered with.
     """
 
     name: str
-    picture: TrainingPicture
+    image: TrainingImage
     source: Source
 
 
-def write_specimens(folder: Path, specimens: Sequence[Preview], learner: TrainableMethod, step: int) -> None:
+def write_previews(folder: Path, previews: Sequence[Preview], trainer: TrainableMethod, step: int) -> None:
     """Render all of them: ``<name>-<step>.jpg``, render | truth | depth.
 
     Raises:
         DatasetError: the folder is not writable.
     """
-    for one in specimens:
-        rendered = learner.render(one.picture.viewpoint.seen_by(one.source))
-        parts = (pixels(rendered.rgb), pixels(one.picture.rgb), _depth_colours(rendered.depth_m))
+    for one in previews:
+        rendered = trainer.render(one.image.viewpoint.with_source(one.source))
+        parts = (pixels(rendered.rgb), pixels(one.image.rgb), _depth_colours(rendered.depth_m))
         sheet = np.concatenate(parts, axis=1)[..., ::-1]
         data = cv2.imencode(".jpg", np.ascontiguousarray(sheet), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
         write_bytes(folder / f"{one.name}-{step:06d}.jpg", data)

@@ -9,7 +9,7 @@ from typing import Any, Final
 from benchmarks.studies.static_reconstruction.declaration import NOVEL, TRAINING, Declaration
 from benchmarks.studies.static_reconstruction.scoring import average_scores, score_image
 from benchmarks.studies.static_reconstruction.truth.request import TruthRequest, request_truth
-from hybridworldsim.training.appearance import AppearanceSelector, seen_of
+from hybridworldsim.training.appearance import AppearanceSelector, trained_cameras
 from mirror.protocols.views.view import View
 
 POSES: Final = ("recorded", "true")
@@ -26,13 +26,13 @@ def score_exact_street(folder: Path, declaration: Declaration, scene: str, width
         A row for each group of views, light and kind of poses.
     """
     request = request_truth(folder, declaration, scene, declaration.split, width_px)
-    selector = AppearanceSelector(seen_of(request.views(TRAINING)), declaration.policy, request.plan.views)
+    selector = AppearanceSelector(trained_cameras(request.views(TRAINING)), declaration.policy, request.plan.views)
 
     def of_its_own(view: View) -> str:
         return view.traversal_id
 
     def of_policy(view: View) -> str:
-        return selector.of(view).colours[0][0].traversal_id
+        return selector.select(view).colours[0][0].traversal_id
 
     wanted: tuple[tuple[str, str, Callable[[View], str]], ...] = (
         (TRAINING, "own", of_its_own),

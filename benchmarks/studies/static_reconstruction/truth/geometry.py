@@ -11,7 +11,7 @@ import torch
 
 from benchmarks.studies.static_reconstruction.truth.street import TrueView, world_points
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
-from hybridworldsim.methods.street import OpenStreet
+from hybridworldsim.methods.street import StreetRenderer
 from mirror.arrays import Bool, Float64
 from mirror.protocols.views.view import View
 from mirror.synth.model import Label
@@ -30,7 +30,7 @@ def measure_geometry(trained: TrainedModel) -> dict[str, Any]:
         relative, true, heights = [], [], []
         for view in trained.views(group):
             truth, scored = street.true_view(view), street.recorded.scored(view)
-            shown = renderer.drawn(view).depth_m.numpy().astype(np.float64)
+            shown = renderer.render(view).depth_m.numpy().astype(np.float64)
             chosen = truth.static & scored
             true.append(truth.depth_m[chosen].astype(np.float64))
             relative.append(relative_error(shown[chosen], true[-1]))
@@ -40,7 +40,7 @@ def measure_geometry(trained: TrainedModel) -> dict[str, Any]:
         depth += [{"group": group, **row} for row in rows]
         ground.append({"surface": f"as drawn, {group}", **height_errors(np.concatenate(heights))})
     # Where there are no anchors, the background is of the ground's kind.
-    if isinstance(renderer, OpenStreet) and trained.entry.settings(trained.job.seed)["hybrid"]:
+    if isinstance(renderer, StreetRenderer) and trained.entry.settings(trained.job.seed)["hybrid"]:
         ground.append({"surface": "Gaussians of the ground", **height_errors(_ground_node_errors(trained, renderer))})
     return {"depth": depth, "ground": ground}
 
@@ -80,7 +80,7 @@ def nearby_road(truth: TrueView, view: View) -> Bool:
     return (truth.label == Label.ROAD) & truth.static & (away <= GROUND_M)
 
 
-def _ground_node_errors(trained: TrainedModel, street: OpenStreet) -> Float64:
+def _ground_node_errors(trained: TrainedModel, street: StreetRenderer) -> Float64:
     """Signed errors of the ground's opaque Gaussians near training cameras."""
     from scipy.spatial import cKDTree
 

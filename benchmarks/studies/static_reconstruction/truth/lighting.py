@@ -23,7 +23,7 @@ def measure_lighting(trained: TrainedModel) -> list[dict[str, Any]]:
 def target_traversal(trained: TrainedModel, light: str, view: View) -> str:
     """The traversal whose appearance a view gets if a light is the policy."""
     selector = AppearanceSelector(trained.training_sources, light, trained.plan.views, everywhere=True)
-    return selector.of(view).colours[0][0].traversal_id
+    return selector.select(view).colours[0][0].traversal_id
 
 
 def views_in(trained: TrainedModel, light: str) -> list[View]:
@@ -38,7 +38,7 @@ def _edit_row(trained: TrainedModel, before: str, after: str) -> dict[str, Any]:
     for view in views_in(trained, before):
         target = target_traversal(trained, after, view)
         targets.add(target)
-        shown, kept, mask = relit.drawn(view), plain.drawn(view), street.recorded.scored(view)
+        shown, kept, mask = relit.render(view), plain.render(view), street.recorded.scored(view)
         true = street.relit(view, target)
         edited.append(score_image(view, pixels(shown.rgb), true, mask))
         unedited.append(score_image(view, pixels(kept.rgb), true, mask))

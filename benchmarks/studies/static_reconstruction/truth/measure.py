@@ -18,7 +18,7 @@ from benchmarks.studies.static_reconstruction.truth.lighting import measure_ligh
 from benchmarks.studies.static_reconstruction.truth.seam import measure_seams
 from benchmarks.studies.static_reconstruction.truth.sweep import write_sweep
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
-from hybridworldsim.methods.street import OpenStreet
+from hybridworldsim.methods.street import StreetRenderer
 from mirror.schema.files import write_bytes
 
 
@@ -54,7 +54,7 @@ def measure(job: Job, folder: Path) -> None:
         "seam": measure_seams(trained),
         "costs": measure_costs(trained),
     }
-    if lighting and isinstance(trained.open(), OpenStreet):
+    if lighting and isinstance(trained.open(), StreetRenderer):
         write_sweep(trained, path.with_suffix(".sweep.png"))
     document = _finite(document)
     write_bytes(path, (json.dumps(document, indent=1) + "\n").encode())

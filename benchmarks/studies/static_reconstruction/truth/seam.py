@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.street.seam import seam_rows
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel, evenly_chosen
-from hybridworldsim.methods.street import OpenStreet
+from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block
 from mirror.protocols.views.view import View
 
@@ -22,7 +22,7 @@ _MOST_VIEWS: Final = 8
 def measure_seams(trained: TrainedModel) -> list[dict[str, Any]]:
     """Rows of `seam_rows` for each two neighbouring blocks; none for a model of one block, or without blocks."""
     street = trained.open()
-    if not isinstance(street, OpenStreet):
+    if not isinstance(street, StreetRenderer):
         return []
     rows = []
     for pair in combinations(street.blocks, 2):

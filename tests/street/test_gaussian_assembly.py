@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from hybridworldsim.model.nodes.gaussian_assembly import assembled
+from hybridworldsim.model.nodes.gaussian_assembly import anchors_to_gaussians
 
 
 def plain(geometry, colours, means, offsets, log_scales):
@@ -40,7 +40,7 @@ def tables(anchors, k=4, seed=0):
 @pytest.mark.parametrize("anchors", [50, 1, 0, 3000])
 def test_gaussians_and_gradients_are_those_of_plain_torch(anchors):
     given = tables(anchors)
-    found, expected = assembled(*given), plain(*given)
+    found, expected = anchors_to_gaussians(*given), plain(*given)
     for one, other in zip(found, expected, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-6)
     weights = [torch.randn(one.shape, generator=torch.Generator().manual_seed(1)) for one in found[:5]]
@@ -53,7 +53,7 @@ def test_gaussians_and_gradients_are_those_of_plain_torch(anchors):
 
 def test_nothing_is_drawn_of_anchors_without_opacity():
     geometry, *rest = tables(20)
-    found = assembled(-geometry.abs(), *rest)
+    found = anchors_to_gaussians(-geometry.abs(), *rest)
     assert [len(one) for one in found] == [0] * 6
 
 
@@ -62,9 +62,9 @@ def test_the_same_at_any_number_of_threads():
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(1)
-        one = assembled(*given)
+        one = anchors_to_gaussians(*given)
         torch.set_num_threads(2)
-        two = assembled(*given)
+        two = anchors_to_gaussians(*given)
     finally:
         torch.set_num_threads(threads)
     assert all(torch.equal(a, b) for a, b in zip(one, two))
@@ -72,7 +72,7 @@ def test_the_same_at_any_number_of_threads():
 
 def test_extreme_numbers_stay_numbers():
     geometry, colours, *rest = tables(4)
-    found = assembled(geometry * 1e4, colours * 1e4, *rest)
+    found = anchors_to_gaussians(geometry * 1e4, colours * 1e4, *rest)
     assert all(torch.isfinite(one).all() for one in found[:5])
     sum(one.sum() for one in found[:5]).backward()
     assert all(torch.isfinite(table.grad).all() for table in (geometry, colours, rest[1], rest[2]))

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from benchmarks.street.reference_losses import similarity as plain_similarity
-from hybridworldsim.model.ssim_loss import similarity
+from hybridworldsim.model.ssim_loss import ssim
 
 
 @pytest.mark.parametrize(("height", "width"), [(24, 31), (3, 2), (1, 1)])
@@ -15,7 +15,7 @@ def test_value_and_gradient_are_those_of_the_formula(height, width):
     x, y, weights = torch.rand(height, width, 3), torch.rand(height, width, 3), torch.rand(height, width)
     x.requires_grad_()
     double = x.detach().double().requires_grad_()
-    found, expected = similarity(x, y), plain_similarity(double, y.double())
+    found, expected = ssim(x, y), plain_similarity(double, y.double())
     torch.testing.assert_close(found.double(), expected, rtol=1e-5, atol=3e-6)
     (gradient,) = torch.autograd.grad((found * weights).sum(), x)
     (reference,) = torch.autograd.grad((expected * weights).sum(), double)
@@ -25,7 +25,7 @@ def test_value_and_gradient_are_those_of_the_formula(height, width):
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 def test_a_flat_picture_is_like_itself_and_pulls_nothing(value):
     x = torch.full((20, 20, 3), value, requires_grad=True)
-    found = similarity(x, x.detach().clone())
+    found = ssim(x, x.detach().clone())
     torch.testing.assert_close(found, torch.ones(20, 20), rtol=0, atol=1e-4)
     found.sum().backward()
     assert x.grad is not None and x.grad.isfinite().all() and x.grad.abs().max() < 0.05

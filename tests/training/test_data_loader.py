@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybridworldsim.training.data_loader import Pictures, seen_by
+from hybridworldsim.training.data_loader import TrainingImageCache, resample_depth
 from hybridworldsim.training.views import training_views
 from mirror.dataset import Dataset
 from mirror.geometry.cameras import Camera
@@ -20,13 +20,13 @@ from tests.training.street import view
 def test_pictures_take_no_more_memory_than_they_may_however_many_there_are(dataset: Dataset) -> None:  # noqa: F811
     training = training_views(dataset, load_protocol("static-reconstruction"), "novel", "street")
     views = training.views
-    alone = Pictures(dataset, training.plan, np.zeros(3))
+    alone = TrainingImageCache(dataset, training.plan, np.zeros(3))
     shown = alone(views[0])
     own = alone.held_bytes
     assert shown.rgb.dtype == torch.float32 and shown.rgb.max() <= 1.0 and own < 0.5 * shown.bytes
     assert len(views) > 50
     for room, opened in ((len(views), len(views)), (7, 2 * len(views)), (0, 2 * len(views))):
-        pictures = Pictures(dataset, training.plan, np.zeros(3), cache_bytes=room * own)
+        pictures = TrainingImageCache(dataset, training.plan, np.zeros(3), cache_bytes=room * own)
         for _ in range(2):
             for one in views:
                 shown = pictures(one)
@@ -49,7 +49,7 @@ def columns_of(one: Camera) -> np.ndarray:
 @given(st.integers(8, 200), st.integers(8, 120), st.floats(8.0, 80.0), st.floats(-20.0, 20.0))
 def test_rays_are_those_of_the_view_whatever_the_maps_lens(width: int, height: int, focal: float, off: float) -> None:
     asked, map_lens = view("s.day.0", 0), lens(width, height, focal, width / 2 + off)
-    found = seen_by(asked, map_lens, columns_of(map_lens))
+    found = resample_depth(asked, map_lens, columns_of(map_lens))
     truth = columns_of(lens(asked.width_px, asked.height_px, asked.fx_px))
     known = found > 0.0
     assert np.abs(found - truth)[known].max(initial=0.0) <= 0.5 / focal + 1e-3
@@ -69,4 +69,4 @@ def test_a_finer_map_of_the_same_field_is_read_at_the_pixels_centres(times: int)
     depth = np.arange(fine.width_px * fine.height_px, dtype=np.float32).reshape(fine.height_px, fine.width_px) + 1.0
     depth[0, 0] = np.nan
     expected = np.nan_to_num(depth[times // 2 :: times, times // 2 :: times])
-    np.testing.assert_array_equal(seen_by(asked, fine, depth), expected)
+    np.testing.assert_array_equal(resample_depth(asked, fine, depth), expected)

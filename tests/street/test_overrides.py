@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hybridworldsim.methods.overrides import changed
+from hybridworldsim.methods.overrides import override_settings
 from hybridworldsim.model.settings import Settings
 from mirror.errors import UsageError
 from mirror_baselines.splatting.settings import Splatting
@@ -18,11 +18,11 @@ def test_a_setting_of_any_depth_is_changed_and_nothing_else() -> None:
     expected = replace(
         usual, depth_weight=0.1, hybrid=False, refinement=replace(usual.refinement, most=9000, cells_m=(2.0, 0.5))
     )
-    assert changed(usual, words) == expected and changed(usual, {}) is usual
+    assert override_settings(usual, words) == expected and override_settings(usual, {}) is usual
 
 
 def test_a_bare_word_is_a_word() -> None:
-    assert changed(Splatting(), {"weights.pixelwise": "l2"}).weights.pixelwise == "l2"
+    assert override_settings(Splatting(), {"weights.pixelwise": "l2"}).weights.pixelwise == "l2"
 
 
 @pytest.mark.parametrize(
@@ -41,4 +41,4 @@ def test_a_bare_word_is_a_word() -> None:
 )
 def test_what_is_no_setting_is_refused(name: str, value: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        changed(Settings(), {name: value})
+        override_settings(Settings(), {name: value})

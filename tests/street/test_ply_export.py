@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.model.appearance import Appearance
+from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.ply_export import Baked, bake, draw_baked, shortfall_db, write_ply
+from hybridworldsim.model.ply_export import ExportedGaussians, bake, psnr_to_model_db, render_gaussians, write_ply
 from mirror.errors import UsageError
 from tests.street.streets import SOURCES, shifted, street, view
 
@@ -19,7 +19,7 @@ UTM = (441_000.0, 4_475_000.0, 600.0)
 LINE = [view(float(x), 0.5) for x in np.arange(-28.0, 4.0, 4.0)]
 
 
-def looks(appearance: Appearance) -> tuple[torch.Tensor, torch.Tensor]:
+def looks(appearance: AppearanceLatents) -> tuple[torch.Tensor, torch.Tensor]:
     latent = appearance(SOURCES[0])
     return latent, latent
 
@@ -80,7 +80,7 @@ def test_what_does_not_depend_on_the_view_is_baked_exactly() -> None:
     for degree in (0, 1, 3):
         baked = bake([(A, one)], LINE, looks, degree=degree, sky="keep")
         assert baked.harmonics.shape[1] == (degree + 1) ** 2
-        assert shortfall_db(baked, [(A, one)], LINE[:4], looks) > 45.0
+        assert psnr_to_model_db(baked, [(A, one)], LINE[:4], looks) > 45.0
 
 
 def test_harmonics_follow_colours_that_change_with_the_view() -> None:
@@ -88,7 +88,7 @@ def test_harmonics_follow_colours_that_change_with_the_view() -> None:
     for network in (one.background.geometry,):
         network.own.data[:, network.code : network.code + 3] = 0.0
     plain, full = (
-        shortfall_db(bake([(A, one)], LINE, looks, degree=degree, sky="keep"), [(A, one)], LINE[1::2], looks)
+        psnr_to_model_db(bake([(A, one)], LINE, looks, degree=degree, sky="keep"), [(A, one)], LINE[1::2], looks)
         for degree in (0, 3)
     )
     assert full > plain and full > 35.0
@@ -101,7 +101,7 @@ def test_a_sky_pulled_in_looks_as_before_from_the_middle_and_is_nearer() -> None
     assert pulled.means.norm(dim=1).max() < 150.1 and len(pulled) == len(kept)
     assert clipped.means.norm(dim=1).max() < 150.1 and len(clipped) < len(kept)
     middle = view(0.0, 0.0, 0.0)
-    assert float((draw_baked(kept, middle) - draw_baked(pulled, middle)).abs().mean()) < 1e-3
+    assert float((render_gaussians(kept, middle) - render_gaussians(pulled, middle)).abs().mean()) < 1e-3
 
 
 def test_blocks_are_baked_as_one_street() -> None:
@@ -111,7 +111,7 @@ def test_blocks_are_baked_as_one_street() -> None:
         for network in (node.background.geometry, node.background.colour, node.ground.colour, node.sky.colour):
             network.own.data[:, network.code : network.code + 3] = 0.0
     views = [view(x, 0.5) for x in (-20.0, -10.0, -5.0)]
-    assert shortfall_db(bake(both, views, looks, sky="keep"), both, views, looks) > 40.0
+    assert psnr_to_model_db(bake(both, views, looks, sky="keep"), both, views, looks) > 40.0
 
 
 def test_nothing_to_bake_from_is_refused() -> None:
@@ -123,6 +123,6 @@ def test_nothing_to_bake_from_is_refused() -> None:
 def test_a_baked_frame_far_from_the_worlds_origin_draws_the_same() -> None:
     one = street()
     near = bake([(A, one)], LINE, looks)
-    far = Baked(near.means, near.quats, near.log_scales, near.logits, near.harmonics, np.array(UTM))
+    far = ExportedGaussians(near.means, near.quats, near.log_scales, near.logits, near.harmonics, np.array(UTM))
     there = view(UTM[0] - 10.0, UTM[1], UTM[2] + 1.5)
-    torch.testing.assert_close(draw_baked(near, view(-10.0)), draw_baked(far, there), atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(render_gaussians(near, view(-10.0)), render_gaussians(far, there), atol=1e-4, rtol=0.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybridworldsim.model.initialization import Initial, ground_seeds, sky_seeds
+from hybridworldsim.model.initialization import InitialGeometry, ground_seeds, sky_seeds
 from mirror.arrays import Float64
 from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_normalise
 
@@ -16,13 +16,13 @@ def level(places: Float64) -> tuple[Float64, Float64]:
     return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
 
 
-def crossing(lanes: int) -> Initial:
+def crossing(lanes: int) -> InitialGeometry:
     """Two streets of so many lanes, 3.5 m apart, that cross."""
     along = np.arange(-60.0, 60.0, 0.5)
     streets = [np.stack([along, np.full_like(along, 3.5 * lane)], axis=1) for lane in range(lanes)]
     driven = np.concatenate([*streets, *(street[:, ::-1] for street in streets)])
     none = np.empty((0, 3))
-    return Initial(none, none, np.column_stack([driven, np.zeros(len(driven))]), level, 75.0, [])
+    return InitialGeometry(none, none, np.column_stack([driven, np.zeros(len(driven))]), level, 75.0, [])
 
 
 @pytest.mark.parametrize("lanes", [2, 4])
@@ -32,8 +32,8 @@ def test_the_ground_has_no_more_than_it_may_and_covers_the_street_evenly(lanes: 
     capped = ground_seeds(crossing(lanes), 0.5, 15.0, 12_000)
     assert 10_000 < len(capped.means) <= 12_000
     # Wider apart and larger by the same.
-    grown = capped.scales[:, 0].min() / free.scales[:, 0].min()
-    assert grown == pytest.approx(np.sqrt(len(free.means) / len(capped.means)), rel=0.05)
+    grow_anchors = capped.scales[:, 0].min() / free.scales[:, 0].min()
+    assert grow_anchors == pytest.approx(np.sqrt(len(free.means) / len(capped.means)), rel=0.05)
     for low in (-60.0, -30.0, 0.0, 30.0):
         inside = (capped.means[:, 0] >= low) & (capped.means[:, 0] < low + 30.0)
         before = (free.means[:, 0] >= low) & (free.means[:, 0] < low + 30.0)

@@ -11,10 +11,10 @@ from hybridworldsim.model.settings import Rate
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror_baselines import mtgs_style, omnire_style
-from mirror_baselines.omnire_style.sky_cube import Cube
-from mirror_baselines.splatting.gaussian_init import seeded
+from mirror_baselines.omnire_style.sky_cube import SkyCube
+from mirror_baselines.splatting.gaussian_init import initial_gaussians
 from mirror_baselines.splatting.settings import LearningRates
-from tests.baselines_splatting.scenes import GROWING, SOURCES, initial, picture, small, stripes, viewpoint
+from tests.baselines_splatting.scenes import GROWING, SOURCES, image, initial, small, stripes, viewpoint
 
 A, B = SOURCES
 
@@ -27,54 +27,54 @@ def _mtgs(**changes):
 
 
 def test_a_traversal_learns_its_own_harmonics_and_no_others():
-    learner = _mtgs()
-    names = [name for name in learner.model.tables if name.endswith("_1")]
+    trainer = _mtgs()
+    names = [name for name in trainer.model.tables if name.endswith("_1")]
     assert sorted(names) == ["adapter_1", "shN_1"]
-    before = {name: learner.model.tables[name].detach().clone() for name in learner.model.tables}
-    learner.step(picture(stripes(), viewpoint(0.0, A)), 0.01)
-    learner.step(picture(stripes(), viewpoint(0.1, A)), 0.04)  # of the first band beside the constant one
-    after = learner.model.tables
+    before = {name: trainer.model.tables[name].detach().clone() for name in trainer.model.tables}
+    trainer.step(image(stripes(), viewpoint(0.0, A)), 0.01)
+    trainer.step(image(stripes(), viewpoint(0.1, A)), 0.04)  # of the first band beside the constant one
+    after = trainer.model.tables
     assert all(torch.equal(before[name], after[name]) for name in names)
     assert not torch.equal(before["shN_0"], after["shN_0"])
     assert not torch.equal(before["adapter_0"], after["adapter_0"])
     rows, source = torch.arange(len(after["means"])), B
-    shared = learner.model.harmonics(rows, source)
+    shared = trainer.model.harmonics(rows, source)
     torch.testing.assert_close(shared[:, :1], after["sh0"].detach())
     assert (shared[:, 1:] == 0.0).all()
 
 
 def test_harmonics_are_the_sum_of_what_is_shared_and_what_is_a_traversals_own():
-    learner = _mtgs()
-    tables = learner.model.tables
+    trainer = _mtgs()
+    tables = trainer.model.tables
     with torch.no_grad():
-        learner.model.sh_degree.fill_(1)
+        trainer.model.sh_degree.fill_(1)
         tables["adapter_1"].fill_(0.25)
         tables["shN_1"].fill_(2.0)
     rows = torch.tensor([0, 3, 7])
-    found = learner.model.harmonics(rows, B)
+    found = trainer.model.harmonics(rows, B)
     torch.testing.assert_close(found[:, :1], tables["sh0"].detach()[rows] + 0.25)
     assert found.shape == (3, 4, 3) and (found[:, 1:] == 2.0).all()
-    torch.testing.assert_close(learner.model.harmonics(rows, A)[:, :1], tables["sh0"].detach()[rows])
+    torch.testing.assert_close(trainer.model.harmonics(rows, A)[:, :1], tables["sh0"].detach()[rows])
 
 
 def test_exposures_are_of_training_pictures_and_nothing_else():
-    learner = _mtgs(exposure=Rate(1e-1, 1e-1))
+    trainer = _mtgs(exposure=Rate(1e-1, 1e-1))
     taken, novel = viewpoint(0.0, A), viewpoint(0.2, A)
-    learner.step(picture(stripes(), taken), 0.5)
-    exposures = learner.model.look.exposures
+    trainer.step(image(stripes(), taken), 0.5)
+    exposures = trainer.model.look.exposures
     assert not torch.equal(exposures.table.detach()[0], torch.eye(3, 4).flatten())
-    plain, shown = learner.render(novel).rgb, learner.render(taken).rgb
+    plain, shown = trainer.render(novel).rgb, trainer.render(taken).rgb
     with torch.no_grad():
         exposures.table.add_(0.3)
-    assert torch.equal(learner.render(novel).rgb, plain)
-    assert torch.equal(learner.render(taken.seen_by(B)).rgb, learner.render(viewpoint(0.0, B)).rgb)
-    assert not torch.equal(learner.render(taken).rgb, shown)
+    assert torch.equal(trainer.render(novel).rgb, plain)
+    assert torch.equal(trainer.render(taken.with_source(B)).rgb, trainer.render(viewpoint(0.0, B)).rgb)
+    assert not torch.equal(trainer.render(taken).rgb, shown)
 
 
 def test_without_a_rate_there_is_no_exposure():
-    learner = _mtgs(exposure=None)
-    learner.step(picture(stripes()), 0.5)
-    assert not len(learner.model.look.exposures.table)
+    trainer = _mtgs(exposure=None)
+    trainer.step(image(stripes()), 0.5)
+    assert not len(trainer.model.look.exposures.table)
 
 
 def test_a_traversal_that_was_not_trained_on_is_refused():
@@ -84,33 +84,33 @@ def test_a_traversal_that_was_not_trained_on_is_refused():
 
 def test_a_novel_picture_has_the_mean_of_all_embeddings():
     settings = replace(small(omnire_style.RELEASED, densification=GROWING), affine=Rate(1e-2, 1e-2))
-    learner = omnire_style.make(initial(), settings)
+    trainer = omnire_style.make(initial(), settings)
     for place, value in ((0.0, 0.2), (0.1, 0.8), (0.0, 0.2), (0.1, 0.8)):
-        learner.step(picture(value, viewpoint(place)), 0.3)
-    embeddings = learner.model.look.embeddings
+        trainer.step(image(value, viewpoint(place)), 0.3)
+    embeddings = trainer.model.look.embeddings
     assert embeddings.table.shape == (2, settings.embedding)
-    novel = learner.render(viewpoint(0.05)).rgb
+    novel = trainer.render(viewpoint(0.05)).rgb
     with torch.no_grad():
         embeddings.table[:] = embeddings.table.mean(0)
-    torch.testing.assert_close(learner.render(viewpoint(0.05)).rgb, novel)
+    torch.testing.assert_close(trainer.render(viewpoint(0.05)).rgb, novel)
 
 
 def test_a_map_that_has_learnt_nothing_changes_nothing():
-    learner = omnire_style.make(initial(), small(omnire_style.RELEASED))
-    before = learner.render(viewpoint()).rgb
-    learner.model.look.prepare(viewpoint(), 0.0)
-    torch.testing.assert_close(learner.render(viewpoint()).rgb, before)
+    trainer = omnire_style.make(initial(), small(omnire_style.RELEASED))
+    before = trainer.render(viewpoint()).rgb
+    trainer.model.look.prepare(viewpoint(), 0.0)
+    torch.testing.assert_close(trainer.render(viewpoint()).rgb, before)
 
 
 def test_what_is_not_sky_is_made_opaque_and_sky_is_not():
-    learner = omnire_style.make(initial(), small(omnire_style.RELEASED))
-    taken = picture(0.5)
+    trainer = omnire_style.make(initial(), small(omnire_style.RELEASED))
+    taken = image(0.5)
     alpha = torch.full(taken.sky.shape, 0.5, requires_grad=True)
-    ((weight, loss),) = learner.model.look.losses(alpha, taken).values()
+    ((weight, loss),) = trainer.model.look.losses(alpha, taken).values()
     loss.backward()
     assert weight > 0.0
     assert (alpha.grad[taken.sky] > 0.0).all() and (alpha.grad[~taken.sky] < 0.0).all()
-    assert not learner.model.look.losses(alpha, replace(taken, sky=None))
+    assert not trainer.model.look.losses(alpha, replace(taken, sky=None))
 
 
 def _texel_directions(size: int) -> torch.Tensor:
@@ -127,18 +127,18 @@ def _texel_directions(size: int) -> torch.Tensor:
 
 
 def test_the_cube_shows_in_each_direction_what_is_there():
-    cube = Cube(64)
+    cube = SkyCube(64)
     rays = torch.nn.functional.normalize(_texel_directions(64), dim=-1)
     with torch.no_grad():
         cube.faces.copy_(rays.permute(2, 0, 1)[None])
-        torch.testing.assert_close(cube.seen(3.0 * rays), rays, rtol=0, atol=1e-5)
+        torch.testing.assert_close(cube.sample(3.0 * rays), rays, rtol=0, atol=1e-5)
         torch.manual_seed(0)
         anywhere = torch.nn.functional.normalize(torch.randn(40, 50, 3), dim=-1)
-        torch.testing.assert_close(cube.seen(anywhere), anywhere, rtol=0, atol=0.03)
+        torch.testing.assert_close(cube.sample(anywhere), anywhere, rtol=0, atol=0.03)
 
 
 def test_the_sky_is_at_infinity_and_learns_where_it_is_seen():
-    cube = Cube(16)
+    cube = SkyCube(16)
     assert torch.equal(cube(viewpoint(0.0)), cube(viewpoint(50.0)))
     cube(viewpoint()).sum().backward()
     forward = cube.faces.grad[0, 0, :, :16]  # the face of +x, whither the camera looks
@@ -148,8 +148,8 @@ def test_the_sky_is_at_infinity_and_learns_where_it_is_seen():
 def test_only_the_method_whose_sky_is_a_cube_begins_without_gaussians_in_the_sky():
     street = initial()
     plain = replace(mtgs_style.RELEASED.seeding, sky_count=60)
-    dome = seeded(street, plain)["means"][:, 2].max()
+    dome = initial_gaussians(street, plain)["means"][:, 2].max()
     assert dome > 3.0 * street.radius_m
-    without = seeded(street, replace(plain, sky_count=0))["means"]
-    assert without[:, 2].max() < street.radius_m and len(without) == len(seeded(street, plain)["means"]) - 60
+    without = initial_gaussians(street, replace(plain, sky_count=0))["means"]
+    assert without[:, 2].max() < street.radius_m and len(without) == len(initial_gaussians(street, plain)["means"]) - 60
     assert not omnire_style.RELEASED.seeding.sky_count and not omnire_style.TUNED.seeding.sky_count

@@ -6,11 +6,11 @@ import torch
 
 import hybridworldsim.model.visibility_cache as module
 from hybridworldsim.model.visibility_cache import VisibilityCache
-from hybridworldsim.training.viewpoint import viewpoint_of
+from hybridworldsim.training.viewpoint import to_viewpoint
 from tests.street.streets import view
-from tests.training.street import Painted, learner, views
+from tests.training.street import Painted, trainer, views
 
-HERE, THERE = viewpoint_of(view(), np.zeros(3)), viewpoint_of(view(1.0), np.zeros(3))
+HERE, THERE = to_viewpoint(view(), np.zeros(3)), to_viewpoint(view(1.0), np.zeros(3))
 
 
 def rows(*numbers):
@@ -19,69 +19,69 @@ def rows(*numbers):
 
 def test_what_a_picture_did_not_show_is_left_out_until_the_fourth_visit():
     sightings, numbers, seen = VisibilityCache(), [torch.arange(20), torch.arange(3)], [rows(1, 4, 19), rows(0, 2)]
-    assert [one.tolist() for one in sightings.kept(HERE, seen, numbers)] == [[1, 4, 19], [0, 2]]
+    assert [one.tolist() for one in sightings.select_rows(HERE, seen, numbers)] == [[1, 4, 19], [0, 2]]
     for _ in range(2):
         for visit in range(4):
             full = visit == 0
-            kept = sightings.kept(HERE, seen, numbers)
+            kept = sightings.select_rows(HERE, seen, numbers)
             assert [one.tolist() for one in kept] == ([[1, 4, 19], [0, 2]] if full else [[4], []])
-            assert [len(one) for one in sightings.kept(THERE, seen, numbers)] == [3, 2]
-            sightings.note(HERE, [rows(4), rows()], numbers)
+            assert [len(one) for one in sightings.select_rows(THERE, seen, numbers)] == [3, 2]
+            sightings.record(HERE, [rows(4), rows()], numbers)
 
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 16])
 def test_rows_that_are_new_are_never_left_out(count):
     sightings = VisibilityCache()
-    sightings.note(HERE, [rows()], [torch.arange(count)])
+    sightings.record(HERE, [rows()], [torch.arange(count)])
     kept = torch.tensor([0, *range(count, count + 20)])
-    (found,) = sightings.kept(HERE, [torch.arange(len(kept))], [kept])
+    (found,) = sightings.select_rows(HERE, [torch.arange(len(kept))], [kept])
     assert found.tolist() == list(range(1, 21))
 
 
 def test_rows_keep_their_sightings_when_others_go():
     sightings = VisibilityCache()
-    sightings.note(HERE, [rows(2, 5)], [torch.arange(8)])
-    (found,) = sightings.kept(HERE, [rows(0, 1, 2, 3)], [rows(1, 2, 5, 9)])
+    sightings.record(HERE, [rows(2, 5)], [torch.arange(8)])
+    (found,) = sightings.select_rows(HERE, [rows(0, 1, 2, 3)], [rows(1, 2, 5, 9)])
     assert found.tolist() == [1, 2, 3]
 
 
 def test_nodes_may_be_empty():
     sightings = VisibilityCache()
-    sightings.note(HERE, [rows()], [rows()])
-    assert sightings.kept(HERE, [rows()], [rows()])[0].tolist() == []
-    assert sightings.kept(HERE, [rows(0)], [rows(0)])[0].tolist() == [0]
+    sightings.record(HERE, [rows()], [rows()])
+    assert sightings.select_rows(HERE, [rows()], [rows()])[0].tolist() == []
+    assert sightings.select_rows(HERE, [rows(0)], [rows(0)])[0].tolist() == [0]
 
 
 def test_it_keeps_no_more_than_it_may(monkeypatch):
     monkeypatch.setattr(module, "_MOST_BYTES", 2)
     sightings, numbers = VisibilityCache(), [torch.arange(8)]
-    places = [viewpoint_of(view(float(x)), np.zeros(3)) for x in range(5)]
+    places = [to_viewpoint(view(float(x)), np.zeros(3)) for x in range(5)]
     for place in places:
-        sightings.note(place, [rows()], numbers)
-    assert [len(sightings.kept(place, [rows(0)], numbers)[0]) for place in places] == [0, 0, 1, 1, 1]
+        sightings.record(place, [rows()], numbers)
+    assert [len(sightings.select_rows(place, [rows(0)], numbers)[0]) for place in places] == [0, 0, 1, 1, 1]
 
 
 def test_it_goes_on_where_it_was_kept():
     one, numbers = VisibilityCache(), [torch.arange(50), rows()]
     for place, visits in ((HERE, 2), (THERE, 4)):
         for _ in range(visits):
-            one.note(place, [rows(3, 40), rows()], numbers)
+            one.record(place, [rows(3, 40), rows()], numbers)
     other = VisibilityCache()
     other.restore(one.state())
     for _ in range(6):
         for place in (HERE, THERE):
-            found, expected = (each.kept(place, [torch.arange(50), rows()], numbers) for each in (one, other))
+            found, expected = (each.select_rows(place, [torch.arange(50), rows()], numbers) for each in (one, other))
             assert all(torch.equal(a, b) for a, b in zip(found, expected))
-            one.note(place, [rows(3), rows()], numbers)
-            other.note(place, [rows(3), rows()], numbers)
+            one.record(place, [rows(3), rows()], numbers)
+            other.record(place, [rows(3), rows()], numbers)
     empty = VisibilityCache()
     empty.restore(VisibilityCache().state())
-    assert len(empty.kept(HERE, [rows(0)], [rows(0)])[0]) == 1
+    assert len(empty.select_rows(HERE, [rows(0)], [rows(0)])[0]) == 1
 
 
 def walled():
     """A street that learns, with solid Gaussians of the sky before the left of the first view."""
-    one, generator = learner(), torch.Generator().manual_seed(0)
+    one, generator = trainer(), torch.Generator().manual_seed(0)
     sky, some = one.street.sky, slice(0, 50)
     places = torch.rand(50, 3, generator=generator) * torch.tensor((0.1, 5.0, 6.0))
     sky.means.data[some] = places + torch.tensor((3.0, 0.5, -1.5))
@@ -92,17 +92,17 @@ def walled():
 
 
 def test_a_step_learns_the_same_without_what_is_hidden():
-    one, picture = walled(), Painted()(views(1)[0])
+    one, image = walled(), Painted()(views(1)[0])
     before = {name: table.clone() for name, table in one.state().items()}
-    seen = len(one.street.background.seen(picture.viewpoint))
+    seen = len(one.street.background.visible_ids(image.viewpoint))
     found = []
     for _ in range(2):
-        losses = one.step(picture, 0.0).losses
-        one.settle()
+        losses = one.step(image, 0.0).losses
+        one.catch_up()
         found.append((losses, {name: table.detach().clone() for name, table in one.street.named_parameters()}))
         known = {name: table.clone() for name, table in one.state().items() if name.startswith("sightings.")}
         one.restore({**before, **known})
-    assert 0 < len(one._taken(picture.viewpoint).background.ids) < 0.8 * seen
+    assert 0 < len(one._visible_rows(image.viewpoint).background.ids) < 0.8 * seen
     (losses, tables), (other_losses, other_tables) = found
     assert losses == pytest.approx(other_losses, rel=1e-5)
     for name, table in tables.items():

@@ -3,8 +3,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybridworldsim.model.densification.cells import best_of_each, cells, grown
-from hybridworldsim.model.densification.schedule import due, wanted
+from hybridworldsim.model.densification.cells import best_per_cell, cell_keys, grow_anchors
+from hybridworldsim.model.densification.schedule import due_refinements, target_count
 from hybridworldsim.model.settings import Refinement
 
 
@@ -17,7 +17,7 @@ def test_new_anchors_are_those_that_all_pairs_would_choose(seed, candidates, sta
     least = torch.from_numpy(rng.choice([0.1, 0.5, 2.0], candidates))
     occupied = torch.from_numpy(rng.uniform(-2, 2, (standing, 3)))
     sizes = (1.0, 0.4)
-    centres, widths, parents = grown(points, scores, least, occupied, sizes, room)
+    centres, widths, parents = grow_anchors(points, scores, least, occupied, sizes, room)
 
     expected, taken, left = [], [tuple(row) for row in occupied.tolist()], room
     for remaining, size in zip((2, 1), sizes):
@@ -40,21 +40,28 @@ def test_new_anchors_are_those_that_all_pairs_would_choose(seed, candidates, sta
 
 def test_cells_tell_neighbours_apart_and_far_points_from_each_other():
     points = torch.tensor([[0.05, 0.0, 0.0], [-0.05, 0.0, 0.0], [0.05, 0.05, 0.0], [9e4, 0.0, -9e4], [9e4, 0.2, -9e4]])
-    keys = cells(points.double(), 0.1)
+    keys = cell_keys(points.double(), 0.1)
     assert keys[0] == keys[2]
     assert len(set(keys.tolist())) == 4
 
 
 def test_the_first_of_equal_scores_is_the_best():
     keys, scores = torch.tensor([7, 3, 7, 3, 9]), torch.tensor([1.0, 5.0, 1.0, 5.0, 0.0])
-    assert best_of_each(keys, scores).tolist() == [1, 0, 4]
-    assert best_of_each(keys[:0], scores[:0]).tolist() == []
+    assert best_per_cell(keys, scores).tolist() == [1, 0, 4]
+    assert best_per_cell(keys[:0], scores[:0]).tolist() == []
 
 
 def test_refinements_are_due_evenly_and_never_too_many():
     refinement = Refinement(begin=0.1, end=0.6, times=10)
-    assert [due(refinement, progress) for progress in (0.0, 0.1, 0.149, 0.151, 0.6, 1.0)] == [0, 0, 0, 1, 10, 10]
-    counts = [wanted(refinement, done, 100, 1000) for done in range(11)]
+    assert [due_refinements(refinement, progress) for progress in (0.0, 0.1, 0.149, 0.151, 0.6, 1.0)] == [
+        0,
+        0,
+        0,
+        1,
+        10,
+        10,
+    ]
+    counts = [target_count(refinement, done, 100, 1000) for done in range(11)]
     assert counts[0] == 100
     assert counts[-1] == 1000
     assert counts == sorted(counts)

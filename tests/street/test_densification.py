@@ -13,20 +13,20 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from hybridworldsim.model.densification.anchors import AnchorRefiner
-from hybridworldsim.model.densification.cells import cells
+from hybridworldsim.model.densification.cells import cell_keys
 from hybridworldsim.model.densification.code_gaussians import CodeRefiner
-from hybridworldsim.model.densification.schedule import wanted
+from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.settings import Refinement
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.training.viewpoint import Viewpoint, viewpoint_of
+from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
 from tests.street.streets import view
 
 K = 2
 PLENTY = Refinement(times=10, most=100)
-WHENCE = viewpoint_of(view(), np.zeros(3))
+VIEWPOINT = to_viewpoint(view(), np.zeros(3))
 
 
 def anchors(count: int, apart_m: float = 5.0) -> Anchors:
@@ -54,9 +54,9 @@ def refiner_of(node: Anchors, refinement: Refinement = PLENTY) -> tuple[AnchorRe
     return AnchorRefiner(node, tables, refinement), tables
 
 
-def note(refiner: AnchorRefiner, part: Splats, pull: Tensor, times: int, whence: Viewpoint = WHENCE) -> None:
+def note(refiner: AnchorRefiner, part: Splats, pull: Tensor, times: int, viewpoint: Viewpoint = VIEWPOINT) -> None:
     for _ in range(times):
-        refiner.note(part, torch.arange(len(part)), pull, whence)
+        refiner.accumulate(part, torch.arange(len(part)), pull, viewpoint)
 
 
 def test_anchors_that_show_nothing_go_once_they_were_looked_at_often_enough() -> None:
@@ -94,7 +94,7 @@ def test_anchors_grow_where_pictures_pull_most_and_take_after_their_parents() ->
         node.offsets.data[row, 1, 1] = 1.7
     # Room for one of the two.
     refinement = replace(PLENTY, times=100, most=25, cells_m=(1.0,), least_cell=0.0)
-    assert wanted(refinement, 4, 5, refinement.most) - 5 == 1
+    assert target_count(refinement, 4, 5, refinement.most) - 5 == 1
     refiner, tables = refiner_of(node, refinement)
     pull = torch.zeros(5 * K)
     pull[3 * K + 1], pull[1 * K + 1] = 9.0, 4.0
@@ -109,12 +109,12 @@ def test_anchors_grow_where_pictures_pull_most_and_take_after_their_parents() ->
 
 
 def test_no_cell_is_finer_than_what_was_seen_of_it_from_nearest() -> None:
-    far, near = (viewpoint_of(view(x_m), np.zeros(3)) for x_m in (-400.0, -15.0))
-    for whence, grows in ((far, False), (near, True)):
+    far, near = (to_viewpoint(view(x_m), np.zeros(3)) for x_m in (-400.0, -15.0))
+    for viewpoint, grows in ((far, False), (near, True)):
         node = anchors(1)
         node.offsets.data[0, 1, 1] = 1.7
         refiner, _ = refiner_of(node, replace(PLENTY, cells_m=(1.0,), least_cell=0.01))
-        note(refiner, shown(node, torch.ones(1)), torch.ones(K), 3, whence)
+        note(refiner, shown(node, torch.ones(1)), torch.ones(K), 3, viewpoint)
         refiner.refine(10, torch.Generator())
         # A hundredth of 400 m is more than a metre.
         assert (len(node) == 2) == grows
@@ -134,12 +134,12 @@ def test_there_are_never_more_anchors_than_they_are_to_be(seed: int, first: int,
         gone = tables.numbers[opacities == 0.0].tolist()
         before = len(node) - len(gone)
         refiner.refine(done, torch.Generator().manual_seed(seed))
-        assert len(node) <= max(wanted(refinement, done, first, refinement.most), before) <= first + more
+        assert len(node) <= max(target_count(refinement, done, first, refinement.most), before) <= first + more
         assert not set(gone) & set(tables.numbers.tolist())
         assert len(tables.numbers) == len(node) and len(set(tables.numbers.tolist())) == len(node)
         added = node.means.detach()[before:]
         # New ones stand in cells of their own.
-        assert len(set(cells(added, 0.2).tolist())) == len(added)
+        assert len(set(cell_keys(added, 0.2).tolist())) == len(added)
         # Offsets move, so that there is somewhere to grow.
         node.offsets.data.uniform_(-1.0, 1.0)
 
@@ -165,7 +165,7 @@ def test_what_is_pulled_most_is_split_along_its_longest_axis() -> None:
     node = code_gaussians(4)
     refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, 5)
     for _ in range(2):
-        refiner.note(splats(node), torch.arange(4), torch.tensor([1.0, 5.0, 2.0, 0.0]))
+        refiner.accumulate(splats(node), torch.arange(4), torch.tensor([1.0, 5.0, 2.0, 0.0]))
     refiner.refine(10)
     assert len(node) == 5
     halves = node.means.detach()[3:]
@@ -181,7 +181,7 @@ def test_transparent_ones_go_and_what_a_single_picture_drew_is_not_split() -> No
     node = code_gaussians(4)
     node.logits.data[2] = -9.0
     refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, 50)
-    refiner.note(splats(node), torch.arange(4), torch.full((4,), 7.0))
+    refiner.accumulate(splats(node), torch.arange(4), torch.full((4,), 7.0))
     refiner.refine(10)
     assert node.means[:, 0].tolist() == [0.0, 10.0, 30.0]
 
@@ -195,11 +195,11 @@ def test_there_are_as_many_code_gaussians_as_they_are_to_be(seed: int, first: in
     for done in range(1, PLENTY.times + 1):
         for _ in range(2):
             pull = torch.from_numpy(rng.uniform(0.1, 1.0, len(node)).astype(np.float32))
-            refiner.note(splats(node), torch.arange(len(node)), pull)
+            refiner.accumulate(splats(node), torch.arange(len(node)), pull)
         before = len(node)
         refiner.refine(done)
         # Splitting doubles at most.
-        assert len(node) == min(wanted(PLENTY, done, first, first + more), 2 * before)
+        assert len(node) == min(target_count(PLENTY, done, first, first + more), 2 * before)
 
 
 @pytest.mark.parametrize("count", [0, 1])

@@ -149,3 +149,20 @@ STRUCTURE: Final = StreetMethod(
     f"{NAME}_structure", make, lambda seed: Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed)
 )
 """With a loss of structure beside them."""
+
+
+def open_model(folder: Path, appearance: AppearancePolicy = AppearancePolicy()) -> StreetRenderer:  # noqa: B008 - immutable
+    """Open a trained model for rendering.
+
+    Args:
+        folder: the folder that ``mirror reconstruct`` wrote.
+        appearance: how images of traversals and cameras look that were not trained on.
+
+    Returns:
+        A renderer: called with a view it returns the pixels (H, W, 3), uint8; its `render` also returns the depth.
+
+    Raises:
+        UsageError: no trained traversal matches the appearance policy.
+        DatasetError: the folder holds no complete model of this method.
+    """
+    return METHOD.open(folder, appearance)

@@ -51,7 +51,9 @@ def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
     def flat(places: Float64) -> tuple[Float64, Float64]:
         return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
 
-    settings = Settings(first_anchors=anchors, first_spacing_m=0.2, refinement=Refinement(most=anchors), seed=seed)
+    settings = Settings(
+        first_anchors=anchors, first_spacing_m=0.2, refinement=Refinement(max_anchors=anchors), seed=seed
+    )
     street = initial_street(InitialGeometry(points, far, way, flat, 75.0, [_SOURCE]), settings)
     with torch.no_grad():
         for node in (street.background, street.ground, street.sky):

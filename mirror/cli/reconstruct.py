@@ -58,7 +58,7 @@ class Arguments:
     """Names of blocks, separated by commas, to train these alone: others may be trained by other machines at the same
     time. Once all are, the same command without it finishes the model. Default: all."""
     set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A setting of the method in place of its own, NAME=VALUE, such as depth_weight=0.1 or refinement.most=9000;
+    """A setting of the method in place of its own, NAME=VALUE, such as depth_weight=0.1 or refinement.max_anchors=9000;
     run.json of a block lists all."""
     threads: int | None = None
     """Default: as many as there are processors."""

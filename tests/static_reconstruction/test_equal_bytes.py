@@ -40,7 +40,9 @@ def test_numbers_of_our_model(initial: InitialGeometry) -> None:
     street = initial_street(initial, Settings())
     full = replace(
         Settings(),
-        refinement=Refinement(most=len(street.background), most_ground=len(street.ground), most_sky=len(street.sky)),
+        refinement=Refinement(
+            max_anchors=len(street.background), most_ground=len(street.ground), most_sky=len(street.sky)
+        ),
     )
     # The latents of the sources are not counted: they are few.
     assert count_parameters(full) == numbers(street) - numbers(street.appearance)

@@ -55,7 +55,7 @@ def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
     # None stays none: no rate appears that a method does not have.
     assert scale_splatting(mtgs_style.BY_HAND, 2.0, 1.0).exposure is None
     ours = scale_settings(Settings(), 0.5, 2.0)
-    assert ours.refinement.most == 2 * Settings().refinement.most
+    assert ours.refinement.max_anchors == 2 * Settings().refinement.max_anchors
     assert (
         replace(ours, rates=Settings().rates, refinement=Settings().refinement, first_anchors=Settings().first_anchors)
         == Settings()

@@ -25,7 +25,7 @@ from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
 from tests.street.streets import view
 
 K = 2
-PLENTY = Refinement(times=10, most=100)
+PLENTY = Refinement(times=10, max_anchors=100)
 VIEWPOINT = to_viewpoint(view(), np.zeros(3))
 
 
@@ -93,8 +93,8 @@ def test_anchors_grow_where_pictures_pull_most_and_take_after_their_parents() ->
     for row in (1, 3):
         node.offsets.data[row, 1, 1] = 1.7
     # Room for one of the two.
-    refinement = replace(PLENTY, times=100, most=25, cells_m=(1.0,), least_cell=0.0)
-    assert target_count(refinement, 4, 5, refinement.most) - 5 == 1
+    refinement = replace(PLENTY, times=100, max_anchors=25, cells_m=(1.0,), least_cell=0.0)
+    assert target_count(refinement, 4, 5, refinement.max_anchors) - 5 == 1
     refiner, tables = refiner_of(node, refinement)
     pull = torch.zeros(5 * K)
     pull[3 * K + 1], pull[1 * K + 1] = 9.0, 4.0
@@ -125,7 +125,7 @@ def test_no_cell_is_finer_than_what_was_seen_of_it_from_nearest() -> None:
 def test_there_are_never_more_anchors_than_they_are_to_be(seed: int, first: int, more: int) -> None:
     rng = np.random.default_rng(seed)
     node = anchors(first, apart_m=0.7)
-    refinement = replace(PLENTY, most=first + more, least_cell=0.0, cells_m=(0.8, 0.2))
+    refinement = replace(PLENTY, max_anchors=first + more, least_cell=0.0, cells_m=(0.8, 0.2))
     refiner, tables = refiner_of(node, refinement)
     for done in range(1, refinement.times + 1):
         opacities = torch.from_numpy(rng.choice([0.0, 0.9], len(node), p=[0.2, 0.8]).astype(np.float32))
@@ -134,7 +134,7 @@ def test_there_are_never_more_anchors_than_they_are_to_be(seed: int, first: int,
         gone = tables.numbers[opacities == 0.0].tolist()
         before = len(node) - len(gone)
         refiner.refine(done, torch.Generator().manual_seed(seed))
-        assert len(node) <= max(target_count(refinement, done, first, refinement.most), before) <= first + more
+        assert len(node) <= max(target_count(refinement, done, first, refinement.max_anchors), before) <= first + more
         assert not set(gone) & set(tables.numbers.tolist())
         assert len(tables.numbers) == len(node) and len(set(tables.numbers.tolist())) == len(node)
         added = node.means.detach()[before:]

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import pytest
+from pydantic import TypeAdapter
 
-from hybridworldsim.methods.overrides import override_settings
+from hybridworldsim.methods.overrides import override_settings, settings_document
 from hybridworldsim.model.settings import Settings
 from mirror.errors import UsageError
+from mirror_baselines import mtgs_style, omnire_style
 from mirror_baselines.splatting.settings import Splatting
 
 
 def test_a_setting_of_any_depth_is_changed_and_nothing_else() -> None:
     usual = Settings(seed=3)
-    words = {"depth_weight": "0.1", "refinement.most": "9000", "refinement.cells_m": "[2, 0.5]", "hybrid": "false"}
+    words = {
+        "depth_weight": "0.1",
+        "refinement.max_anchors": "9000",
+        "refinement.cells_m": "[2, 0.5]",
+        "hybrid": "false",
+    }
     expected = replace(
-        usual, depth_weight=0.1, hybrid=False, refinement=replace(usual.refinement, most=9000, cells_m=(2.0, 0.5))
+        usual,
+        depth_weight=0.1,
+        hybrid=False,
+        refinement=replace(usual.refinement, max_anchors=9000, cells_m=(2.0, 0.5)),
     )
     assert override_settings(usual, words) == expected and override_settings(usual, {}) is usual
 
@@ -42,3 +53,19 @@ def test_a_bare_word_is_a_word() -> None:
 def test_what_is_no_setting_is_refused(name: str, value: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         override_settings(Settings(), {name: value})
+
+
+def test_the_old_name_of_a_setting_is_accepted_and_stays_the_serialized_one() -> None:
+    usual = Settings()
+    renamed = override_settings(usual, {"refinement.max_anchors": "9000"})
+    assert renamed.refinement.max_anchors == 9000
+    assert override_settings(usual, {"refinement.most": "9000"}) == renamed
+    document = json.loads(json.dumps(settings_document(renamed)))
+    assert document["refinement"]["most"] == 9000 and "max_anchors" not in document["refinement"]
+    assert TypeAdapter(Settings).validate_python(document) == renamed
+
+
+def test_the_document_of_settings_is_that_of_earlier_versions() -> None:
+    for settings in (Settings(seed=3), Splatting(), omnire_style.TUNED, mtgs_style.TUNED, mtgs_style.RELEASED):
+        earlier = json.loads(json.dumps(asdict(settings)).replace('"max_anchors"', '"most"'))
+        assert json.dumps(settings_document(settings)) == json.dumps(earlier)

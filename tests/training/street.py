@@ -25,7 +25,7 @@ SETTINGS = Settings(
     far_count=50,
     hidden=8,
     offsets=4,
-    refinement=Refinement(begin=0.2, end=0.9, times=3, most=400),
+    refinement=Refinement(begin=0.2, end=0.9, times=3, max_anchors=400),
 )
 
 

@@ -23,7 +23,7 @@ def override_settings(settings: _Settings, words: Mapping[str, str]) -> _Setting
 
     Args:
         settings: a dataclass, of dataclasses.
-        words: values as text (JSON, or a bare word) by names with dots, such as ``refinement.most``.
+        words: values as text (JSON, or a bare word) by names with dots, such as ``refinement.max_anchors``.
 
     Raises:
         UsageError: there is no such setting, or it has no such value.
@@ -32,7 +32,10 @@ def override_settings(settings: _Settings, words: Mapping[str, str]) -> _Setting
         return settings
     whole = asdict(settings)  # type: ignore[call-overload]
     known = _leaves(whole)
-    for name, text in words.items():
+    # The two documents have the same settings in the same order.
+    serialized_names = dict(zip(_leaves(settings_document(settings)), known))
+    for given, text in words.items():
+        name = serialized_names.get(given, given)
         if name == _SEED:
             raise UsageError("the seed is no setting", place="--set", expected="--seed")
         if name not in known:
@@ -55,6 +58,16 @@ def override_settings(settings: _Settings, words: Mapping[str, str]) -> _Setting
         raise UsageError(
             f"{first['input']!r}", place=f"--set {'.'.join(map(str, first['loc']))}", expected=expected
         ) from error
+
+
+def settings_document(settings: Any) -> dict[str, Any]:
+    """Settings as ``run.json`` stores them and as they are hashed: under the names that older versions wrote.
+
+    Args:
+        settings: a dataclass, of dataclasses.
+    """
+    document: dict[str, Any] = TypeAdapter(type(settings)).dump_python(settings, mode="json", by_alias=True)
+    return document
 
 
 def _leaves(whole: Mapping[str, Any], under: str = "") -> list[str]:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from hybridworldsim.methods.layers import KINDS, Layers, layers_for
-from hybridworldsim.methods.overrides import override_settings
+from hybridworldsim.methods.overrides import override_settings, settings_document
 from hybridworldsim.methods.renderers import NearestBlockRenderer, Renderer, open_block
 from hybridworldsim.model.blocks import SIZE_M, Block, divide, views_of
 from hybridworldsim.model.initialization import InitialGeometry
@@ -199,7 +199,7 @@ class StaticMethod:
 
     def _run(self, one: _Block, task: ReconstructionTask) -> Run:
         read = one.layers.dataset.layers
-        settings = json.loads(json.dumps(asdict(self._settings(task))))
+        settings = settings_document(self._settings(task))
         return Run(
             method=self.name,
             settings=settings,

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from pydantic import AliasChoices, Field
 
 from mirror.errors import UsageError
 
@@ -48,7 +51,8 @@ class Refinement:
         end: progress.
         times: how often in between.
         least_steps: but not before so many pictures told something since the last time.
-        most: anchors in a block, to which they grow; those that it begins with stay, see `Settings.first_anchors`.
+        max_anchors: largest number of anchors in a block; those that it begins with stay, see `Settings.first_anchors`.
+            Its key in ``run.json``, and in the hash of the settings, is ``most``.
         most_ground: Code-Gaussians on the ground, at most.
         most_sky: and in the sky.
         cells_m: sizes of cells in which new anchors stand, coarse to fine.
@@ -61,7 +65,9 @@ class Refinement:
     end: float = 0.6
     times: int = 40
     least_steps: int = 20
-    most: int = 36_000
+    max_anchors: Annotated[
+        int, Field(validation_alias=AliasChoices("max_anchors", "most"), serialization_alias="most")
+    ] = 36_000
     most_ground: int = 20_000
     most_sky: int = 5_000
     cells_m: tuple[float, ...] = (1.6, 0.4, 0.1)

@@ -45,7 +45,11 @@ def count_parameters(settings: Settings) -> int:
     plain = CodeGaussians(seeds, settings.plain_code, settings.latent, settings.hidden)
     refinement = settings.refinement
     numbers = 0
-    for node, most in ((anchors, refinement.most), (plain, refinement.most_ground), (plain, refinement.most_sky)):
+    for node, most in (
+        (anchors, refinement.max_anchors),
+        (plain, refinement.most_ground),
+        (plain, refinement.most_sky),
+    ):
         for parameter in node.parameters():
             # Tables with a row a Gaussian have none yet.
             rows = most if len(parameter) == 0 else len(parameter)

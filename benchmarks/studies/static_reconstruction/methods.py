@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import product
 from typing import Any, Final
@@ -13,6 +13,7 @@ from benchmarks.studies.static_reconstruction.choices import BASELINE_CHOICES, O
 from benchmarks.studies.static_reconstruction.declaration import load_declaration
 from benchmarks.studies.static_reconstruction.equal_bytes import with_equal_bytes
 from benchmarks.studies.static_reconstruction.scaling import scale_settings
+from hybridworldsim.methods.overrides import settings_document
 from hybridworldsim.methods.static import StaticMethod
 from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
 from hybridworldsim.methods.street import make as make_street
@@ -61,7 +62,11 @@ class Entry:
 
     def settings(self, seed: int) -> dict[str, Any]:
         """Every number of the method, and its split if that is not the declared one, as JSON has it."""
-        whole = {"method": self.method.name, "block_m": self.method.block_m, **asdict(self.method.settings(seed))}
+        whole = {
+            "method": self.method.name,
+            "block_m": self.method.block_m,
+            **settings_document(self.method.settings(seed)),
+        }
         if self.split is not None:
             whole["split"] = self.split
         known: dict[str, Any] = json.loads(json.dumps(whole))
@@ -131,7 +136,7 @@ def _trials() -> Iterator[Entry]:
 def _as_many_bytes(settings: Settings) -> Refinement:
     """Code-Gaussians in place of anchors: 27 numbers each, against 50."""
     grown, anchor, plain = settings.refinement, 9 + 3 * settings.offsets + settings.code, 11 + settings.plain_code
-    return replace(grown, most_ground=grown.most_ground + grown.most * anchor // plain)
+    return replace(grown, most_ground=grown.most_ground + grown.max_anchors * anchor // plain)
 
 
 def _with_structure(settings: Settings) -> Settings:

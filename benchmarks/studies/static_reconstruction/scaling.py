@@ -17,7 +17,7 @@ def scale_settings(settings: Settings, rates: float, sizes: float) -> Settings:
         first_anchors=round(sizes * settings.first_anchors),
         refinement=replace(
             grown,
-            most=round(sizes * grown.most),
+            max_anchors=round(sizes * grown.max_anchors),
             most_ground=round(sizes * grown.most_ground),
             most_sky=round(sizes * grown.most_sky),
         ),

@@ -63,7 +63,7 @@ class AnchorRefiner:
         refinement = self._refinement
         gone = (self._seen >= _SEEN) & (self._opacity < refinement.least_opacity * self._seen)
         keep = (~gone).nonzero().squeeze(1)
-        room = max(target_count(refinement, done, self._first, refinement.most) - len(keep), 0)
+        room = max(target_count(refinement, done, self._first, refinement.max_anchors) - len(keep), 0)
         added, nearest = self._added(room, generator)
         if gone.any() or len(nearest):
             self._tables.replace(keep, added)

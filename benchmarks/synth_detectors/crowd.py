@@ -18,7 +18,7 @@ from mirror.synth.light.sun import instant_of
 from mirror.synth.model import FACE, ROUND
 from mirror.synth.render.rendering import render
 from mirror.synth.render.view import RenderView
-from mirror.synth.road_users.body import Placement, RoadUser, Still
+from mirror.synth.road_users.body import Placement, RoadUser, StaticMotion
 from mirror.synth.road_users.cars import car
 from mirror.synth.road_users.people import pedestrian
 from mirror.synth.street.world import World, build_world
@@ -142,7 +142,7 @@ def _placed(
         back = is_car and rng.random() < 0.5
         yaw = bearing + (0.0 if back else math.pi) + math.radians(rng.uniform(-50.0, 50.0))
         place = Placement(x, y, float(world.height_m(x, y)), yaw)
-        road_users.append(RoadUser(f"{body.category}-{number}", body, Still(place)))
+        road_users.append(RoadUser(f"{body.category}-{number}", body, StaticMotion(place)))
     return road_users
 
 

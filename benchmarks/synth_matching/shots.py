@@ -13,7 +13,7 @@ from mirror.arrays import Bool, Float32, Float64, Int64, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 from mirror.recordings.light import Light
-from mirror.synth.driving.trace import Moving
+from mirror.synth.driving.trace import TraceMotion
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.light.condition import Condition, Weather
@@ -114,7 +114,7 @@ def urban_drive(
 def taken(drive: SynthDrive, instants_ns: Int64, cameras: Sequence[str]) -> list[dict[str, Shot]]:
     """Pictures of a drive: of some cameras at some instants."""
     drive.prepare()
-    moving = [number for number, user in enumerate(drive.road_users) if isinstance(user.motion, Moving)]
+    moving = [number for number, user in enumerate(drive.road_users) if isinstance(user.motion, TraceMotion)]
 
     def of(instant_ns: int) -> dict[str, Shot]:
         instant, shots = drive.at(instant_ns), {}

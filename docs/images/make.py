@@ -1,6 +1,6 @@
-"""Makes the images of this folder from the synthetic street: ``python docs/images/make.py``.
+"""Renders the images of this folder from the synthetic street: ``python docs/images/make.py``.
 
-``report.png`` is a screenshot of the page that ``make demo`` ends with.
+``report.png`` is a screenshot of the page that ``make demo`` writes last.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ COLOURS = {
 
 
 def drive(drive_id: str, width_px: int) -> SynthDrive:
-    """One drive of the demo with cameras of another resolution."""
+    """Return one drive of the demo with cameras of another resolution."""
     one = next(one for one in make_drives("demo", 0)[1] if one.drive_id == drive_id)
     return replace(one, vehicle=replace(one.vehicle, width_px=width_px))
 
 
 def instant_ns(one: SynthDrive, share: float) -> int:
-    """At a share of the drive's duration."""
+    """Return the Unix time at a share of the drive's duration, in nanoseconds."""
     return one.condition.start_ns + round(share * one.truth.duration_s * 1e9)
 
 
 def mosaic(one: SynthDrive, share: float) -> UInt8:
-    """The seven cameras in two rows: three that look ahead, and the four others."""
+    """Arrange the images of the seven cameras in two rows: three forward cameras, and the four others."""
     at = instant_ns(one, share)
     rows = (("front_left", "front_wide", "front_right"), ("rear_left", "front_narrow", "rear", "rear_right"))
     strips = []
@@ -59,7 +59,7 @@ def mosaic(one: SynthDrive, share: float) -> UInt8:
 
 
 def boxes(one: SynthDrive, share: float, camera: str) -> UInt8:
-    """One image with the 3D boxes of what it shows."""
+    """Render one image with the 3D boxes of the road users that it shows."""
     at = instant_ns(one, share)
     instant = one.at(at)
     shown = one.render(camera, at, instant)
@@ -84,7 +84,7 @@ def _away(place: object, pose: Poses) -> float:
 
 
 def write(name: str, bgr: UInt8) -> None:
-    """Write a PNG of 256 colours: a third of the size, and no difference that is seen."""
+    """Write a PNG with 256 colours: a third of the size without a visible difference."""
     from PIL import Image
 
     image = Image.fromarray(np.ascontiguousarray(bgr[..., ::-1]))

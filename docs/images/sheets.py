@@ -1,6 +1,6 @@
-"""Makes the contact sheets of the synthetic street: ``python docs/images/sheets.py [NAME ...]``, all by default.
+"""Renders the contact sheets of the synthetic street: ``python docs/images/sheets.py [NAME ...]``, by default all.
 
-Each is a JPEG in ``sheets/``; the functions at the end, by whose names they are asked for, say what they show.
+Each sheet is a JPEG in ``sheets/``. Its name is that of a function at the end of this file.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ LABEL_COLOURS = {
     Label.TRUCK: (70, 0, 0), Label.BUS: (100, 60, 0), Label.MOTORCYCLE: (230, 0, 0), Label.BICYCLE: (32, 11, 119),
     Label.EGO: (40, 40, 40),
 }  # fmt: skip
-"""Blue, green, red: the usual ones of Cityscapes."""
+"""Blue, green, red: the colours of Cityscapes."""
 
 
 class Cell(NamedTuple):
@@ -57,29 +57,29 @@ class Cell(NamedTuple):
     caption: str = ""
 
 
-# What is shown
+# The drives and their images
 
 
 def drives(preset: str, width_px: int) -> list[SynthDrive]:
-    """The drives of a preset that record images, with cameras of another resolution."""
+    """Return the drives of a preset that record images, with cameras of another resolution."""
     _, found = make_drives(preset, 0)
     return [at_width(one, width_px) for one in found if one.recipe.images]
 
 
 def at_width(one: SynthDrive, width_px: int) -> SynthDrive:
-    """A drive with cameras of another resolution."""
+    """Return a drive with cameras of another resolution."""
     return replace(one, vehicle=replace(one.vehicle, width_px=width_px))
 
 
 def in_condition(one: SynthDrive, date: str, light: str, weather: str, *, visit: int) -> SynthDrive:
-    """The same drive on another date, in another light and weather: other traffic, leaves, clouds."""
+    """Return the drive on another date, in another light and weather."""
     roi = one.roi
     start = instant_of(date, light, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
     return replace(one, condition=Condition(start, light, weather, visit=visit))
 
 
 def moment_ns(one: SynthDrive) -> int:
-    """When the front camera sees the most varied image, by the entropy of the classes."""
+    """Return the time of the front camera's most varied image, by the entropy of the classes."""
     small = make_lens(replace(one.vehicle, width_px=160).cameras[FRONT])
 
     def variety(at_ns: int) -> float:
@@ -95,37 +95,37 @@ def _entropy(labels: UInt8) -> float:
 
 
 def at_share(one: SynthDrive, share: float) -> int:
-    """When a share of a drive has passed."""
+    """Return the time at a share of the drive's duration."""
     return one.condition.start_ns + round(share * one.truth.duration_s * 1e9)
 
 
 def passing_ns(one: SynthDrive, place_m: AnyArray) -> int:
-    """When a drive comes nearest to a place."""
+    """Return the time at which a drive is closest to a place."""
     stamps = one.condition.start_ns + np.arange(0.0, one.truth.duration_s, 0.1) * 1e9
     away = one.world_SE3_ego(stamps.astype(np.int64)).translation - place_m
     return int(stamps[np.argmin((away**2).sum(axis=1))])
 
 
-def told(one: SynthDrive) -> str:
-    """Light and weather in words."""
+def describe_condition(one: SynthDrive) -> str:
+    """Describe the light and the weather of a drive."""
     condition = one.condition
     return condition.light if condition.weather == "clear" else f"{condition.light}, {condition.weather}"
 
 
 def row_of_cameras(one: SynthDrive, at_ns: int) -> Iterator[Cell]:
-    """The seven images of an instant."""
+    """Render the seven images of an instant."""
     instant = one.at(at_ns)
     for name in CANONICAL_CAMERAS:
         yield Cell(one.render(name, at_ns, instant).bgr, name)
 
 
-# How it is laid out
+# Layout
 
 
 def sheet(
     cells: Sequence[Cell], columns: int, captions: bool = True, tallest: float = 1.5, width_px: int = WIDTH_PX
 ) -> UInt8:
-    """Cells in rows, a caption below each; none is higher than its width by ``tallest``."""
+    """Arrange cells in rows with captions; the height of a cell is at most ``tallest`` times its width."""
     from PIL import Image, ImageDraw, ImageFont
 
     width = (width_px - (columns - 1) * GAP_PX) // columns
@@ -151,7 +151,7 @@ def sheet(
 
 
 def write(name: str, page: UInt8) -> None:
-    """Write a JPEG, as good as its bytes allow."""
+    """Write a JPEG with the best quality that stays below `MOST_BYTES`."""
     HERE.mkdir(exist_ok=True)
     for quality in QUALITIES:
         data = cv2.imencode(".jpg", page, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
@@ -165,7 +165,7 @@ def write(name: str, page: UInt8) -> None:
 
 
 def conditions() -> UInt8:
-    """Four kinds of scene, each at one place in six conditions."""
+    """Four kinds of scene, each from one position in six conditions."""
     cells = []
     for first in drives("benchmark", 640):
         if first.drive_id not in NO_BONNET:
@@ -176,7 +176,7 @@ def conditions() -> UInt8:
             if place is None:
                 place = one.world_SE3_ego(np.array([moment_ns(one)])).translation
             image = one.render(FRONT, passing_ns(one, place)).bgr
-            cells.append(Cell(image, f"{one.roi.scene_type}, {told(one)}"))
+            cells.append(Cell(image, f"{one.roi.scene_type}, {describe_condition(one)}"))
     return sheet(cells, len(CONDITIONS))
 
 
@@ -185,13 +185,15 @@ def cameras() -> UInt8:
     everyone, found = drives("paper", 640), dict[str, SynthDrive]()
     for scene, kind in enumerate(VEHICLE_TYPES):
         there = [one for one in everyone if one.scene == scene and one.vehicle.kind.name == kind]
-        shown = {told(one) for one in found.values()}
+        shown = {describe_condition(one) for one in found.values()}
         lamps = there[0].roi.scene_type in ("urban", "campus")
-        found[kind] = min(there, key=lambda one: told(one) in shown or (one.condition.light == "night" and not lamps))
+        found[kind] = min(
+            there, key=lambda one: describe_condition(one) in shown or (one.condition.light == "night" and not lamps)
+        )
     cells = []
     for kind, one in found.items():
         row = list(row_of_cameras(one, moment_ns(one)))
-        cells.append(row[0]._replace(caption=f"{kind}: {one.roi.scene_id}, {told(one)}"))
+        cells.append(row[0]._replace(caption=f"{kind}: {one.roi.scene_id}, {describe_condition(one)}"))
         cells += row[1:]
         one.forget()
     return sheet(cells, len(CANONICAL_CAMERAS))
@@ -201,7 +203,7 @@ def _all_cameras(preset: str) -> UInt8:
     cells = []
     for one in drives(preset, 480):
         row, place = list(row_of_cameras(one, moment_ns(one))), one.drive_id.partition("-")[2]
-        cells.append(row[0]._replace(caption=f"{place}, {one.vehicle.kind.name}: {told(one)}"))
+        cells.append(row[0]._replace(caption=f"{place}, {one.vehicle.kind.name}: {describe_condition(one)}"))
         cells += row[1:]
         one.forget()
     return sheet(cells, len(CANONICAL_CAMERAS), width_px=WIDTH_PX if len(cells) < 50 else 1500)
@@ -227,13 +229,15 @@ def benchmark() -> UInt8:
     cells = []
     for one in drives("benchmark", 480):
         number = one.drive_id.rpartition("-")[2]
-        cells.append(Cell(one.render(FRONT, moment_ns(one)).bgr, f"{one.roi.scene_type} {number}: {told(one)}"))
+        cells.append(
+            Cell(one.render(FRONT, moment_ns(one)).bgr, f"{one.roi.scene_type} {number}: {describe_condition(one)}")
+        )
         one.forget()
     return sheet(cells, 8)
 
 
 def paper() -> UInt8:
-    """All traversals, a scene a row."""
+    """All traversals, one row per scene."""
     rows: dict[int, list[Cell]] = {}
     for one in drives("paper", 320):
         rows.setdefault(one.scene, []).append(Cell(one.render(FRONT, at_share(one, 0.4)).bgr))
@@ -245,7 +249,7 @@ def paper() -> UInt8:
 
 
 def effects() -> UInt8:
-    """One place in autumn by day and on a rainy night, and each effect switched off by itself where it is seen."""
+    """One position on an autumn day and on a rainy night, with each visible effect switched off."""
     first = drives("benchmark", 640)[1]
     day, place = in_condition(first, SEASONS["autumn"], "day", "clear", visit=1), None
     night = in_condition(first, DATES["night"], "night", "rain", visit=1)
@@ -254,7 +258,7 @@ def effects() -> UInt8:
         if place is None:
             place = one.world_SE3_ego(np.array([moment_ns(one)])).translation
         at = passing_ns(one, place)
-        cells.append(Cell(one.render(FRONT, at).bgr, f"all, {told(one)}"))
+        cells.append(Cell(one.render(FRONT, at).bgr, f"all, {describe_condition(one)}"))
         for name in names:
             off = replace(one, condition=replace(one.condition, effects=replace(Effects(), **{name: False})))
             cells.append(Cell(off.render(FRONT, at).bgr, f"no {name.replace('_', ' ')}"))
@@ -262,7 +266,7 @@ def effects() -> UInt8:
 
 
 def truth() -> UInt8:
-    """An image and its truth."""
+    """An image and its ground truth."""
     one = drives("benchmark", 960)[0]
     at = moment_ns(one)
     shown, lens = one.render(FRONT, at), one.vehicle.cameras[FRONT]
@@ -277,7 +281,7 @@ def truth() -> UInt8:
             Cell(_normals(normals), "normals in the camera's frame"),
             Cell(_classes(view.label), "classes"),
             Cell(_instances(view.object, shown.bgr), "road users"),
-            Cell(_flow(flow), "flow of what stands still, 0.1 s"),
+            Cell(_flow(flow), "flow of the static world, 0.1 s"),
         ],
         3,
     )

@@ -13,9 +13,9 @@ from mirror.ingest.clean import clean
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
-from mirror.synth.driving.journey import Journey, journey
-from mirror.synth.driving.site import Bustle, Site
-from mirror.synth.driving.trace import Chassis, Moving
+from mirror.synth.driving.journey import Journey, simulate_journey
+from mirror.synth.driving.site import Site, TrafficDensity
+from mirror.synth.driving.trace import Chassis, TraceMotion
 from tests.synth_driving import street
 
 SITE = Site(street.network(), street.RADIUS, street.heights, np.array([[60.0, 8.0]]))
@@ -25,7 +25,7 @@ ROI = Roi(scene_id="a", longitude_deg=8.0, latitude_deg=49.0, radius_m=street.RA
 
 @lru_cache
 def made(route: str, seed: int = 1) -> Journey:
-    return journey(SITE, route, EGO, seed, fastest_mps=14.0, aside_m=0.1)
+    return simulate_journey(SITE, route, EGO, seed, fastest_mps=14.0, aside_m=0.1)
 
 
 def footprint(length, width, x, y, yaw) -> Polygon:
@@ -36,7 +36,7 @@ def footprint(length, width, x, y, yaw) -> Polygon:
 @pytest.mark.parametrize("route", ["along", "turn", "left"])
 def test_nobody_overlaps_anybody(route) -> None:
     found = made(route)
-    assert sum(isinstance(user.motion, Moving) for user in found.road_users) > 15
+    assert sum(isinstance(user.motion, TraceMotion) for user in found.road_users) > 15
     for time_s in np.arange(0.0, found.drive.duration_s, 0.5):
         along, _ = found.drive.schedule.at(np.array([time_s]))
         (x, y, _, yaw, _, _), ahead = found.drive.trace.at(along)[0][0], 0.5 * EGO.length_m - EGO.rear_overhang_m
@@ -85,7 +85,7 @@ def test_others_stand_on_the_ground_and_drive_sanely() -> None:
     found = made("along")
     times = np.arange(0.0, found.drive.duration_s, 0.1)
     for user in found.road_users:
-        if not isinstance(user.motion, Moving):
+        if not isinstance(user.motion, TraceMotion):
             continue
         placed, _ = user.motion.trace.at(user.motion.schedule.at(times)[0])
         near = np.hypot(*placed[:, :2].T) < street.EXTENT
@@ -123,7 +123,7 @@ def test_the_routes_meet_every_branch_of_the_trigger(route) -> None:
 
 
 def test_the_same_again_and_another_time() -> None:
-    first, again, other = (journey(SITE, "turn", EGO, seed, fastest_mps=14.0) for seed in (4, 4, 5))
+    first, again, other = (simulate_journey(SITE, "turn", EGO, seed, fastest_mps=14.0) for seed in (4, 4, 5))
     assert np.array_equal(first.drive.schedule.along_m, again.drive.schedule.along_m)
     assert [user.track_id for user in first.road_users] == [user.track_id for user in again.road_users]
     for a, b in zip(first.road_users, again.road_users):
@@ -132,8 +132,8 @@ def test_the_same_again_and_another_time() -> None:
 
 
 def test_at_night_there_are_few() -> None:
-    quiet = journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=Bustle(0.15, 0.1))
-    moving = [user for user in quiet.road_users if isinstance(user.motion, Moving)]
-    assert len(moving) < 0.5 * sum(isinstance(user.motion, Moving) for user in made("along").road_users)
-    alone = journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=Bustle(0.0, 0.0))
-    assert not any(isinstance(user.motion, Moving) for user in alone.road_users)
+    quiet = simulate_journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=TrafficDensity(0.15, 0.1))
+    moving = [user for user in quiet.road_users if isinstance(user.motion, TraceMotion)]
+    assert len(moving) < 0.5 * sum(isinstance(user.motion, TraceMotion) for user in made("along").road_users)
+    alone = simulate_journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=TrafficDensity(0.0, 0.0))
+    assert not any(isinstance(user.motion, TraceMotion) for user in alone.road_users)

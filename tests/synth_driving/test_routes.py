@@ -5,7 +5,7 @@ import pytest
 
 from mirror.errors import UsageError
 from mirror.schema.documents import Roi
-from mirror.synth.driving.routes import ROUTES, route_of, routes_in
+from mirror.synth.driving.routes import ROUTES, make_route, routes_in
 from mirror.synth.street.plan import plan_scene
 from tests.synth_driving import street
 
@@ -22,7 +22,7 @@ def turned_deg(route) -> float:
 
 
 def test_the_names_make_sense() -> None:
-    found = {name: route_of(name, NETWORK, street.RADIUS) for name in routes_in(NETWORK, street.RADIUS)}
+    found = {name: make_route(name, NETWORK, street.RADIUS) for name in routes_in(NETWORK, street.RADIUS)}
     assert set(found) == set(ROUTES) - {"other", "change", "leave", "join"}
     assert turned_deg(found["along"]) == pytest.approx(0.0, abs=1.0)
     assert turned_deg(found["turn"]) == pytest.approx(-90.0, abs=2.0)
@@ -39,21 +39,21 @@ def test_the_names_make_sense() -> None:
 
 def test_lanes_beside_each_other() -> None:
     network = street.motorway()
-    first, second = (driven(route_of("along", network, street.RADIUS, variant)) for variant in (0, 1))
+    first, second = (driven(make_route("along", network, street.RADIUS, variant)) for variant in (0, 1))
     assert first[:, 1] == pytest.approx(0.0)
     assert second[:, 1] == pytest.approx(3.6)
-    change = driven(route_of("change", network, street.RADIUS))
+    change = driven(make_route("change", network, street.RADIUS))
     assert change[0, 1] == pytest.approx(0.0)
     assert change[:, 1].max() == pytest.approx(3.6, abs=1e-6)
 
 
 def test_what_a_scene_has_not() -> None:
     with pytest.raises(UsageError, match="no route 'turn' in this scene"):
-        route_of("turn", street.motorway(), street.RADIUS)
+        make_route("turn", street.motorway(), street.RADIUS)
     with pytest.raises(UsageError, match="no route 'sideways'"):
-        route_of("sideways", NETWORK, street.RADIUS)
+        make_route("sideways", NETWORK, street.RADIUS)
     with pytest.raises(UsageError, match="no room to turn round"):
-        route_of("uturn", street.motorway(), street.RADIUS)
+        make_route("uturn", street.motorway(), street.RADIUS)
 
 
 @pytest.mark.parametrize(
@@ -71,6 +71,6 @@ def test_planned_scenes_have_their_routes(kind, radius, missing) -> None:
     )
     assert set(routes_in(plan.network, radius)) >= set(ROUTES) - missing
     for name in sorted(set(ROUTES) - missing):
-        way = route_of(name, plan.network, radius).way
+        way = make_route(name, plan.network, radius).way
         bend = np.abs(np.diff(way.heading_rad)) / 0.5
         assert bend.max() < 1 / 4.0, name

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mirror.errors import UsageError
-from mirror.synth.driving.trace import Aside, Chassis, Moving, Schedule, trace_of
-from mirror.synth.driving.ways import STEP_M, Piece, build_way, changed, followed, lane_piece
+from mirror.synth.driving.trace import Aside, Chassis, Schedule, TraceMotion, build_trace
+from mirror.synth.driving.ways import STEP_M, Piece, build_way, change_lane_pieces, follow_lanes, lane_piece
 from tests.synth_driving import street
 
 CAR = Chassis.of_box(4.5, 1.8)
@@ -28,13 +28,13 @@ def circle(radius, share=1.0):
 @pytest.mark.parametrize("radius", [6.0, 12.0, 60.0])
 def test_the_rear_axle_trails_on_the_circle_that_the_wheelbase_leaves(radius) -> None:
     ego = Chassis(4.6, 1.9, 2.8, 0.9, 0.0)
-    trace = trace_of(circle(radius, 0.8), ego, level)
+    trace = build_trace(circle(radius, 0.8), ego, level)
     along = np.linspace(0.5, 0.75, 50) * 2 * math.pi * radius
     placed, forward = trace.at(along)
     # Rounding corners over 2 m, a triangle of variance 1 m2, takes half the bend off the radius.
-    trailing = math.sqrt((radius - 0.5 / radius) ** 2 - 2.8**2)
-    assert np.hypot(*placed[:, :2].T) == pytest.approx(np.full(50, trailing), abs=0.03)
-    assert forward == pytest.approx(np.full(50, trailing / (radius - 0.5 / radius)), rel=0.02)
+    trail_rear_axle = math.sqrt((radius - 0.5 / radius) ** 2 - 2.8**2)
+    assert np.hypot(*placed[:, :2].T) == pytest.approx(np.full(50, trail_rear_axle), abs=0.03)
+    assert forward == pytest.approx(np.full(50, trail_rear_axle / (radius - 0.5 / radius)), rel=0.02)
     spoke = np.arctan2(placed[:, 1], placed[:, 0])
     turned = np.angle(np.exp(1j * (placed[:, 3] - spoke)))
     assert turned == pytest.approx(np.full(50, math.pi / 2), abs=0.006)
@@ -42,7 +42,7 @@ def test_the_rear_axle_trails_on_the_circle_that_the_wheelbase_leaves(radius) ->
 
 def test_on_a_slope_it_pitches_and_rolls_as_the_ground_does() -> None:
     way = build_way([Piece(np.array([[0.0, 0.0], [100.0, 0.0]]), 10.0)])
-    placed, _ = trace_of(way, CAR, lambda x, y: 0.05 * x + 0.03 * y).at(np.linspace(0.0, 100.0, 30))
+    placed, _ = build_trace(way, CAR, lambda x, y: 0.05 * x + 0.03 * y).at(np.linspace(0.0, 100.0, 30))
     assert placed[:, 2] == pytest.approx(0.05 * placed[:, 0] + 0.03 * placed[:, 1], abs=1e-9)
     assert placed[:, 4] == pytest.approx(np.full(30, math.atan(0.05)))
     assert placed[:, 5] == pytest.approx(np.full(30, math.atan(0.03)))
@@ -50,11 +50,11 @@ def test_on_a_slope_it_pitches_and_rolls_as_the_ground_does() -> None:
 
 def test_no_jump_of_heading_or_bend_at_corners_and_changes() -> None:
     network = street.network()
-    turn = followed(network, ("main+0", "main+0>main+1", "main+1", "main+1>cross-1", "cross-1"))
+    turn = follow_lanes(network, ("main+0", "main+0>main+1", "main+1", "main+1>cross-1", "cross-1"))
     lanes = street.motorway().lanes
-    change = build_way(changed(lanes["m0.0"], lanes["m0.1"], 40.0, 60.0))
+    change = build_way(change_lane_pieces(lanes["m0.0"], lanes["m0.1"], 40.0, 60.0))
     for way, most in ((turn, 0.40), (change, 0.02)):
-        trace = trace_of(way, CAR, street.heights)
+        trace = build_trace(way, CAR, street.heights)
         along = np.arange(5.0, way.length_m - 5.0, 0.05)
         placed, _ = trace.at(along)
         bend = np.gradient(placed[:, 3], 0.05)
@@ -62,12 +62,12 @@ def test_no_jump_of_heading_or_bend_at_corners_and_changes() -> None:
         assert np.abs(np.diff(bend)).max() < 0.05 * most
         step = np.gradient(placed[:, :2], 0.05, axis=0)
         assert np.abs(np.diff(np.hypot(*step.T))).max() < 2e-3
-    assert trace_of(change, CAR, level).at(np.array([150.0]))[0][0, 1] == pytest.approx(3.6, abs=1e-6)
+    assert build_trace(change, CAR, level).at(np.array([150.0]))[0][0, 1] == pytest.approx(3.6, abs=1e-6)
 
 
 def test_it_goes_straight_on_beyond_its_way() -> None:
     way = build_way([Piece(np.array([[0.0, 0.0], [30.0, 0.0]]), 10.0)])
-    trace = trace_of(way, CAR, level)
+    trace = build_trace(way, CAR, level)
     placed, forward = trace.at(np.array([-300.0, 500.0]))
     assert placed[:, :2] == pytest.approx(np.array([[-302.25, 0.0], [497.75, 0.0]]))
     assert forward == pytest.approx([1.0, 1.0])
@@ -75,7 +75,7 @@ def test_it_goes_straight_on_beyond_its_way() -> None:
 
 def test_it_keeps_so_far_right_as_its_driver_likes() -> None:
     way = build_way([Piece(np.array([[0.0, 0.0], [0.0, 80.0]]), 10.0)])
-    placed, _ = trace_of(way, CAR, level, Aside(0.4)).at(np.linspace(20.0, 70.0, 9))
+    placed, _ = build_trace(way, CAR, level, Aside(0.4)).at(np.linspace(20.0, 70.0, 9))
     assert placed[:, 0] == pytest.approx(np.full(9, 0.4))
 
 
@@ -106,7 +106,9 @@ def test_a_schedule_says_when_it_is_where() -> None:
 
 def test_one_placement_agrees_with_many_and_is_cheap() -> None:
     way = circle(20.0)
-    moving = Moving(trace_of(way, CAR, street.heights), Schedule(0.0, 0.1, np.linspace(0, 90, 301), np.full(301, 3.0)))
+    moving = TraceMotion(
+        build_trace(way, CAR, street.heights), Schedule(0.0, 0.1, np.linspace(0, 90, 301), np.full(301, 3.0))
+    )
     times = np.concatenate([np.linspace(-4.0, 40.0, 173), [0.0, 0.1, 30.0]])
     placed, forward = moving.trace.at(moving.schedule.at(times)[0])
     for row, slope, time_s in zip(placed, forward, times):
@@ -133,7 +135,7 @@ def test_a_way_slows_down_for_bends_in_time() -> None:
 
 
 def test_lanes_say_where_to_stop() -> None:
-    way = followed(street.network(), ("main+1", "main+1>main+2", "main+2"))
+    way = follow_lanes(street.network(), ("main+1", "main+1>main+2", "main+2"))
     (halt,) = way.halts
     assert halt.group == 0
     assert halt.at_m == pytest.approx(street.network().lanes["main+1"].stop_m, abs=0.6)
@@ -150,7 +152,7 @@ def test_a_way_needs_some_length() -> None:
 def test_far_from_the_origin_it_is_the_same() -> None:
     line = circle(15.0, 0.6).points
     near, far = (
-        trace_of(build_way([Piece(line + offset, 9.0)]), CAR, level).at(np.linspace(0.0, 50.0, 40))[0]
+        build_trace(build_way([Piece(line + offset, 9.0)]), CAR, level).at(np.linspace(0.0, 50.0, 40))[0]
         for offset in (np.zeros(2), np.array([4e6, -3e6]))
     )
     assert far[:, :2] - [4e6, -3e6] == pytest.approx(near[:, :2], abs=1e-6)

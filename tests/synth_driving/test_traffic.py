@@ -9,21 +9,21 @@ from hypothesis import strategies as st
 from shapely import affinity
 from shapely.geometry import box
 
-from mirror.synth.driving.overlaps import apart
-from mirror.synth.driving.participants import Manner, Participant, simulated
+from mirror.synth.driving.overlaps import select_non_overlapping
+from mirror.synth.driving.participants import Manner, Participant, simulate_participants
 from mirror.synth.driving.signals import Signal, signal_state
 from mirror.synth.driving.trace import Aside, Chassis, Schedule
-from mirror.synth.driving.ways import Piece, build_way, followed
+from mirror.synth.driving.ways import Piece, build_way, follow_lanes
 from mirror.synth.driving.zones import zones
 from tests.synth_driving import street
 
 NETWORK = street.network()
 CAR = Chassis.of_box(4.5, 1.8)
-EAST = followed(NETWORK, ("main+0", "main+0>main+1", "main+1", "main+1>main+2", "main+2"))
-NORTH = followed(NETWORK, ("cross+0", "cross+0>cross+1", "cross+1"))
-LEFT = followed(NETWORK, ("main+0", "main+0>main+1", "main+1", "main+1>cross+1", "cross+1"))
-WEST = followed(NETWORK, ("main-0", "main-0>main-1", "main-1", "main-1>main-2", "main-2"))
-ZEBRA = followed(NETWORK, ("walk11.0", "walk11.1", "walk11.2"))
+EAST = follow_lanes(NETWORK, ("main+0", "main+0>main+1", "main+1", "main+1>main+2", "main+2"))
+NORTH = follow_lanes(NETWORK, ("cross+0", "cross+0>cross+1", "cross+1"))
+LEFT = follow_lanes(NETWORK, ("main+0", "main+0>main+1", "main+1", "main+1>cross+1", "cross+1"))
+WEST = follow_lanes(NETWORK, ("main-0", "main-0>main-1", "main-1", "main-1>main-2", "main-2"))
+ZEBRA = follow_lanes(NETWORK, ("walk11.0", "walk11.1", "walk11.2"))
 
 
 def car(way, enter_s=0.0, enter_m=0.0, **more) -> Participant:
@@ -31,7 +31,7 @@ def car(way, enter_s=0.0, enter_m=0.0, **more) -> Participant:
 
 
 def run(*participants, clock_s=0.0, longest_s=90.0) -> list[Schedule]:
-    found = simulated(NETWORK, participants, clock_s, longest_s)
+    found = simulate_participants(NETWORK, participants, clock_s, longest_s)
     assert all(schedule is not None for schedule in found)
     return found
 
@@ -132,7 +132,7 @@ def test_a_pause_is_kept() -> None:
 
 def test_the_same_again() -> None:
     road_users = [car(way, enter_s=2.0 * number) for number in range(5) for way in (EAST, NORTH, LEFT, WEST)]
-    once, again = (simulated(NETWORK, road_users, 5.0, 80.0) for _ in range(2))
+    once, again = (simulate_participants(NETWORK, road_users, 5.0, 80.0) for _ in range(2))
     for a, b in zip(once, again):
         assert (a is None) == (b is None)
         if a is not None and b is not None:
@@ -150,7 +150,7 @@ def test_the_same_again() -> None:
 def test_overlaps_agree_with_polygons(rows) -> None:
     places = np.array([[row[:3]] for row in rows])
     halves = np.array([row[3:] for row in rows])
-    kept = apart(places, halves, np.zeros(len(rows), np.bool_), 100.0)
+    kept = select_non_overlapping(places, halves, np.zeros(len(rows), np.bool_), 100.0)
     shapes = [
         affinity.translate(affinity.rotate(box(-h, -w, h, w), yaw, (0, 0), use_radians=True), x, y)
         for x, y, yaw, h, w in rows
@@ -168,5 +168,5 @@ def test_overlaps_agree_with_polygons(rows) -> None:
 def test_who_is_fixed_stays_and_who_is_not_there_hinders_nobody() -> None:
     places = np.array([[[0.0, 0.0, 0.0]], [[0.5, 0.0, 0.0]], [[math.nan] * 3]])
     halves = np.full((3, 2), 1.0)
-    assert apart(places, halves, np.array([False, True, False]), 50.0).tolist() == [False, True, True]
-    assert apart(places, halves, np.zeros(3, np.bool_), 50.0).tolist() == [True, False, True]
+    assert select_non_overlapping(places, halves, np.array([False, True, False]), 50.0).tolist() == [False, True, True]
+    assert select_non_overlapping(places, halves, np.zeros(3, np.bool_), 50.0).tolist() == [True, False, True]

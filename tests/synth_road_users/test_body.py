@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from mirror.synth.road_users.body import Placement, Still
+from mirror.synth.road_users.body import Placement, StaticMotion
 
 _ANGLE = st.floats(-3.1, 3.1)
 
@@ -36,4 +36,4 @@ def test_pitch_lifts_the_nose_and_roll_the_left_side() -> None:
 
 def test_what_stands_still_stays() -> None:
     place = Placement(1.0, 2.0, 3.0, 0.5)
-    assert Still(place).at(-1e9) is Still(place).at(1e9) is place
+    assert StaticMotion(place).at(-1e9) is StaticMotion(place).at(1e9) is place

@@ -1,1 +1,1 @@
-"""Who moves in the street, and how: lines along lanes, traffic that is simulated ahead of time, signals."""
+"""The motion of road users: paths along lanes, traffic that is simulated in advance, traffic lights."""

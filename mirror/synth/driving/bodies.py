@@ -1,4 +1,4 @@
-"""The road users that are met: a fixed population of each kind, so that nobody is built twice."""
+"""The bodies of road users: a fixed population of each kind, so that each body is built only once."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ KINDS: Final[tuple[Kind, ...]] = ("car", "van", "truck", "bus", "motorcycle", "c
 POPULATION: Final[dict[Kind, int]] = {
     "car": 96, "van": 24, "truck": 16, "bus": 8, "motorcycle": 8, "cyclist": 20, "pedestrian": 64,
 }  # fmt: skip
-"""How many there are of each kind."""
+"""Number of different bodies of each kind."""
 
 _CHILD: Final = 0.12
 
 
 @lru_cache(maxsize=1024)
-def body_of(kind: Kind, number: int, umbrella: bool = False, warm: bool = False) -> Body:
-    """One of the population.
+def get_body(kind: Kind, number: int, umbrella: bool = False, warm: bool = False) -> Body:
+    """Return one body of the population.
 
     Args:
-        kind: what it is.
-        number: which.
-        umbrella: somebody on foot holds one up.
-        warm: people are dressed for summer.
+        kind: kind of road user.
+        number: index in the population of that kind.
+        umbrella: whether a pedestrian holds an umbrella.
+        warm: whether people wear summer clothes.
     """
     rng = np.random.default_rng([7, KINDS.index(kind), number])
     if kind == "pedestrian":

@@ -1,4 +1,4 @@
-"""The motion of the recording vehicle: exact at any time."""
+"""The motion of the recording vehicle, exact at any time."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from mirror.synth.driving.ways import STEP_M
 
 _DIVE_DEG: Final = 0.22
 _LEAN_DEG: Final = 0.32
-"""Per m/s2: what a car's springs yield to braking and to bends."""
+"""Pitch and roll of the body on its springs, degrees per m/s2 of longitudinal and lateral acceleration."""
 _SETTLES: Final = 5
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One drive of the recording vehicle: exact truth at any time from 0 to ``duration_s``.
+    """One drive of the recording vehicle: the exact motion at any time from 0 to ``duration_s``.
 
     Attributes:
         route: name of the route.
-        trace: the placements of the ego frame (rear axle, on the ground) along the way.
-        schedule: how far the front end has come, from the drive's start on.
-        duration_s: of the drive.
-        clock_s: of the signals, at the drive's start.
+        trace: placements of the ego frame (rear axle, on the ground) along the way.
+        schedule: position of the front end along the way over time, from the start of the drive.
+        duration_s: duration of the drive.
+        clock_s: time of the signal cycle at the start of the drive.
         sway: phase of the small motions of the body.
     """
 
@@ -41,7 +41,7 @@ class Drive:
 
     @cached_property
     def _springs(self) -> Float64:
-        """(T, 2) pitch and roll, degrees, at the knots of the schedule and two beyond either end."""
+        """(T, 2) pitch and roll, degrees, at the knots of the schedule and at two further knots at either end."""
         schedule = self.schedule
         knots = schedule.begin_s + np.arange(-2, len(schedule.along_m) + 2, dtype=np.float64) * schedule.step_s
         along, speed = schedule.at(knots)
@@ -59,17 +59,17 @@ class Drive:
         return np.column_stack([np.convolve(padded[:, axis], window, "valid") for axis in (0, 1)])
 
     def driven_m(self, time_s: Float64) -> Float64:
-        """Lengths (N,) along the way by times (N,), from the drive's start on."""
+        """Return the lengths (N,) driven since the start at times (N,)."""
         start, _ = self.schedule.at(np.zeros(1))
         return self.schedule.at(np.asarray(time_s, np.float64))[0] - start[0]
 
     def speeds_mps(self, time_s: Float64) -> Float64:
-        """Forward speeds (N,) of the ego frame at times (N,)."""
+        """Return the forward speeds (N,) of the ego frame at times (N,)."""
         along, speed = self.schedule.at(np.asarray(time_s, np.float64))
         return speed * self.trace.at(along)[1]
 
     def poses(self, time_s: Float64) -> Poses:
-        """``world_SE3_ego`` at times (N,): on the ground, the body yielding to bends, brakes and bumps."""
+        """Return ``world_SE3_ego`` at times (N,): on the ground, with the pitch and roll of the body on its springs."""
         time = np.asarray(time_s, np.float64)
         along, _ = self.schedule.at(time)
         placed, _ = self.trace.at(along)

@@ -1,4 +1,4 @@
-"""A journey: one drive of the recording vehicle through a scene, and everybody it meets."""
+"""Simulates a journey: one drive of the recording vehicle through a scene, with all other road users."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import MirrorError
-from mirror.synth.driving.bodies import body_of
+from mirror.synth.driving.bodies import get_body
 from mirror.synth.driving.drive import Drive
-from mirror.synth.driving.overlaps import apart
-from mirror.synth.driving.parking import Parked, parked
-from mirror.synth.driving.participants import Manner, Participant, simulated
-from mirror.synth.driving.routes import Route, route_of
+from mirror.synth.driving.overlaps import select_non_overlapping
+from mirror.synth.driving.parking import Parked, place_parked_cars
+from mirror.synth.driving.participants import Manner, Participant, simulate_participants
+from mirror.synth.driving.routes import Route, make_route
 from mirror.synth.driving.simulation import TICK_S
-from mirror.synth.driving.site import Bustle, Site
-from mirror.synth.driving.trace import Aside, Chassis, Moving, Schedule, trace_of
-from mirror.synth.driving.vehicles import Ways, cyclists, leaving, vehicles
-from mirror.synth.driving.walkers import standing, walkers
+from mirror.synth.driving.site import Site, TrafficDensity
+from mirror.synth.driving.trace import Aside, Chassis, Schedule, TraceMotion, build_trace
+from mirror.synth.driving.vehicles import Ways, make_cyclists, make_leaving_cars, make_vehicles
+from mirror.synth.driving.walkers import make_walkers, place_standing_people
 from mirror.synth.driving.ways import STEP_M
 from mirror.synth.driving.zones import zones
 from mirror.synth.road_users.body import Body, Motion, RoadUser
@@ -40,18 +40,18 @@ _ATTEMPTS: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Journey:
-    """One drive and whom it meets.
+    """One drive and the other road users.
 
     Attributes:
-        drive: of the recording vehicle.
-        users: everybody else that moves or may be gone the next time; nobody overlaps anybody.
+        drive: motion of the recording vehicle.
+        road_users: all other road users, moving or parked; none overlaps another.
     """
 
     drive: Drive
     road_users: tuple[RoadUser, ...]
 
 
-def journey(
+def simulate_journey(
     site: Site,
     route: str,
     chassis: Chassis,
@@ -61,32 +61,32 @@ def journey(
     variant: int = 0,
     fastest_mps: float = 20.0,
     aside_m: float = 0.0,
-    bustle: Bustle | None = None,
+    bustle: TrafficDensity | None = None,
 ) -> Journey:
-    """Drive a route through a scene and its traffic.
+    """Simulate a drive along a route through a scene with traffic.
 
-    All are simulated together from a minute before the drive on: the recording vehicle keeps its distance, waits at
-    signals and for people who cross, and the others do so for it. Routes that meet a branch of the ROI trigger keep
-    their times, and the others wait. If the recording vehicle does not get through in four minutes, it is tried again
-    with two thirds of the traffic.
+    All road users are simulated together from a minute before the drive. The recording vehicle keeps its distance and
+    waits at signals and for crossing pedestrians, and the others do the same for it. On routes that test a branch of
+    the ROI trigger the recording vehicle keeps its times, and the others wait. If it does not finish within four
+    minutes, the simulation is repeated with two thirds of the traffic.
 
     Args:
         site: the scene.
-        route: a name of `mirror.synth.driving.routes.ROUTES`.
-        chassis: of the recording vehicle; the ego frame is where its origin is.
-        seed: of the traversal: who is there, when, and how they move.
-        scene_seed: of the scene: who is always parked there.
-        variant: of the route.
-        fastest_mps: the recording vehicle goes no faster.
-        aside_m: how far right of its lane's middle it keeps.
-        bustle: how much is going on.
+        route: a name in `mirror.synth.driving.routes.ROUTES`.
+        chassis: chassis of the recording vehicle; its origin is the origin of the ego frame.
+        seed: seed of the traversal's traffic.
+        scene_seed: seed of the scene: the vehicles that are always parked.
+        variant: variant of the route.
+        fastest_mps: speed limit of the recording vehicle.
+        aside_m: lateral offset of the recording vehicle to the right of its lane's middle.
+        bustle: density of the traffic; default: a busy day.
 
     Raises:
-        UsageError: there is no such route.
-        MirrorError: the vehicle does not get through.
+        UsageError: the route does not exist.
+        MirrorError: the vehicle does not finish the route.
     """
-    chosen = route_of(route, site.network, site.radius_m, variant, chassis.wheelbase_m)
-    bustle = Bustle() if bustle is None else bustle
+    chosen = make_route(route, site.network, site.radius_m, variant, chassis.wheelbase_m)
+    bustle = TrafficDensity() if bustle is None else bustle
     for attempt in range(_ATTEMPTS):
         share = (2.0 / 3.0) ** attempt
         less = replace(bustle, vehicles=bustle.vehicles * share, people=bustle.people * share)
@@ -110,29 +110,31 @@ def _attempt(
     scene_seed: int,
     fastest_mps: float,
     aside_m: float,
-    bustle: Bustle,
+    bustle: TrafficDensity,
 ) -> Journey | None:
     own = _recorder(route, chassis, rng, fastest_mps, aside_m)
     until = _WARM_UP_S + min(_longest_s(own), _LONGEST_S)
     ways = Ways()
-    cars = list(parked(site, scene_seed, rng))
+    cars = list(place_parked_cars(site, scene_seed, rng))
     off = _leaving(cars, rng)
     others = [
-        *vehicles(site, bustle, until, ways, rng),
-        *leaving(site, [car.leaves for car in off if car.leaves], ways, (_WARM_UP_S, _WARM_UP_S + 50.0), rng),
-        *cyclists(site, bustle, until, ways, rng),
+        *make_vehicles(site, bustle, until, ways, rng),
+        *make_leaving_cars(site, [car.leaves for car in off if car.leaves], ways, (_WARM_UP_S, _WARM_UP_S + 50.0), rng),
+        *make_cyclists(site, bustle, until, ways, rng),
     ]
     if route.first:
         others = _out_of_the_way(route, others)
-    on_foot = list(walkers(site, bustle, ways, rng))
+    on_foot = list(make_walkers(site, bustle, ways, rng))
     clock = float(rng.uniform(0.0, site.network.cycle_s))
-    schedules = simulated(site.network, [own, *others, *on_foot], clock, until, first_goes_first=route.first)
+    schedules = simulate_participants(
+        site.network, [own, *others, *on_foot], clock, until, first_goes_first=route.first
+    )
     ego = schedules[0]
     if ego is None or ego.along_m[-1] < route.end_m:
         return None
     start = ego.begin_s + _SETTLED_S if route.stands_s else ego.time_of(route.begin_m)
     duration = ego.time_of(route.end_m) - start
-    trace = trace_of(route.way, chassis, site.height_m, own.aside)
+    trace = build_trace(route.way, chassis, site.height_m, own.aside)
     drive = Drive(name, trace, ego.since(start), duration, clock + start, own.manner.phase)
     moving = [
         (one, schedule.since(start))
@@ -141,7 +143,10 @@ def _attempt(
     ]
     gone = {id(car) for car in off}
     stays: list[tuple[Body, Motion]] = [(car.body, car.motion) for car in cars if id(car) not in gone]
-    return Journey(drive, _users(site, chassis, drive, moving, stays, list(standing(site, bustle, rng)), bustle))
+    return Journey(
+        drive,
+        _make_road_users(site, chassis, drive, moving, stays, list(place_standing_people(site, bustle, rng)), bustle),
+    )
 
 
 def _recorder(
@@ -169,19 +174,19 @@ def _recorder(
 
 
 def _longest_s(own: Participant) -> float:
-    """A time that is ample for the drive."""
+    """Upper limit of the duration of the drive."""
     stretch = own.way.pace_mps[int(own.enter_m / STEP_M) : int((own.end_m or own.way.length_m) / STEP_M)]
     return 40.0 + own.pause_s + 3.0 * float((STEP_M / np.minimum(stretch, own.manner.fastest_mps)).sum())
 
 
 def _leaving(cars: Sequence[Parked], rng: np.random.Generator) -> list[Parked]:
-    """Some of the cars that may drive off and have room to pull out."""
-    movable = [car for car in cars if car.leaves is not None and not any(_boxes_in(car, other) for other in cars)]
+    """Select cars to drive off among those that may and that have room to pull out."""
+    movable = [car for car in cars if car.leaves is not None and not any(_blocks(car, other) for other in cars)]
     return [movable[int(place)] for place in rng.permutation(len(movable))[:_LEAVE]]
 
 
-def _boxes_in(car: Parked, other: Parked) -> bool:
-    """Whether another car is parked right in front of a car."""
+def _blocks(car: Parked, other: Parked) -> bool:
+    """Whether another car is parked directly in front of a car."""
     own, there = car.motion.placement, other.motion.placement
     dx, dy = there.x_m - own.x_m, there.y_m - own.y_m
     cos, sin = math.cos(own.yaw_rad), math.sin(own.yaw_rad)
@@ -189,7 +194,7 @@ def _boxes_in(car: Parked, other: Parked) -> bool:
 
 
 def _out_of_the_way(route: Route, others: Sequence[Participant]) -> list[Participant]:
-    """Those who never drive ahead of somebody on a route that has to keep its times."""
+    """Participants that never drive ahead of the recording vehicle on a route that has to keep its times."""
     follows: dict[int, bool] = {}
     for other in others:
         if id(other.way) not in follows:
@@ -200,29 +205,29 @@ def _out_of_the_way(route: Route, others: Sequence[Participant]) -> list[Partici
     return [other for other in others if not follows[id(other.way)]]
 
 
-def _users(
+def _make_road_users(
     site: Site,
     chassis: Chassis,
     drive: Drive,
     moving: Sequence[tuple[Participant, Schedule]],
     parked_cars: Sequence[tuple[Body, Motion]],
     standing_people: Sequence[tuple[Body, Motion]],
-    bustle: Bustle,
+    bustle: TrafficDensity,
 ) -> tuple[RoadUser, ...]:
-    """Everybody, but those who would overlap somebody more important."""
+    """All road users, without those that would overlap one of higher priority."""
     driven: list[tuple[Body, Motion]] = []
     walking: list[tuple[Body, Motion]] = []
     for one, schedule in moving:
         on_foot = one.kind == "pedestrian"
-        body = body_of(one.kind, one.number, bustle.umbrellas and on_foot, bustle.warm and on_foot)
-        moves = Moving(trace_of(one.way, one.chassis, site.height_m, one.aside), schedule)
+        body = get_body(one.kind, one.number, bustle.umbrellas and on_foot, bustle.warm and on_foot)
+        moves = TraceMotion(build_trace(one.way, one.chassis, site.height_m, one.aside), schedule)
         (walking if on_foot else driven).append((body, moves))
     everybody = [*driven, *parked_cars, *walking, *standing_people]
     times = np.arange(0.0, drive.duration_s + TICK_S, TICK_S)
     places = np.empty((len(everybody) + 1, len(times), 3))
     places[0] = _middles(drive, chassis, times)
     for number, (_, motion) in enumerate(everybody, start=1):
-        if isinstance(motion, Moving):
+        if isinstance(motion, TraceMotion):
             placed, _ = motion.trace.at(motion.schedule.at(times)[0])
             places[number] = placed[:, (0, 1, 3)]
         else:
@@ -231,7 +236,7 @@ def _users(
     sizes = np.array([(chassis.length_m, chassis.width_m), *(body.size_m[:2] for body, _ in everybody)])
     fixed = np.zeros(len(places), np.bool_)
     fixed[0] = True
-    kept = apart(places, 0.5 * sizes + _CLEARANCE_M, fixed, site.radius_m + _SEEN_M)
+    kept = select_non_overlapping(places, 0.5 * sizes + _CLEARANCE_M, fixed, site.radius_m + _SEEN_M)
     counts: dict[str, int] = {}
     road_users = []
     for (body, motion), stays in zip(everybody, kept[1:]):

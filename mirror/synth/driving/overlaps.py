@@ -1,4 +1,4 @@
-"""Whether road users run into each other."""
+"""Tests whether road users overlap."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from mirror.arrays import Bool, Float64
 
 
 @njit(cache=True, nogil=True)
-def apart(places: Float64, halves: Float64, fixed: Bool, within_m: float) -> Bool:
-    """Who can stay if nobody may overlap anybody who comes before him.
+def select_non_overlapping(places: Float64, halves: Float64, fixed: Bool, within_m: float) -> Bool:
+    """Select road users so that none overlaps a selected one with a smaller index.
 
     Args:
-        places: (N, T, 3) x, y and yaw of the middle of each at each time; NaN while it is not there.
-        halves: (N, 2) half lengths and half widths.
-        fixed: (N,) who stays in any case.
-        within_m: only what happens so near the origin counts.
+        places: (N, T, 3) x, y and yaw of the middle of each user at each time; NaN while it is absent.
+        halves: (N, 2) half lengths and half widths, metres.
+        fixed: (N,) users that are selected in any case.
+        within_m: distance from the origin within which overlaps count.
 
     Returns:
-        (N,) who stays.
+        (N,) True for the selected users.
     """
     count, times = places.shape[:2]
     kept = np.ones(count, np.bool_)

@@ -1,4 +1,4 @@
-"""Parked cars: some stand there whenever one comes by, others come and go."""
+"""Parked cars: some are the same in every traversal, others change between traversals."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from mirror.synth.driving.bodies import POPULATION, Kind, body_of
-from mirror.synth.driving.paths import lanes_of
+from mirror.synth.driving.bodies import POPULATION, Kind, get_body
+from mirror.synth.driving.paths import select_lanes
 from mirror.synth.driving.site import Site
-from mirror.synth.road_users.body import Body, Placement, Still
+from mirror.synth.road_users.body import Body, Placement, StaticMotion
 from mirror.synth.street.network import Lane
 
 _PITCH_M: Final = 6.2
@@ -26,26 +26,26 @@ class Parked:
     """A parked car.
 
     Attributes:
-        body: what it looks like.
-        motion: where it stands.
-        leaves: lane, length along it and number of the car, if it may drive off.
+        body: body of the car.
+        motion: its constant placement.
+        leaves: lane, length along the lane and number of the car if it may drive off; None otherwise.
     """
 
     body: Body
-    motion: Still
+    motion: StaticMotion
     leaves: tuple[Lane, float, int] | None
 
 
-def parked(site: Site, seed: int, rng: np.random.Generator) -> Iterator[Parked]:
-    """Parked cars.
+def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterator[Parked]:
+    """Place the parked cars of a traversal.
 
     Args:
         site: the scene.
-        seed: of the scene: who always stands there.
-        rng: decides who stands there this time.
+        seed: seed of the scene: the cars that are always there.
+        rng: random numbers of the traversal: the other cars.
     """
     always = np.random.default_rng([seed, 23])
-    lanes = lanes_of(site.network, "park")
+    lanes = select_lanes(site.network, "park")
     for name in sorted(lanes):
         lane = lanes[name]
         for place in np.arange(0.5 * _PITCH_M, lane.length_m - 0.5 * _PITCH_M + 1e-6, _PITCH_M):
@@ -56,11 +56,11 @@ def parked(site: Site, seed: int, rng: np.random.Generator) -> Iterator[Parked]:
                 if not changes or taken > _TAKEN:
                     continue
             at = place + once * 0.5
-            body = body_of(kind, number)
+            body = get_body(kind, number)
             if body.size_m[0] > _LONGEST_M:
                 continue
             leaves = None if stays or kind != "car" else (lane, at, number)
-            yield Parked(body, Still(_placed(site, lane, at, aside, skew, body)), leaves)
+            yield Parked(body, StaticMotion(_placed(site, lane, at, aside, skew, body)), leaves)
 
 
 def _choice(rng: np.random.Generator) -> tuple[bool, bool]:

@@ -1,4 +1,4 @@
-"""Those who take part in the traffic, and their meetings, as the compiled simulation takes them."""
+"""The participants of the traffic, and the conversion of their ways and meetings to arrays for the simulation."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _WIDTHS: Final[dict[Kind, float]] = {
 
 @dataclass(frozen=True)
 class Manner:
-    """How somebody moves.
+    """The driving style of a participant.
 
     Attributes:
-        eager: share of the pace that a way allows.
+        eager: desired speed as a share of the speed that the way allows.
         fastest_mps: greatest speed.
         pick_up_mps2: greatest acceleration.
-        brake_mps2: usual deceleration.
-        headway_s: kept to the one ahead.
-        phase: of the small changes of speed.
+        brake_mps2: comfortable deceleration.
+        headway_s: time gap to the participant ahead.
+        phase: phase of the small variations of speed.
     """
 
     eager: float
@@ -48,20 +48,20 @@ class Manner:
 
 @dataclass(frozen=True, eq=False)
 class Participant:
-    """One who takes part.
+    """One participant of the traffic.
 
     Attributes:
-        kind: what it is.
-        number: which of that kind it looks like.
-        way: that it follows; many follow the same.
-        chassis: its size.
-        manner: how it moves.
-        aside: how it keeps its lane.
-        enter_s: when it would like to come in, from the first tick.
-        enter_m: length of its front end along the way then.
-        end_m: length at which it leaves; default: the way's end.
-        pause_m: where it stands for a while.
-        pause_s: for how long.
+        kind: kind of road user.
+        number: index of its body in the population of that kind.
+        way: way that it follows; participants may share a way.
+        chassis: dimensions.
+        manner: driving style.
+        aside: lateral position in the lane.
+        enter_s: desired time of entry, seconds after the first tick.
+        enter_m: length of its front end along the way at its entry.
+        end_m: length at which it leaves; default: the end of the way.
+        pause_m: length at which it makes a pause.
+        pause_s: duration of the pause.
     """
 
     kind: Kind
@@ -77,7 +77,7 @@ class Participant:
     pause_s: float = 0.0
 
 
-def simulated(
+def simulate_participants(
     network: Network,
     participants: Sequence[Participant],
     clock_s: float,
@@ -85,24 +85,24 @@ def simulated(
     *,
     first_goes_first: bool = False,
 ) -> list[Schedule | None]:
-    """Move all participants until the first of them has left.
+    """Simulate all participants until the first of them has left.
 
     Args:
-        network: with the signals.
-        participants: the recording vehicle first.
-        clock_s: of the signals, when it begins.
-        longest_s: it ends then at the latest.
-        first_goes_first: all others wait for the first of them wherever ways meet, and it heeds signals alone.
+        network: road network with its signals.
+        participants: the participants; the recording vehicle is the first.
+        clock_s: time of the signal cycle at the first tick.
+        longest_s: longest simulated time.
+        first_goes_first: True: the first participant has right of way everywhere and obeys signals only.
 
     Returns:
-        Their schedules, times from the first tick on; None: somebody never found room to come in.
+        The schedule of each participant, with times from the first tick; None for one that never had room to enter.
     """
     ways: list[Way] = []
     for participant in participants:
         if not any(participant.way is way for way in ways):
             ways.append(participant.way)
     number = {id(way): place for place, way in enumerate(ways)}
-    road_users = _users(participants, number)
+    road_users = _make_road_users(participants, number)
     meetings = _meetings(participants, ways, number)
     if first_goes_first:
         own = np.argmax(meetings.road_users == 0, axis=1)
@@ -121,7 +121,7 @@ def simulated(
             continue
         span = slice(there[0], there[-1] + 1)
         found.append(
-            # A tick's state is the one at its end.
+            # The state of a tick is that at its end.
             Schedule((there[0] + 1) * TICK_S, TICK_S, lengths[span, place].copy(), speeds[span, place].copy())
         )
     return found
@@ -140,7 +140,7 @@ def _ways(ways: Sequence[Way]) -> Ways:
     )
 
 
-def _users(participants: Sequence[Participant], number: dict[int, int]) -> Users:
+def _make_road_users(participants: Sequence[Participant], number: dict[int, int]) -> Users:
     rows = [
         (
             one.chassis.length_m,
@@ -163,7 +163,7 @@ def _users(participants: Sequence[Participant], number: dict[int, int]) -> Users
 
 
 def _meetings(participants: Sequence[Participant], ways: Sequence[Way], number: dict[int, int]) -> Meetings:
-    """All meetings of two participants; the zones of two ways are found once."""
+    """All meetings of two participants; the zones of each pair of ways are computed once."""
     known: dict[tuple[int, int, float], list[int]] = {}
     found: list[Zone] = []
     pairs: list[tuple[int, int]] = []
@@ -174,12 +174,12 @@ def _meetings(participants: Sequence[Participant], ways: Sequence[Way], number: 
         for j in range(i):
             other = participants[j]
             if one.kind == "pedestrian" and other.kind == "pedestrian":
-                # People step out of each other's way, but those in one file.
+                # Pedestrians avoid each other unless they walk in one file.
                 if one.way is not other.way or one.aside.right_m != other.aside.right_m:
                     continue
             elif not (crosses[i] and crosses[j]):
                 continue
-            # Few widths, so that the zones of two ways are found but a few times.
+            # Few different widths keep the number of zone computations small.
             room = 0.5 * (_WIDTHS[one.kind] + _WIDTHS[other.kind]) + _ROOM_M
             p, q = (i, j) if place[i] <= place[j] else (j, i)
             key = (place[p], place[q], room)

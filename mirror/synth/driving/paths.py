@@ -1,4 +1,4 @@
-"""Paths through the network: lanes that follow each other, from where one comes in to where one leaves."""
+"""Paths through the network: sequences of lanes from an entry to an exit."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ _LONGEST: Final = 40
 
 @dataclass(frozen=True)
 class Path:
-    """Lanes, each of which follows the one before.
+    """A sequence of connected lanes.
 
     Attributes:
-        lanes: in order.
+        lanes: the lanes, in order.
     """
 
     lanes: tuple[Lane, ...]
 
     @property
     def lane_ids(self) -> tuple[str, ...]:
-        """Their ids."""
+        """The ids of the lanes."""
         return tuple(lane.lane_id for lane in self.lanes)
 
     @property
     def line(self) -> Float64:
-        """(N, 2) points of all lanes."""
+        """(N, 2) points of all lanes, metres."""
         return np.vstack([lane.line[:, :2] for lane in self.lanes])
 
     @property
     def turns(self) -> tuple[float, ...]:
-        """Angles of the turns at crossings, left positive, radians."""
+        """Angles of the turns at crossings, positive to the left, radians."""
         found = [turn_rad(lane) for lane in self.lanes if lane.use == "turn"]
         return tuple(angle for angle in found if abs(angle) > TURN_RAD)
 
     def inside_m(self, radius_m: float) -> float:
-        """Length within a circle round the origin."""
+        """Return the length within a circle around the origin."""
         line = self.line
         step = np.hypot(*np.diff(line, axis=0).T)
         middle = 0.5 * (line[1:] + line[:-1])
@@ -51,7 +51,7 @@ class Path:
 
     @property
     def closest_m(self) -> float:
-        """Least distance from the origin."""
+        """Smallest distance from the origin."""
         return float(np.hypot(*self.line.T).min())
 
     @property
@@ -63,26 +63,26 @@ class Path:
 
 
 def turn_rad(lane: Lane) -> float:
-    """By how much a lane turns, left positive."""
+    """Return the change of direction along a lane, positive to the left, radians."""
     step = np.diff(lane.line[:, :2], axis=0)
     step = step[np.hypot(*step.T) > 1e-6]
     heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     return float(heading[-1] - heading[0])
 
 
-def lanes_of(network: Network, *uses: Use) -> dict[str, Lane]:
-    """The lanes of some uses, by id."""
+def select_lanes(network: Network, *uses: Use) -> dict[str, Lane]:
+    """Return the lanes with given uses, by id."""
     return {lane_id: lane for lane_id, lane in network.lanes.items() if lane.use in uses}
 
 
 def sources(lanes: dict[str, Lane]) -> list[Lane]:
-    """Lanes along streets that nothing leads to, in the order of their ids: where one comes in."""
+    """Return the entry lanes of the network, ordered by id: street lanes without a predecessor."""
     reached = {name for lane in lanes.values() for name in lane.successors}
     return [lanes[name] for name in sorted(lanes) if name not in reached and lanes[name].use not in ("turn", "cross")]
 
 
-def paths_from(lanes: dict[str, Lane], start: Lane) -> Iterator[Path]:
-    """All paths from a lane on to the network's ends; no lane comes twice."""
+def iterate_paths(lanes: dict[str, Lane], start: Lane) -> Iterator[Path]:
+    """Iterate over all paths from a lane to the exits of the network; no path uses a lane twice."""
 
     def onward(so_far: tuple[Lane, ...]) -> Iterator[Path]:
         following = [
@@ -96,17 +96,17 @@ def paths_from(lanes: dict[str, Lane], start: Lane) -> Iterator[Path]:
     return onward((start,))
 
 
-def wandering(
+def draw_path(
     lanes: dict[str, Lane], start: Lane, rng: np.random.Generator, straight: float, least_bend_m: float = 0.0
 ) -> Path:
-    """A path that somebody takes by chance.
+    """Draw a random path.
 
     Args:
-        lanes: that may be used.
-        start: the first.
-        rng: decides.
-        straight: how much likelier than a turn it is to go straight on.
-        least_bend_m: tighter turns are not taken while there is another way.
+        lanes: lanes that may be used.
+        start: the first lane.
+        rng: random numbers.
+        straight: weight of going straight on, relative to a turn.
+        least_bend_m: smallest turning radius; tighter turns are used only if there is no other lane.
     """
     path = [start]
     while len(path) < _LONGEST:
@@ -125,7 +125,7 @@ def wandering(
 
 
 def beside_m(lane: Lane, point: Sequence[float] | Float64) -> float:
-    """The length along a lane at which it passes a point most closely."""
+    """Return the length along a lane at which it is closest to a point."""
     return float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - np.asarray(point)[:2]) ** 2, axis=1))])
 
 

@@ -1,4 +1,4 @@
-"""The routes that vehicles are driven along: through the scene, and those that meet each branch of the trigger."""
+"""The routes of the recording vehicle: routes through the scene, and one for each branch of the ROI trigger."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.synth.driving.paths import Path, beside_m, lanes_of, paths_from, sources, turn_rad
-from mirror.synth.driving.trace import trailing
-from mirror.synth.driving.turning import leaving_at, turned_round
-from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, changed, lane_piece
+from mirror.synth.driving.paths import Path, beside_m, iterate_paths, select_lanes, sources, turn_rad
+from mirror.synth.driving.trace import trail_rear_axle
+from mirror.synth.driving.turning import build_turn_around, point_and_direction_at
+from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, change_lane_pieces, lane_piece
 from mirror.synth.street.network import Network
 
 LEAD_M: Final = 24.0
@@ -33,16 +33,16 @@ _QUIET_MPS: Final = 9.0
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """What the recording vehicle is to drive.
+    """A route of the recording vehicle.
 
     Attributes:
-        way: that it follows.
-        begin_m: length along it at which the drive begins.
-        end_m: length at which it ends.
-        comes_from_m: length from which it drives, before the drive begins.
-        fastest_mps: it goes no faster.
-        stands_s: so long it stands where it begins.
-        first: it heeds signals alone, so that its times are kept.
+        way: way that it follows.
+        begin_m: length along the way at which the drive begins.
+        end_m: length at which the drive ends.
+        comes_from_m: length at which the vehicle starts, before the drive begins.
+        fastest_mps: speed limit of the vehicle.
+        stands_s: time for which it stands at the beginning.
+        first: True: the vehicle has right of way everywhere and obeys signals only, so that it keeps its times.
     """
 
     way: Way
@@ -55,26 +55,26 @@ class Route:
 
 
 class Streets:
-    """The paths of a network, sorted by what they are good for.
+    """The paths of a network, by their use for routes.
 
     Args:
-        network: of the scene.
-        radius_m: of its ROI, which lies round the origin.
-        wheelbase_m: of the vehicle.
+        network: network of the scene.
+        radius_m: radius of the ROI, which is centred at the origin.
+        wheelbase_m: wheelbase of the vehicle.
     """
 
     def __init__(self, network: Network, radius_m: float, wheelbase_m: float) -> None:
         self.network = network
         self.radius_m = radius_m
         self.wheelbase_m = wheelbase_m
-        lanes = lanes_of(network, "drive", "turn")
-        every = [path for start in sources(lanes) for path in paths_from(lanes, start)]
+        lanes = select_lanes(network, "drive", "turn")
+        every = [path for start in sources(lanes) for path in iterate_paths(lanes, start)]
         ends = [(np.hypot(*path.line[0]), np.hypot(*path.line[-1])) for path in every]
         self.paths = [path for path, near in zip(every, ends) if min(near) > radius_m]
         through = [path for path in self.paths if not path.turns and path.inside_m(radius_m) > radius_m]
         if not through:
             raise UsageError("no street leads through the scene", expected="lanes from one side of it to the other")
-        # Lanes of one carriageway are about as long: the rightmost is the one to keep to.
+        # Lanes of one carriageway have about the same length; the rightmost is the default.
         main = min(through, key=lambda path: (-round(self._worth(path) / 40.0), path.lane_ids))
         first, last = main.line[0], main.line[-1]
         self.along = self._from_right([path for path in through if _joins(path, first, last)])
@@ -84,11 +84,11 @@ class Streets:
         return path.inside_m(self.radius_m) - 3.0 * path.closest_m
 
     def _from_right(self, paths: Sequence[Path]) -> list[Path]:
-        """Paths beside each other, the rightmost first."""
+        """Order parallel paths from right to left."""
         return sorted(paths, key=lambda path: (float(_cross(path.chord, path.line[0])), path.lane_ids))
 
     def across(self) -> list[Path]:
-        """Straight paths that cross the main street, the longest within the ROI first."""
+        """Return straight paths that cross the main street, those with the longest part in the ROI first."""
         chord = self.along[0].chord
         found = [
             path
@@ -98,7 +98,7 @@ class Streets:
         return sorted(found, key=lambda path: (-round(path.inside_m(self.radius_m)), path.lane_ids))
 
     def turning(self, sign: float) -> list[Path]:
-        """Paths from the main street that turn once, to the left (1) or the right (-1), deep in the ROI first."""
+        """Return paths that turn off the main street once, left (1) or right (-1), those deepest in the ROI first."""
         starts = {path.lane_ids[0] for path in self.along}
         found = [
             path
@@ -116,7 +116,7 @@ class Streets:
         return round(float(np.hypot(*lane.line[0, :2])))
 
     def edge(self) -> list[Path]:
-        """Straight paths that only touch the ROI."""
+        """Return straight paths that only touch the ROI."""
         found = [
             path
             for path in self.paths
@@ -125,7 +125,7 @@ class Streets:
         return sorted(found, key=lambda path: (path.inside_m(self.radius_m), path.lane_ids))
 
     def skimming(self) -> list[Path]:
-        """Paths that turn away at the ROI's edge, having been inside for a few metres."""
+        """Return paths that enter the ROI for a few metres and turn away at its edge."""
         found = [
             path
             for path in self.paths
@@ -136,10 +136,10 @@ class Streets:
         return sorted(found, key=lambda path: (-path.inside_m(self.radius_m), path.lane_ids))
 
     def out_and_home(self, at_m: float) -> tuple[Path, Path]:
-        """A path out of the ROI and one back beside it, with no crossing where one would turn round."""
+        """Return a path out of the ROI and a parallel one back, without a crossing at the place of the turn."""
         for out, home in ((self.along, self.back), (self.back, self.along)):
             if out and home:
-                place, _ = leaving_at(out[0], at_m)
+                place, _ = point_and_direction_at(out[0], at_m)
                 lane = min(out[0].lanes, key=lambda lane: float(np.hypot(*(lane.line[:, :2] - place).T).min()))
                 at = beside_m(lane, place)
                 if lane.use == "drive" and at > _CLEAR_M and (lane.length_m - at > _CLEAR_M or not lane.successors):
@@ -151,7 +151,7 @@ class Streets:
         )
 
     def slip(self, leaving: bool) -> list[Path]:
-        """Paths off the main carriageway, or onto it, without a turn."""
+        """Return paths that leave the main carriageway, or join it, by a slip road."""
         main = [*self.along, *self.back]
         own, other = (0, -1) if leaving else (-1, 0)
         own_ids, other_ids = {path.lane_ids[own] for path in main}, {path.lane_ids[other] for path in main}
@@ -164,7 +164,7 @@ class Streets:
 
 
 def _joins(path: Path, begin: Float64, end: Float64) -> bool:
-    """Whether a path leads from near one place to near another."""
+    """Whether a path leads from near one point to near another."""
     return bool(np.hypot(*(path.line[0] - begin)) < _BESIDE_M and np.hypot(*(path.line[-1] - end)) < _BESIDE_M)
 
 
@@ -172,7 +172,7 @@ def _cross(a: Float64, b: Float64) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
-def _picked(paths: Sequence[Path], variant: int, route: str) -> Path:
+def _pick(paths: Sequence[Path], variant: int, route: str) -> Path:
     if not paths:
         raise UsageError(
             f"no route {route!r} in this scene",
@@ -182,8 +182,8 @@ def _picked(paths: Sequence[Path], variant: int, route: str) -> Path:
     return paths[variant % len(paths)]
 
 
-def _whole(path: Path, streets: Streets, speed_mps: float | None = None) -> Route:
-    """From before the ROI to behind it."""
+def _make_through_route(path: Path, streets: Streets, speed_mps: float | None = None) -> Route:
+    """A route along a whole path, from before the ROI to after it."""
     pieces = [lane_piece(lane) for lane in path.lanes]
     if speed_mps is not None:
         pieces = [replace(piece, speed_mps=speed_mps) for piece in pieces]
@@ -197,52 +197,52 @@ def _through(way: Way, streets: Streets) -> Route:
 
 def _along(streets: Streets, variant: int) -> Route:
     """The whole main street."""
-    return _whole(_picked(streets.along, variant, "along"), streets)
+    return _make_through_route(_pick(streets.along, variant, "along"), streets)
 
 
 def _back(streets: Streets, variant: int) -> Route:
     """The whole main street, in the other direction."""
-    return _whole(_picked(streets.back, variant, "back"), streets)
+    return _make_through_route(_pick(streets.back, variant, "back"), streets)
 
 
 def _turn(streets: Streets, variant: int) -> Route:
-    """In on the main street, right at a crossing."""
-    return _whole(_picked(streets.turning(-1.0), variant, "turn"), streets)
+    """Along the main street, then right at a crossing."""
+    return _make_through_route(_pick(streets.turning(-1.0), variant, "turn"), streets)
 
 
 def _left(streets: Streets, variant: int) -> Route:
-    """In on the main street, left at a crossing."""
-    return _whole(_picked(streets.turning(1.0), variant, "left"), streets)
+    """Along the main street, then left at a crossing."""
+    return _make_through_route(_pick(streets.turning(1.0), variant, "left"), streets)
 
 
 def _across(streets: Streets, variant: int) -> Route:
     """Straight across the main street."""
-    return _whole(_picked(streets.across(), variant, "across"), streets)
+    return _make_through_route(_pick(streets.across(), variant, "across"), streets)
 
 
 def _other(streets: Streets, variant: int) -> Route:
-    """The main street on another lane than the rightmost."""
-    return _whole(_picked(streets.along[1:], variant, "other"), streets)
+    """The main street, not on the rightmost lane."""
+    return _make_through_route(_pick(streets.along[1:], variant, "other"), streets)
 
 
 def _change(streets: Streets, variant: int) -> Route:
-    """The main street, with a change to the lane on the left and, later, back."""
-    path = _picked([path for path in streets.along if path.lanes[0].left], variant, "change")
+    """The main street, with a change to the left lane and back."""
+    path = _pick([path for path in streets.along if path.lanes[0].left], variant, "change")
     lanes = streets.network.lanes
     usable = [n for n, lane in enumerate(path.lanes) if lane.left and lane.length_m > 2.0 * _CHANGE_M]
     if not usable:
-        _picked([], 0, "change")
+        _pick([], 0, "change")
     out, home = usable[0], usable[-1]
     pieces: list[Piece] = []
     for number, lane in enumerate(path.lanes):
         left = None if lane.left is None else lanes[lane.left]
         begin_m = 0.3 * lane.length_m
         if number == out and left is not None:
-            pieces += changed(lane, left, begin_m, _CHANGE_M)
+            pieces += change_lane_pieces(lane, left, begin_m, _CHANGE_M)
         elif out < number < home and left is not None:
             pieces.append(lane_piece(left))
         elif number == home and left is not None:
-            pieces += changed(left, lane, begin_m, _CHANGE_M)
+            pieces += change_lane_pieces(left, lane, begin_m, _CHANGE_M)
         else:
             pieces.append(lane_piece(lane))
     return _through(build_way(pieces), streets)
@@ -250,19 +250,19 @@ def _change(streets: Streets, variant: int) -> Route:
 
 def _leave(streets: Streets, variant: int) -> Route:
     """Off the main carriageway by a slip road."""
-    return _whole(_picked(streets.slip(leaving=True), variant, "leave"), streets)
+    return _make_through_route(_pick(streets.slip(leaving=True), variant, "leave"), streets)
 
 
 def _join(streets: Streets, variant: int) -> Route:
     """Onto the main carriageway by a slip road."""
-    return _whole(_picked(streets.slip(leaving=False), variant, "join"), streets)
+    return _make_through_route(_pick(streets.slip(leaving=False), variant, "join"), streets)
 
 
 def _edge(streets: Streets, variant: int) -> Route:
     """The street at the edge of the ROI: inside for 8 s."""
-    path = _picked(streets.edge(), variant, "edge")
+    path = _pick(streets.edge(), variant, "edge")
     speed = path.inside_m(streets.radius_m) / _PASS_S
-    route = _whole(path, streets, speed)
+    route = _make_through_route(path, streets, speed)
     lead = 3.0 * speed + LEAD_M
     return replace(
         route, begin_m=max(route.begin_m + LEAD_M - lead, 0.0),
@@ -271,26 +271,26 @@ def _edge(streets: Streets, variant: int) -> Route:
 
 
 def _corner(streets: Streets, variant: int) -> Route:
-    """Skims the ROI: along the street at its edge, then away from it."""
-    return replace(_whole(_picked(streets.skimming(), variant, "corner"), streets), first=True)
+    """Touches the ROI: along the street at its edge, then away from it."""
+    return replace(_make_through_route(_pick(streets.skimming(), variant, "corner"), streets), first=True)
 
 
 def _still(streets: Streets, variant: int) -> Route:
-    """Stands in the ROI, and then moves up by 14 m."""
-    path = _picked(streets.along, variant, "still")
+    """Stands in the ROI, then drives 14 m."""
+    path = _pick(streets.along, variant, "still")
     way = build_way([lane_piece(lane) for lane in path.lanes])
     free = [halt.at_m for halt in way.halts]
     middle = way.nearest_m(np.zeros(2))
-    # Clear of stop lines, where it would have to wait once more.
+    # The place is away from stop lines, where the vehicle would have to wait again.
     places = [middle + sign * 5.0 * k for k in range(30) for sign in (-1.0, 1.0)]
     begin = next(place for place in places if all(not place - 6.0 < at < place + 40.0 for at in free))
     return Route(way, begin, begin + 14.0, begin, fastest_mps=2.0, stands_s=35.0, first=True)
 
 
 def _twice(streets: Streets, variant: int) -> Route:
-    """Out of the ROI, round, and in again."""
+    """Leaves the ROI, turns around and enters it again."""
     out, home = streets.out_and_home(streets.radius_m + 34.0)
-    way, swing = turned_round(out, home, streets.radius_m + 34.0)
+    way, swing = build_turn_around(out, home, streets.radius_m + 34.0)
     inside = np.hypot(*way.points.T) < streets.radius_m
     middle = int(swing / STEP_M)
     leaves = STEP_M * float(np.flatnonzero(inside[:middle])[-1])
@@ -300,14 +300,14 @@ def _twice(streets: Streets, variant: int) -> Route:
 
 
 def _uturn(streets: Streets, variant: int) -> Route:
-    """Turns round on the edge of the ROI: less than 3 s outside between two short visits."""
+    """Turns around at the edge of the ROI: less than 3 s outside between two short visits."""
     out, home = streets.out_and_home(streets.radius_m)
     low, high = streets.radius_m - 16.0, streets.radius_m + 8.0
-    # The further out it turns, the longer it is outside.
+    # The time outside grows with the distance of the turn.
     for _ in range(16):
         apex = 0.5 * (low + high)
-        way, swing = turned_round(out, home, apex)
-        outside = np.hypot(*trailing(way.points, streets.wheelbase_m).T) > streets.radius_m
+        way, swing = build_turn_around(out, home, apex)
+        outside = np.hypot(*trail_rear_axle(way.points, streets.wheelbase_m).T) > streets.radius_m
         near = np.abs(np.arange(len(way.points)) * STEP_M - swing) < _UTURN_M
         seconds = float((STEP_M / np.minimum(way.pace_mps, _SLOW_MPS))[outside & near].sum())
         low, high = (apex, high) if seconds < _OUTSIDE_S else (low, apex)
@@ -333,18 +333,18 @@ ROUTES: Final[dict[str, Callable[[Streets, int], Route]]] = {
 }
 
 
-def route_of(name: str, network: Network, radius_m: float, variant: int = 0, wheelbase_m: float = 2.8) -> Route:
-    """A named route.
+def make_route(name: str, network: Network, radius_m: float, variant: int = 0, wheelbase_m: float = 2.8) -> Route:
+    """Make a route by its name.
 
     Args:
         name: one of `ROUTES`.
-        network: of the scene.
-        radius_m: of its ROI, which lies round the origin.
-        variant: where there are several such (lanes beside each other, crossings to turn at): the one.
-        wheelbase_m: of the vehicle, whose rear axle it is that enters and leaves the ROI.
+        network: network of the scene.
+        radius_m: radius of the ROI, which is centred at the origin.
+        variant: index among the routes of that name (parallel lanes, several crossings).
+        wheelbase_m: wheelbase of the vehicle; its rear axle decides when it enters and leaves the ROI.
 
     Raises:
-        UsageError: there is no such name, or the network has no such route.
+        UsageError: the name does not exist, or the network has no such route.
     """
     if name not in ROUTES:
         raise UsageError(f"no route {name!r}", expected=f"one of {', '.join(ROUTES)}")
@@ -352,7 +352,7 @@ def route_of(name: str, network: Network, radius_m: float, variant: int = 0, whe
 
 
 def routes_in(network: Network, radius_m: float) -> tuple[str, ...]:
-    """The names of the routes that a network has."""
+    """Return the names of the routes that exist in a network."""
     streets = Streets(network, radius_m, 2.8)
     found = []
     for name, make in ROUTES.items():

@@ -1,4 +1,4 @@
-"""What traffic lights show."""
+"""The states of traffic lights."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mirror.synth.street.network import Network
 
 
 class Signal(IntEnum):
-    """What a signal group shows."""
+    """State of a signal group."""
 
     GREEN = 0
     AMBER = 1
@@ -22,14 +22,14 @@ class Signal(IntEnum):
 
 
 def signal_state(network: Network, clock_s: npt.ArrayLike) -> Int64:
-    """What the signals show.
+    """Return the states of the signals.
 
     Args:
-        network: of the scene.
-        clock_s: (...,) times of the signals' clock: a drive's ``clock_s`` plus the time since its start.
+        network: network of the scene.
+        clock_s: (...,) times of the signal cycle: a drive's ``clock_s`` plus the time since its start.
 
     Returns:
-        (..., groups) of `Signal`; without groups where the scene has no signals.
+        (..., groups) values of `Signal`; 0 groups for a scene without signals.
     """
     clocks = np.asarray(clock_s, np.float64)
     green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Traffic, simulated ahead of time: all follow, wait for signals and for each other, and nobody is run into."""
+"""The traffic simulation: all road users follow their ways, obey signals, yield to each other, and do not collide."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64
-from mirror.synth.driving.following import Users, Ways, free, halt, inner, pace
-from mirror.synth.driving.yielding import FAR, Meetings, State, limit, meet
+from mirror.synth.driving.following import Users, Ways, free_acceleration, inner_njit, pace_at, stopping_acceleration
+from mirror.synth.driving.yielding import FAR, Meetings, State, limit_position, yield_at_meeting
 
 TICK_S: Final = 0.1
 AMBER_S: Final = 3.0
 
 _WAITING, _THERE, _GONE = 0, 1, 2
-# People set off on foot only while enough of their green is left.
+# Pedestrians start to cross only if at least this much of the green is left.
 _LAST_CALL_S: Final = 4.0
 _SIFT: Final = 10
 
 
 @njit(cache=True, nogil=True)
 def signal(green_s: Float64, cycle_s: float, group: int, clock_s: float) -> int:
-    """0 green, 1 amber, 2 red, 3 red and amber."""
+    """State of a signal group: 0 green, 1 amber, 2 red, 3 red and amber."""
     since = (clock_s - green_s[group, 0]) % cycle_s
     green = green_s[group, 1] - green_s[group, 0]
     if since < green:
@@ -44,21 +44,21 @@ def simulate(
     ticks: int,
     heedless: bool,
 ) -> tuple[Float64, Float64]:
-    """Let all users move.
+    """Simulate all road users.
 
     Args:
-        ways: that they follow.
+        ways: ways of the road users.
         road_users: the road users.
-        meetings: where they are in each other's way.
-        now: what they do: zeros to begin with.
-        green_s: (groups, 2) of the network.
-        cycle_s: of the signals.
-        clock_s: of the signals, at the first tick.
-        ticks: how many ticks of `TICK_S` at most; it ends earlier when the first user has left.
-        heedless: the first user does not heed the others.
+        meetings: pairs of road users with conflicting ways.
+        now: state of the road users, initially 0; modified.
+        green_s: (groups, 2) start and end of green in the cycle, of the network.
+        cycle_s: length of the signal cycle.
+        clock_s: time of the signal cycle at the first tick.
+        ticks: largest number of ticks of `TICK_S`; the simulation ends when the first user has left.
+        heedless: whether the first user ignores the others.
 
     Returns:
-        Lengths (T, N) and speeds (T, N), NaN while a user is not there.
+        Lengths (T, N) along the ways and speeds (T, N); NaN while a user is absent.
     """
     count = len(road_users.way)
     lengths = np.full((ticks, count), np.nan)
@@ -66,7 +66,7 @@ def simulate(
     there = np.full(count, _WAITING)
     ahead = np.full(len(meetings.major), -1, np.int64)
     live, lives = np.empty(len(ahead), np.int64), 0
-    changed = True
+    change_lane_pieces = True
     done = ticks
     for tick in range(ticks):
         clock = clock_s + tick * TICK_S
@@ -76,18 +76,18 @@ def simulate(
                 if speed >= 0.0:
                     there[u], now.s[u], now.v[u] = _THERE, road_users.enter_m[u], speed
                     now.stop_before[u] = now.shut_before[u] = FAR
-                    changed = True
+                    change_lane_pieces = True
             if there[u] == _THERE:
-                now.wish[u] = free(u, ways, road_users, now.s[u], now.v[u])
+                now.wish[u] = free_acceleration(u, ways, road_users, now.s[u], now.v[u])
                 now.stop[u], now.shut[u], now.lead[u], now.lead_speed[u] = FAR, FAR, FAR, 0.0
-        if changed or tick % _SIFT == 0:
+        if change_lane_pieces or tick % _SIFT == 0:
             lives = _alive(road_users, meetings, there, now.s, live)
-            changed = False
+            change_lane_pieces = False
         for e in live[:lives]:
             if there[meetings.road_users[e, 0]] == _THERE and there[meetings.road_users[e, 1]] == _THERE:
-                meet(e, road_users, meetings, ahead, now)
+                yield_at_meeting(e, road_users, meetings, ahead, now)
         if heedless and there[0] == _THERE:
-            now.wish[0], now.stop[0], now.lead[0] = free(0, ways, road_users, now.s[0], now.v[0]), FAR, FAR
+            now.wish[0], now.stop[0], now.lead[0] = free_acceleration(0, ways, road_users, now.s[0], now.v[0]), FAR, FAR
         for u in range(count):
             if there[u] == _THERE:
                 _wait(u, ways, road_users, now, green_s, cycle_s, clock)
@@ -101,9 +101,9 @@ def simulate(
     return lengths[:done], speeds[:done]
 
 
-@inner
+@inner_njit
 def _alive(road_users: Users, meetings: Meetings, there: Int64, s: Float64, live: Int64) -> int:
-    """Put the meetings that both have still to get through into ``live``; returns how many they are."""
+    """Write the meetings that are not over yet to ``live``; returns their number."""
     count = 0
     for e in range(len(meetings.major)):
         p, q = meetings.road_users[e, 0], meetings.road_users[e, 1]
@@ -116,13 +116,13 @@ def _alive(road_users: Users, meetings: Meetings, there: Int64, s: Float64, live
     return count
 
 
-@inner
+@inner_njit
 def _entry_speed(
     u: int, ways: Ways, road_users: Users, meetings: Meetings, there: Int64, now: State, heedless: bool
 ) -> float:
-    """The speed at which a user can come in, or -1 while there is no room."""
+    """Speed at which a user can enter; -1 while there is no room."""
     at = road_users.enter_m[u]
-    speed = min(pace(ways, road_users.way[u], at) * road_users.eager[u], road_users.fastest_mps[u])
+    speed = min(pace_at(ways, road_users.way[u], at) * road_users.eager[u], road_users.fastest_mps[u])
     if road_users.pause_s[u] > 0.0 and road_users.pause_m[u] <= at:
         speed = 0.0
     if heedless:
@@ -137,20 +137,20 @@ def _entry_speed(
                 continue
             if now.s[other] < meetings.begin_m[e, 1 - k]:
                 continue
-            gap = limit(e, k, road_users, meetings, now.s) - at
+            gap = limit_position(e, k, road_users, meetings, now.s) - at
             if gap < 3.0:
                 return -1.0
             speed = min(speed, now.v[other] + 0.35 * (gap - 3.0))
     return speed
 
 
-@inner
+@inner_njit
 def _wait(u: int, ways: Ways, road_users: Users, now: State, green_s: Float64, cycle_s: float, clock: float) -> None:
-    """What signals, crossings that are full, and own pauses ask of a user."""
+    """Apply signals, occupied crossings and pauses to a user."""
     if road_users.pause_s[u] > now.paused[u]:
         gap = road_users.pause_m[u] - now.s[u]
         if gap < 80.0:
-            now.wish[u] = min(now.wish[u], halt(u, road_users, now.v[u], gap))
+            now.wish[u] = min(now.wish[u], stopping_acceleration(u, road_users, now.v[u], gap))
             now.shut[u] = min(now.shut[u], road_users.pause_m[u])
         if now.v[u] < 0.05 and gap < 1.5:
             now.paused[u] += TICK_S
@@ -172,13 +172,13 @@ def _wait(u: int, ways: Ways, road_users: Users, now: State, green_s: Float64, c
         if not closed and full and now.lead[u] > ways.halt_m[h] and not ways.halt_on_foot[h]:
             closed = now.v[u] * now.v[u] < 2.0 * 3.0 * max(gap, 0.1)
         if closed:
-            now.wish[u] = min(now.wish[u], halt(u, road_users, now.v[u], gap))
+            now.wish[u] = min(now.wish[u], stopping_acceleration(u, road_users, now.v[u], gap))
             now.shut[u] = min(now.shut[u], ways.halt_m[h])
 
 
-@inner
+@inner_njit
 def _move(u: int, now: State) -> None:
-    """One tick: the acceleration changes gradually, the speed never turns round."""
+    """Advance a user by one tick; the acceleration changes gradually, and the speed is never negative."""
     a_new = min(max(now.wish[u], now.a[u] - 12.0 * TICK_S), now.a[u] + 4.0 * TICK_S)
     v_new = now.v[u] + 0.5 * (now.a[u] + a_new) * TICK_S
     if v_new <= 0.0:

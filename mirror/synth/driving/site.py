@@ -1,4 +1,4 @@
-"""What driving and traffic need to know of a scene."""
+"""The description of a scene for the traffic simulation."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mirror.synth.street.network import Network
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A scene as traffic sees it.
+    """A scene of the traffic simulation.
 
     Attributes:
-        network: the lanes.
-        radius_m: of the ROI, which lies round the origin.
-        height_m: the ground.
-        bus_stops: (S, 2) where buses stop.
+        network: network of lanes.
+        radius_m: radius of the ROI, which is centred at the origin.
+        height_m: heights of the ground.
+        bus_stops: (S, 2) positions of bus stops, metres.
     """
 
     network: Network
@@ -29,14 +29,14 @@ class Site:
 
 
 @dataclass(frozen=True)
-class Bustle:
-    """How much is going on.
+class TrafficDensity:
+    """The density of the traffic.
 
     Attributes:
-        vehicles: share of the traffic of a busy day.
-        people: share of the people on foot and on bicycles.
-        umbrellas: whether it rains on them.
-        warm: whether they are dressed for summer.
+        vehicles: density of vehicles, as a share of that of a busy day.
+        people: density of pedestrians and cyclists, as a share of that of a busy day.
+        umbrellas: whether pedestrians use umbrellas.
+        warm: whether people wear summer clothes.
     """
 
     vehicles: float = 1.0

@@ -1,4 +1,4 @@
-"""Where a vehicle is when it has come so far along its way, and how far it has come at a time: smooth, and exact."""
+"""Smooth motions: the placement of a vehicle by length along its way, and the length by time."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from mirror.synth.driving.ways import STEP_M, Way
 from mirror.synth.road_users.body import Placement
 
 HeightField = Callable[[Float64, Float64], Float64]
-"""Height of the ground at x and y, metres: arrays in, array out."""
+"""Function from arrays of x and y to the heights of the ground, metres."""
 
-# Controls beyond the ends of the way, so that the longest vehicle stands on them.
+# Control points beyond the ends of the way, enough for the longest vehicle.
 _PAD: Final = 44
-# Pulled in small steps, or the rear axle would cut bends.
+# Substeps of the trailing rear axle; with fewer steps it would cut bends.
 _PULLS: Final = 10
 
 
 @dataclass(frozen=True)
 class Chassis:
-    """What of a vehicle decides how it follows a line: the front axle on it, the rear axle trailing.
+    """The dimensions that decide how a vehicle follows a line with its front axle while the rear axle trails.
 
     Attributes:
-        length_m: of the body.
-        width_m: of the body.
-        wheelbase_m: between the axles; of people on foot some decimetres.
-        rear_overhang_m: from the rear axle to the rear end.
-        origin_m: how far ahead of the rear axle the origin of its frame lies.
+        length_m: length of the body.
+        width_m: width of the body.
+        wheelbase_m: distance between the axles; some decimetres for pedestrians.
+        rear_overhang_m: distance from the rear axle to the rear end.
+        origin_m: distance from the rear axle forward to the origin of the body frame.
     """
 
     length_m: float
@@ -43,24 +43,24 @@ class Chassis:
 
     @classmethod
     def of_box(cls, length_m: float, width_m: float) -> Chassis:
-        """Of a body that is known by its box, with the origin in its middle."""
+        """Return the chassis of a body that is given by its box, with the origin in its middle."""
         wheelbase, overhang = 0.6 * length_m, 0.2 * length_m
         return cls(length_m, width_m, wheelbase, overhang, 0.5 * length_m - overhang)
 
     @property
     def front_overhang_m(self) -> float:
-        """From the front axle to the front end."""
+        """Distance from the front axle to the front end."""
         return self.length_m - self.rear_overhang_m - self.wheelbase_m
 
 
 @dataclass(frozen=True)
 class Aside:
-    """How a driver keeps his lane.
+    """The lateral position in a lane.
 
     Attributes:
-        right_m: right of its middle, on average.
-        wander_m: amplitude of the slow wandering about that.
-        phase: of the wandering.
+        right_m: mean offset to the right of the middle.
+        wander_m: amplitude of the slow variation around the mean.
+        phase: phase of the variation.
     """
 
     right_m: float = 0.0
@@ -68,7 +68,7 @@ class Aside:
     phase: float = 0.0
 
     def at(self, along_m: Float64) -> Float64:
-        """Metres right of the middle at lengths (N,)."""
+        """Return the offsets (N,) to the right of the middle at lengths (N,), metres."""
         slow = np.sin(along_m / 31.0 + self.phase) + 0.5 * np.sin(along_m / 13.0 + 2.3 * self.phase)
         return self.right_m + self.wander_m * slow
 
@@ -77,18 +77,18 @@ class Aside:
 class Trace:
     """The placements of a vehicle along its way: uniform cubic B-splines, twice continuously differentiable.
 
-    The length along the way is that of the vehicle's front end. Beyond the ends of the way it goes straight on.
+    The length along the way refers to the vehicle's front end. The trace continues straight beyond the ends of the way.
 
     Attributes:
-        controls: (N, 6) x, y, z, yaw, pitch, roll every `STEP_M`, the first at ``begin_m``.
-        begin_m: length of the first control.
+        controls: (N, 6) x, y, z, yaw, pitch, roll of the control points every `STEP_M`, the first at ``begin_m``.
+        begin_m: length of the first control point.
     """
 
     controls: Float64
     begin_m: float
 
     def at(self, along_m: Float64) -> tuple[Float64, Float64]:
-        """Placements (N, 6), and forward metres of the origin per metre along the way (N,), at lengths (N,)."""
+        """Return placements (N, 6) at lengths (N,), and the forward motion of the origin per metre of length (N,)."""
         low, high = self.begin_m + STEP_M, self.begin_m + STEP_M * (len(self.controls) - 3)
         inside = np.clip(along_m, low, high)
         place = (inside - self.begin_m) / STEP_M
@@ -104,13 +104,13 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """How far along its way something has come at any time: a cubic between knots, speed and place without jumps.
+    """The length along a way as a function of time: cubic between knots, with continuous speed.
 
     Attributes:
         begin_s: time of the first knot.
-        step_s: between knots.
-        along_m: (N,) at the knots.
-        speed_mps: (N,) at the knots; before the first and after the last it stays as it is there.
+        step_s: time between knots.
+        along_m: (N,) lengths at the knots.
+        speed_mps: (N,) speeds at the knots; constant before the first and after the last knot.
     """
 
     begin_s: float
@@ -124,11 +124,11 @@ class Schedule:
         return self.begin_s + self.step_s * (len(self.along_m) - 1)
 
     def since(self, start_s: float) -> Schedule:
-        """The same, with times from ``start_s`` on."""
+        """Return the same schedule with times relative to ``start_s``."""
         return replace(self, begin_s=self.begin_s - start_s)
 
     def time_of(self, along_m: float) -> float:
-        """When it first comes to a length, to a nanosecond."""
+        """Return the first time at a length, accurate to a nanosecond."""
         last = int(np.argmax(self.along_m >= along_m))
         low, high = self.begin_s + self.step_s * max(last - 1, 0), self.begin_s + self.step_s * last
         while high - low > 1e-9:
@@ -137,7 +137,7 @@ class Schedule:
         return high
 
     def at(self, time_s: Float64) -> tuple[Float64, Float64]:
-        """Lengths (N,) and speeds (N,) at times (N,)."""
+        """Return lengths (N,) and speeds (N,) at times (N,)."""
         last = len(self.along_m) - 1
         place = (np.asarray(time_s, np.float64) - self.begin_s) / self.step_s
         inside = np.clip(place, 0.0, last)
@@ -152,15 +152,15 @@ class Schedule:
 
 
 @dataclass(frozen=True, eq=False)
-class Moving:
+class TraceMotion:
     """The motion of a road user along its way."""
 
     trace: Trace
     schedule: Schedule
 
     def at(self, time_s: float) -> Placement:
-        """The placement ``time_s`` after the drive's start."""
-        # One placement is asked for at a time, and numpy's overhead on arrays of one would be most of the cost.
+        """Return the placement ``time_s`` after the start of the drive."""
+        # Plain Python, because numpy's overhead would dominate for a single placement.
         schedule, trace = self.schedule, self.trace
         last = len(schedule.along_m) - 1
         place = (time_s - schedule.begin_s) / schedule.step_s
@@ -199,14 +199,14 @@ class Moving:
         )
 
 
-def trace_of(way: Way, chassis: Chassis, height_m: HeightField, aside: Aside | None = None) -> Trace:
-    """How a vehicle follows a way: its front axle on the line, its rear axle trailing (a tractrix), on the ground.
+def build_trace(way: Way, chassis: Chassis, height_m: HeightField, aside: Aside | None = None) -> Trace:
+    """Build the trace of a vehicle that follows a way: front axle on the line, rear axle trailing (a tractrix).
 
     Args:
-        way: that is followed.
-        chassis: of the vehicle.
-        height_m: the ground.
-        aside: how it keeps its lane.
+        way: way that the vehicle follows.
+        chassis: chassis of the vehicle.
+        height_m: heights of the ground.
+        aside: lateral position; default: the middle of the way.
     """
     begin = -STEP_M * _PAD
     along = begin - chassis.front_overhang_m + np.arange(len(way.points) + 2 * _PAD, dtype=np.float64) * STEP_M
@@ -215,7 +215,7 @@ def trace_of(way: Way, chassis: Chassis, height_m: HeightField, aside: Aside | N
         step = np.gradient(guide, axis=0)
         step /= np.linalg.norm(step, axis=1, keepdims=True)
         guide = guide + aside.at(along)[:, None] * np.column_stack([step[:, 1], -step[:, 0]])
-    rear = trailing(np.ascontiguousarray(guide), chassis.wheelbase_m)
+    rear = trail_rear_axle(np.ascontiguousarray(guide), chassis.wheelbase_m)
     step = np.gradient(rear, axis=0)
     yaw = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
@@ -231,7 +231,7 @@ def trace_of(way: Way, chassis: Chassis, height_m: HeightField, aside: Aside | N
 
 
 def _weights(f: Float64) -> tuple[Float64, Float64]:
-    """Weights (N, 4) of the four controls about a place, and those of the slope."""
+    """Weights (N, 4) of the four nearest control points, for the value and for the slope."""
     g = 1.0 - f
     value = (g**3 / 6.0, (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0, (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0, f**3 / 6.0)
     slope = (-0.5 * g * g, f * (1.5 * f - 2.0), g * (2.0 - 1.5 * g), 0.5 * f * f)
@@ -239,7 +239,7 @@ def _weights(f: Float64) -> tuple[Float64, Float64]:
 
 
 def _on_line(points: Float64, along_m: Float64) -> Float64:
-    """Points (M, 2) at lengths (M,) of a line given every `STEP_M`, which goes straight on beyond its ends."""
+    """Points (M, 2) at lengths (M,) of a line sampled every `STEP_M`, which continues straight beyond its ends."""
     end = STEP_M * (len(points) - 1)
     inside = np.clip(along_m, 0.0, end)
     over = (along_m - inside)[:, None]
@@ -250,8 +250,8 @@ def _on_line(points: Float64, along_m: Float64) -> Float64:
 
 
 @njit(cache=True, nogil=True)
-def trailing(guide: Float64, base: float) -> Float64:
-    """Points (N, 2) of the rear axle when the front axle follows (N, 2)."""
+def trail_rear_axle(guide: Float64, base: float) -> Float64:
+    """Return the points (N, 2) of the rear axle when the front axle follows the points (N, 2)."""
     rear = np.empty_like(guide)
     dx, dy = guide[1, 0] - guide[0, 0], guide[1, 1] - guide[0, 1]
     long = math.hypot(dx, dy)

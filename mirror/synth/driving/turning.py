@@ -1,4 +1,4 @@
-"""Turning round in a street: out on one path, home on the one beside it."""
+"""Turning around in a street: out on one path, back on the parallel one."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _SWING_M: Final = 4.9
 _SWING_LEAD_M: Final = 18.0
 
 
-def leaving_at(path: Path, distance_m: float) -> tuple[Float64, Float64]:
-    """The point (2,) where a path, on its way out, is so far from the origin, and its direction (2,) there."""
+def point_and_direction_at(path: Path, distance_m: float) -> tuple[Float64, Float64]:
+    """Return the last point (2,) of a path at a distance from the origin, and its direction (2,) there."""
     line = path.line
     line = line[np.concatenate([[True], np.hypot(*np.diff(line, axis=0).T) > 1e-3])]
     distance = np.hypot(*line.T)
@@ -28,9 +28,13 @@ def leaving_at(path: Path, distance_m: float) -> tuple[Float64, Float64]:
     return line[after - 1] + share * step, step / np.hypot(*step)
 
 
-def turned_round(out: Path, home: Path, apex_m: float) -> tuple[Way, float]:
-    """A way out on one path and home on the other, which turns round so far from the origin; and where it does."""
-    place, ahead = leaving_at(out, apex_m - _SWING_M)
+def build_turn_around(out: Path, home: Path, apex_m: float) -> tuple[Way, float]:
+    """Build a way out on one path and back on another, which turns around at a distance from the origin.
+
+    Returns:
+        The way, and the length along it of the turn.
+    """
+    place, ahead = point_and_direction_at(out, apex_m - _SWING_M)
     left = np.array([-ahead[1], ahead[0]])
     across = (home.line - place) @ np.column_stack([ahead, left])
     gap = float(np.min(np.abs(across[np.abs(across[:, 0]) < 3.0, 1]), initial=np.inf))
@@ -40,7 +44,7 @@ def turned_round(out: Path, home: Path, apex_m: float) -> tuple[Way, float]:
             expected="a lane in the other direction beside the own",
             remedy="take another route, or another kind of scene",
         )
-    # It swings out to the right before, and comes back from there, so that the turn is wide enough for a car.
+    # The way swings out to the right before the turn, so that the turn is wide enough for a car.
     aside = _SWING_M - 0.5 * gap
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 40)
     turn = place + np.outer(_SWING_M * np.cos(angle), ahead) + np.outer(0.5 * gap + _SWING_M * np.sin(angle), left)
@@ -49,16 +53,16 @@ def turned_round(out: Path, home: Path, apex_m: float) -> tuple[Way, float]:
     before = _beside(out, place, _SWING_LEAD_M * (share - 1.0), ease)
     after = _beside(home, place + gap * left, _SWING_LEAD_M * share, ease[::-1])
     pieces = [
-        *_until(out, before[0]),
+        *_pieces_until(out, before[0]),
         Piece(np.vstack([before[1:], turn[1:-1], after[:-1]]), out.lanes[0].speed_mps),
-        *_since(home, after[-1]),
+        *_pieces_from(home, after[-1]),
     ]
     way = build_way(pieces)
     return way, way.nearest_m(place + ahead * _SWING_M + left * 0.5 * gap)
 
 
 def _beside(path: Path, place: Float64, along_m: Float64, right_m: Float64) -> Float64:
-    """Points (N, 2) so far along a path from where it passes a place, and so far right of it."""
+    """Points (N, 2) at lengths along a path from a place on it, and at offsets to its right."""
     line = path.line
     line = line[np.concatenate([[True], np.hypot(*np.diff(line, axis=0).T) > 1e-3])]
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
@@ -71,15 +75,15 @@ def _beside(path: Path, place: Float64, along_m: Float64, right_m: Float64) -> F
     return points + right_m[:, None] * np.column_stack([ahead[:, 1], -ahead[:, 0]])
 
 
-def _until(path: Path, point: Float64) -> list[Piece]:
-    """A path up to where it passes a point."""
+def _pieces_until(path: Path, point: Float64) -> list[Piece]:
+    """The part of a path before it passes a point."""
     last = int(np.argmin([np.hypot(*(lane.line[:, :2] - point).T).min() for lane in path.lanes]))
     pieces = [lane_piece(lane) for lane in path.lanes[:last]]
     return [*pieces, lane_piece(path.lanes[last], 0.0, max(beside_m(path.lanes[last], point), STEP_M))]
 
 
-def _since(path: Path, point: Float64) -> list[Piece]:
-    """A path from where it passes a point on."""
+def _pieces_from(path: Path, point: Float64) -> list[Piece]:
+    """The part of a path after it passes a point."""
     first = int(np.argmin([np.hypot(*(lane.line[:, :2] - point).T).min() for lane in path.lanes]))
     lane = path.lanes[first]
     return [lane_piece(lane, beside_m(lane, point)), *(lane_piece(lane) for lane in path.lanes[first + 1 :])]

@@ -1,4 +1,4 @@
-"""Who drives and rides through a scene, and when they come."""
+"""The vehicles and cyclists of a scene, and the times of their entry."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from typing import Final
 
 import numpy as np
 
-from mirror.synth.driving.bodies import POPULATION, Kind, body_of
+from mirror.synth.driving.bodies import POPULATION, Kind, get_body
 from mirror.synth.driving.participants import Manner, Participant
-from mirror.synth.driving.paths import Path, beside_m, lanes_of, paths_from, sources, wandering
-from mirror.synth.driving.site import Bustle, Site
+from mirror.synth.driving.paths import Path, beside_m, draw_path, iterate_paths, select_lanes, sources
+from mirror.synth.driving.site import Site, TrafficDensity
 from mirror.synth.driving.trace import Aside, Chassis
-from mirror.synth.driving.ways import Piece, Way, build_way, changed, lane_piece
+from mirror.synth.driving.ways import Piece, Way, build_way, change_lane_pieces, lane_piece
 from mirror.synth.street.network import Lane, Network
 
 _MIX: Final[dict[Kind, float]] = {"car": 0.78, "van": 0.10, "truck": 0.05, "bus": 0.03, "motorcycle": 0.04}
 _MOTORWAY_MIX: Final[dict[Kind, float]] = {"car": 0.62, "van": 0.11, "truck": 0.22, "bus": 0.03, "motorcycle": 0.02}
 _MOTORWAY_MPS: Final = 25.0
-# Farm tracks, on which two vehicles hardly pass each other.
+# Farm tracks, on which two vehicles can hardly pass each other.
 _TRACK_MPS: Final = 7.0
 _PER_HOUR: Final = ((_TRACK_MPS, 10.0), (9.0, 110.0), (15.0, 330.0), (_MOTORWAY_MPS, 260.0), (math.inf, 800.0))
-"""Vehicles an hour and lane, by the speed allowed."""
+"""Vehicles per hour and lane, by the speed limit."""
 _LEAST_HEADWAY_S: Final = 1.8
 _FASTEST: Final[dict[Kind, float]] = {"car": 60.0, "van": 38.0, "truck": 23.5, "bus": 27.0, "motorcycle": 60.0}
 _LIVELY: Final[dict[Kind, tuple[float, float]]] = {
     "car": (1.7, 1.3), "van": (1.4, 1.4), "truck": (0.9, 1.7), "bus": (1.0, 1.6), "motorcycle": (2.2, 1.3),
 }  # fmt: skip
-"""Acceleration and headway."""
+"""Acceleration, m/s2, and headway, s."""
 _CYCLES_PER_HOUR: Final = 70.0
 _CYCLING_MPS: Final = (4.2, 6.5)
 _KERB_M: Final = 0.18
@@ -38,7 +38,7 @@ _CHANGE_M: Final = 80.0
 
 
 def driver(kind: Kind, rng: np.random.Generator) -> Manner:
-    """How somebody drives."""
+    """Draw the driving style of a driver."""
     quick, headway = _LIVELY[kind]
     lively = rng.uniform(0.85, 1.15)
     return Manner(
@@ -52,20 +52,20 @@ def driver(kind: Kind, rng: np.random.Generator) -> Manner:
 
 
 class Ways:
-    """The ways of a scene's traffic: paths that several take are one way."""
+    """A cache of ways: participants on the same path share one way."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], Way] = {}
 
     def along(self, path: Path, *, aside_m: float = 0.0) -> Way:
-        """The way along a path."""
+        """Return the way along a path."""
         key = (*path.lane_ids, round(aside_m, 2))
         if key not in self._known:
             self._known[key] = build_way([lane_piece(lane, aside_m=aside_m) for lane in path.lanes])
         return self._known[key]
 
     def changing(self, path: Path, network: Network, side: str) -> Way:
-        """The way along a path that changes once to the lane on its ``left`` or ``right``, where there is room."""
+        """Return the way along a path with one change to the ``left`` or ``right`` lane, if there is room."""
         key = (*path.lane_ids, side)
         if key not in self._known:
             self._known[key] = build_way(_changing(path, network, side))
@@ -78,23 +78,25 @@ def _changing(path: Path, network: Network, side: str) -> list[Piece]:
         if name is None or lane.length_m < 2.0 * _CHANGE_M:
             continue
         pieces = [lane_piece(before) for before in path.lanes[:number]]
-        pieces += changed(lane, network.lanes[name], 0.3 * lane.length_m, _CHANGE_M)
-        onward = next(paths_from(lanes_of(network, "drive", "turn"), network.lanes[name]))
+        pieces += change_lane_pieces(lane, network.lanes[name], 0.3 * lane.length_m, _CHANGE_M)
+        onward = next(iterate_paths(select_lanes(network, "drive", "turn"), network.lanes[name]))
         return [*pieces, *(lane_piece(after) for after in onward.lanes[1:])]
     return [lane_piece(lane) for lane in path.lanes]
 
 
-def vehicles(site: Site, bustle: Bustle, until_s: float, ways: Ways, rng: np.random.Generator) -> Iterator[Participant]:
-    """Everybody who drives.
+def make_vehicles(
+    site: Site, bustle: TrafficDensity, until_s: float, ways: Ways, rng: np.random.Generator
+) -> Iterator[Participant]:
+    """Make the vehicles of a traversal.
 
     Args:
         site: the scene.
-        bustle: how much is going on.
-        until_s: nobody comes in later.
-        ways: where theirs are kept.
-        rng: decides.
+        bustle: density of the traffic.
+        until_s: latest time of entry.
+        ways: cache of ways.
+        rng: random numbers.
     """
-    lanes = lanes_of(site.network, "drive", "turn")
+    lanes = select_lanes(site.network, "drive", "turn")
     for start in sources(lanes):
         if np.hypot(*start.line[0, :2]) < site.radius_m:
             continue
@@ -104,7 +106,7 @@ def vehicles(site: Site, bustle: Bustle, until_s: float, ways: Ways, rng: np.ran
         time = rng.exponential(0.6 * mean_s)
         while time < until_s:
             kind = _kind(start, motorway, rng)
-            path = wandering(lanes, start, rng, 3.5, least_bend_m=0.0 if kind in ("car", "motorcycle") else 9.0)
+            path = draw_path(lanes, start, rng, 3.5, least_bend_m=0.0 if kind in ("car", "motorcycle") else 9.0)
             sides = [side for side in ("left", "right") if any(getattr(lane, side) for lane in path.lanes)]
             if sides and kind != "truck" and rng.random() < _CHANGES:
                 way = ways.changing(path, site.network, sides[int(rng.integers(len(sides)))])
@@ -126,7 +128,7 @@ def _kind(start: Lane, motorway: bool, rng: np.random.Generator) -> Kind:
 
 def _vehicle(kind: Kind, way: Way, site: Site, rng: np.random.Generator, enter_s: float) -> Participant:
     number = int(rng.integers(POPULATION[kind]))
-    length, width, _ = body_of(kind, number).size_m
+    length, width, _ = get_body(kind, number).size_m
     manner = driver(kind, rng)
     aside = Aside(rng.uniform(-0.18, 0.18), rng.uniform(0.02, 0.07), rng.uniform(0.0, 6.3))
     pause_m, pause_s = -1.0, 0.0
@@ -138,20 +140,22 @@ def _vehicle(kind: Kind, way: Way, site: Site, rng: np.random.Generator, enter_s
     return Participant(kind, number, way, chassis, manner, aside, enter_s, pause_m=pause_m, pause_s=pause_s)
 
 
-def cyclists(site: Site, bustle: Bustle, until_s: float, ways: Ways, rng: np.random.Generator) -> Iterator[Participant]:
-    """Everybody who cycles: on cycle lanes, and by the kerb of slow streets."""
-    tracks, streets = lanes_of(site.network, "cycle", "turn"), lanes_of(site.network, "drive", "turn")
+def make_cyclists(
+    site: Site, bustle: TrafficDensity, until_s: float, ways: Ways, rng: np.random.Generator
+) -> Iterator[Participant]:
+    """Make the cyclists of a traversal: on cycle lanes, and along the kerb of slow streets."""
+    tracks, streets = select_lanes(site.network, "cycle", "turn"), select_lanes(site.network, "drive", "turn")
     starts = [(lane, tracks) for lane in sources(tracks) if lane.use == "cycle"]
     starts += [(lane, streets) for lane in sources(streets) if _TRACK_MPS <= lane.speed_mps < 9.0]
     for start, lanes in starts:
         mean_s = 3600.0 / (_CYCLES_PER_HOUR * max(bustle.people, 1e-3))
         time = rng.exponential(0.5 * mean_s)
         while time < until_s:
-            path = wandering(lanes, start, rng, 50.0)
+            path = draw_path(lanes, start, rng, 50.0)
             beside = lanes is streets
             aside = 0.5 * start.width_m - _KERB_M if beside else 0.0
             number = int(rng.integers(POPULATION["cyclist"]))
-            length, width, _ = body_of("cyclist", number).size_m
+            length, width, _ = get_body("cyclist", number).size_m
             manner = Manner(1.0, rng.uniform(*_CYCLING_MPS), 0.8, 1.6, 0.8, rng.uniform(0.0, 6.3))
             keeps = Aside(0.0 if beside else rng.uniform(-0.35, 0.35), 0.05, rng.uniform(0.0, 6.3))
             chassis = Chassis.of_box(float(length), float(width))
@@ -159,34 +163,34 @@ def cyclists(site: Site, bustle: Bustle, until_s: float, ways: Ways, rng: np.ran
             time += 3.0 + rng.exponential(mean_s)
 
 
-def leaving(
+def make_leaving_cars(
     site: Site,
     places: list[tuple[Lane, float, int]],
     ways: Ways,
     window_s: tuple[float, float],
     rng: np.random.Generator,
 ) -> Iterator[Participant]:
-    """Parked cars that pull out and drive off.
+    """Make the parked cars that pull out and drive off.
 
     Args:
         site: the scene.
         places: lane, length along it of the middle of the car, and number of the car.
-        ways: where theirs are kept.
-        window_s: between these times.
-        rng: decides.
+        ways: cache of ways.
+        window_s: earliest and latest time.
+        rng: random numbers.
     """
-    drives = lanes_of(site.network, "drive")
-    onward = lanes_of(site.network, "drive", "turn")
+    drives = select_lanes(site.network, "drive")
+    onward = select_lanes(site.network, "drive", "turn")
     for lane, at, number in places:
-        length, width, _ = body_of("car", number).size_m
+        length, width, _ = get_body("car", number).size_m
         place = np.array([np.interp(at, lane.along_m, lane.line[:, axis]) for axis in (0, 1)])
         beside = min(drives.values(), key=lambda drive: float(np.min(np.hypot(*(drive.line[:, :2] - place).T))))
         on = beside_m(beside, place)
         reach = 0.5 * float(length) + 16.0
         if beside.length_m - on < reach + 10.0 or lane.length_m - at < reach:
             continue
-        path = wandering(onward, beside, rng, 3.5)
-        out = changed(lane, beside, at + 0.5 * float(length) + 2.0, 12.0)
+        path = draw_path(onward, beside, rng, 3.5)
+        out = change_lane_pieces(lane, beside, at + 0.5 * float(length) + 2.0, 12.0)
         out[0] = lane_piece(lane, max(at - 0.5 * float(length), 0.0), at + 0.5 * float(length) + 14.0)
         way = build_way([*out, *(lane_piece(after) for after in path.lanes[1:])])
         front = min(at, 0.5 * float(length)) + 0.5 * float(length)

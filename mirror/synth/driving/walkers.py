@@ -1,4 +1,4 @@
-"""Who is on foot: walking along the pavements, crossing, standing together, waiting for a bus."""
+"""The pedestrians of a scene: walking along pavements, crossing, standing in groups, waiting for a bus."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.driving.bodies import POPULATION, body_of
+from mirror.synth.driving.bodies import POPULATION, get_body
 from mirror.synth.driving.participants import Manner, Participant
-from mirror.synth.driving.paths import Path, lanes_of, turn_rad
-from mirror.synth.driving.site import Bustle, Site
+from mirror.synth.driving.paths import Path, select_lanes, turn_rad
+from mirror.synth.driving.site import Site, TrafficDensity
 from mirror.synth.driving.trace import Aside, Chassis
 from mirror.synth.driving.vehicles import Ways
-from mirror.synth.road_users.body import Body, Placement, Still
+from mirror.synth.road_users.body import Body, Placement, StaticMotion
 from mirror.synth.street.network import Lane
 
 _EVERY_M: Final = 75.0
-"""Pavement a person, on a busy day; a group counts as one."""
+"""Length of pavement per person on a busy day; a group counts as one person."""
 _FILES_M: Final = (0.32, 0.88)
-"""People keep to the right of a pavement's middle, in files."""
+"""Offsets of the files of pedestrians to the right of a pavement's middle."""
 _FILE_ALONE_M: Final = 0.62
 _FAR_M: Final = 330.0
 _CROSSES: Final = 0.35
@@ -34,16 +34,16 @@ _QUEUE_M: Final = 1.3
 _LEAST_WIDTH_M: Final = 1.7
 
 
-def walkers(site: Site, bustle: Bustle, ways: Ways, rng: np.random.Generator) -> Iterator[Participant]:
-    """Everybody who walks; they are there from the beginning, all over the scene.
+def make_walkers(site: Site, bustle: TrafficDensity, ways: Ways, rng: np.random.Generator) -> Iterator[Participant]:
+    """Make the walking pedestrians; they are in the scene from the beginning.
 
     Args:
         site: the scene.
-        bustle: how much is going on.
-        ways: where theirs are kept.
-        rng: decides.
+        bustle: density of the traffic.
+        ways: cache of ways.
+        rng: random numbers.
     """
-    lanes = lanes_of(site.network, "walk", "cross")
+    lanes = select_lanes(site.network, "walk", "cross")
     starts = [lane for lane in _by_id(lanes) if lane.use == "walk" and lane.length_m > 20.0]
     if not starts:
         return
@@ -56,31 +56,33 @@ def walkers(site: Site, bustle: Bustle, ways: Ways, rng: np.random.Generator) ->
         enter = rng.uniform(0.0, start.length_m)
         if math.hypot(*way.at(enter)) > site.radius_m + _MARGIN_M:
             continue
-        # Two of a group go side by side, at one pace.
+        # Two pedestrians of a group walk side by side at the same speed.
         group = files if rng.random() < 0.3 else (files[int(rng.integers(len(files)))],)
         pace = paces[group[0]] if len(group) == 1 else 1.0
         for file in group:
             number = int(rng.integers(POPULATION["pedestrian"]))
-            length, width, _ = _somebody(number, bustle).size_m
+            length, width, _ = _make_person(number, bustle).size_m
             chassis = Chassis(float(length), float(width), 0.4, 0.5 * float(length) - 0.2, 0.2)
             manner = Manner(pace, 3.0, 0.9, 1.2, 0.4, 0.0)
             yield Participant("pedestrian", number, way, chassis, manner, Aside(file), 0.0, enter)
 
 
-def standing(site: Site, bustle: Bustle, rng: np.random.Generator) -> Iterator[tuple[Body, Still]]:
-    """People who stand together by the walls, and those who wait for buses.
+def place_standing_people(
+    site: Site, bustle: TrafficDensity, rng: np.random.Generator
+) -> Iterator[tuple[Body, StaticMotion]]:
+    """Place the people who stand in groups near walls, and those who wait for buses.
 
     Args:
         site: the scene.
-        bustle: how much is going on.
-        rng: decides.
+        bustle: density of the traffic.
+        rng: random numbers.
     """
     lanes = [
         lane
-        for lane in _by_id(lanes_of(site.network, "walk"))
+        for lane in _by_id(select_lanes(site.network, "walk"))
         if lane.length_m > 30.0 and lane.width_m > _LEAST_WIDTH_M
     ]
-    roads = lanes_of(site.network, "drive", "park", "cycle")
+    roads = select_lanes(site.network, "drive", "park", "cycle")
     if not lanes or not roads:
         return
     road = np.vstack([lane.line[:, :2] for lane in roads.values()])
@@ -93,34 +95,34 @@ def standing(site: Site, bustle: Bustle, rng: np.random.Generator) -> Iterator[t
         yaw = math.atan2(ahead[1], ahead[0])
         for side in (-1.0, 1.0) if two else (1.0,):
             spot = by_wall + 0.5 * side * _TALK_M * ahead
-            yield from _stood(site, bustle, spot, yaw + turn + (math.pi if side > 0.0 else 0.0), rng)
+            yield from _place_person(site, bustle, spot, yaw + turn + (math.pi if side > 0.0 else 0.0), rng)
     for stop in site.bus_stops:
         lane = _nearest(lanes, stop)
         _, ahead = _place(lane, float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - stop) ** 2, axis=1))]))
         for member in range(int(rng.integers(1, 5))):
             spot = stop + (_SHELTER_M + _QUEUE_M * member) * ahead
-            yield from _stood(site, bustle, spot, math.atan2(-ahead[1], -ahead[0]) + rng.normal(0.0, 0.12), rng)
+            yield from _place_person(site, bustle, spot, math.atan2(-ahead[1], -ahead[0]) + rng.normal(0.0, 0.12), rng)
 
 
 def _place(lane: Lane, at: float) -> tuple[Float64, Float64]:
-    """The point (2,) at a length of a lane, and the direction (2,) there."""
+    """The point (2,) at a length along a lane, and the direction (2,) there."""
     low, high = (
         np.array([np.interp(at + step, lane.along_m, lane.line[:, axis]) for axis in (0, 1)]) for step in (-0.5, 0.5)
     )
     return 0.5 * (low + high), (high - low) / np.hypot(*(high - low))
 
 
-def _stood(
-    site: Site, bustle: Bustle, spot: Float64, yaw: float, rng: np.random.Generator
-) -> Iterator[tuple[Body, Still]]:
-    body = _somebody(int(rng.integers(POPULATION["pedestrian"])), bustle)
+def _place_person(
+    site: Site, bustle: TrafficDensity, spot: Float64, yaw: float, rng: np.random.Generator
+) -> Iterator[tuple[Body, StaticMotion]]:
+    body = _make_person(int(rng.integers(POPULATION["pedestrian"])), bustle)
     if np.hypot(*spot) < site.radius_m + _MARGIN_M:
         height = float(site.height_m(spot[:1], spot[1:])[0])
-        yield body, Still(Placement(float(spot[0]), float(spot[1]), height, yaw))
+        yield body, StaticMotion(Placement(float(spot[0]), float(spot[1]), height, yaw))
 
 
-def _somebody(number: int, bustle: Bustle) -> Body:
-    return body_of("pedestrian", number, bustle.umbrellas, bustle.warm)
+def _make_person(number: int, bustle: TrafficDensity) -> Body:
+    return get_body("pedestrian", number, bustle.umbrellas, bustle.warm)
 
 
 def _by_id(lanes: dict[str, Lane]) -> list[Lane]:
@@ -132,12 +134,12 @@ def _nearest(lanes: list[Lane], place: Float64) -> Lane:
 
 
 def _stroll(lanes: dict[str, Lane], start: Lane, rng: np.random.Generator) -> Path:
-    """Onwards along pavements, now and then over a street."""
+    """Draw a path along pavements, with occasional crossings."""
     path = [start]
     while sum(lane.length_m for lane in path) < _FAR_M:
         last = path[-1]
         following = [lanes[name] for name in last.successors if all(name != lane.lane_id for lane in path)]
-        # Over a crossing's corner, not back to the side one has come from.
+        # A pedestrian does not cross back to the side it came from.
         following = [lane for lane in following if abs(turn_rad(lane)) < 2.5]
         if not following:
             break

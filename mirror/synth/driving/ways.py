@@ -1,4 +1,4 @@
-"""Ways: lanes joined end to end into one smooth line, with the pace that its bends allow and the places to stop."""
+"""Ways: lanes joined into one smooth line, with the speed that its bends allow and the places to stop."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Piece:
 
     Attributes:
         line: (N, 2) points, metres.
-        speed_mps: allowed.
-        lane: the lane that it follows, or None off the lanes.
-        at_m: where on the lane it begins.
-        change_m: over this length the way moves across from the piece before, which goes on beside it; 0: it follows
-            where that ends.
+        speed_mps: speed limit.
+        lane: lane that the piece follows; None outside lanes.
+        at_m: length along the lane at which the piece begins.
+        change_m: length of the lane change from the preceding, parallel piece; 0: the piece follows the end of the
+            preceding one.
     """
 
     line: Float64
@@ -43,13 +43,13 @@ class Piece:
 
 @dataclass(frozen=True)
 class Halt:
-    """A place on a way where one may have to stop.
+    """A place on a way where road users may have to stop.
 
     Attributes:
-        at_m: along the way.
-        group: signal group that opens it, or None.
-        clear_m: where what lies behind it (a crossing) ends: it is not entered when that place is taken.
-        on_foot: whether it is for people on foot.
+        at_m: length along the way.
+        group: signal group that controls the place, or None.
+        clear_m: end of the crossing behind it; a road user does not enter the crossing while it cannot leave it.
+        on_foot: whether the place is for pedestrians.
     """
 
     at_m: float
@@ -60,14 +60,14 @@ class Halt:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """A smooth line that one follows, and what lies along it.
+    """A smooth line that road users follow, with its lanes, speeds and stopping places.
 
     Attributes:
-        points: (N, 2) every `STEP_M` along it.
-        lanes: the lanes that it uses, in order.
-        lane_of: (N,) number of each point's lane among ``lanes``, or -1.
-        allowed_mps: (N,) speed allowed at each point.
-        halts: in order.
+        points: (N, 2) points every `STEP_M`, metres.
+        lanes: lanes of the way, in order.
+        lane_of: (N,) index of each point's lane in ``lanes``, or -1.
+        allowed_mps: (N,) speed limit at each point.
+        halts: stopping places, in order.
     """
 
     points: Float64
@@ -78,53 +78,53 @@ class Way:
 
     @property
     def length_m(self) -> float:
-        """Of the line."""
+        """Length of the line."""
         return STEP_M * (len(self.points) - 1)
 
     @cached_property
     def bounds(self) -> tuple[Float64, Float64]:
-        """Its least and its greatest x and y."""
+        """The least and the greatest x and y."""
         return self.points.min(axis=0), self.points.max(axis=0)
 
     @cached_property
     def heading_rad(self) -> Float64:
-        """(N,) unwrapped directions."""
+        """(N,) unwrapped directions, radians."""
         step = np.gradient(self.points, axis=0)
         return np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
 
     @cached_property
     def pace_mps(self) -> Float64:
-        """(N,) the speed at which one drives there: bends are slowed down for in time."""
+        """(N,) driving speed at each point, with deceleration before bends."""
         bend = np.abs(np.gradient(self.heading_rad, STEP_M))
         squared = np.minimum(self.allowed_mps**2, _SIDEWAYS_MPS2 / np.maximum(bend, 1e-4))
-        # Slowing down at a constant rate is a line in the square of the speed.
+        # With a constant deceleration the square of the speed is linear in the length.
         slope = 2.0 * _BRAKING_MPS2 * STEP_M * np.arange(len(squared))
         return np.sqrt(np.minimum.accumulate((squared + slope)[::-1])[::-1] - slope)
 
     def at(self, along_m: float) -> Float64:
-        """(2,) the point at a length."""
+        """Return the point (2,) at a length."""
         place = STEP_M * np.arange(len(self.points))
         return np.array([np.interp(along_m, place, self.points[:, axis]) for axis in (0, 1)])
 
     def gap_m(self, point: Float64) -> float:
-        """How closely the way passes a point (2,)."""
+        """Return the distance between the way and a point (2,)."""
         return float(np.sqrt(np.min(np.sum((self.points - point) ** 2, axis=1))))
 
     def nearest_m(self, point: Float64) -> float:
-        """The length at which the way passes a point (2,) most closely."""
+        """Return the length at which the way is closest to a point (2,)."""
         return STEP_M * float(np.argmin(np.sum((self.points - point) ** 2, axis=1)))
 
 
 def lane_piece(
     lane: Lane, begin_m: float = 0.0, end_m: float | None = None, *, aside_m: float = 0.0, change_m: float = 0.0
 ) -> Piece:
-    """A stretch of a lane.
+    """Return a piece of a lane.
 
     Args:
-        lane: that is followed.
-        begin_m: where on it the piece begins.
-        end_m: where it ends; default: the lane's end.
-        aside_m: how far right of its middle.
+        lane: the lane.
+        begin_m: length at which the piece begins.
+        end_m: length at which it ends; default: the end of the lane.
+        aside_m: offset to the right of the lane's middle.
         change_m: see `Piece`.
     """
     end = lane.length_m if end_m is None else min(end_m, lane.length_m)
@@ -140,16 +140,16 @@ def build_way(pieces: Sequence[Piece]) -> Way:
     """Join pieces into one way; corners are rounded over two metres, and the way is straight beyond its ends.
 
     Raises:
-        UsageError: there is nothing to join, or it is no longer than a step.
+        UsageError: there are no pieces, or the way is not longer than a step.
     """
     if not pieces:
-        raise UsageError("a way of no pieces", expected="at least one")
-    rough, owner = _joined(pieces)
+        raise UsageError("a way without pieces", expected="at least one piece")
+    rough, owner = _join(pieces)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rough, axis=0).T))])
     if length[-1] < 2 * STEP_M:
         raise UsageError(f"a way of {length[-1]:.2f} m", expected=f"at least {2 * STEP_M} m")
     even = STEP_M * np.arange(int(length[-1] / STEP_M) + 1)
-    points = _smoothed(np.column_stack([np.interp(even, length, rough[:, axis]) for axis in (0, 1)]))
+    points = _smooth(np.column_stack([np.interp(even, length, rough[:, axis]) for axis in (0, 1)]))
     piece_of = owner[np.searchsorted(length, even, side="right") - 1]
     lanes = tuple(piece.lane for piece in pieces if piece.lane is not None)
     number = np.cumsum([piece.lane is not None for piece in pieces]) - 1
@@ -159,24 +159,24 @@ def build_way(pieces: Sequence[Piece]) -> Way:
     return Way(points, lanes, lane_of, allowed, _halts(pieces, starts, even[-1]))
 
 
-def _joined(pieces: Sequence[Piece]) -> tuple[Float64, Int32]:
-    """Points (N, 2) of all pieces without repeats, and the piece (N,) of each."""
+def _join(pieces: Sequence[Piece]) -> tuple[Float64, Int32]:
+    """Points (N, 2) of all pieces without duplicates, and the index (N,) of each point's piece."""
     lines: list[Float64] = []
     for piece in pieces:
         line = piece.line
         if piece.change_m and lines:
-            line = _moved_across(lines[-1], line, piece.change_m)
+            line = _shift_across(lines[-1], line, piece.change_m)
             lines[-1] = _cut(lines[-1], max(_length(lines[-1]) - piece.change_m, STEP_M))
         lines.append(line)
     points = np.vstack(lines)
     owner = np.repeat(np.arange(len(lines), dtype=np.int32), [len(line) for line in lines])
-    # Where two pieces join, the point is the second one's.
+    # The point between two pieces belongs to the second one.
     new = np.concatenate([np.hypot(*np.diff(points, axis=0).T) > 1e-3, [True]])
     return points[new], owner[new]
 
 
-def _moved_across(before: Float64, line: Float64, change_m: float) -> Float64:
-    """``line`` from beside the last ``change_m`` of ``before`` on, which it leaves smoothly."""
+def _shift_across(before: Float64, line: Float64, change_m: float) -> Float64:
+    """The part of ``line`` beside the last ``change_m`` of ``before``, with a smooth change from ``before``."""
     total = _length(before)
     start = max(total - change_m, 0.0)
     along = np.linspace(start, total, max(int((total - start) / STEP_M), 8))
@@ -185,7 +185,7 @@ def _moved_across(before: Float64, line: Float64, change_m: float) -> Float64:
     beside = np.array([length[np.argmin(np.sum((line - point) ** 2, axis=1))] for point in (old[0], old[-1])])
     share = np.linspace(0.0, 1.0, len(old))
     new = _points_at(line, beside[0] + (beside[1] - beside[0]) * share)
-    # The quintic step has no jump in curvature at its ends.
+    # The quintic step has a continuous curvature at its ends.
     weight = (share**3 * (10.0 - 15.0 * share + 6.0 * share**2))[:, None]
     return np.vstack([old + weight * (new - old), line[length > beside[1] + 1e-3]])
 
@@ -208,7 +208,7 @@ def _halts(pieces: Sequence[Piece], starts: Float64, end_m: float) -> tuple[Halt
 
 
 def _stop_m(lane: Lane) -> float | None:
-    """Where one waits on a lane: people who cross at a signal wait by the kerb."""
+    """The length at which road users wait on a lane; pedestrians wait at the kerb of a signalled crossing."""
     return _KERB_M if lane.stop_m is None and lane.signal is not None and lane.use == "cross" else lane.stop_m
 
 
@@ -216,8 +216,8 @@ def _of(piece: Piece) -> str | None:
     return None if piece.lane is None else piece.lane.use
 
 
-def _smoothed(points: Float64) -> Float64:
-    """Points averaged over a triangle of twice `_SMOOTH_M`."""
+def _smooth(points: Float64) -> Float64:
+    """Smooth points with a triangular kernel of width twice `_SMOOTH_M`."""
     half = round(_SMOOTH_M / STEP_M)
     reach = 2 * half
     window = np.convolve(np.ones(half + 1), np.ones(half + 1))
@@ -251,20 +251,20 @@ def _cut(line: Float64, end_m: float) -> Float64:
     return _points_at(line, np.linspace(0.0, end_m, max(int(end_m / STEP_M), 2)))
 
 
-def changed(lane: Lane, other: Lane, begin_m: float, length_m: float) -> list[Piece]:
-    """A lane up to a change to the one beside it, and that one from there to its end.
+def change_lane_pieces(lane: Lane, other: Lane, begin_m: float, length_m: float) -> list[Piece]:
+    """Return the pieces of a lane change: a lane up to the change, and the neighbouring lane from there to its end.
 
     Args:
-        lane: the way is on.
-        other: it changes to.
-        begin_m: where on ``lane`` the change begins.
-        length_m: of the change.
+        lane: lane before the change.
+        other: lane after the change.
+        begin_m: length along ``lane`` at which the change begins.
+        length_m: length of the change.
     """
     place = np.array([np.interp(begin_m, lane.along_m, lane.line[:, axis]) for axis in (0, 1)])
     beside = float(other.along_m[np.argmin(np.sum((other.line[:, :2] - place) ** 2, axis=1))])
     return [lane_piece(lane, 0.0, begin_m + length_m), lane_piece(other, beside, change_m=length_m)]
 
 
-def followed(network: Network, lane_ids: Sequence[str], *, aside_m: float = 0.0) -> Way:
-    """The way along whole lanes, one after the other."""
+def follow_lanes(network: Network, lane_ids: Sequence[str], *, aside_m: float = 0.0) -> Way:
+    """Build the way along a sequence of whole lanes."""
     return build_way([lane_piece(network.lanes[lane_id], aside_m=aside_m) for lane_id in lane_ids])

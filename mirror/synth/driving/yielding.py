@@ -1,4 +1,4 @@
-"""Who waits for whom where ways meet: zones that the second does not enter before the first has left, or follows in."""
+"""Right of way in zones where ways meet: the second road user waits until the first has left, or follows it."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import math
 from typing import Final, NamedTuple
 
 from mirror.arrays import Float64, Int64, UInt8
-from mirror.synth.driving.following import Users, follow, halt, inner
+from mirror.synth.driving.following import Users, following_acceleration, inner_njit, stopping_acceleration
 from mirror.synth.driving.zones import GRID_M
 
 FAR: Final = 1e6
-"""Metres or seconds: out of sight."""
+"""A distance or time beyond any that matters, metres or seconds."""
 _PATIENCE_S: Final = 8.0
 _YIELDS_S: Final = 5.0
 
 
 class State(NamedTuple):
-    """What all users do, a column each (N,).
+    """The state of all users, as arrays (N,), in the order of the fields.
 
-    Length along the way, speed and acceleration; the acceleration that is wished for; where one stops for somebody who
-    goes first, now and at the tick before; where for a signal, a pause or a crossing that is full; how far one may come
-    behind somebody, and how fast that one is; where one had to stop at the tick before, for whatever reason; for how
-    long one has stood; how much of the pause is over.
+    Length along the way, speed and acceleration; desired acceleration; stopping position because of right of way, now
+    and at the previous tick; stopping position because of a signal, a pause or an occupied crossing; limit position
+    behind another user, and the speed of that user; stopping position at the previous tick for any reason; time for
+    which the user has stood; elapsed time of the pause.
     """
 
     s: Float64
@@ -39,10 +39,11 @@ class State(NamedTuple):
 
 
 class Meetings(NamedTuple):
-    """Pairs of users with a zone in common, a row each (E, 2): see `mirror.synth.driving.zones.Zone`.
+    """Pairs of users with a common zone, as arrays (E, 2): see `mirror.synth.driving.zones.Zone`.
 
-    ``hold_m`` is where each waits when the other goes first; ``table`` where its limits begin within ``limits``;
-    ``counts`` how many; ``major`` 0 or 1: that one of the two goes first, -1: whoever is there first.
+    ``hold_m`` is the position where each user waits if the other goes first; ``table`` and ``counts`` give the first
+    index and the number of its entries in ``limits``; ``major`` is the user with right of way (0 or 1), or -1 if the
+    user that arrives first has it.
     """
 
     road_users: Int64
@@ -56,9 +57,9 @@ class Meetings(NamedTuple):
     limits: Float64
 
 
-@inner
-def limit(e: int, k: int, road_users: Users, meetings: Meetings, s: Float64) -> float:
-    """How far user k of a meeting may come behind the other."""
+@inner_njit
+def limit_position(e: int, k: int, road_users: Users, meetings: Meetings, s: Float64) -> float:
+    """The position up to which user k of a meeting may advance behind the other."""
     other = meetings.road_users[e, 1 - k]
     place = (s[other] - road_users.length_m[other] - meetings.begin_m[e, 1 - k]) / GRID_M
     first = meetings.table[e, k]
@@ -73,9 +74,9 @@ def limit(e: int, k: int, road_users: Users, meetings: Meetings, s: Float64) -> 
     return meetings.limits[first + i] * (1.0 - f) + meetings.limits[first + i + 1] * f
 
 
-@inner
-def meet(e: int, road_users: Users, meetings: Meetings, ahead: Int64, now: State) -> None:
-    """What a meeting asks of its two users."""
+@inner_njit
+def yield_at_meeting(e: int, road_users: Users, meetings: Meetings, ahead: Int64, now: State) -> None:
+    """Apply a meeting to its two users."""
     p, q = meetings.road_users[e, 0], meetings.road_users[e, 1]
     for k in range(2):
         u = meetings.road_users[e, k]
@@ -87,9 +88,9 @@ def meet(e: int, road_users: Users, meetings: Meetings, ahead: Int64, now: State
         if now.shut_before[first] < meetings.begin_m[e, ahead[e]]:
             ahead[e] = -1
     if p_in and q_in and (ahead[e] < 0 or meetings.along[e]):
-        # Whatever was agreed before: behind each other, the one in front is first.
-        p_over = now.s[p] - limit(e, 0, road_users, meetings, now.s)
-        ahead[e] = 0 if p_over >= now.s[q] - limit(e, 1, road_users, meetings, now.s) else 1
+        # If one user is behind the other, the one in front goes first, regardless of earlier decisions.
+        p_over = now.s[p] - limit_position(e, 0, road_users, meetings, now.s)
+        ahead[e] = 0 if p_over >= now.s[q] - limit_position(e, 1, road_users, meetings, now.s) else 1
     if ahead[e] < 0:
         if p_in or q_in:
             ahead[e] = 0 if p_in else 1
@@ -99,7 +100,7 @@ def meet(e: int, road_users: Users, meetings: Meetings, ahead: Int64, now: State
         return
     k = 1 - ahead[e]
     u, other = meetings.road_users[e, k], meetings.road_users[e, 1 - k]
-    upto = limit(e, k, road_users, meetings, now.s)
+    upto = limit_position(e, k, road_users, meetings, now.s)
     if upto < now.s[u] - 3.0 and not meetings.along[e]:
         return
     speed = now.v[other] if meetings.along[e] else 0.0
@@ -107,14 +108,14 @@ def meet(e: int, road_users: Users, meetings: Meetings, ahead: Int64, now: State
         upto = max(min(upto, meetings.hold_m[e, k]), now.s[u]) if now.s[u] < meetings.hold_m[e, k] + 0.3 else upto
     if upto - now.s[u] > 120.0:
         return
-    now.wish[u] = min(now.wish[u], follow(u, road_users, now.v[u], upto - now.s[u], speed))
+    now.wish[u] = min(now.wish[u], following_acceleration(u, road_users, now.v[u], upto - now.s[u], speed))
     if upto < now.lead[u]:
         now.lead[u], now.lead_speed[u] = upto, now.v[other]
 
 
-@inner
+@inner_njit
 def _arrival(e: int, k: int, meetings: Meetings, now: State) -> float:
-    """When user k of a meeting can be at the zone; `FAR` if it is far away, has to stop before it, or just stands."""
+    """Earliest arrival of user k at the zone; `FAR` if it is far away, has to stop before the zone, or stands."""
     u = meetings.road_users[e, k]
     gap = meetings.begin_m[e, k] - now.s[u]
     if gap > 90.0 or now.stop_before[u] < meetings.begin_m[e, k] - 0.2 or now.waited[u] > _YIELDS_S:
@@ -122,9 +123,9 @@ def _arrival(e: int, k: int, meetings: Meetings, now: State) -> float:
     return gap / max(now.v[u] + 0.7, 0.8)
 
 
-@inner
+@inner_njit
 def _decide(e: int, road_users: Users, meetings: Meetings, now: State) -> int:
-    """Who goes first (0 or 1) when neither is in the zone yet; -1: it is left open."""
+    """Decide which user goes first (0 or 1) while neither is in the zone; -1: undecided."""
     major = meetings.major[e]
     if major < 0:
         t0 = _arrival(e, 0, meetings, now)
@@ -155,6 +156,6 @@ def _decide(e: int, road_users: Users, meetings: Meetings, now: State) -> int:
     if cannot_stop or (accepts and near):
         return minor
     if not accepts:
-        now.wish[m] = min(now.wish[m], halt(m, road_users, now.v[m], to_hold))
+        now.wish[m] = min(now.wish[m], stopping_acceleration(m, road_users, now.v[m], to_hold))
         now.stop[m] = min(now.stop[m], meetings.hold_m[e, minor])
     return -1

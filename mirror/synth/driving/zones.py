@@ -1,4 +1,4 @@
-"""Where two ways are too close for two to be there at once, and who goes first."""
+"""Conflict zones of two ways, and the right of way in them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mirror.synth.street.network import Lane
 
 GRID_M: Final = 1.0
 _STRIDE: Final = round(GRID_M / STEP_M)
-# Lanes that end this far ahead of a zone still say who goes first in it.
+# Lanes that end up to this distance before a zone still decide its right of way.
 _BEFORE_M: Final = 12.0
 _ALONG_M: Final = 6.0
 _LINE_M: Final = 12.0
@@ -26,16 +26,16 @@ _STRAIGHTER_RAD: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Zone:
-    """A stretch of two ways, p and q, on which their users are in each other's way.
+    """A conflict zone: the stretches of two ways, p and q, on which their users are too close.
 
     Attributes:
-        begin_m: (2,) where it begins on p and on q.
-        end_m: (2,) where it ends.
-        limits: on p: how far one may come while somebody's rear end is at ``begin_m[1] + GRID_M * i`` on q; and the
-            same on q.
-        hold_m: (2,) where each waits while the other goes first: at a stop line shortly before, if there is one.
-        along: whether both go in one direction there: the second follows the first.
-        first: 0: p goes first, 1: q does, -1: whoever is there first.
+        begin_m: (2,) length along p and along q at which the zone begins.
+        end_m: (2,) length along p and along q at which it ends.
+        limits: for p, the position up to which a user may advance while the rear end of the other user is at
+            ``begin_m[1] + GRID_M * i`` on q; and the same for q.
+        hold_m: (2,) position where each user waits if the other goes first: a nearby stop line, if there is one.
+        along: whether both ways have the same direction, so that the second user follows the first.
+        first: right of way: 0: p, 1: q, -1: the user that arrives first.
     """
 
     begin_m: tuple[float, float]
@@ -47,12 +47,12 @@ class Zone:
 
 
 def zones(p: Way, q: Way, clearance_m: float) -> list[Zone]:
-    """The zones of two ways.
+    """Find the conflict zones of two ways.
 
     Args:
         p: a way.
-        q: a way, or the same.
-        clearance_m: lines closer than this are in conflict.
+        q: another way, or the same.
+        clearance_m: distance below which the lines are in conflict.
     """
     if p is q:
         limit = np.maximum(GRID_M * np.arange(len(p.points[::_STRIDE])) - clearance_m, 0.0)
@@ -65,7 +65,7 @@ def zones(p: Way, q: Way, clearance_m: float) -> list[Zone]:
 
 
 def _zone(p: Way, q: Way, runs: Int64) -> Zone:
-    """The zone of runs (R, 3): a point of p, and the first and the last point of q that are too close to it."""
+    """The zone of runs (R, 3): index of a point of p, and of the first and the last point of q too close to it."""
     a0, a1, b0, b1 = runs[0, 0], runs[-1, 0], runs[:, 1].min(), runs[:, 2].max()
     limits = _limits(runs, a0, a1, b0, b1)
     turned = p.heading_rad[_STRIDE * runs[:, 0]] - q.heading_rad[_STRIDE * ((runs[:, 1] + runs[:, 2]) // 2)]
@@ -81,7 +81,7 @@ def _hold(way: Way, begin_m: float) -> float:
 
 
 def _first(p: Way, q: Way, begin_m: tuple[float, float], end_m: tuple[float, float], along: bool) -> int:
-    """Who goes first: as the lanes say; not who pulls out; people who cross; those that go straight on."""
+    """Right of way: by lane; else against users that pull out, for crossing pedestrians, for users that go straight."""
     own, other = _lanes(p, begin_m[0], end_m[0]), _lanes(q, begin_m[1], end_m[1])
     p_yields = any(set(lane.yields_to) & {o.lane_id for o in other} for lane in own)
     q_yields = any(set(lane.yields_to) & {o.lane_id for o in own} for lane in other)
@@ -112,11 +112,12 @@ def _turn(way: Way, begin_m: float, end_m: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _runs(a: Float64, b: Float64, clearance: float) -> tuple[Int64, Int64]:
-    """Where points of two lines, `GRID_M` apart along them, are closer than the clearance.
+    """Find the points of two lines, sampled every `GRID_M`, that are closer than the clearance.
 
     Returns:
-        Runs (R, 3): a point of a, and the first and the last of a row of points of b; and the zone (R,) of each: runs
-        of neighbouring points of a that are nearly in touch are one, since bends bring lines together for a moment.
+        Runs (R, 3): index of a point of a, and of the first and the last of consecutive points of b; and the index (R,)
+        of each run's zone. Runs of neighbouring points of a that almost touch share a zone, because bends separate
+        lines for a short distance.
     """
     runs = np.empty((4 * len(a) + 16, 3), np.int64)
     owner = np.empty(len(runs), np.int64)
@@ -126,7 +127,7 @@ def _runs(a: Float64, b: Float64, clearance: float) -> tuple[Int64, Int64]:
         while j < len(b) and count < len(runs):
             distance = math.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1])
             if distance >= clearance:
-                # No point nearer than the distance that is missing can be in reach.
+                # No point can be in reach before the remaining distance is covered, so it is skipped.
                 j += max(int((distance - clearance) / GRID_M), 1)
                 continue
             start = j
@@ -148,7 +149,7 @@ def _runs(a: Float64, b: Float64, clearance: float) -> tuple[Int64, Int64]:
 
 @njit(cache=True, nogil=True)
 def _limits(runs: Int64, a0: int, a1: int, b0: int, b1: int) -> tuple[Float64, Float64]:
-    """How far one may come on either line while somebody is at, or has still to pass, a point of the other."""
+    """Position up to which a user may advance on each line while the other is at, or before, a point of its line."""
     p, q = np.full(b1 - b0 + 1, np.inf), np.full(a1 - a0 + 1, np.inf)
     for i, low, high in runs:
         q[i - a0] = min(q[i - a0], GRID_M * low)

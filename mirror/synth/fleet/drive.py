@@ -88,9 +88,9 @@ class SynthDrive:
 
     @cached_property
     def _journey(self) -> Journey:
-        from mirror.synth.driving.journey import journey
-        from mirror.synth.driving.site import Bustle
+        from mirror.synth.driving.journey import simulate_journey
         from mirror.synth.driving.site import Site as Traffic
+        from mirror.synth.driving.site import TrafficDensity
         from mirror.synth.driving.trace import Chassis
 
         world, size, condition = self.world, self.vehicle.kind.size, self.condition
@@ -98,9 +98,11 @@ class SynthDrive:
         vehicles, people = (self.site.bustle * share for share in _BUSTLE[condition.light])
         wet = condition.weather == "rain"
         season = season_of(condition.start_ns, self.roi.latitude_deg or 0.0)
-        bustle = Bustle(vehicles, people * (0.6 if wet else 1.0), wet, _WARM_MONTHS[0] < season < _WARM_MONTHS[1])
+        bustle = TrafficDensity(
+            vehicles, people * (0.6 if wet else 1.0), wet, _WARM_MONTHS[0] < season < _WARM_MONTHS[1]
+        )
         chassis = Chassis(size.length_m, size.width_m, size.wheelbase_m, size.rear_m, 0.0)
-        return journey(
+        return simulate_journey(
             Traffic(world.network, world.roi.radius_m, world.height_m),
             self.recipe.route,
             chassis,
@@ -187,10 +189,10 @@ class SynthDrive:
 
     def placements(self, user: RoadUser, timestamp_ns: Int64) -> tuple[Float64, Float64]:
         """Return a road user's placements (N, 6) x, y, z, yaw, pitch, roll and speeds (N,) at Unix times (N,)."""
-        from mirror.synth.driving.trace import Moving
+        from mirror.synth.driving.trace import TraceMotion
 
         motion = user.motion
-        if isinstance(motion, Moving):
+        if isinstance(motion, TraceMotion):
             along, speed = motion.schedule.at(self.seconds(timestamp_ns))
             placed, forward = motion.trace.at(along)
             return placed, forward * speed

@@ -33,7 +33,7 @@ from mirror.synth.render.surroundings import (
 )
 from mirror.synth.render.view import RenderView, rasterize_view
 from mirror.synth.render.wet import add_reflections
-from mirror.synth.road_users.body import Body, Placement, RoadUser, Still
+from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
 from mirror.synth.roads.markings import MARK, narrowed
 from mirror.synth.street.foliage import foliage
 
@@ -299,7 +299,7 @@ class _StaticScene:
 
 
 def _is_static(user: RoadUser) -> bool:
-    return isinstance(user.motion, Still)
+    return isinstance(user.motion, StaticMotion)
 
 
 def _change_images(model: Model, visit: int) -> None:

@@ -114,7 +114,7 @@ class Motion(Protocol):
 
 
 @dataclass(frozen=True)
-class Still:
+class StaticMotion:
     """Standing where it is: parked cars."""
 
     placement: Placement

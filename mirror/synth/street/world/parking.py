@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Label, Material
-from mirror.synth.road_users.body import Body, Placement, RoadUser, Still
+from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
 from mirror.synth.road_users.cars import car
 from mirror.synth.road_users.vans import van
 from mirror.synth.street.network import Lane
@@ -38,7 +38,7 @@ def parked_on(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
     made = [van(rng) if rng.random() < _VANS else car(rng) for _ in range(_MADE)]
     placements = [place for lane in lanes for place in _bays(plan, lane, rng)]
     return tuple(
-        RoadUser(f"parked-{number:03d}", _plated(made[int(rng.integers(_MADE))], rng), Still(place))
+        RoadUser(f"parked-{number:03d}", _plated(made[int(rng.integers(_MADE))], rng), StaticMotion(place))
         for number, place in enumerate(placements)
     )
 

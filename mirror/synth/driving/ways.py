@@ -143,7 +143,7 @@ def build_way(pieces: Sequence[Piece]) -> Way:
         UsageError: there are no pieces, or the way is not longer than a step.
     """
     if not pieces:
-        raise UsageError("a way without pieces", expected="at least one piece")
+        raise UsageError("a way of 0 pieces", expected="at least one piece")
     rough, owner = _join(pieces)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rough, axis=0).T))])
     if length[-1] < 2 * STEP_M:

@@ -1,1 +1,1 @@
-"""Images and grains that cover surfaces, made from seeds and filtered for any distance."""
+"""Procedural textures: images and grains of surfaces, made from seeds and filtered for any distance."""

@@ -1,4 +1,4 @@
-"""All images and grains with their levels of detail, in flat arrays that compiled kernels read."""
+"""The texture atlas: all images and grains with their levels of detail, in flat arrays for compiled kernels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mirror.synth.textures.images import draw_images
 
 _LEVELS: Final = 10
 _LEAST_CONTRAST: Final = 0.002
-"""Levels that differ less than this from 1, root mean square, are taken as 1."""
+"""Levels with a smaller root mean square difference from 1 count as constant 1."""
 _LOCK: Final = threading.Lock()
 _BUILT: Final[list[Atlas]] = []
 
@@ -26,11 +26,11 @@ class Atlas:
     """Images and grains.
 
     Attributes:
-        grains: (T,) every grain's levels, the finest first, each row by row; rows go along v.
-        grain_index: (G, 4) its first texel, the logarithm to base 2 of its side in texels, texels a metre, and the
-            first level that is 1 everywhere.
-        images: (N, 3) texels, the square root of linear reflectance times 255; row 0 is at the top.
-        image_index: (P, 3 + L) width, height and number of levels, then the first texel of each level.
+        grains: (T,) texels of all grains and levels, the finest level first, each row by row; rows run along v.
+        grain_index: (G, 4) for each grain: index of the first texel, base-2 logarithm of the side in texels, texels
+            per metre, and the first level that is constant 1.
+        images: (N, 3) texels: square root of linear reflectance times 255; row 0 is at the top.
+        image_index: (P, 3 + L) for each image: width, height, number of levels, and the first texel of each level.
     """
 
     grains: Float32
@@ -40,7 +40,7 @@ class Atlas:
 
 
 def atlas() -> Atlas:
-    """The atlas: the same for every caller, drawn at the first call."""
+    """Return the atlas, which is built at the first call and shared by all callers."""
     with _LOCK:
         if not _BUILT:
             _BUILT.append(_built())
@@ -61,7 +61,7 @@ def _grains() -> tuple[Float32, Float64]:
         size = len(level)
         levels = [level]
         while len(level) > 1:
-            # Four of equal weight: exact but for the rounding of float32.
+            # The mean of four texels is exact apart from float32 rounding.
             level = 0.25 * (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2])
             levels.append(level)
         flat = next(n for n, one in enumerate(levels) if one.std() < _LEAST_CONTRAST)
@@ -91,7 +91,7 @@ def _images(images: list[UInt8]) -> tuple[UInt8, Int64]:
 
 @njit(cache=True, nogil=True)
 def _fill(texels: UInt8, index: Int64, image: UInt8) -> None:
-    """Writes the halvings of an image, averaged in linear light; each is rounded but once."""
+    """Write the coarser levels of an image, averaged in linear light; each is rounded only once."""
     high, wide = image.shape[0] // 2, image.shape[1] // 2
     light = np.empty((high, wide, 3), np.float32)
     for level in range(1, index[2]):

@@ -1,4 +1,4 @@
-"""Which images and which grains there are: builders of models name them by number, the atlas holds them."""
+"""The catalogue of images and grains: models refer to them by number, and the atlas contains them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 
 
 class Grain(IntEnum):
-    """A grey pattern that repeats, with a mean of 1: reflectance is multiplied by it."""
+    """A periodic grey pattern with mean 1 that multiplies the reflectance of a surface."""
 
     ASPHALT = 0
     PAVING = 1
@@ -23,7 +23,7 @@ class Grain(IntEnum):
     CLOTH = 11
     METAL = 12
     STAINS = 13
-    """Large, soft: dirt and weather, on top of all the others."""
+    """Large soft patches of dirt, applied on top of other grains."""
 
 
 PERIOD_M: Final[dict[Grain, float]] = {
@@ -42,20 +42,20 @@ PERIOD_M: Final[dict[Grain, float]] = {
     Grain.METAL: 2.0,
     Grain.STAINS: 23.0,
 }
-"""Metres after which each repeats."""
+"""Period of each grain, metres."""
 
 SHOP_SIGNS: Final = range(0, 40)
-"""Names of shops, 5 wide to 1 high."""
+"""Shop signs with an aspect of 5:1."""
 BILLBOARDS: Final = range(40, 56)
-"""Advertisements, 3 wide to 2 high."""
+"""Advertisements with an aspect of 3:2."""
 POSTERS: Final = range(56, 72)
-"""2 wide to 3 high."""
+"""Posters with an aspect of 2:3."""
 TRAFFIC_SIGNS: Final = range(72, 92)
-"""Square images; outside a round or three-cornered sign they are grey, its back shows there."""
+"""Square images of traffic signs; grey outside a round or triangular sign."""
 
 
 class Sign(IntEnum):
-    """Which image of :data:`TRAFFIC_SIGNS` says what."""
+    """The meaning of each image of :data:`TRAFFIC_SIGNS`."""
 
     SPEED_30 = 72
     SPEED_50 = 73
@@ -63,11 +63,11 @@ class Sign(IntEnum):
     SPEED_120 = 75
     NO_ENTRY = 76
     YIELD = 77
-    """A triangle that stands on its tip."""
+    """A triangle with its tip at the bottom."""
     STOP = 78
     """An octagon."""
     PRIORITY = 79
-    """A square that stands on its tip."""
+    """A square with a corner at the bottom."""
     PARKING = 80
     NO_PARKING = 81
     CROSSWALK = 82
@@ -76,7 +76,7 @@ class Sign(IntEnum):
     ONE_WAY = 85
     KEEP_RIGHT = 86
     BEND = 87
-    """A triangle that stands on its side, as the next ones."""
+    """A triangle with its tip at the top; so are the following signs."""
     CHILDREN = 88
     ROADWORKS = 89
     CROSSING_AHEAD = 90
@@ -84,17 +84,17 @@ class Sign(IntEnum):
 
 
 DIRECTION_SIGNS: Final = range(92, 100)
-"""Over roads, 2 wide to 1 high."""
+"""Direction signs with an aspect of 2:1."""
 SHOP_WINDOWS: Final = range(100, 124)
-"""What lies behind shop windows, 3 wide to 2 high."""
+"""Interiors behind shop windows, with an aspect of 3:2."""
 DOORS: Final = range(124, 132)
-"""1 wide to 2 high."""
+"""Doors with an aspect of 1:2."""
 GRAFFITI: Final = range(132, 140)
-"""2 wide to 1 high, on a plain wall."""
+"""Graffiti on a plain wall, with an aspect of 2:1."""
 LIVERIES: Final = range(140, 156)
-"""Sides of vans, trucks and buses, 2 wide to 1 high."""
+"""Sides of vans, trucks and buses, with an aspect of 2:1."""
 FACES: Final = range(156, 188)
-"""Of people, square: the front half of a head, the face in the middle."""
+"""Square images of faces: the front half of a head, with the face in the middle."""
 PLATES: Final = range(188, 444)
-"""Number plates, 52 wide to 11 high."""
+"""Number plates with an aspect of 52:11."""
 COUNT: Final = 444

@@ -1,4 +1,4 @@
-"""Faces of people, painted feature by feature: the image on the front half of a head."""
+"""Draws the faces of people, feature by feature: the image on the front half of a head."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Colour = tuple[float, float, float]
 Hair = Literal["short", "parted", "fringe", "long", "bun", "bald"]
 
 HEAD_ASPECT: Final = 0.68
-"""Width of a head by its height: the square image is as much narrower once it is on one."""
+"""Width of a head divided by its height; the square image is compressed by this factor on a head."""
 _SKINS: Final[tuple[Colour, ...]] = (
     (0.62, 0.44, 0.35), (0.58, 0.39, 0.29), (0.55, 0.37, 0.27), (0.50, 0.33, 0.23), (0.44, 0.28, 0.19),
     (0.36, 0.22, 0.14), (0.27, 0.16, 0.10), (0.19, 0.11, 0.07),
@@ -35,20 +35,20 @@ _DARK: Final = (0.015, 0.012, 0.011)
 
 @dataclass(frozen=True)
 class Features:
-    """What tells one face from another.
+    """The features of one face.
 
     Attributes:
-        skin: linear reflectance, as all colours here.
+        skin: colour of the skin; all colours are linear reflectances.
         hair: colour of the hair.
-        style: of the hair.
+        style: style of the hair.
         eyes: colour of the irises.
-        lips: colour.
-        beard: 0 none, below 0.5 stubble, 1 full.
-        moustache: whether there is one.
-        glasses: whether they are worn.
-        age: 0 young to 1 old: lines.
-        brow: thickness of the brows, about 1.
-        wide: distance between the eyes, size of the mouth and the nose: about 1.
+        lips: colour of the lips.
+        beard: 0 no beard, below 0.5 stubble, 1 full beard.
+        moustache: whether the face has a moustache.
+        glasses: whether the person wears glasses.
+        age: 0 young to 1 old; sets the depth of wrinkles.
+        brow: relative thickness of the eyebrows, about 1.
+        wide: relative distance of the eyes and size of mouth and nose, about 1.
         feminine: softer brows and nose, fuller lips.
     """
 
@@ -68,13 +68,13 @@ class Features:
 
 @cache
 def features(number: int) -> Features:
-    """The features of a face.
+    """Return the features of a face.
 
     Args:
         number: image of the catalogue, one of FACES.
 
     Raises:
-        UsageError: another image.
+        UsageError: the image is not one of FACES.
     """
     if number not in FACES:
         raise UsageError(f"face {number}", expected=f"{FACES.start} to {FACES.stop - 1}")
@@ -101,16 +101,16 @@ def features(number: int) -> Features:
 
 
 def face_image(number: int, size_px: int = 128) -> Float32:
-    """The front of a head: (size, size, 3) linear red, green and blue.
+    """Draw the front of a head: (size, size, 3) linear red, green and blue.
 
-    It is seen along the head's own -x axis and covers its extents in y and z: a circle in it is the head's outline.
+    The view is along the head's -x axis and covers its extents in y and z; the head's outline is a circle in the image.
 
     Args:
         number: image of the catalogue, one of FACES.
-        size_px: edge of the image.
+        size_px: side of the image, pixels.
 
     Raises:
-        UsageError: no such face, or a size below 16.
+        UsageError: the image is not one of FACES, or the size is below 16.
     """
     if size_px < 16:
         raise UsageError(f"a face of {size_px} pixels", expected="at least 16")
@@ -139,7 +139,7 @@ class _Canvas:
         self.edge = 1.0 / size_px
 
     def window(self, x0: float, x1: float, y0: float, y1: float) -> tuple[slice, slice]:
-        """The pixels in a rectangle."""
+        """Return the slices of the pixels in a rectangle."""
         size = len(self.rgb)
         left, right = ((x / HEAD_ASPECT + 1.0) * 0.5 * size for x in (x0, x1))
         top, bottom = ((1.0 - y) * 0.5 * size for y in (y1, y0))
@@ -148,12 +148,12 @@ class _Canvas:
         )
 
     def lay(self, where: tuple[slice, slice], colour: Colour | Float64, share: Float64) -> None:
-        """Colour over pixels, by their shares."""
+        """Blend a colour over pixels, by their coverage."""
         part = self.rgb[where]
         part += share[..., None] * (np.asarray(colour) - part)
 
     def shade(self, factor: Colour | float, x: float, y: float, a: float, b: float, soft: float = 0.9) -> None:
-        """Multiply an ellipse."""
+        """Multiply the pixels of an ellipse by a factor."""
         where, share = self.ellipse(x, y, a, b, 0.0, soft)
         self.rgb[where] *= 1.0 + share[..., None] * (np.asarray(factor) - 1.0)
 
@@ -161,14 +161,14 @@ class _Canvas:
         self, colour: Colour, x: float, y: float, a: float, b: float, *, turn: float = 0.0, soft: float = 0.0,
         share: float = 1.0,
     ) -> None:  # fmt: skip
-        """An ellipse with half axes a and b."""
+        """Draw an ellipse with semi-axes a and b."""
         where, inside = self.ellipse(x, y, a, b, turn, soft)
         self.lay(where, colour, share * inside)
 
     def ellipse(
         self, x: float, y: float, a: float, b: float, turn: float, soft: float
     ) -> tuple[tuple[slice, slice], Float64]:
-        """Where an ellipse is and how much of each pixel it covers; ``soft`` as a share of its radius."""
+        """Return the pixels of an ellipse and their coverage; ``soft`` is the width of its edge by its radius."""
         reach = max(a, b) * (1.0 + soft) + 2.0 * self.edge
         where = self.window(x - reach, x + reach, y - reach, y + reach)
         dx, dy = self.x[:, where[1]] - x, self.y[where[0]] - y
@@ -180,7 +180,7 @@ class _Canvas:
         self, colour: Colour, points: list[tuple[float, float]], width: float, *, soft: float = 0.0, share: float = 1.0,
         taper: float = 1.0,
     ) -> None:  # fmt: skip
-        """A line through points; ``taper`` is its width at the end, as a share of that at the start."""
+        """Draw a line through points; ``taper`` is its width at the end divided by that at the start."""
         xs, ys = zip(*points)
         reach = width * (1.0 + soft) + 2.0 * self.edge
         where = self.window(min(xs) - reach, max(xs) + reach, min(ys) - reach, max(ys) + reach)
@@ -207,7 +207,7 @@ def _times(colour: Colour, factor: float) -> Colour:
 
 
 def _form(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None:
-    """Forehead, sockets, cheeks, jaw."""
+    """Shade the forehead, eye sockets, cheeks and jaw."""
     canvas.rgb *= 1.0 + 0.04 * _mottle(rng, len(canvas.rgb), 9)[..., None]
     canvas.shade((1.07, 1.06, 1.05), 0.0, 0.38, 0.34, 0.20)
     blush = (1.06, 0.95, 0.94) if one.feminine else (1.04, 0.97, 0.96)
@@ -230,7 +230,7 @@ def _form(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None:
 
 
 def _eye(canvas: _Canvas, one: Features, side: float) -> None:
-    """Ball, iris, pupil, glint, lids, lashes and brow."""
+    """Draw an eye: eyeball, iris, pupil, highlight, lids, lashes and brow."""
     x, y = side * 0.275 * one.wide[0], 0.03
     half, open_ = 0.125, 0.050 if one.feminine else 0.044
     outer, inner = x + side * half, x - side * half
@@ -285,7 +285,7 @@ def _mouth(canvas: _Canvas, one: Features) -> None:
 
 
 def _beard(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None:
-    """Stubble or a full beard on jaw and chin, a moustache."""
+    """Draw stubble or a full beard on jaw and chin, and a moustache."""
     x, y = np.abs(canvas.x), canvas.y
     grain = 1.0 + 0.35 * _mottle(rng, len(canvas.rgb), 40)
     colour = np.array(one.hair)
@@ -300,7 +300,7 @@ def _beard(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None:
 
 
 def _hair(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None:
-    """What of the hair lies on the face's half of the head: the hairline, temples, a fringe."""
+    """Draw the hair on the front half of the head: hairline, temples, fringe."""
     x, y = canvas.x, canvas.y
     side = np.abs(x)
     line = {
@@ -335,7 +335,7 @@ def _glasses(canvas: _Canvas, one: Features) -> None:
 
 
 def _mottle(rng: np.random.Generator, size_px: int, cells: int) -> Float64:
-    """Smooth noise (size, size) in [-1, 1] with so many cells across."""
+    """Smooth noise (size, size) in [-1, 1] with ``cells`` cells along a side."""
     coarse = rng.uniform(-1.0, 1.0, (cells + 1, cells + 1))
     at = (np.arange(size_px) + 0.5) / size_px * cells
     low = np.minimum(at.astype(np.int64), cells - 1)

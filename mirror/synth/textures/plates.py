@@ -1,4 +1,4 @@
-"""Number plates: white, with a blue band on their left and bold dark characters."""
+"""Draws number plates: white, with a blue band on the left and bold dark characters."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from mirror.synth.textures.images.lettering import letter
 
 _LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ"
 _UNUSED: Final = ("SS", "SA", "NS", "HJ", "KZ", "HH", "AH")
-"""Pairs that no authority gives out."""
+"""Pairs of letters that authorities do not issue."""
 _COUNTRIES: Final = "DFIABE"
 _WHITE: Final = (226, 226, 221)
 _BLACK: Final = (26, 26, 28)
 _BLUE: Final = (22, 58, 140)
 _YELLOW: Final = (236, 196, 40)
 _SCALE: Final = 1.0
-"""Pixels a millimetre that plates are drawn with."""
+"""Pixels per millimetre of a drawn plate."""
 _WIDE_MM: Final = 520.0
 _HIGH_MM: Final = 110.0
 _FIRST_MM: Final = 58.0
@@ -37,16 +37,16 @@ _STROKE_MM: Final = 10.0
 
 
 def plate_text(number: int) -> str:
-    """What a number plate says.
+    """Return the text of a number plate.
 
     Args:
         number: image of the catalogue, one of PLATES.
 
     Returns:
-        Two letters, two letters and three digits, parted by spaces, such as ``KB TR 482``; all plates differ.
+        Two letters, two letters and three digits, separated by spaces, such as ``KB TR 482``; all plates differ.
 
     Raises:
-        UsageError: another image.
+        UsageError: the image is not one of PLATES.
     """
     if number not in PLATES:
         raise UsageError(f"plate {number}", expected=f"{PLATES.start} to {PLATES.stop - 1}")
@@ -55,24 +55,24 @@ def plate_text(number: int) -> str:
         letters = "".join(rng.choice(list(_LETTERS), 4))
         if letters[:2] not in _UNUSED and letters[2:] not in _UNUSED:
             break
-    # The number itself takes part, so that no two plates are alike.
+    # The number is part of the text, so that all plates differ.
     digits = f"{(number - PLATES.start) * 3 + 137:03d}"
     return f"{letters[:2]} {letters[2:]} {digits}"
 
 
 def plate_image(number: int, wide: int = 256, high: int = 64) -> UInt8:
-    """Image of a number plate.
+    """Draw the image of a number plate.
 
     Args:
         number: image of the catalogue, one of PLATES.
-        wide: pixels; the plate fills the image, whatever its shape.
-        high: pixels.
+        wide: width in pixels; the plate fills the image for any aspect.
+        high: height in pixels.
 
     Returns:
-        (H, W, 3) red, green and blue, 255 times the square root of linear reflectance.
+        (H, W, 3) red, green and blue: 255 times the square root of linear reflectance.
 
     Raises:
-        UsageError: another image.
+        UsageError: the image is not one of PLATES.
     """
     text = plate_text(number)
     image = _blank(_COUNTRIES[number % len(_COUNTRIES)]).copy()
@@ -85,13 +85,13 @@ def plate_image(number: int, wide: int = 256, high: int = 64) -> UInt8:
         left, top = round(at * _SCALE), round(_TOP_MM * _SCALE)
         image[top : top + stamp.shape[0], left : left + stamp.shape[1]] = stamp
         at += (_LETTER_MM if sign.isalpha() else _DIGIT_MM) + _GAP_MM
-    # Means over areas: letters keep their edges smooth when the image is squeezed.
+    # Area averaging keeps the edges of letters smooth when the image is scaled.
     return cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
 
 
 @cache
 def _blank(country: str) -> UInt8:
-    """A plate without its number."""
+    """Draw a plate without characters."""
     image = plain(round(_WIDE_MM * _SCALE), round(_HIGH_MM * _SCALE), _BLACK)
     rounded(image, (3 * _SCALE, 3 * _SCALE, 517 * _SCALE, 107 * _SCALE), 7 * _SCALE, _WHITE)
     rounded(image, (4 * _SCALE, 4 * _SCALE, 43 * _SCALE, 106 * _SCALE), 6 * _SCALE, _BLUE)
@@ -104,7 +104,7 @@ def _blank(country: str) -> UInt8:
 
 @cache
 def _character(sign: str) -> UInt8:
-    """A letter or a digit on white."""
+    """Draw a letter or a digit on white."""
     width = (_LETTER_MM if sign.isalpha() else _DIGIT_MM) * _SCALE
     image = plain(round(width), round(_TALL_MM * _SCALE), _WHITE)
     letter(image, sign, (0.0, 0.0, width, _TALL_MM * _SCALE), _BLACK, _STROKE_MM * _SCALE)

@@ -1,8 +1,8 @@
-"""Means of grains and images over a pixel: taps spread over its parallelogram, each on a level that fits its share.
+"""Means of grains and images over a pixel: taps over its parallelogram, each on a level that matches its part.
 
-A tap reads the nearest level of detail bilinearly; that is a bell about 1.7 texels wide. Pixels up to about twice as
-long as wide get two rows of taps, longer ones a single row. Means over boxes are met to about a tenth of the contrast
-that is left in them, white noise to a fourth. ``python -m benchmarks textures`` has times and errors.
+A tap reads the nearest level of detail bilinearly, which is a kernel about 1.7 texels wide. Pixels up to about twice as
+long as wide use two rows of taps, longer pixels one row. The error against a box mean is about a tenth of its remaining
+contrast, for white noise a fourth. ``python -m benchmarks textures`` measures times and errors.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.synth.kernels import per_pixel
 
 _CLOSE: Final = 1.25
-"""Taps in a single row for as much length as the pixel is wide."""
+"""Number of taps of a single row per width of the pixel along its length."""
 _MOST_TAPS: Final = 10
 _STEEPEST: Final = 64.0
-"""Square of the greatest ratio of sides; beyond it pixels are taken as wider than they are."""
+"""Square of the greatest aspect of a pixel; longer pixels are widened to this aspect."""
 _BELL: Final = 0.45
-"""Square of a tap's texel by that of the width that it stands for. A third gives the bell the variance of the box; a
-wider one leaves less of the fine waves that a bell lets through."""
+"""Square of a tap's texel divided by the square of the width that the tap represents. A third gives the kernel the
+variance of the box; a larger value removes more of the high frequencies that the kernel passes."""
 _NEAREST: Final = 2.5
-"""The square of a tap's texel, in texels, from which the next level is the nearer one."""
+"""Square of a tap's texel, in texels, above which the next level is nearer."""
 _SMALL: Final = 1.0
-"""Square of the width, in texels, below which a row is enough."""
+"""Square of the width, in texels, below which one row of taps is enough."""
 _SHARE: Final = np.array([0.0, *(1.0 / n for n in range(1, _MOST_TAPS + 1))])
 _WHOLE: Final = 65536
 _HALF: Final = 32768
@@ -38,21 +38,21 @@ _Tap = tuple[np.float32, np.float32, np.float32]
 def grain_at(
     grains: Float32, index: Float64, grain: int, u: float, v: float, u1: float, v1: float, u2: float, v2: float
 ) -> float:
-    """Mean of a grain over a pixel.
+    """Compute the mean of a grain over a pixel.
 
     Args:
         grains: ``Atlas.grains``.
         index: ``Atlas.grain_index``.
-        grain: of ``Grain``.
-        u: middle of the pixel on the surface, metres.
-        v: metres.
-        u1: how far u moves across the pixel from left to right, metres.
-        v1: how far v does.
-        u2: how far u moves across the pixel from top to bottom, metres.
-        v2: how far v does.
+        grain: value of ``Grain``.
+        u: centre of the pixel on the surface, metres.
+        v: centre of the pixel on the surface, metres.
+        u1: change of u across the pixel from left to right, metres.
+        v1: change of v across the pixel from left to right, metres.
+        u2: change of u across the pixel from top to bottom, metres.
+        v2: change of v across the pixel from top to bottom, metres.
 
     Returns:
-        A factor of the reflectance, 1 in the mean.
+        Factor of the reflectance, with mean 1 over the surface.
     """
     scale = index[grain, 2]
     x1, y1, x2, y2, texel, taps, rows = _spread(u1 * scale, v1 * scale, u2 * scale, v2 * scale)
@@ -66,7 +66,7 @@ def grain_at(
         shrink *= 0.5
     if level >= flat:
         return 1.0
-    # In 65536ths of a texel, as integers: the lower bits are what is left of a period.
+    # Integers in 65536ths of a texel: the lower bits are the position within a period.
     x1, y1, x2, y2 = int(x1 * shrink), int(y1 * shrink), int(x2 * shrink), int(y2 * shrink)
     left = int(u * scale * shrink) - _HALF - (((taps - 1) * x1 + (rows - 1) * x2) >> 1)
     top = int(v * scale * shrink) - _HALF - (((taps - 1) * y1 + (rows - 1) * y2) >> 1)
@@ -81,18 +81,18 @@ def grain_at(
 
 @per_pixel(inline="always")
 def _spread(x1: float, y1: float, x2: float, y2: float) -> tuple[float, float, float, float, float, int, int]:
-    """Where the taps of a parallelogram lie.
+    """Distribute taps over a parallelogram.
 
     Returns:
-        The step from tap to tap, the step from row to row, the square of the texel that a tap wants, taps in a row,
-        and rows.
+        The step between taps, the step between rows, the square of the texel that fits a tap, the number of taps in a
+        row, and the number of rows.
     """
     long, short = x1 * x1 + y1 * y1, x2 * x2 + y2 * y2
     area = x1 * y2 - x2 * y1
     if short > long:
         x1, y1, x2, y2, long = x2, y2, x1, y1, short
     short = max(area * area / max(long, 1e-12), long * (1.0 / _STEEPEST))
-    # A bilinear tap is never narrower than the square root of 3 texels.
+    # A bilinear tap is at least the square root of 3 texels wide.
     wide, reach, taps, rows = max(short, 3.0), long * (_CLOSE * _CLOSE), 1, 1
     while (taps + 0.5) * (taps + 0.5) * wide < reach and taps < _MOST_TAPS:
         taps += 1
@@ -117,18 +117,18 @@ def _grain_tap(grains: Float32, first: int, log: int, x: int, y: int) -> float:
 def image_at(
     images: UInt8, index: Int64, image: int, s: float, t: float, s1: float, t1: float, s2: float, t2: float
 ) -> Rgb:
-    """Mean of an image over a pixel; beyond its edges the outermost texels go on.
+    """Compute the mean of an image over a pixel; the outermost texels continue beyond the edges.
 
     Args:
         images: ``Atlas.images``.
         index: ``Atlas.image_index``.
-        image: number in the catalogue.
-        s: middle of the pixel, 0 at the image's left edge, 1 at its right one.
-        t: 0 at its lower edge, 1 at its upper one.
-        s1: how far s moves across the pixel from left to right.
-        t1: how far t does.
-        s2: how far s moves across the pixel from top to bottom.
-        t2: how far t does.
+        image: number of the image in the catalogue.
+        s: centre of the pixel, 0 at the left edge of the image, 1 at the right edge.
+        t: centre of the pixel, 0 at the lower edge of the image, 1 at the upper edge.
+        s1: change of s across the pixel from left to right.
+        t1: change of t across the pixel from left to right.
+        s2: change of s across the pixel from top to bottom.
+        t2: change of t across the pixel from top to bottom.
 
     Returns:
         Linear reflectance of red, green and blue, 0 to 1.
@@ -157,7 +157,7 @@ def image_at(
 
 @per_pixel(inline="always", contract=True)
 def _image_tap(images: UInt8, first: int, wide: int, high: int, x: int, y: int) -> _Tap:
-    """Times 255 squared."""
+    """One bilinear tap of an image: linear reflectance times 255 squared."""
     x, y = min(max(x, 0), (wide - 1) << 16), min(max(y, 0), (high - 1) << 16)
     i, j = x >> 16, y >> 16
     a, b = np.float32(x & 65535) * np.float32(1.0 / _WHOLE), np.float32(y & 65535) * np.float32(1.0 / _WHOLE)

@@ -1,4 +1,4 @@
-"""Grains: grey patterns that repeat, with a mean of 1."""
+"""Draws grains: periodic grey patterns with mean 1."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from mirror.arrays import Float32
 from mirror.synth.textures.catalogue import PERIOD_M, Grain
 from mirror.synth.textures.grains import growth, masonry, mineral
 
-_Drawn = Callable[[np.random.Generator, int, float], Float32]
-_DRAWN: Final[dict[Grain, tuple[_Drawn, int]]] = {
+_DrawFunction = Callable[[np.random.Generator, int, float], Float32]
+_GRAINS: Final[dict[Grain, tuple[_DrawFunction, int]]] = {
     Grain.ASPHALT: (mineral.asphalt, 512),
     Grain.PAVING: (masonry.paving, 512),
     Grain.BRICK: (masonry.brick, 512),
@@ -28,18 +28,18 @@ _DRAWN: Final[dict[Grain, tuple[_Drawn, int]]] = {
     Grain.METAL: (growth.metal, 512),
     Grain.STAINS: (mineral.stains, 512),
 }
-"""How each is drawn, and its texels along either side: a power of two."""
+"""The function that draws each grain, and the number of texels along a side: a power of two."""
 _DARKEST: Final = 0.08
 
 
 def draw_grain(grain: Grain) -> Float32:
-    """One period of a grain.
+    """Draw one period of a grain.
 
     Returns:
-        (N, N) factors of the reflectance, mean 1; rows go along v.
+        (N, N) factors of the reflectance, mean 1; rows run along v.
     """
-    drawn, size = _DRAWN[grain]
-    pattern = drawn(np.random.default_rng([int(grain), 2718]), size, PERIOD_M[grain]).astype(np.float64)
+    draw, size = _GRAINS[grain]
+    pattern = draw(np.random.default_rng([int(grain), 2718]), size, PERIOD_M[grain]).astype(np.float64)
     pattern = np.maximum(pattern, _DARKEST)
-    # As float32 the mean is 1 to a few times 1e-8.
+    # In float32 the mean is 1 within a few times 1e-8.
     return (pattern / pattern.mean()).astype(np.float32)

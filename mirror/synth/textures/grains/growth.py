@@ -1,4 +1,4 @@
-"""What grows: grass, bark, leaves; and cloth and metal, that are drawn alike."""
+"""Grains of plants (grass, bark, leaves), and of cloth and metal, which are drawn with similar strokes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SHIFT = 4
 
 
 def grass(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Blades over dark roots, in tufts; here and there a pale dry one."""
+    """Blades of grass in tufts over dark soil, with some dry ones."""
     tone = np.full((size, size), 62, np.uint8)
     count, texel = 12000, period_m / size
     tufts = waves(rng, size, 0.3, 0.04, 0.5)
@@ -32,7 +32,7 @@ def grass(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def bark(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Ridges along v, parted by dark fissures."""
+    """Ridges along v, separated by dark fissures."""
     ridges = np.abs(waves(rng, size, 0.30, 0.06, 0.4, 6.0))
     plates = waves(rng, size, 0.08, 0.012, 0.4, 2.0)
     fissures = np.exp(-((ridges / 0.22) ** 2))
@@ -40,9 +40,9 @@ def bark(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Leaves of 5 to 9 cm on top of each other: dark ones deep inside, light ones outside, with their ribs.
+    """Overlapping leaves of 5 to 9 cm with ribs: dark inside, light outside.
 
-    They hang in clumps, with dark gaps between: what is left of them from afar.
+    They form clumps with dark gaps, which stay visible from a distance.
     """
     tone = np.full((size, size), 34, np.uint8)
     texel = period_m / size
@@ -66,21 +66,21 @@ def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def _leaf() -> Float64:
-    """Outline of a leaf from its stalk at (-0.5, 0) round to it again, unit length."""
+    """Closed outline of a leaf of unit length, from its stalk at (-0.5, 0)."""
     along = np.linspace(0.0, 1.0, 7)
     half = 0.30 * np.sin(np.pi * along**0.8)
     return np.r_[np.c_[along - 0.5, half], np.c_[along[-2:0:-1] - 0.5, -half[-2:0:-1]]]
 
 
 def cloth(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Folds that hang along v, and a hint of the weave."""
+    """Folds along v, with a faint weave."""
     folds = waves(rng, size, 0.5, 0.06, 0.9, 2.5)
     weave = waves(rng, size, 0.03, 0.008, 0.0, 0.2) + waves(rng, size, 0.03, 0.008, 0.0, 5.0)
     return 1.0 + 0.085 * folds + 0.035 * weave
 
 
 def metal(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Brushed along u, with scratches, and runs of dirt down v."""
+    """Metal brushed along u, with scratches and streaks of dirt along v."""
     brushed = waves(rng, size, 0.04, 0.004, 0.1, 0.01)
     runs = np.clip(waves(rng, size, 0.06, 0.01, 0.4, 25.0) - 0.8, 0.0, None)
     marks = np.clip(waves(rng, size, 0.03, 0.005, 0.0, 0.12) - 2.6, 0.0, None)

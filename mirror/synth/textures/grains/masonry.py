@@ -1,4 +1,4 @@
-"""What is laid in rows: slabs, bricks, tiles, planks."""
+"""Grains of materials in rows: slabs, bricks, tiles, planks."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from mirror.synth.textures.grains.noise import joints, waves
 def _laid(
     rng: np.random.Generator, size: int, rows: int, columns: int, shift: float, spread: float
 ) -> tuple[Float64, Float64, Float64]:
-    """Pieces in rows, every other row moved by ``shift`` of a piece.
+    """Lay pieces in rows; every other row is displaced by ``shift`` of a piece.
 
     Returns:
-        (size, size) each: the pieces' tones, and where a texel lies in its piece along u and along v, 0 to 1.
+        Three (size, size) arrays: tone of the piece, and position in the piece along u and along v, 0 to 1.
     """
     down = (np.arange(size) + 0.5) * (rows / size)
     row = down.astype(np.int64)
@@ -25,13 +25,13 @@ def _laid(
 
 
 def _bevel(inside: Float64, piece_m: float, width_m: float) -> Float64:
-    """1 at a piece's low edge, -1 at its high one, 0 between."""
+    """Shading of a bevel: 1 at the low edge of a piece, -1 at its high edge, 0 between."""
     low, high = inside * piece_m, (1.0 - inside) * piece_m
     return np.clip(1.0 - low / width_m, 0.0, 1.0) - np.clip(1.0 - high / width_m, 0.0, 1.0)
 
 
 def paving(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Concrete slabs of 0.4 m in a running bond, with joints, worn edges, and trodden gum."""
+    """Concrete slabs of 0.4 m in a running bond, with joints, worn edges and chewing gum."""
     pitch, texel = 0.4, period_m / size
     tone, along, up = _laid(rng, size, 6, 6, 0.5, 0.055)
     joint = np.maximum(joints(along * pitch, pitch, 0.010, texel), joints(up * pitch, pitch, 0.010, texel))
@@ -43,21 +43,21 @@ def paving(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def brick(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Bricks of 0.26 m by 0.08 m with their mortar in a stretcher bond; some are burnt dark."""
+    """Bricks of 0.26 m by 0.08 m with mortar in a stretcher bond; some are darker."""
     texel = period_m / size
     tone, along, up = _laid(rng, size, 26, 8, 0.5, 0.11)
     tone = tone - 0.12 * (tone < -0.15)
     mortar = np.maximum(joints(along * 0.26, 0.26, 0.010, texel), joints(up * 0.08, 0.08, 0.010, texel))
     fine = waves(rng, size, 0.03, 0.004, 0.2)
     body = 1.0 + tone + 0.07 * fine + 0.10 * waves(rng, size, 0.06, 0.02, 0.4)
-    # Rows go along v: upwards on a wall, so the low edge of a brick lies in the shade of its own arris.
+    # Rows run along v, upwards on a wall, so the low edge of a brick is shaded.
     body -= 0.14 * _bevel(up, 0.08, 0.012)
     pale = 1.32 + 0.06 * fine
     return (body * (1.0 - mortar) + pale * mortar).astype(np.float32)
 
 
 def roof(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Pantiles of 0.2 m by 0.3 m: round across, each row over the one below it."""
+    """Pantiles of 0.2 m by 0.3 m with a round profile; each row overlaps the one below."""
     texel = period_m / size
     tone, along, up = _laid(rng, size, 8, 12, 0.0, 0.09)
     rolled = np.sin(2.0 * np.pi * along) * 0.16 + 0.06 * np.cos(4.0 * np.pi * along)

@@ -1,4 +1,4 @@
-"""Ground and walls without a bond: asphalt, gravel, plaster, concrete, and the dirt on all of them."""
+"""Grains of ground and walls without rows: asphalt, gravel, plaster, concrete, and dirt."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from mirror.synth.textures.grains.noise import joints, middles, waves, wrapped
 _SHIFT: Final = 4
 _STONE: Final = ((1.2, 0.55, 0.25), (1.0, 1.0, 0.0), (0.6, 1.08, -0.2))
 _PEBBLE: Final = ((1.15, 0.7, 0.2), (0.9, 1.0, 0.0))
-"""Ellipses that a stone is painted with, its shade first: size, tone, how far to the side."""
+"""Ellipses of a drawn stone, its shadow first: size, tone, sideways offset."""
 
 
 def asphalt(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Stones of 4 to 11 mm in bitumen: some bright, some missing."""
+    """Stones of 4 to 11 mm in bitumen; some are bright, some are missing."""
     stones = waves(rng, size, 0.02, 0.0035, 0.0)
     bright = np.clip(stones - 0.9, 0.0, None)
     pits = np.clip(-stones - 1.3, 0.0, None)
@@ -44,14 +44,14 @@ def gravel(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def plaster(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Rubbed render: fine bumps, strokes of the float, faint shades."""
+    """Render with fine bumps, strokes of the float and faint patches."""
     bumps = waves(rng, size, 0.02, 0.004, 0.3)
     strokes = waves(rng, size, 0.12, 0.012, 0.6, 0.35)
     return 1.0 + 0.028 * bumps + 0.018 * strokes + 0.022 * waves(rng, size, 0.5, 0.06, 0.9)
 
 
 def concrete(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Panels of 2 m by 1 m with joints, holes of the ties, pores and clouds."""
+    """Panels of 2 m by 1 m with joints, tie holes, pores and soft patches."""
     at, texel = middles(size, period_m), period_m / size
     line = np.maximum(joints(at, 2.0, 0.012, texel)[None, :], joints(at, 1.0, 0.010, texel)[:, None])
     panel = rng.normal(0.0, 0.035, (4, 2)).repeat(size // 4, axis=0).repeat(size // 2, axis=1)
@@ -71,7 +71,7 @@ def _disc(tone: UInt8, x: float, y: float, radius: float, shade: int) -> None:
 
 
 def stains(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Weather: wide soft shades and a few darker spots."""
+    """Dirt: large soft patches and a few darker spots."""
     soft = waves(rng, size, 0.7, 0.02, 1.15)
     spots = np.clip(waves(rng, size, 0.12, 0.012, 0.8) - 1.2, 0.0, None)
     return 1.0 + 0.075 * soft - 0.10 * spots + 0.02 * waves(rng, size, 0.05, 0.006, 0.4)

@@ -1,4 +1,4 @@
-"""What grains are made of: noise that repeats, shapes that go round the edge, and lines of joints."""
+"""Building blocks of grains: periodic noise, shapes across the periodic edge, and joints."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from mirror.arrays import Float32, Float64
 def waves(
     rng: np.random.Generator, size: int, longest: float, shortest: float, power: float = 1.0, stretch: float = 1.0
 ) -> Float32:
-    """Noise of a band of wavelengths, that repeats.
+    """Draw periodic noise in a band of wavelengths.
 
     Args:
-        rng: of the noise.
-        size: texels along either side.
-        longest: wavelength, as a share of the period.
-        shortest: wavelength, as a share of the period.
-        power: amplitude falls with frequency to this power; 0 is as rough as white noise.
-        stretch: how much longer the waves are along v than along u; below 1 they are longer along u.
+        rng: source of the noise.
+        size: texels along a side.
+        longest: longest wavelength, as a share of the period.
+        shortest: shortest wavelength, as a share of the period.
+        power: the amplitude falls with this power of the frequency; 0 gives white noise.
+        stretch: ratio of the wavelengths along v to those along u.
 
     Returns:
-        (size, size), mean 0, standard deviation 1.
+        (size, size) noise, mean 0, standard deviation 1.
     """
     frequency = _frequencies(size, stretch)
     low, high = np.float32(1.0 / longest), np.float32(1.0 / shortest)
-    # Soft ends of the band keep its ripples from ringing.
+    # Soft ends of the band prevent ringing.
     gain = np.exp(-((frequency / high) ** 2)) * (1.0 - np.exp(-((frequency / low) ** 4)))
     if power != 0.0:
         gain *= np.maximum(frequency, 1.0) ** np.float32(-power)
@@ -41,14 +41,14 @@ def waves(
 
 @cache
 def _frequencies(size: int, stretch: float) -> Float32:
-    """(N, N / 2 + 1) waves a period, as `waves` stretches them."""
+    """(N, N / 2 + 1) frequencies in waves per period, with the stretch of `waves`."""
     across = np.fft.rfftfreq(size, 1.0 / size) / np.sqrt(stretch)
     down = np.fft.fftfreq(size, 1.0 / size)[:, None] * np.sqrt(stretch)
     return np.hypot(across, down).astype(np.float32)
 
 
 def wrapped(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float, float]]:
-    """Where a shape at (x, y) must be drawn so that what leaves one edge comes in at the other."""
+    """Return the positions at which a shape at (x, y) must be drawn to be periodic."""
     shifts_x = (0.0, size) if x < reach else (0.0, -size) if x > size - reach else (0.0,)
     shifts_y = (0.0, size) if y < reach else (0.0, -size) if y > size - reach else (0.0,)
     for shift_x in shifts_x:
@@ -57,19 +57,19 @@ def wrapped(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float
 
 
 def middles(size: int, period_m: float) -> Float64:
-    """Where the texels' middles are along one side, metres."""
+    """Return the positions of the texels' centres along a side, metres."""
     places: Float64 = (np.arange(size, dtype=np.float64) + 0.5) * (period_m / size)
     return places
 
 
 def joints(at_m: Float64, pitch_m: float, width_m: float, texel_m: float) -> Float64:
-    """Share of each texel that joints cover.
+    """Compute the share of each texel that joints cover.
 
     Args:
-        at_m: middles of texels.
-        pitch_m: from one joint's middle to the next; one lies at 0.
-        width_m: of a joint.
-        texel_m: of a texel.
+        at_m: centres of texels.
+        pitch_m: distance between the centres of joints; one is at 0.
+        width_m: width of a joint.
+        texel_m: width of a texel.
     """
     gap: Float64 = np.abs((at_m + 0.5 * pitch_m) % pitch_m - 0.5 * pitch_m)
     share: Float64 = np.clip((0.5 * (width_m + texel_m) - gap) / texel_m, 0.0, min(width_m / texel_m, 1.0))

@@ -1,4 +1,4 @@
-"""Images of the catalogue."""
+"""Draws the images of the catalogue."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from mirror.synth.textures.plates import plate_image
 
 
 class _Kind(NamedTuple):
-    """Images of one kind.
+    """One kind of images.
 
     Attributes:
-        numbers: of the catalogue.
-        wide: texels across.
-        high: texels down.
-        drawn: draws one: from a generator, its size, and how many of its kind come before it.
+        numbers: numbers in the catalogue.
+        wide: width in texels.
+        high: height in texels.
+        draw: function that draws one image from a generator, its size, and its index among the images of its kind.
     """
 
     numbers: range
     wide: int
     high: int
-    drawn: Callable[[np.random.Generator, int, int, int], UInt8]
+    draw: Callable[[np.random.Generator, int, int, int], UInt8]
 
 
 _KINDS: Final = (
@@ -49,7 +49,7 @@ _FACE_PX: Final = 128
 
 
 def draw_image(number: int) -> UInt8:
-    """An image of the catalogue.
+    """Draw an image of the catalogue.
 
     Returns:
         (H, W, 3) red, green and blue, 255 times the square root of linear reflectance; row 0 is at the top.
@@ -61,9 +61,9 @@ def draw_image(number: int) -> UInt8:
         return (255.0 * root + 0.5).astype(np.uint8)
     kind = next(kind for kind in _KINDS if number in kind.numbers)
     rng = np.random.default_rng([number, 3141])
-    return kind.drawn(rng, kind.wide, kind.high, number - kind.numbers.start)
+    return kind.draw(rng, kind.wide, kind.high, number - kind.numbers.start)
 
 
 def draw_images() -> list[UInt8]:
-    """All images by number, as `draw_image` gives them."""
+    """Draw all images of the catalogue, in order of their numbers."""
     return [draw_image(number) for number in range(catalogue.COUNT)]

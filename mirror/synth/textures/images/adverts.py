@@ -1,4 +1,4 @@
-"""Billboards, posters, and the sides of vans, trucks and buses."""
+"""Draws billboards, posters, and the sides of vans, trucks and buses."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
 
 
 def poster(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """A bill for an event: a motif or plain colour, large words, place and day."""
+    """A poster for an event: a motif or plain colour, large words, place and day."""
     title, place, day = _EVENTS[turn % len(_EVENTS)]
     ground, ink = (one_of(rng, DEEP), (238, 234, 224)) if rng.random() < 0.5 else (one_of(rng, PALE), one_of(rng, DEEP))
     accent = one_of(rng, BRIGHT)

@@ -1,7 +1,6 @@
-"""Shapes on images, with smooth edges.
+"""Draws anti-aliased shapes on images.
 
-Images are drawn as they are kept: (H, W, 3) red, green and blue, each 255 times the square root of linear
-reflectance.
+Images are (H, W, 3) red, green and blue, each 255 times the square root of linear reflectance.
 """
 
 from __future__ import annotations
@@ -22,41 +21,41 @@ _SHIFT = 4
 
 
 def plain(wide: int, high: int, colour: Colour) -> UInt8:
-    """An image of one colour."""
+    """Return an image of one colour."""
     image = np.empty((high, wide, 3), np.uint8)
     cv2.rectangle(image, (0, 0), (wide, high), colour, -1)
     return image
 
 
 def part(image: UInt8, box: Box) -> UInt8:
-    """A part of an image as an image of its own: what is drawn on it does not leave it."""
+    """Return a view of a part of an image, which clips what is drawn on it."""
     left, top, right, bottom = (max(round(edge), 0) for edge in box)
     return image[top:bottom, left:right]
 
 
 def fixed(points: npt.ArrayLike) -> npt.NDArray[np.int32]:
-    """Points as the sixteenths of pixels that smooth edges are drawn with; pixels' middles lie at halves."""
+    """Convert points to OpenCV's fixed-point coordinates in sixteenths of pixels; pixel centres are at halves."""
     return ((np.asarray(points, np.float64) - 0.5) * 2**_SHIFT).round().astype(np.int32)
 
 
 def fill(image: UInt8, points: npt.ArrayLike, colour: Colour) -> None:
-    """A filled polygon of (N, 2) corners."""
+    """Draw a filled polygon of (N, 2) corners."""
     cv2.fillPoly(image, [fixed(points)], colour, cv2.LINE_AA, _SHIFT)
 
 
 def stroke(image: UInt8, points: npt.ArrayLike, colour: Colour, width: float, closed: bool = False) -> None:
-    """A line through (N, 2) points, with round ends."""
+    """Draw a line through (N, 2) points, with round ends."""
     cv2.polylines(image, [fixed(points)], closed, colour, max(round(width), 1), cv2.LINE_AA, _SHIFT)
 
 
 def rectangle(image: UInt8, box: Box, colour: Colour) -> None:
-    """A filled rectangle."""
+    """Draw a filled rectangle."""
     left, top, right, bottom = box
     fill(image, [(left, top), (right, top), (right, bottom), (left, bottom)], colour)
 
 
 def rounded(image: UInt8, box: Box, radius: float, colour: Colour) -> None:
-    """A filled rectangle with round corners."""
+    """Draw a filled rectangle with round corners."""
     left, top, right, bottom = box
     radius = min(radius, 0.5 * (right - left), 0.5 * (bottom - top))
     turn = np.linspace(0.0, 0.5 * np.pi, 7)
@@ -72,21 +71,21 @@ def rounded(image: UInt8, box: Box, radius: float, colour: Colour) -> None:
 
 
 def disc(image: UInt8, x: float, y: float, radius: float, colour: Colour, tall: float = 1.0) -> None:
-    """A filled circle, or an ellipse that is ``tall`` times as high as wide."""
+    """Draw a filled circle, or an ellipse that is ``tall`` times as high as wide."""
     centre = fixed((x, y))
     axes = (max(round(radius * 2**_SHIFT), 1), max(round(radius * tall * 2**_SHIFT), 1))
     cv2.ellipse(image, centre.tolist(), axes, 0, 0, 360, colour, -1, cv2.LINE_AA, _SHIFT)
 
 
 def star(x: float, y: float, radius: float, points: int, inner: float, turn: float = 0.0) -> npt.NDArray[np.float64]:
-    """Corners of a star that stands on its foot."""
+    """Return the corners of a star."""
     angle = np.arange(2 * points) * np.pi / points + turn
     reach = np.where(np.arange(2 * points) % 2 == 0, radius, radius * inner)
     return np.c_[x + reach * np.sin(angle), y - reach * np.cos(angle)]
 
 
 def gradient(image: UInt8, top: Colour, bottom: Colour) -> None:
-    """One colour passing into another from above to below."""
+    """Fill an image with a vertical gradient."""
     high, wide = image.shape[:2]
     share = np.linspace(0.0, 1.0, high)[:, None, None]
     shades = np.asarray(top) * (1.0 - share) + np.asarray(bottom) * share
@@ -94,7 +93,7 @@ def gradient(image: UInt8, top: Colour, bottom: Colour) -> None:
 
 
 def glow(image: UInt8, x: float, y: float, radius: float, strength: float, colour: Colour = (255, 240, 205)) -> None:
-    """Light that falls off round a point."""
+    """Add light that falls off around a point."""
     near = part(image, (x - 1.7 * radius, y - 1.7 * radius, x + 1.7 * radius, y + 1.7 * radius))
     high, wide = near.shape[:2]
     if high == 0 or wide == 0:
@@ -107,19 +106,19 @@ def glow(image: UInt8, x: float, y: float, radius: float, strength: float, colou
 
 
 def mix(one: Colour, other: Colour, share: float) -> Colour:
-    """A colour between two."""
+    """Interpolate two colours."""
     red, green, blue = (round(a * (1.0 - share) + b * share) for a, b in zip(one, other))
     return red, green, blue
 
 
 def shade(colour: Colour, factor: float) -> Colour:
-    """A colour made lighter or darker."""
+    """Scale the brightness of a colour."""
     red, green, blue = (min(max(round(part * factor), 0), 255) for part in colour)
     return red, green, blue
 
 
 def one_of(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
-    """One of several colours."""
+    """Choose one of several colours."""
     return colours[int(rng.integers(len(colours)))]
 
 
@@ -129,7 +128,7 @@ def _fine() -> Float32:
 
 
 def weather(image: UInt8, rng: np.random.Generator, amount: float) -> None:
-    """Unevenness: soft shades, a fine grain, and dirt that comes down from the upper edge."""
+    """Add wear: soft patches, a fine grain, and streaks of dirt from the upper edge."""
     high, wide = image.shape[:2]
     soft = cv2.resize(rng.normal(0.0, 0.5, (high // 24 + 3, wide // 24 + 3)).astype(np.float32), (wide, high))
     runs = cv2.resize(rng.normal(0.0, 1.0, (1, wide // 5 + 3)).astype(np.float32), (wide, 1))

@@ -1,4 +1,4 @@
-"""Words on images, and a plain alphabet of strokes for plates and road signs."""
+"""Writes words on images, and defines a plain stroke alphabet for plates and road signs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TRIAL: Final = 96
 
 @cache
 def _font(style: Style) -> cv2.FontFace:
-    """A typeface that comes with OpenCV: no files of the machine are read."""
+    """A typeface that is part of OpenCV, so that no font files are read."""
     return cv2.FontFace(style)
 
 
@@ -32,22 +32,22 @@ def write(
     align: float = 0.5,
     outline: tuple[Colour, int] | None = None,
 ) -> Box:
-    """Words in one line, as large as fits into a box.
+    """Write words in one line, as large as they fit into a box.
 
     Args:
-        image: is drawn on.
-        words: what is written.
-        box: that they fit into.
-        colour: of the letters.
-        style: of the letters; ``uni`` has Chinese signs.
+        image: image to draw on.
+        words: text.
+        box: box that limits the text.
+        colour: colour of the letters.
+        style: typeface; ``uni`` has Chinese characters.
         weight: 100 thin to 900 black.
-        align: 0 at the left, 0.5 in the middle, 1 at the right.
-        outline: colour of a line round them, and its width in pixels.
+        align: 0 left, 0.5 centred, 1 right.
+        outline: colour and width in pixels of an outline around the letters.
 
     Returns:
-        The box that the words fill.
+        The box that the text fills.
     """
-    # The typeface's zero has a slash, its O has not.
+    # The zero of the typeface has a slash, so the letter O replaces it.
     words = words.replace("0", "O")
     font = _font(style)
     left, top, right, bottom = box
@@ -103,11 +103,11 @@ _STROKES: Final = {
     "9": "~.04,.2 .04,0 1,0 1,1 0,1 0,.42 1,.42",
     "-": "|.1,.45 .9,.45",
 }
-"""Middle lines of strokes in a box of 1 by 1, x to the right, y up; ``~`` rounds the corners of a stroke."""
+"""Centre lines of strokes in a box of 1 by 1, x to the right, y up; ``~`` rounds the corners of a stroke."""
 
 
 def _rounded(corners: Float64, radius: float) -> Float64:
-    """A polyline with its corners cut by arcs that touch both sides."""
+    """Round the corners of a polyline with arcs."""
     points = [corners[:1]]
     for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:]):
         back, ahead = before - corner, after - corner
@@ -115,7 +115,7 @@ def _rounded(corners: Float64, radius: float) -> Float64:
         reach = min(radius, 0.5 * far, 0.5 * near) if len(corners) > 3 else min(radius, far, near)
         start, end = corner + back * (reach / far), corner + ahead * (reach / near)
         share = np.linspace(0.0, 1.0, 9)[:, None]
-        # Close to a circle's arc: a cubic curve.
+        # A cubic curve approximates the arc.
         pull = 0.55
         a, b = start + pull * (corner - start), end + pull * (corner - end)
         points.append(
@@ -129,7 +129,7 @@ def _rounded(corners: Float64, radius: float) -> Float64:
 
 @cache
 def glyph(letter: str, wide: float) -> tuple[Float64, ...]:
-    """Middle lines (N, 2) of a capital letter or digit of height 1 and some width, y down from its top."""
+    """Return the centre lines (N, 2) of a capital letter or digit of height 1, y down from its top."""
     lines = []
     round_next = False
     for part in _STROKES[letter].replace("~", "|~").split("|"):
@@ -143,7 +143,7 @@ def glyph(letter: str, wide: float) -> tuple[Float64, ...]:
 
 
 def letter(image: UInt8, sign: str, box: Box, colour: Colour, width: float) -> None:
-    """A capital letter or digit whose strokes, ``width`` pixels wide, stay within a box."""
+    """Draw a capital letter or digit inside a box, with strokes ``width`` pixels wide."""
     left, top, right, bottom = box
     inner = 0.5 * width
     high = bottom - top - width
@@ -153,15 +153,15 @@ def letter(image: UInt8, sign: str, box: Box, colour: Colour, width: float) -> N
 
 
 def number(image: UInt8, signs: str, box: Box, colour: Colour, *, slim: float = 0.55, bold: float = 0.16) -> None:
-    """Capital letters and digits in a line, in the middle of a box.
+    """Draw capital letters and digits in one line, in the middle of a box.
 
     Args:
-        image: is drawn on.
-        signs: what is written.
-        box: that they fit into.
-        colour: of the letters.
-        slim: width of a letter by its height.
-        bold: width of a stroke by the height of a letter.
+        image: image to draw on.
+        signs: text.
+        box: box that limits the text.
+        colour: colour of the letters.
+        slim: width of a letter divided by its height.
+        bold: width of a stroke divided by the height of a letter.
     """
     left, top, right, bottom = box
     gap = 0.18

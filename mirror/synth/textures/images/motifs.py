@@ -1,4 +1,4 @@
-"""What advertisements show: landscapes, towns, bottles, cars, cups, fruit, figures, plain shapes."""
+"""Draws the motifs of advertisements: landscapes, towns, bottles, cars, cups, fruit, figures, plain shapes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Motif = Callable[[UInt8, np.random.Generator], None]
 
 
 def hills(image: UInt8, rng: np.random.Generator) -> None:
-    """Ridges behind ridges under an evening or a midday sky."""
+    """Several ridges under an evening or a midday sky."""
     high, wide = image.shape[:2]
     warm = rng.random() < 0.5
     sky = ((92, 120, 176), (238, 176, 110)) if warm else ((88, 150, 206), (206, 226, 236))
@@ -73,7 +73,7 @@ def skyline(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def bottle(image: UInt8, rng: np.random.Generator) -> None:
-    """A bottle with a label, drops of water on it."""
+    """A bottle with a label and drops of water."""
     high, wide = image.shape[:2]
     base = one_of(rng, BRIGHT)
     gradient(image, mix(base, (255, 255, 255), 0.55), base)
@@ -113,7 +113,7 @@ def bottle(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def car(image: UInt8, rng: np.random.Generator) -> None:
-    """A car from its side on a road at dusk."""
+    """A car on a road at dusk, seen from the side."""
     high, wide = image.shape[:2]
     gradient(image, (44, 50, 80), (226, 160, 110))
     road = 0.74 * high
@@ -150,7 +150,7 @@ def car(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def cup(image: UInt8, rng: np.random.Generator) -> None:
-    """A cup of coffee that steams, with beans round it."""
+    """A steaming cup of coffee with beans around it."""
     high, wide = image.shape[:2]
     gradient(image, (104, 66, 42), (46, 28, 20))
     x, y, r = 0.5 * wide, 0.62 * high, min(0.26 * wide, 0.30 * high)
@@ -192,7 +192,7 @@ def fruit(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def figure(image: UInt8, rng: np.random.Generator) -> None:
-    """Somebody who leaps, as a shape against rays of colour."""
+    """The silhouette of a leaping person in front of coloured rays."""
     high, wide = image.shape[:2]
     x, y = 0.5 * wide, 0.52 * high
     one, other = one_of(rng, BRIGHT), one_of(rng, PALE)

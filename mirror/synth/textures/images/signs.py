@@ -1,4 +1,4 @@
-"""Traffic signs and direction signs."""
+"""Draws traffic signs and direction signs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TOWNS: Final = (
 
 
 def traffic_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """A sign of `Sign`, the ``turn``-th one."""
+    """The traffic sign with index ``turn`` in `Sign`."""
     sign = Sign(Sign.SPEED_30 + turn)
     # Drawn on a square of 1 by 1, y down.
     image = plain(wide, high, _GREY)
@@ -63,7 +63,7 @@ def _at(size: int, *points: tuple[float, float]) -> list[tuple[float, float]]:
 
 
 def _triangle(image: UInt8, size: int, tip: float) -> None:
-    """White with a red edge; its tip at the top (0) or at the bottom (1)."""
+    """A white triangle with a red edge, with its tip at the top (0) or at the bottom (1)."""
     foot = 1.0 - tip
     fill(image, _at(size, (0, foot), (0.5, tip), (1, foot)), _RED)
     near, far = abs(foot - 0.085), abs(tip - 0.20)
@@ -88,7 +88,7 @@ def _warning(image: UInt8, size: int, sign: Sign) -> None:
 
 
 def _walker(image: UInt8, size: int, x: float, foot: float, tall: float, colour: Colour = _BLACK) -> None:
-    """Somebody walking to the left."""
+    """A person walking to the left."""
     at = [
         (x + tall * a, foot - tall * b)
         for a, b in (

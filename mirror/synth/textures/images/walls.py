@@ -1,4 +1,4 @@
-"""Doors, and paint on walls."""
+"""Draws doors, and graffiti on walls."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _NAMES: Final = ("RAZE", "KOJO", "ZEN9", "FLUX", "MONK", "ASTR", "BOLO", "VEX2")
 
 
 def door(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """A house door: panels or panes, a handle, a letter slot, its number."""
+    """A house door with panels or panes, a handle, a letter slot and a number."""
     leaf = _DOORS[turn % len(_DOORS)]
     image = plain(wide, high, shade(leaf, 0.62))
     rectangle(image, (0.06 * wide, 0.03 * high, 0.94 * wide, high), leaf)
@@ -68,7 +68,7 @@ def door(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
 
 
 def graffiti(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """A painted piece: fat letters with an outline, over a cloud of colour and quick tags."""
+    """Graffiti: thick outlined letters over patches of colour and tags."""
     ground = one_of(rng, PALE)
     image = plain(wide, high, shade(ground, 0.8))
     cloud, body, edge = (BRIGHT[int(n)] for n in rng.permutation(len(BRIGHT))[:3])

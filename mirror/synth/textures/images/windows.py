@@ -1,4 +1,4 @@
-"""What lies behind shop windows: rooms with goods, lamps, somebody now and then."""
+"""Draws the interiors behind shop windows: rooms with goods, lamps and some people."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _WORDS: Final = ("SALE", "NEU", "-30 %", "OFFEN", "Mo-Fr 9-18", "Angebot", "Mitt
 
 
 def shop_window(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """A shop's room seen through its window, before it is lit: walls, lamps, goods, words on the pane."""
+    """The interior of a shop seen through its window: walls, lamps, goods, words on the pane."""
     image = plain(wide, high, (90, 80, 70))
     wall = shade(one_of(rng, PALE), rng.uniform(0.50, 0.75))
     _room(image, rng, wall)
@@ -51,7 +51,7 @@ def shop_window(rng: np.random.Generator, wide: int, high: int, turn: int) -> UI
 
 
 def _room(image: UInt8, rng: np.random.Generator, wall: Colour) -> None:
-    """Back wall, ceiling with lamps, floor and side walls in perspective."""
+    """Draw the rear wall, the ceiling with lamps, the floor and the side walls in perspective."""
     high, wide = image.shape[:2]
     left, right, top, floor = 0.14 * wide, 0.86 * wide, 0.16 * high, 0.80 * high
     gradient(image, shade(wall, 1.1), shade(wall, 0.8))
@@ -66,7 +66,7 @@ def _room(image: UInt8, rng: np.random.Generator, wall: Colour) -> None:
 
 
 def _shelves(image: UInt8, rng: np.random.Generator, rows: int, goods: _Goods | None, low: float = 0.78) -> None:
-    """Boards along the back wall with boxes, jars or books on them."""
+    """Draw shelves along the rear wall with boxes, jars or books."""
     high, wide = image.shape[:2]
     board = one_of(rng, ((120, 90, 62), (70, 66, 62), (176, 170, 160)))
     step = (low - 0.24) / rows
@@ -142,7 +142,7 @@ def _clothes(image: UInt8, rng: np.random.Generator) -> None:
 def _figure(
     image: UInt8, x: float, foot: float, tall: float, coat: Colour, skin: Colour, rng: np.random.Generator
 ) -> None:
-    """A standing body, dressed."""
+    """Draw a standing, dressed person."""
     legs = shade(one_of(rng, DEEP), 0.9)
     for side in (-1, 1):
         stroke(

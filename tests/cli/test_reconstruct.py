@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,9 @@ from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block, divide, views_of
 from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.training_image import TrainingImage
+from hybridworldsim.training.data_loader import Pictures
+from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main
@@ -675,10 +679,22 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     block = Block((0, 0), tuple(origin.tolist()), 16.0, 4.0)
     masked.update(one.path for one in views_of(block, everything))
     monkeypatch.setattr(TrainingImageCache, "__call__", covered)
+    monkeypatch.setattr(Pictures, "__call__", covered)
+    removed: list[str] = []
+
+    def rmtree(folder: Path) -> None:
+        # Nobody else may train there meanwhile: it would be another's run that is removed.
+        with pytest.raises(DatasetError, match="another process"), RunFolder(folder).alone():
+            pass
+        removed.append(folder.name)
+        shutil.rmtree(folder)
+
+    monkeypatch.setattr("hybridworldsim.methods.static.shutil", SimpleNamespace(rmtree=rmtree))
     model = tmp_path / "model"
     capsys.readouterr()
     assert main([str(word) for word in reconstruct(dataset, model, "--steps", 2)]) == ExitCode.DONE
     printed = capsys.readouterr()
+    assert removed == [first[0]]
     assert f"{first[0]} is left out: masks cover every one of its pictures" in printed.out + printed.err
     assert sorted(path.parent.name for path in model.glob("*/model.safetensors")) == sorted(first[1:])
     words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))

@@ -128,7 +128,6 @@ class StaticMethod:
                 barren = error
                 # A corner of a street of which road users or the vehicle itself hide all: the rest can do without.
                 watch.message(f"{block.name} is left out: masks cover every one of its pictures")
-                shutil.rmtree(folder.path)
         outcomes = [outcome for outcome in found.values() if outcome is not None]
         if barren is not None and not outcomes:
             raise barren
@@ -193,6 +192,27 @@ class StaticMethod:
                 ),
                 watch=watch,
             )
+        deep = one.layers.having("depth") if learner.reads_depth or self.sky else frozenset()
+        with folder.alone():
+            folder.take(run)
+            try:
+                return train(
+                    learner,
+                    Pictures(one.layers.dataset, one.training.plan, origin, deep, sky=self.sky),
+                    one.views,
+                    Budget(task.steps, task.core_minutes),
+                    folder,
+                    lambda path: self.write(path, one.block, learner, run, half=task.half),
+                    seed=task.seed,
+                    options=Options(
+                        specimens=one.specimens(run, watch), title=f"{self.name}, {task.scene}, {one.block.name}"
+                    ),
+                    watch=watch,
+                )
+            except NoSupervisionError:
+                # While nobody else may train here: afterwards it could be another's run.
+                shutil.rmtree(folder.path)
+                raise
 
     def _settings(self, task: ReconstructionTask) -> Any:
         return override_settings(self.settings(task.seed), task.settings)

@@ -21,11 +21,9 @@ import mirror
 from hybridworldsim.methods.layers import Layers, layers_for, method_of
 from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block, divide, views_of
-from hybridworldsim.training.data_loader import TrainingImageCache
-from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.data_loader import Pictures
-from hybridworldsim.training.picture import TrainingPicture
+from hybridworldsim.training.data_loader import Pictures, TrainingImageCache
 from hybridworldsim.training.run.folder import RunFolder
+from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main

@@ -179,38 +179,22 @@ class StaticMethod:
         deep = one.layers.having("depth") if trainer.reads_depth or self.sky else frozenset()
         with folder.lock():
             folder.claim(run)
-            return train(
-                trainer,
-                TrainingImageCache(one.layers.dataset, one.training.plan, origin, deep, sky=self.sky),
-                one.views,
-                Budget(task.steps, task.core_minutes),
-                folder,
-                lambda path: self.write(path, one.block, trainer, run, half=task.half),
-                seed=task.seed,
-                options=Options(
-                    previews=one.previews(run, watch), title=f"{self.name}, {task.scene}, {one.block.name}"
-                ),
-                watch=watch,
-            )
-        deep = one.layers.having("depth") if learner.reads_depth or self.sky else frozenset()
-        with folder.alone():
-            folder.take(run)
             try:
                 return train(
-                    learner,
-                    Pictures(one.layers.dataset, one.training.plan, origin, deep, sky=self.sky),
+                    trainer,
+                    TrainingImageCache(one.layers.dataset, one.training.plan, origin, deep, sky=self.sky),
                     one.views,
                     Budget(task.steps, task.core_minutes),
                     folder,
-                    lambda path: self.write(path, one.block, learner, run, half=task.half),
+                    lambda path: self.write(path, one.block, trainer, run, half=task.half),
                     seed=task.seed,
                     options=Options(
-                        specimens=one.specimens(run, watch), title=f"{self.name}, {task.scene}, {one.block.name}"
+                        previews=one.previews(run, watch), title=f"{self.name}, {task.scene}, {one.block.name}"
                     ),
                     watch=watch,
                 )
             except NoSupervisionError:
-                # While nobody else may train here: afterwards it could be another's run.
+                # Remove it under the lock: without the lock, another run may have started in this folder.
                 shutil.rmtree(folder.path)
                 raise
 

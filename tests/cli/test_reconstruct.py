@@ -21,7 +21,7 @@ import mirror
 from hybridworldsim.methods.layers import Layers, layers_for, method_of
 from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block, divide, views_of
-from hybridworldsim.training.data_loader import Pictures, TrainingImageCache
+from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.views import training_views
@@ -677,12 +677,11 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     block = Block((0, 0), tuple(origin.tolist()), 16.0, 4.0)
     masked.update(one.path for one in views_of(block, everything))
     monkeypatch.setattr(TrainingImageCache, "__call__", covered)
-    monkeypatch.setattr(Pictures, "__call__", covered)
     removed: list[str] = []
 
     def rmtree(folder: Path) -> None:
         # Nobody else may train there meanwhile: it would be another's run that is removed.
-        with pytest.raises(DatasetError, match="another process"), RunFolder(folder).alone():
+        with pytest.raises(DatasetError, match="another process"), RunFolder(folder).lock():
             pass
         removed.append(folder.name)
         shutil.rmtree(folder)

@@ -125,7 +125,7 @@ def _row(name: str, call: Callable[[], None], texels: Float64, at: Float64, made
 def _built() -> Iterator[Row]:
     atlas()
     start = time.perf_counter()
-    full = building._built()
+    full = building.build_atlas()
     ms = (time.perf_counter() - start) * 1e3
     size = (full.grains.nbytes + full.images.nbytes) / 2**20
     yield Row("atlas drawn", f"{len(full.image_index)} pictures, {len(Grain)} grains, {size:.0f} MB", ms)

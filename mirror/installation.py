@@ -28,14 +28,14 @@ def install_command(extra: str) -> str:
 
 def upgrade_command() -> str:
     """The command that installs the newest version."""
-    checkout = _checkout()
+    checkout = checkout_folder()
     if checkout is not None:
         return f"git -C {shlex.quote(str(checkout))} pull && {_command('pip install --upgrade', '')}"
     return _command("pip install --upgrade", "")
 
 
 def _command(words: str, extra: str) -> str:
-    checkout, address = _checkout(), _address()
+    checkout, address = checkout_folder(), _address()
     if checkout is not None:
         return f"{words} -e {shlex.quote(f'{checkout}{extra}')}"
     if address is None:
@@ -43,7 +43,7 @@ def _command(words: str, extra: str) -> str:
     return f"{words} {shlex.quote(f'{NAME}{extra} @ {address}')}"
 
 
-def _checkout() -> Path | None:
+def checkout_folder() -> Path | None:
     """The folder of the repository that this module is imported from; None: it was installed."""
     root = Path(__file__).resolve().parents[1]
     try:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 if TYPE_CHECKING:
     import rich.progress
 
-_BETWEEN_LINES_S: Final = 10.0
+BETWEEN_LINES_S: Final = 10.0
 
 
 class ProgressReporter(Protocol):
@@ -110,7 +110,7 @@ class _Lines:
     def advance(self, steps: int) -> None:
         with self._lock:
             self._done += steps
-            if time.monotonic() - self._printed >= _BETWEEN_LINES_S:
+            if time.monotonic() - self._printed >= BETWEEN_LINES_S:
                 self._print(f"{self._phase}: {self._done:,} of {self._total:,}")
 
     def status(self, text: str) -> None:

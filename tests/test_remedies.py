@@ -91,7 +91,7 @@ def test_from_an_address(
     if said is not None:
         (about / "direct_url.json").write_text(json.dumps(said).replace("{here}", str(here)))
     monkeypatch.syspath_prepend(str(site))
-    monkeypatch.setattr(installation, "_checkout", lambda: None)
+    monkeypatch.setattr(installation, "checkout_folder", lambda: None)
     wanted = source.format(name=NAME, here=here)
     assert shlex.split(install_command("view")) == ["pip", "install", wanted]
     assert shlex.split(upgrade_command())[-1] == wanted.replace("[view]", "")

@@ -136,7 +136,7 @@ class FrameDataset(TorchDataset[Sample]):
         Raises:
             UsageError: this is a worker process of a loader, and it was forked.
         """
-        if get_worker_info() is not None and _is_forked():
+        if get_worker_info() is not None and is_forked():
             raise UsageError(
                 "this worker process was forked, and may wait for ever for threads that it has not",
                 expected="workers that are spawned",
@@ -346,7 +346,7 @@ def epoch_order(count: int, seed: int, epoch: int) -> Int64:
     return np.argsort(_mix(key + np.arange(count, dtype=np.uint64)), kind="stable")
 
 
-def _is_forked() -> bool:
+def is_forked() -> bool:
     if "fork" not in multiprocessing.get_all_start_methods():
         return False
     process = multiprocessing.current_process()

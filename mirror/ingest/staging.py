@@ -39,10 +39,10 @@ class Staging:
 
     def __init__(self, dataset: Layout) -> None:
         self.dataset = dataset
-        self._own = OwnedFolder(dataset.root / FOLDER, _RUN)
-        self.layout = Layout(self._own.path)
+        self.own_folder = OwnedFolder(dataset.root / FOLDER, _RUN)
+        self.layout = Layout(self.own_folder.path)
         for left in left_overs(dataset.root / FOLDER, _RUN):
-            if left != self._own.path:
+            if left != self.own_folder.path:
                 self._take_over(left)
 
     def _take_over(self, left: Path) -> None:
@@ -136,9 +136,9 @@ class Staging:
         """
         whole = any(one.is_file() for one in (self.layout.root / "traversals").glob(f"*/recorded/{MANIFEST}"))
         if done or not whole:
-            self._own.remove()
+            self.own_folder.remove()
         else:
-            self._own.release()
+            self.own_folder.release()
         with suppress(OSError):
             (self.dataset.root / FOLDER).rmdir()
 

@@ -62,7 +62,7 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
         *_instant(dataset, traversals),
         *_places(dataset, scenes, traversals),
         "<h2>Where it was driven</h2>",
-        _map_key({one["light"] for one in traversals}),
+        map_legend({one["light"] for one in traversals}),
         f'<div class="grid two">{"".join(_map(dataset, scene, traversals) for scene in scenes)}</div>',
         "<h2>Conditions and contents</h2>",
         f'<div class="grid">{"".join(_charts(dataset, traversals))}</div>',
@@ -158,7 +158,8 @@ def _scene_name(scene: Mapping[str, Any]) -> str:
     return f"{scene['scene_id']}{f' ({where})' if where else ''}"
 
 
-def _map_key(lights: Iterable[str]) -> str:
+def map_legend(lights: Iterable[str]) -> str:
+    """HTML of the map's legend: a swatch for each light."""
     known = [light for light in _LIGHTS if light in lights]
     named = [*known, *sorted(set(lights) - set(known))]
     entries = [f'<span><i class="swatch {escape(light)}"></i>{escape(light)}</span>' for light in named]

@@ -62,6 +62,9 @@ def test_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = find_nearest(ours, theirs)
     monkeypatch.setattr("mirror_baselines.nearest_frame.matching._PAIRS", 7)
     assert find_nearest(ours, theirs).tolist() == whole.tolist()
+    whole = nearest(ours, theirs)
+    monkeypatch.setattr("mirror_baselines.nearest_frame.matching.PAIRS_AT_ONCE", 7)
+    assert nearest(ours, theirs).tolist() == whole.tolist()
 
 
 def test_equally_near_and_none_at_all() -> None:

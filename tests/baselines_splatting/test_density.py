@@ -19,6 +19,9 @@ def _rounds(steps, monkeypatch, **changes):
     trainer = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
     density, rounds, resets = trainer._density, [], []
     after = density.after_backward
+    learner = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
+    density, rounds, resets = learner.density, [], []
+    after = density.after
     monkeypatch.setattr("mirror_baselines.splatting.density.reset_opa", lambda *_: resets.append(None))
 
     def watched(tables, optimizers, meta, progress):

@@ -103,7 +103,7 @@ def test_help_of_benchmarks(capsys: pytest.CaptureFixture[str]) -> None:
 def test_long_work_in_a_log_says_how_far_it_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "_BETWEEN_LINES_S", 0.0)
+    monkeypatch.setattr(progress, "BETWEEN_LINES_S", 0.0)
     with progress.progress_bar(quiet=False) as bar:
         bar.start("pictures", 2000)
         bar.advance(1500)

@@ -177,7 +177,7 @@ class Builder:
 
     def _recorded(self, traversal_id: str, drive_id: str, vehicle_id: str, item: Pass) -> None:
         folder = self.layout.recorded(traversal_id)
-        images = self._images(traversal_id, item)
+        images = self.image_table(traversal_id, item)
         tables = {
             "ego_poses.parquet": encode_table(self._poses(item), EGO_POSES),
             "images.parquet": encode_table(images, IMAGES),
@@ -219,7 +219,7 @@ class Builder:
             columns.update(zip(("longitude_deg", "latitude_deg", "height_m"), frame.to_geodetic(world)))
         return pa.table(columns)
 
-    def _images(self, traversal_id: str, item: Pass) -> pa.Table:
+    def image_table(self, traversal_id: str, item: Pass) -> pa.Table:
         camera = np.repeat(np.array(self.cameras, dtype=object), item.frames)
         frame = np.tile(np.arange(item.frames), len(self.cameras))
         # Each camera fires 1 ms after the one before it.

@@ -281,7 +281,7 @@ def test_poses_that_do_not_cover_a_picture_are_named(tmp_path: Path) -> None:
     builder = Builder(tmp_path)
     builder.scene("a")
     late = Pass("a", frames=40)
-    builder._images = lambda name, item: Builder._images(builder, name, late)  # type: ignore[method-assign]
+    builder.image_table = lambda name, item: Builder.image_table(builder, name, late)  # type: ignore[method-assign]
     builder.drive("d", [Pass("a")])
     with pytest.raises(DatasetError, match="do not cover") as caught:
         build_index(tmp_path)
@@ -330,13 +330,13 @@ def test_a_picture_table_in_another_order_gives_the_same_index(tmp_path: Path) -
     for name, flip in (("one", False), ("two", True)):
         builder = Builder(tmp_path / name)
         builder.scene("a")
-        plain = builder._images
+        plain = builder.image_table
 
         def images(traversal_id: str, item: Pass, plain=plain, flip=flip) -> pa.Table:
             table = plain(traversal_id, item)
             return table.take(pa.array(np.arange(table.num_rows)[::-1])) if flip else table
 
-        builder._images = images  # type: ignore[method-assign]
+        builder.image_table = images  # type: ignore[method-assign]
         builder.drive("d", [Pass("a")])
         build_index(tmp_path / name)
     one, two = index_bytes(tmp_path / "one"), index_bytes(tmp_path / "two")

@@ -267,13 +267,13 @@ def test_a_query_reads_only_the_row_groups_and_columns_it_needs(
     builder: Builder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     decoded: list[tuple[str, int, tuple[str, ...]]] = []
-    plain = ColumnCache._decode
+    plain = ColumnCache.decode
 
     def counting(self: ColumnCache, path: str, row_group: int, names: Sequence[str]) -> dict[str, pa.Array]:
         decoded.append((path, row_group, tuple(names)))
         return plain(self, path, row_group, names)
 
-    monkeypatch.setattr(ColumnCache, "_decode", counting)
+    monkeypatch.setattr(ColumnCache, "decode", counting)
     dataset = mirror.open(builder.root)
 
     def by_scene() -> list[tuple[str, int, tuple[str, ...]]]:
@@ -301,13 +301,13 @@ def test_a_query_reads_only_the_row_groups_and_columns_it_needs(
 def test_the_cache_holds_no_more_than_its_limit(builder: Builder) -> None:
     dataset = mirror.open(builder.root)
     cache = dataset.catalog.columns
-    cache._limit = 20_000
+    cache.limit_bytes = 20_000
     rng = np.random.default_rng(0)
     for _ in range(40):
         column = str(rng.choice(dataset.table("images", ["camera"]).column_names))
         dataset.where(drive=f"d{rng.integers(6)}").table("images", [column, "uri", "timestamp_ns"])
         assert cache.held_bytes <= 20_000
-    assert cache.held_bytes == sum(column.nbytes for column in cache._columns.values())
+    assert cache.held_bytes == sum(column.nbytes for column in cache.columns.values())
 
 
 def test_a_first_query_imports_nothing_heavy(builder: Builder) -> None:
@@ -400,7 +400,7 @@ def test_a_file_of_equal_size_with_other_bytes_is_refused(tmp_path: Path) -> Non
 def test_files_that_were_closed_are_held_against_the_manifest_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mirror.dataset.query.files._OPEN_FILES", 1)
+    monkeypatch.setattr("mirror.dataset.query.files.MAX_OPEN_FILES", 1)
     builder = _two_drives(tmp_path)
     dataset = mirror.open(tmp_path)
     for name in ("images", "ego_poses", "images", "frames"):
@@ -408,13 +408,13 @@ def test_files_that_were_closed_are_held_against_the_manifest_again(
     builder.drive("d0", [Pass("a", EPOCH, frames=3)])
     build_index(tmp_path)
     # Opened again, it is still the file that the manifest named.
-    uris = dataset.catalog.columns._decode("index/images/a.parquet", 0, ["uri"])["uri"].to_pylist()
+    uris = dataset.catalog.columns.decode("index/images/a.parquet", 0, ["uri"])["uri"].to_pylist()
     assert uris and all("d1" in uri for uri in uris)
     (superseded,) = (tmp_path / ".superseded").glob("*/index/images/a.parquet")
     superseded.write_bytes(superseded.read_bytes()[:-1] + b"x")
-    dataset.catalog.columns._decode("index/frames/a.parquet", 0, ["timestamp_ns"])
+    dataset.catalog.columns.decode("index/frames/a.parquet", 0, ["timestamp_ns"])
     with pytest.raises(DatasetError, match="has changed"):
-        dataset.catalog.columns._decode("index/images/a.parquet", 0, ["uri"])
+        dataset.catalog.columns.decode("index/images/a.parquet", 0, ["uri"])
 
 
 @pytest.mark.parametrize("kind", ["memory", "zip", "file"])

@@ -22,7 +22,7 @@ from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, calibratio
 torch = pytest.importorskip("torch")
 from torch.utils.data import DataLoader, default_collate  # noqa: E402
 
-from mirror.dataset.torch import LENS_MODELS, FrameDataset, IterableFrames, _is_forked, camera_of  # noqa: E402
+from mirror.dataset.torch import LENS_MODELS, FrameDataset, IterableFrames, camera_of, is_forked  # noqa: E402
 
 LENSES = {
     "front_wide": Camera("kannala_brandt", 96, 64, 40.0, 41.0, 47.0, 33.0, (0.02, -0.01, 0.001, 0.0)),
@@ -265,7 +265,7 @@ def test_workers_make_the_same_samples_alone_on_their_thread(dataset: Dataset, c
 
 
 def say_whether_forked() -> None:
-    sys.exit(int(_is_forked()))
+    sys.exit(int(is_forked()))
 
 
 @pytest.mark.skipif(multiprocessing.get_start_method() != "fork", reason="loaders do not fork here")

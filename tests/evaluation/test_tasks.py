@@ -82,6 +82,8 @@ def test_another_look_at_the_same_instants_is_noticed(
     """Another preset may have the same drives and stamps: what its pictures show decides."""
     render = synthetic._render
     monkeypatch.setattr(synthetic, "_render", lambda *words: np.flip(render(*words), axis=1))
+    rendered = synthetic.render_shifted
+    monkeypatch.setattr(synthetic, "render_shifted", lambda *words: np.flip(rendered(*words), axis=1))
     plan = plan_views(dataset, small(task="lane-shift", groups=SHIFTS, every=12), SPLIT)
     with pytest.raises(DatasetError, match=r"is not what was recorded \(\d+\.\d dB\)"):
         write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden")
@@ -151,7 +153,7 @@ def test_distances_are_of_the_features_of_each_group(
     dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = Colours()
-    monkeypatch.setattr(distributions, "_load", lambda metric, inputs: network)
+    monkeypatch.setattr(distributions, "load_extractor", lambda metric, inputs: network)
     monkeypatch.setattr(distributions.Distributions, "needs", lambda self, plan: {})
     groups = "".join(f'[[groups]]\nname = "{name}"\nroles = ["held_out"]\n' for name in ("same", "darker"))
     protocol = small(task="generation", groups=groups, every=1, metrics=FID + FVD)
@@ -359,7 +361,7 @@ def test_the_speed_of_an_installed_method_is_measured_here(
             return render
 
     monkeypatch.setattr(runtime_scorer, "installed_method", lambda name: Slow())
-    monkeypatch.setattr(speed, "_LEAST_S", 0.3)
+    monkeypatch.setattr(speed, "LEAST_S", 0.3)
     protocol = load_protocol("runtime")
     plan = plan_views(dataset, protocol, SPLIT)
     (tmp_path / "s").mkdir()

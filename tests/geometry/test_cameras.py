@@ -202,13 +202,13 @@ def test_hard_lenses_are_inverted_up_to_their_limit() -> None:
 @pytest.mark.parametrize("model", ["brown_conrady", "rational"])
 def test_an_image_of_a_real_lens_needs_no_careful_steps(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
     careful: list[int] = []
-    slow = Perspective._undistort_carefully
+    slow = Perspective.undistort_carefully
 
     def counted(self: Perspective, u: np.ndarray, v: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, ...]:
         careful.append(len(u))
         return slow(self, u, v, radius)
 
-    monkeypatch.setattr(Perspective, "_undistort_carefully", counted)
+    monkeypatch.setattr(Perspective, "undistort_carefully", counted)
     assert CAMERAS[model].scaled(0.1).rays().valid.all()
     assert not careful
 

@@ -115,7 +115,7 @@ def test_what_a_killed_run_completed_is_taken_over_and_the_rest_removed(drive: D
     assert (killed.layout.recorded(name) / "manifest.json").stat().st_ino == inode
     other.close(done=False)
     # As the system does for the dead.
-    killed._own.release()
+    killed.own_folder.release()
     third = Staging(Layout(out))
     assert (third.layout.recorded(name) / "manifest.json").stat().st_ino == inode
     assert not killed.layout.root.exists()

@@ -96,7 +96,7 @@ def test_slices_of_depth_do_not_change_a_picture(monkeypatch):
     weights = torch.randn(60, 90, 3), torch.randn(60, 90)
     results = []
     for least in (1 << 20, 40):
-        monkeypatch.setattr(sys.modules[blend.__module__], "_SLICE", least)
+        monkeypatch.setattr(sys.modules[blend.__module__], "LEAST_SLICE", least)
         results.append(render(blend, single(seen), features, opacities.float(), 90, 60, weights, absgrad=True))
     (whole, gradients), (sliced, found) = results
     assert sliced.counts["pairs"] < 0.8 * whole.counts["pairs"]

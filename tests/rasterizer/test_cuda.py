@@ -12,7 +12,7 @@ from hybridworldsim.rasterizer import cuda, rasterization
 from hybridworldsim.rasterizer.presets import PRESETS
 from hybridworldsim.rasterizer.rasterization import choose_backend
 from mirror.errors import UsageError
-from tests.rasterizer._scenes import scene
+from tests.rasterizer.scenes import scene
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from hybridworldsim.rasterizer.cpu.blending.tiles import assign_tiles
 from hybridworldsim.rasterizer.limits import SIDE_MAX
 from hybridworldsim.rasterizer.rows import scatter_rows, take_rows
 from mirror.errors import UsageError
-from tests.rasterizer._scenes import both_backends, cameras, one, scene, with_gradients
+from tests.rasterizer.scenes import both_backends, cameras, one, scene, with_gradients
 
 _SQUARE = {"width": 16, "height": 16}
 

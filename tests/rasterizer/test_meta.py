@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from hybridworldsim.rasterizer import rasterization
-from tests.rasterizer._scenes import HEIGHT, WIDTH, both_backends, scene, with_gradients
+from tests.rasterizer.scenes import HEIGHT, WIDTH, both_backends, scene, with_gradients
 
 GSPLAT = {
     "batch_ids", "camera_ids", "gaussian_ids", "radii", "means2d", "depths", "conics", "opacities", "tile_width",

@@ -7,7 +7,7 @@ import torch
 
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, PRESETS, get_preset
 from mirror.errors import UsageError
-from tests.rasterizer._small import picture, project_small
+from tests.rasterizer.small import picture, project_small
 
 OLD, MIDDLE, NEW = (PRESETS[name] for name in ("gsplat-1.3", "gsplat-1.5", "gsplat-1.6"))
 SIZE = 64

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hybridworldsim.rasterizer import rasterization
 from mirror.errors import UsageError
-from tests.rasterizer._scenes import (
+from tests.rasterizer.scenes import (
     BACKENDS,
     FOCAL,
     HEIGHT,

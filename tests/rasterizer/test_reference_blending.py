@@ -7,7 +7,7 @@ import torch
 
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, PRESETS, TRANSMITTANCE_STOP
 from hybridworldsim.rasterizer.reference import blend
-from tests.rasterizer._small import HEIGHT, PRESET, WIDTH, gaussians, picture, project_small
+from tests.rasterizer.small import HEIGHT, PRESET, WIDTH, gaussians, picture, project_small
 
 
 def _blend(seen, features, opacities, width=WIDTH, height=HEIGHT, absgrad=False, preset=PRESET, tile_size=16):

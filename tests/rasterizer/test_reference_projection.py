@@ -5,7 +5,7 @@ import torch
 
 from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.presets import PRESETS
-from tests.rasterizer._small import WIDTH, K, gaussians, picture, project_small
+from tests.rasterizer.small import WIDTH, K, gaussians, picture, project_small
 
 FISHEYE = Lens(model="fisheye", radial_coeffs=(0.05, -0.01, 0.002, -0.0005))
 BROWN = Lens(

@@ -7,8 +7,9 @@ import torch
 
 from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.reference.unscented import _FORWARD, project_unscented
+from hybridworldsim.rasterizer.reference.unscented import PROJECTIONS, unscented
 from mirror.errors import UsageError
-from tests.rasterizer._small import HEIGHT, WIDTH, K, gaussians, project_small
+from tests.rasterizer.small import HEIGHT, WIDTH, K, gaussians, project_small
 from tests.rasterizer.test_reference_projection import BROWN, FISHEYE
 
 
@@ -22,7 +23,7 @@ def test_brown_conrady_is_opencvs():
         *BROWN.radial_coeffs[:2], *BROWN.tangential_coeffs, *BROWN.radial_coeffs[2:], *BROWN.thin_prism_coeffs,
     )  # fmt: skip
     expected, _ = cv2.projectPoints(points.numpy(), np.zeros(3), np.zeros(3), K.numpy(), np.array(coefficients))
-    pixels, valid = _FORWARD["pinhole"](points, K, WIDTH, HEIGHT, BROWN)
+    pixels, valid = PROJECTIONS["pinhole"](points, K, WIDTH, HEIGHT, BROWN)
     assert np.abs(pixels.numpy() - expected[:, 0]).max() < 1e-10
     assert valid.all()
 
@@ -32,7 +33,7 @@ def test_fisheye_is_opencvs():
     expected, _ = cv2.fisheye.projectPoints(
         points.numpy()[:, None], np.zeros(3), np.zeros(3), K.numpy(), np.array(FISHEYE.radial_coeffs)
     )
-    pixels, valid = _FORWARD["fisheye"](points, K, WIDTH, HEIGHT, FISHEYE)
+    pixels, valid = PROJECTIONS["fisheye"](points, K, WIDTH, HEIGHT, FISHEYE)
     assert np.abs(pixels.numpy() - expected[:, 0])[valid.numpy()].max() < 1e-10
     assert valid.float().mean() > 0.9
 
@@ -46,7 +47,7 @@ def test_the_transform_is_the_textbooks_weighted_sums():
         points = torch.stack(
             [means, *(means + sign * spread**0.5 * axes[:, :, i] for sign in (1, -1) for i in (0, 1, 2))]
         )
-        pixels, _ = _FORWARD[lens.model](points, K, WIDTH, HEIGHT, lens)  # (7, N, 2)
+        pixels, _ = PROJECTIONS[lens.model](points, K, WIDTH, HEIGHT, lens)  # (7, N, 2)
         weights = torch.full((7,), 0.5 / spread, dtype=torch.float64)
         weights[0] = (spread - 3) / spread
         mean = torch.einsum("p,pnc->nc", weights, pixels)

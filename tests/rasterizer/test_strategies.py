@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from hybridworldsim.rasterizer import rasterization
-from tests.rasterizer._scenes import cameras, gaussians
+from tests.rasterizer.scenes import cameras, gaussians
 
 gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed: its strategies are what is tried here")
 WIDTH, HEIGHT, VIEWS = 64, 48, 3

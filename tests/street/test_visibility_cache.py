@@ -53,7 +53,7 @@ def test_nodes_may_be_empty():
 
 
 def test_it_keeps_no_more_than_it_may(monkeypatch):
-    monkeypatch.setattr(module, "_MOST_BYTES", 2)
+    monkeypatch.setattr(module, "MAX_BYTES", 2)
     sightings, numbers = VisibilityCache(), [torch.arange(8)]
     places = [to_viewpoint(view(float(x)), np.zeros(3)) for x in range(5)]
     for place in places:
@@ -103,6 +103,7 @@ def test_a_step_learns_the_same_without_what_is_hidden():
         known = {name: table.clone() for name, table in one.state().items() if name.startswith("sightings.")}
         one.restore({**before, **known})
     assert 0 < len(one._visible_rows(image.viewpoint).background.ids) < 0.8 * seen
+    assert 0 < len(one.visible_rows(picture.viewpoint).background.ids) < 0.8 * seen
     (losses, tables), (other_losses, other_tables) = found
     assert losses == pytest.approx(other_losses, rel=1e-5)
     for name, table in tables.items():

@@ -29,7 +29,7 @@ def seen(one: Lighting, direction: np.ndarray, spread: float = 0.002) -> np.ndar
 def test_air_straight_up_is_as_deep_as_its_closed_form() -> None:
     up = np.array([0.0, 0.0, 1.0])
     for height in (0.0, 2_000.0, 9_000.0):
-        depth = atmosphere._depth_to_sun(np.array([[0.0, 0.0, 6_371e3 + height]]), up)[0]
+        depth = atmosphere.optical_depth_to_sun(np.array([[0.0, 0.0, 6_371e3 + height]]), up)[0]
         air = 8_000.0 * np.exp(-height / 8_000.0) * np.array([8.7e-6, 13.6e-6, 26.5e-6])
         haze = 1_200.0 * np.exp(-height / 1_200.0) * 1.1 * np.array([7.2e-6, 7.6e-6, 8.3e-6])
         ozone = 15_000.0 * np.array([2.3e-6, 1.7e-6, 0.12e-6])
@@ -40,11 +40,11 @@ def test_a_slanting_way_through_the_air_is_as_deep_as_a_fine_sum() -> None:
     place = np.array([0.0, 0.0, 6_371e3 + 12_000.0])
     for elevation in (-3.0, 0.0, 4.0, 25.0):
         sun = np.array([np.cos(np.radians(elevation)), 0.0, np.sin(np.radians(elevation))])
-        reach = atmosphere._to_sphere(place[None], sun[None], 6_431e3)[0]
+        reach = atmosphere.distance_to_sphere(place[None], sun[None], 6_431e3)[0]
         steps = (np.arange(20_000) + 0.5) / 20_000 * reach
         height = np.linalg.norm(place + steps[:, None] * sun, axis=1) - 6_371e3
-        fine = (atmosphere._densities(height) @ atmosphere._EXTINCTION).sum(axis=0) * reach / 20_000
-        assert atmosphere._depth_to_sun(place[None], sun)[0] == pytest.approx(fine, rel=0.03)
+        fine = (atmosphere.densities(height) @ atmosphere.EXTINCTION).sum(axis=0) * reach / 20_000
+        assert atmosphere.optical_depth_to_sun(place[None], sun)[0] == pytest.approx(fine, rel=0.03)
 
 
 def test_the_earth_keeps_the_sun_from_what_is_in_its_shadow() -> None:
@@ -52,7 +52,7 @@ def test_the_earth_keeps_the_sun_from_what_is_in_its_shadow() -> None:
     heights = np.array([10.0, 30_000.0, 64_000.0])
     # Sunlight passes over the horizon at R (1 / cos 8 - 1) = 62.6 km.
     points = np.stack([np.zeros(3), np.zeros(3), 6_371e3 + heights], axis=1)
-    assert (atmosphere._depth_to_sun(points, sun)[:, 0] > 100.0).tolist() == [True, True, False]
+    assert (atmosphere.optical_depth_to_sun(points, sun)[:, 0] > 100.0).tolist() == [True, True, False]
 
 
 def test_a_dome_is_the_same_on_both_sides_of_the_sun() -> None:

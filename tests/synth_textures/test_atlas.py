@@ -126,8 +126,8 @@ def test_atlas_is_locked_while_it_is_built(monkeypatch: pytest.MonkeyPatch) -> N
         built.append(1)
         return object()
 
-    monkeypatch.setattr(module, "_BUILT", [])
-    monkeypatch.setattr(module, "_built", slow)
+    monkeypatch.setattr(module, "BUILT", [])
+    monkeypatch.setattr(module, "build_atlas", slow)
     with ThreadPoolExecutor(4) as pool:
         found = set(map(id, pool.map(lambda _: module.atlas(), range(16))))
     assert len(found) == 1 and built == [1]

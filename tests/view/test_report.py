@@ -23,7 +23,7 @@ from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest
 from mirror.schema.documents import CANONICAL_CAMERAS, NovelTraversal
 from mirror.view.pictures import busiest_frame, category_colours, legend, rig_pictures, same_place
-from mirror.view.report import _map_key, write_report
+from mirror.view.report import map_legend, write_report
 from mirror.view.svg import Line, scene_map
 
 VOID = {"meta", "img", "input", "br"}
@@ -194,8 +194,8 @@ def test_only_maps_of_the_globe_point_north() -> None:
 
 
 def test_unknown_light_has_a_legend_entry() -> None:
-    assert _map_key({"unknown", "day"}).count('class="swatch') == 2
-    assert '<i class="swatch unknown"></i>unknown' in _map_key({"unknown", "day"})
+    assert map_legend({"unknown", "day"}).count('class="swatch') == 2
+    assert '<i class="swatch unknown"></i>unknown' in map_legend({"unknown", "day"})
 
 
 def test_categories_of_other_words_have_colours_of_their_own() -> None:

@@ -63,6 +63,8 @@ class StreetTrainer:
         growing = self._refined < settings.refinement.times
         drawn = street(viewpoint, latent, rows=self._visible_rows(viewpoint), track_gradients=growing)
         losses = self._losses(drawn, image)
+        drawn = street(viewpoint, latent, rows=self.visible_rows(viewpoint), pulls=growing)
+        losses = self._losses(drawn, picture)
         weights = {
             "rgb": 1.0,
             "structure": settings.structure_weight,
@@ -109,6 +111,7 @@ class StreetTrainer:
             tables.catch_up(rates)
 
     def _visible_rows(self, viewpoint: Viewpoint) -> NodeRows:
+    def visible_rows(self, viewpoint: Viewpoint) -> Rows:
         """What the viewpoint may see, to be learnt."""
         street = self.street
         seen = [node.visible_ids(viewpoint) for node in street.nodes]

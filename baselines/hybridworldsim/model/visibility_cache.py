@@ -16,7 +16,7 @@ from mirror.arrays import Bool, Int64, UInt8
 
 _EVERY: Final = 4
 """One visit in so many decodes everything: what stood in front may have moved or gone."""
-_MOST_BYTES: Final = 1 << 26
+MAX_BYTES: Final = 1 << 26
 _DIGEST: Final = 16
 
 
@@ -70,7 +70,7 @@ class VisibilityCache:
         if visited.shown and visited.visits % _EVERY == 0:
             self._bytes -= sum(one.nbytes for one in visited.shown)
             visited.shown = []
-        elif not visited.shown and self._bytes < _MOST_BYTES:
+        elif not visited.shown and self._bytes < MAX_BYTES:
             visited.shown = [_bits(own, rows) for own, rows in zip(numbers, shown)]
             self._bytes += sum(one.nbytes for one in visited.shown)
 

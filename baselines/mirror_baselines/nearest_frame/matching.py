@@ -21,7 +21,7 @@ from mirror.protocols.views import Plan, View
 METRES_PER_RADIAN: Final = 10.0
 """What a turn counts as: what is this far away moves by as much in the picture when the camera moves by it."""
 
-_PAIRS: Final = 4_000_000
+PAIRS_AT_ONCE: Final = 4_000_000
 
 
 def find_nearest(wanted: Poses, there: Poses) -> Int64:
@@ -40,7 +40,7 @@ def find_nearest(wanted: Poses, there: Poses) -> Int64:
     # World coordinates may be large, and their squares cancel.
     origin = there.translation.mean(axis=0)
     ours, theirs = _features(wanted, origin), _features(there, origin)
-    step = max(_PAIRS // len(theirs), 1)
+    step = max(PAIRS_AT_ONCE // len(theirs), 1)
     rows = [_closest(ours[start : start + step], theirs) for start in range(0, len(ours), step)]
     return np.concatenate(rows) if rows else np.empty(0, np.int64)
 

@@ -58,6 +58,7 @@ class SplattingTrainer:
         self.model, self.settings = model, settings
         self._adams = {name: RowAdam(table) for name, table in model.tables.items()}
         self._density = DensityControl(settings.densification, settings.seed, len(model))
+        self.density = Density(settings.densification, settings.seed, len(model))
         self._steps = 0
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
@@ -81,6 +82,10 @@ class SplattingTrainer:
         total.backward()
         self._update(drawn, image)
         self._density.after_backward(self.model.tables, self._adams, drawn.meta, progress)
+        self.density.before(drawn.meta)
+        total.backward()
+        self._update(drawn, picture)
+        self.density.after(self.model.tables, self._adams, drawn.meta, progress)
         self._steps += 1
         return StepReport({name: float(loss.detach()) for name, (_, loss) in losses.items()}, len(self.model))
 
@@ -139,6 +144,7 @@ class SplattingTrainer:
         for one in self._optimizers():
             moments.state.update(one.state)
         return {"counters": torch.tensor([self._steps]), **self._density.state(), **dump(self.model, moments)}
+        return {"counters": torch.tensor([self._steps]), **self.density.state(), **dumped(self.model, moments)}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """See `TrainableMethod`."""
@@ -147,7 +153,7 @@ class SplattingTrainer:
         for one in self._optimizers():
             for group in one.param_groups:
                 one.state.update({table: moments.state[table] for table in group["params"] if table in moments.state})
-        self._density.restore(state)
+        self.density.restore(state)
         (self._steps,) = state["counters"].tolist()
 
     def _optimizers(self) -> list[Optimizer]:

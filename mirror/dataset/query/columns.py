@@ -25,9 +25,9 @@ class ColumnCache:
 
     def __init__(self, files: TableFiles, limit_bytes: int = CACHE_BYTES) -> None:
         self._files = files
-        self._limit = limit_bytes
+        self.limit_bytes = limit_bytes
         self._held = 0
-        self._columns: OrderedDict[tuple[str, int, str], pa.Array] = OrderedDict()
+        self.columns: OrderedDict[tuple[str, int, str], pa.Array] = OrderedDict()
         # Arrow's reader is not made for several threads at once.
         self._lock = threading.Lock()
 
@@ -54,25 +54,26 @@ class ColumnCache:
             SchemaError: the file is broken.
         """
         with self._lock:
-            missing = [name for name in names if (path, row_group, name) not in self._columns]
-            fresh = self._decode(path, row_group, missing) if missing else {}
+            missing = [name for name in names if (path, row_group, name) not in self.columns]
+            fresh = self.decode(path, row_group, missing) if missing else {}
             found = []
             for name in names:
                 key = (path, row_group, name)
                 if name in fresh:
                     found.append(fresh[name])
                 else:
-                    self._columns.move_to_end(key)
-                    found.append(self._columns[key])
+                    self.columns.move_to_end(key)
+                    found.append(self.columns[key])
             for name, column in fresh.items():
-                self._columns[(path, row_group, name)] = column
+                self.columns[(path, row_group, name)] = column
                 self._held += column.nbytes
-            while self._held > self._limit:
-                _, dropped = self._columns.popitem(last=False)
+            while self._held > self.limit_bytes:
+                _, dropped = self.columns.popitem(last=False)
                 self._held -= dropped.nbytes
             return found
 
-    def _decode(self, path: str, row_group: int, names: Sequence[str]) -> dict[str, pa.Array]:
+    def decode(self, path: str, row_group: int, names: Sequence[str]) -> dict[str, pa.Array]:
+        """Columns of one row group by name, read from the file and not kept."""
         file = self._files.parquet(path)
         try:
             table = file.read_row_group(row_group, columns=list(names), use_threads=False)

@@ -19,7 +19,7 @@ from mirror.errors import DatasetError
 from mirror.schema.documents import FileEntry
 from mirror.schema.version import require_readable
 
-_OPEN_FILES: Final = 64
+MAX_OPEN_FILES: Final = 64
 _INDEX: Final = "index/"
 _CHUNK_BYTES: Final = 1024 * 1024
 _Identity: TypeAlias = tuple[int, int, int, int]
@@ -54,7 +54,7 @@ class TableFiles:
         """
         if path not in self._open:
             self._open[path] = self._opened(path)
-            if len(self._open) > _OPEN_FILES:
+            if len(self._open) > MAX_OPEN_FILES:
                 _, oldest = self._open.popitem(last=False)
                 oldest.close(force=True)
         self._open.move_to_end(path)

@@ -132,7 +132,7 @@ def networks(inputs: Inputs, *, clips: bool) -> Mapping[str, Extractor]:
             continue
         kind = _kind(metric)
         if kind not in inputs.made:
-            inputs.made[kind] = _load(metric, inputs)
+            inputs.made[kind] = load_extractor(metric, inputs)
         found[kind] = inputs.made[kind]  # type: ignore[assignment]
     return found
 
@@ -145,7 +145,8 @@ def _kind(metric: Metric) -> str:
     raise TypeError(f"{metric.metric} is no metric of sets")
 
 
-def _load(metric: Metric, inputs: Inputs) -> Extractor:
+def load_extractor(metric: Metric, inputs: Inputs) -> Extractor:
+    """Load the network whose features a metric compares."""
     if isinstance(metric, Fid | Kid):
         from mirror.metrics.features.fid import load_inception
 

@@ -98,10 +98,10 @@ class Perspective:
             if solved.all():
                 return x, y, reachable
         slow = np.flatnonzero(~solved)
-        x[slow], y[slow], solved[slow] = self._undistort_carefully(u[slow], v[slow], radius[slow])
+        x[slow], y[slow], solved[slow] = self.undistort_carefully(u[slow], v[slow], radius[slow])
         return x, y, reachable & solved
 
-    def _undistort_carefully(self, u: AnyArray, v: AnyArray, radius: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
+    def undistort_carefully(self, u: AnyArray, v: AnyArray, radius: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
         """Newton's method for the few points that need care: steps are shortened and stay within the limit."""
         scale = self._table.careful(radius) / np.where(radius == 0.0, 1.0, radius)
         x, y = u * scale, v * scale

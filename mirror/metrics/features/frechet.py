@@ -19,7 +19,7 @@ from mirror.metrics.features.roots import UNIT_ROUNDOFF, CovarianceRoot, covaria
 from mirror.metrics.features.statistics import FeatureStatistics
 
 _SMALL = 256
-_GRAM_TOLERANCE = 2e-11
+GRAM_TOLERANCE = 2e-11
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _overlap(a: CovarianceRoot, b: CovarianceRoot) -> _Overlap:
         moved = 4.0 * UNIT_ROUNDOFF * top
         with np.errstate(divide="ignore"):
             error = float(np.linalg.norm(np.minimum(np.sqrt(moved), moved / (2.0 * sigma))))
-        if error <= _GRAM_TOLERANCE * (a.trace + b.trace):
+        if error <= GRAM_TOLERANCE * (a.trace + b.trace):
             return _Overlap(float(sigma.sum()), product + error, size, "gram eigenvalues")
     cross = a.root @ b.root.T
     sigma = np.linalg.svd(cross, compute_uv=False)

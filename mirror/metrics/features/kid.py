@@ -11,7 +11,7 @@ from mirror.arrays import AnyArray, Float64, Int64
 from mirror.errors import UsageError
 from mirror.metrics.features.statistics import checked_features
 
-_WHOLE = 4096
+LARGEST_WHOLE = 4096
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def kid(
             remedy="score more images or ask for smaller subsets",
         )
     draw = np.random.default_rng(seed)
-    whole = max(len(first), len(second)) <= _WHOLE
+    whole = max(len(first), len(second)) <= LARGEST_WHOLE
     kernels = (_kernel(first, first), _kernel(second, second), _kernel(first, second)) if whole else None
     values = np.empty(subsets)
     for number in range(subsets):

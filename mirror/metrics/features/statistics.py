@@ -170,7 +170,7 @@ class FeatureAccumulator:
 
     def __init__(self) -> None:
         self._done: FeatureStatistics | None = None
-        self._batches: list[Float64] = []
+        self.pending: list[Float64] = []
 
     def update(self, features: AnyArray) -> None:
         """Add a batch.
@@ -185,15 +185,15 @@ class FeatureAccumulator:
         dimension = self._dimension()
         if dimension not in (None, batch.shape[1]):
             raise UsageError(f"a batch of {batch.shape[1]} dimensions after batches of {dimension}")
-        self._batches.append(batch.copy() if batch is features else batch)
-        if sum(map(len, self._batches)) > max(batch.shape[1], _PENDING):
-            self._done, self._batches = self.compute(), []
+        self.pending.append(batch.copy() if batch is features else batch)
+        if sum(map(len, self.pending)) > max(batch.shape[1], _PENDING):
+            self._done, self.pending = self.compute(), []
 
     def merge(self, other: FeatureAccumulator) -> None:
         """Add all that another accumulator has seen."""
         if other._done is not None:
             self._done = other._done if self._done is None else self._done.merge(other._done)
-        for batch in other._batches:
+        for batch in other.pending:
             self.update(batch)
 
     def compute(self) -> FeatureStatistics:
@@ -202,17 +202,17 @@ class FeatureAccumulator:
         Raises:
             UsageError: there were none.
         """
-        if not self._batches:
+        if not self.pending:
             if self._done is None:
                 raise UsageError("no features were added")
             return self._done
-        recent = FeatureStatistics.from_features(np.concatenate(self._batches))
+        recent = FeatureStatistics.from_features(np.concatenate(self.pending))
         return recent if self._done is None else self._done.merge(recent)
 
     def _dimension(self) -> int | None:
         if self._done is not None:
             return self._done.dimension
-        return self._batches[0].shape[1] if self._batches else None
+        return self.pending[0].shape[1] if self.pending else None
 
 
 def checked_features(features: AnyArray) -> Float64:

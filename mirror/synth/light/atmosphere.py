@@ -55,6 +55,8 @@ def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
     eye = np.array([0.0, 0.0, _EARTH_M + 10.0])
     reach = _to_sphere(np.broadcast_to(eye, away.shape), away, _TOP_M)
     # Steps grow with distance, because most of the light near the horizon comes from nearby air.
+    reach = distance_to_sphere(np.broadcast_to(eye, away.shape), away, _TOP_M)
+    # Steps grow with the distance: most of what is seen near the horizon is near.
     edges = np.linspace(0.0, 1.0, _VIEW_STEPS + 1) ** 2.5
     cosine = away @ sun
     air_phase = 3.0 / (16.0 * np.pi) * (1.0 + cosine**2)
@@ -68,9 +70,9 @@ def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
     for near, far in pairwise(edges):
         length = (far - near) * reach
         point = eye + (0.5 * (near + far) * reach)[:, None] * away
-        density = _densities(np.linalg.norm(point, axis=1) - _EARTH_M)
-        inside = density @ _EXTINCTION * length[:, None]
-        lit = np.exp(-passed - 0.5 * inside - _depth_to_sun(point, sun))
+        density = densities(np.linalg.norm(point, axis=1) - _EARTH_M)
+        inside = density @ EXTINCTION * length[:, None]
+        lit = np.exp(-passed - 0.5 * inside - optical_depth_to_sun(point, sun))
         scattered = density[:, :1] * air_phase[:, None] * _AIR + density[:, 1:2] * haze_phase[:, None] * _HAZE
         seen += lit * scattered * length[:, None]
         passed += inside
@@ -100,11 +102,13 @@ def dome_weights() -> Float64:
     return weights / weights.sum()
 
 
-_EXTINCTION: Final = np.stack([_AIR, _HAZE_TAKES * _HAZE, _OZONE])
+EXTINCTION: Final = np.stack([_AIR, _HAZE_TAKES * _HAZE, _OZONE])
 
 
 def _densities(height_m: Float64) -> Float64:
     """Densities (..., 3) of air, haze and ozone, relative to the maximum of each."""
+def densities(height_m: Float64) -> Float64:
+    """Densities (..., 3) of air, haze and ozone, 1 where each is densest."""
     height = np.maximum(height_m, 0.0)
     ozone = np.maximum(1.0 - np.abs(height - _OZONE_M) / _OZONE_HALF_M, 0.0)
     return np.stack([np.exp(-height / _AIR_M), np.exp(-height / _HAZE_M), ozone], axis=-1)
@@ -112,6 +116,8 @@ def _densities(height_m: Float64) -> Float64:
 
 def _to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
     """Distances (N,) from points inside a sphere around the earth's centre to the sphere."""
+def distance_to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
+    """Distances (N,) from points inside a sphere about the earth's centre to it."""
     along = np.einsum("ni,ni->n", start, away)
     return -along + np.sqrt(along**2 - np.einsum("ni,ni->n", start, start) + radius**2)
 
@@ -119,13 +125,16 @@ def _to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
 def _depth_to_sun(points: Float64, sun: Float64) -> Float64:
     """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth hides the sun."""
     reach = _to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
+def optical_depth_to_sun(points: Float64, sun: Float64) -> Float64:
+    """Optical depths (N, 3) from points (N, 3) from the earth's centre to the sun; huge where the earth is between."""
+    reach = distance_to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
     along = points @ sun
     passing = np.sqrt(np.maximum(np.einsum("ni,ni->n", points, points) - along**2, 0.0))
     hidden = (along < 0.0) & (passing < _EARTH_M)
     depth = np.zeros_like(points)
     for near, far in pairwise(np.linspace(0.0, 1.0, _SUN_STEPS + 1) ** 2):
         point = points + (0.5 * (near + far) * reach)[:, None] * sun
-        depth += (far - near) * (_densities(np.linalg.norm(point, axis=1) - _EARTH_M) @ _EXTINCTION)
+        depth += (far - near) * (densities(np.linalg.norm(point, axis=1) - _EARTH_M) @ EXTINCTION)
     depth *= reach[:, None]
     depth[hidden] = _NO_LIGHT
     return depth

@@ -18,7 +18,7 @@ _LEVELS: Final = 10
 _LEAST_CONTRAST: Final = 0.002
 """Levels with a smaller root mean square difference from 1 count as constant 1."""
 _LOCK: Final = threading.Lock()
-_BUILT: Final[list[Atlas]] = []
+BUILT: Final[list[Atlas]] = []
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,13 @@ class Atlas:
 def atlas() -> Atlas:
     """Return the atlas, which is built at the first call and shared by all callers."""
     with _LOCK:
-        if not _BUILT:
-            _BUILT.append(_built())
-        return _BUILT[0]
+        if not BUILT:
+            BUILT.append(build_atlas())
+        return BUILT[0]
 
 
-def _built() -> Atlas:
+def build_atlas() -> Atlas:
+    """Draw all textures into a new atlas; `atlas` keeps the first one."""
     grains, index = _grains()
     images, image_index = _images(draw_images())
     return Atlas(grains, index, images, image_index)

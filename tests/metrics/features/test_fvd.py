@@ -11,7 +11,7 @@ from mirror.weights import resolve
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import WeightResolver, file_sha256
 from mirror.weights.table import KNOWN
-from tests.metrics.networks import test_i3d
+from tests.metrics.networks.i3d_states import random_state
 
 
 class Means(torch.nn.Module):
@@ -110,7 +110,7 @@ def test_published_script(tmp_path, monkeypatch):
 def test_published_state_dict(tmp_path):
     """No hash of it is published, and its figures say so."""
     path = tmp_path / "i3d_pretrained_400.pt"
-    torch.save(test_i3d.random_state(), path)
+    torch.save(random_state(), path)
     network = load_i3d(resolver=WeightResolver({"i3d-state-dict": path}), file="i3d-state-dict")
     assert network.name == "fvd-unpinned"
     assert network.weights == {"i3d-state-dict": file_sha256(path)}

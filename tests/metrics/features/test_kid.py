@@ -62,7 +62,7 @@ def test_seed_and_paths(monkeypatch):
     assert one.value != kid(x, y, seed=6).value
     assert one.subset_size == 30
     assert one.n == (60, 80)
-    monkeypatch.setattr(module, "_WHOLE", 10)
+    monkeypatch.setattr(module, "LARGEST_WHOLE", 10)
     assert kid(x, y, seed=5).value == pytest.approx(one.value, rel=1e-12)
 
 

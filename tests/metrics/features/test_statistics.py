@@ -64,7 +64,7 @@ def test_accumulator_holds_few_rows():
     x = features(20000, 4)
     for part in np.array_split(x, 30):
         stream.update(part)
-        assert sum(map(len, stream._batches)) <= 2048
+        assert sum(map(len, stream.pending)) <= 2048
     np.testing.assert_allclose(stream.compute().covariance(), np.cov(x.T), atol=1e-13)
 
 

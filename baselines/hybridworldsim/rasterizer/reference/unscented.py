@@ -30,7 +30,7 @@ def project_unscented(
     """
     steps = UT_SPREAD * axes_c.mT  # (N, 3, 3): one axis a row
     points = torch.cat([means_c[:, None], means_c[:, None] + steps, means_c[:, None] - steps], dim=1)  # (N, 7, 3)
-    pixels, valid = _FORWARD[lens.model](points, K, width, height, lens)  # (N, 7, 2), (N, 7)
+    pixels, valid = PROJECTIONS[lens.model](points, K, width, height, lens)  # (N, 7, 2), (N, 7)
 
     # The textbook's sums have weights of about -99 and +17 that cancel. About the image of the mean, with w the weight
     # of the other six, they are  mean = centre + m,  m = w sum d,  covariance = w sum d d' + (beta - alpha^2) m m'.
@@ -88,4 +88,4 @@ def _fisheye(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> 
     return torch.where(impossible[..., None], 0.0, pixels), ~impossible & ((full < last) | on_axis)
 
 
-_FORWARD = {"pinhole": _brown_conrady, "fisheye": _fisheye}
+PROJECTIONS = {"pinhole": _brown_conrady, "fisheye": _fisheye}

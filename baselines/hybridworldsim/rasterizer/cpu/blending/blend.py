@@ -25,7 +25,7 @@ from mirror.arrays import Float32, Float64, Int32, Int64
 from mirror.errors import UsageError
 
 _PARTS: Final = 32
-_SLICE: Final = 32768
+LEAST_SLICE: Final = 32768
 """Gaussians of the nearest slice, at least."""
 
 _SHARE: Final = 8
@@ -199,7 +199,7 @@ def _array(gradient: Tensor | None, shape: tuple[int, ...]) -> Float32:
 
 def _slices(order: Int32) -> Iterator[Int32]:
     """Gaussians in depth order by slices that grow: what the first ones hide is never paired with tiles."""
-    first, size = 0, max(_SLICE, -(-len(order) // _SHARE))
+    first, size = 0, max(LEAST_SLICE, -(-len(order) // _SHARE))
     while first < len(order):
         end = len(order) if len(order) - first < 2 * size else first + size
         yield order[first:end]

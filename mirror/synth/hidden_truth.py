@@ -116,6 +116,8 @@ def _render(view: View, shift_m: float, preset: str, seed: int, drive_id: str) -
     """Render the RGB image (H, W, 3) of a view with the vehicle shifted to its left by ``shift_m``."""
     drive, schedule = _drive(preset, seed, drive_id)
     stamps = schedule.recorded_ns.get(view.camera, np.empty(0, np.int64))
+
+
 def render_shifted(view: View, shift_m: float, preset: str, seed: int, drive_id: str) -> UInt8:
     """What the camera would have recorded so far to its vehicle's left, RGB."""
     drive, shots = _drive(preset, seed, drive_id)

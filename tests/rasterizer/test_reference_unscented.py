@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.reference.unscented import _FORWARD, project_unscented
-from hybridworldsim.rasterizer.reference.unscented import PROJECTIONS, unscented
+from hybridworldsim.rasterizer.reference.unscented import PROJECTIONS, project_unscented
 from mirror.errors import UsageError
 from tests.rasterizer.small import HEIGHT, WIDTH, K, gaussians, project_small
 from tests.rasterizer.test_reference_projection import BROWN, FISHEYE

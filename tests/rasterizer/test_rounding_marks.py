@@ -9,7 +9,6 @@ from hybridworldsim.rasterizer.presets import ALPHA_MIN
 from hybridworldsim.rasterizer.reference import blend
 from hybridworldsim.rasterizer.reference.rounding_marks import find_rounding_marks
 from tests.rasterizer._small import PRESET, gaussians, project_small
-from hybridworldsim.rasterizer.reference.marks import mark
 from tests.rasterizer.small import PRESET, gaussians, project_small
 
 WIDTH, HEIGHT = 160, 120

@@ -107,6 +107,8 @@ EXTINCTION: Final = np.stack([_AIR, _HAZE_TAKES * _HAZE, _OZONE])
 
 def _densities(height_m: Float64) -> Float64:
     """Densities (..., 3) of air, haze and ozone, relative to the maximum of each."""
+
+
 def densities(height_m: Float64) -> Float64:
     """Densities (..., 3) of air, haze and ozone, 1 where each is densest."""
     height = np.maximum(height_m, 0.0)
@@ -116,6 +118,8 @@ def densities(height_m: Float64) -> Float64:
 
 def _to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
     """Distances (N,) from points inside a sphere around the earth's centre to the sphere."""
+
+
 def distance_to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
     """Distances (N,) from points inside a sphere about the earth's centre to it."""
     along = np.einsum("ni,ni->n", start, away)
@@ -125,6 +129,8 @@ def distance_to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
 def _depth_to_sun(points: Float64, sun: Float64) -> Float64:
     """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth hides the sun."""
     reach = _to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
+
+
 def optical_depth_to_sun(points: Float64, sun: Float64) -> Float64:
     """Optical depths (N, 3) from points (N, 3) from the earth's centre to the sun; huge where the earth is between."""
     reach = distance_to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)

@@ -80,10 +80,8 @@ def test_another_look_at_the_same_instants_is_noticed(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another preset may have the same drives and stamps: what its pictures show decides."""
-    render = synthetic._render
-    monkeypatch.setattr(synthetic, "_render", lambda *words: np.flip(render(*words), axis=1))
-    rendered = synthetic.render_shifted
-    monkeypatch.setattr(synthetic, "render_shifted", lambda *words: np.flip(rendered(*words), axis=1))
+    render = synthetic.render_shifted
+    monkeypatch.setattr(synthetic, "render_shifted", lambda *words: np.flip(render(*words), axis=1))
     plan = plan_views(dataset, small(task="lane-shift", groups=SHIFTS, every=12), SPLIT)
     with pytest.raises(DatasetError, match=r"is not what was recorded \(\d+\.\d dB\)"):
         write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden")

@@ -8,7 +8,6 @@ import torch
 from hybridworldsim.rasterizer.presets import ALPHA_MIN
 from hybridworldsim.rasterizer.reference import blend
 from hybridworldsim.rasterizer.reference.rounding_marks import find_rounding_marks
-from tests.rasterizer._small import PRESET, gaussians, project_small
 from tests.rasterizer.small import PRESET, gaussians, project_small
 
 WIDTH, HEIGHT = 160, 120

@@ -53,10 +53,8 @@ def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
     up, aside = np.radians(elevation_deg), np.radians(azimuth_deg)
     sun = np.array([np.cos(up) * np.cos(aside), np.cos(up) * np.sin(aside), np.sin(up)])
     eye = np.array([0.0, 0.0, _EARTH_M + 10.0])
-    reach = _to_sphere(np.broadcast_to(eye, away.shape), away, _TOP_M)
-    # Steps grow with distance, because most of the light near the horizon comes from nearby air.
     reach = distance_to_sphere(np.broadcast_to(eye, away.shape), away, _TOP_M)
-    # Steps grow with the distance: most of what is seen near the horizon is near.
+    # Steps grow with distance, because most of the light near the horizon comes from nearby air.
     edges = np.linspace(0.0, 1.0, _VIEW_STEPS + 1) ** 2.5
     cosine = away @ sun
     air_phase = 3.0 / (16.0 * np.pi) * (1.0 + cosine**2)
@@ -105,34 +103,21 @@ def dome_weights() -> Float64:
 EXTINCTION: Final = np.stack([_AIR, _HAZE_TAKES * _HAZE, _OZONE])
 
 
-def _densities(height_m: Float64) -> Float64:
-    """Densities (..., 3) of air, haze and ozone, relative to the maximum of each."""
-
-
 def densities(height_m: Float64) -> Float64:
-    """Densities (..., 3) of air, haze and ozone, 1 where each is densest."""
+    """Densities (..., 3) of air, haze and ozone, relative to the maximum of each."""
     height = np.maximum(height_m, 0.0)
     ozone = np.maximum(1.0 - np.abs(height - _OZONE_M) / _OZONE_HALF_M, 0.0)
     return np.stack([np.exp(-height / _AIR_M), np.exp(-height / _HAZE_M), ozone], axis=-1)
 
 
-def _to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
-    """Distances (N,) from points inside a sphere around the earth's centre to the sphere."""
-
-
 def distance_to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
-    """Distances (N,) from points inside a sphere about the earth's centre to it."""
+    """Distances (N,) from points inside a sphere around the earth's centre to the sphere."""
     along = np.einsum("ni,ni->n", start, away)
     return -along + np.sqrt(along**2 - np.einsum("ni,ni->n", start, start) + radius**2)
 
 
-def _depth_to_sun(points: Float64, sun: Float64) -> Float64:
-    """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth hides the sun."""
-    reach = _to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
-
-
 def optical_depth_to_sun(points: Float64, sun: Float64) -> Float64:
-    """Optical depths (N, 3) from points (N, 3) from the earth's centre to the sun; huge where the earth is between."""
+    """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth hides the sun."""
     reach = distance_to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
     along = points @ sun
     passing = np.sqrt(np.maximum(np.einsum("ni,ni->n", points, points) - along**2, 0.0))

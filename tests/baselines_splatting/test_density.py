@@ -17,11 +17,8 @@ def _rounds(steps, monkeypatch, **changes):
     """Progress at each round, and at each reset of opacities, of training of so many steps."""
     settings = replace(GROWING, **changes)
     trainer = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
-    density, rounds, resets = trainer._density, [], []
+    density, rounds, resets = trainer.density, [], []
     after = density.after_backward
-    learner = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
-    density, rounds, resets = learner.density, [], []
-    after = density.after
     monkeypatch.setattr("mirror_baselines.splatting.density.reset_opa", lambda *_: resets.append(None))
 
     def watched(tables, optimizers, meta, progress):

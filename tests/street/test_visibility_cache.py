@@ -102,8 +102,7 @@ def test_a_step_learns_the_same_without_what_is_hidden():
         found.append((losses, {name: table.detach().clone() for name, table in one.street.named_parameters()}))
         known = {name: table.clone() for name, table in one.state().items() if name.startswith("sightings.")}
         one.restore({**before, **known})
-    assert 0 < len(one._visible_rows(image.viewpoint).background.ids) < 0.8 * seen
-    assert 0 < len(one.visible_rows(picture.viewpoint).background.ids) < 0.8 * seen
+    assert 0 < len(one.visible_rows(image.viewpoint).background.ids) < 0.8 * seen
     (losses, tables), (other_losses, other_tables) = found
     assert losses == pytest.approx(other_losses, rel=1e-5)
     for name, table in tables.items():

@@ -61,10 +61,8 @@ class StreetTrainer:
             group["lr"] = self._rate(group["rate"], group["factor"])
         latent = street.appearance(viewpoint.source)
         growing = self._refined < settings.refinement.times
-        drawn = street(viewpoint, latent, rows=self._visible_rows(viewpoint), track_gradients=growing)
+        drawn = street(viewpoint, latent, rows=self.visible_rows(viewpoint), track_gradients=growing)
         losses = self._losses(drawn, image)
-        drawn = street(viewpoint, latent, rows=self.visible_rows(viewpoint), pulls=growing)
-        losses = self._losses(drawn, picture)
         weights = {
             "rgb": 1.0,
             "structure": settings.structure_weight,
@@ -110,8 +108,7 @@ class StreetTrainer:
         for tables, rates in zip(self._tables, self._rates()):
             tables.catch_up(rates)
 
-    def _visible_rows(self, viewpoint: Viewpoint) -> NodeRows:
-    def visible_rows(self, viewpoint: Viewpoint) -> Rows:
+    def visible_rows(self, viewpoint: Viewpoint) -> NodeRows:
         """What the viewpoint may see, to be learnt."""
         street = self.street
         seen = [node.visible_ids(viewpoint) for node in street.nodes]

@@ -57,8 +57,7 @@ class SplattingTrainer:
     def __init__(self, model: Gaussians, settings: Splatting) -> None:
         self.model, self.settings = model, settings
         self._adams = {name: RowAdam(table) for name, table in model.tables.items()}
-        self._density = DensityControl(settings.densification, settings.seed, len(model))
-        self.density = Density(settings.densification, settings.seed, len(model))
+        self.density = DensityControl(settings.densification, settings.seed, len(model))
         self._steps = 0
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
@@ -78,14 +77,10 @@ class SplattingTrainer:
             **look.losses(drawn.alpha, image),
         }
         total = torch.stack([weight * loss for weight, loss in losses.values() if weight]).sum()
-        self._density.before_backward(drawn.meta)
+        self.density.before_backward(drawn.meta)
         total.backward()
         self._update(drawn, image)
-        self._density.after_backward(self.model.tables, self._adams, drawn.meta, progress)
-        self.density.before(drawn.meta)
-        total.backward()
-        self._update(drawn, picture)
-        self.density.after(self.model.tables, self._adams, drawn.meta, progress)
+        self.density.after_backward(self.model.tables, self._adams, drawn.meta, progress)
         self._steps += 1
         return StepReport({name: float(loss.detach()) for name, (_, loss) in losses.items()}, len(self.model))
 
@@ -143,8 +138,7 @@ class SplattingTrainer:
         moments = self._moments()
         for one in self._optimizers():
             moments.state.update(one.state)
-        return {"counters": torch.tensor([self._steps]), **self._density.state(), **dump(self.model, moments)}
-        return {"counters": torch.tensor([self._steps]), **self.density.state(), **dumped(self.model, moments)}
+        return {"counters": torch.tensor([self._steps]), **self.density.state(), **dump(self.model, moments)}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """See `TrainableMethod`."""

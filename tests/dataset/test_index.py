@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ import mirror
 from mirror.dataset.index import build, build_index
 from mirror.errors import DatasetError, SchemaError
 from mirror.geometry.geodesy import TangentFrame
-from mirror.schema.files import read_table
+from mirror.schema.files import read_table, write_table
 from mirror.schema.tables import BOXES, IMAGES, INDEX_BY_SCENE, INDEX_GLOBAL, MASKS
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, mask_row, write_reconstruction
 
@@ -95,6 +96,27 @@ def test_frames_count_the_cameras_that_are_there(tmp_path: Path) -> None:
     assert frames["frame_index"] == [0, 1]
     assert frames["images"] == [3, 2]
     assert frames["timestamp_ns"] == [EPOCH, EPOCH + 100_000_000]
+
+
+def test_a_huge_frame_index_takes_no_more_memory_than_its_rows(tmp_path: Path) -> None:
+    builder = Builder(tmp_path)
+    builder.scene("a")
+    (traversal,) = builder.drive("d", [Pass("a", frames=3)])
+    file = builder.layout.recorded(traversal) / "images.parquet"
+    images = read_table(file, IMAGES)
+    index = [2**31 - 1 if number == 2 else number for number in images.column("frame_index").to_pylist()]
+    column = images.column_names.index("frame_index")
+    write_table(
+        file, images.set_column(column, IMAGES.schema.field("frame_index"), [pa.array(index, pa.int32())]), IMAGES
+    )
+    tracemalloc.start()
+    build_index(tmp_path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    frames = mirror.open(tmp_path).table("frames").to_pydict()
+    assert frames["frame_index"] == [0, 1, 2**31 - 1]
+    assert frames["images"] == [3, 3, 3]
+    assert peak < 64 * 2**20
 
 
 def test_bytes_do_not_depend_on_the_order_of_ingest_or_on_history(tmp_path: Path) -> None:

@@ -245,7 +245,7 @@ def _frames(traversal: TraversalInput, images: pa.Table) -> pa.Table:
     if traversal.rig is None or not images.num_rows:
         return FRAMES.schema.empty_table().drop_columns(["scene_id", "traversal_id"])
     framed = images.filter(pc.is_valid(images.column("frame_index")))
-    counts = np.bincount(framed.column("frame_index").to_numpy(), minlength=1)
+    frames, counts = np.unique(framed.column("frame_index").to_numpy(), return_counts=True)
     reference = framed.filter(pc.equal(framed.column("camera").cast(pa.string()), traversal.rig.reference_camera))
     reference = reference.sort_by("frame_index")
     frame_index = reference.column("frame_index").to_numpy()
@@ -253,7 +253,7 @@ def _frames(traversal: TraversalInput, images: pa.Table) -> pa.Table:
         {
             "frame_index": reference.column("frame_index"),
             "timestamp_ns": reference.column("timestamp_ns"),
-            "images": pa.array(counts[frame_index], pa.int32()),
+            "images": pa.array(counts[np.searchsorted(frames, frame_index)], pa.int32()),
             **{name: reference.column(name) for name in _POSITION},
         }
     )

@@ -10,9 +10,9 @@ import numpy as np
 from mirror.arrays import Bool
 from mirror.errors import RecordingError
 from mirror.ingest.clean import LOCAL_LIMIT_M, CleanTrack, clean
-from mirror.recordings.bad_rows import RowFaults
 from mirror.recordings.placing import no_rotations
 from mirror.recordings.protocol import Track
+from mirror.recordings.row_faults import RowFaults
 from mirror.schema.documents import CleaningOptions, CleaningReport, TriggerOptions
 
 _LEAST_COVERED: Final = 0.9

@@ -25,13 +25,13 @@ import pyarrow as pa
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, quaternion_normalise
-from mirror.recordings.bad_rows import RowFaults
 from mirror.recordings.calibration import Calibration, Stage, calibration_table
 from mirror.recordings.opening import find_file, read_array, require_file
 from mirror.recordings.paths import identifier, natural_key
 from mirror.recordings.placing import FLU_FROM_CAMERA, FLU_FROM_FRD, no_rotations, track_from_ecef
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
+from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import WEEK_S, unix_from_gps_week
 from mirror.recordings.video import VideoStream
 

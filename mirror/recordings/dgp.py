@@ -27,7 +27,6 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_normalise
-from mirror.recordings.bad_rows import RowFaults
 from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
 from mirror.recordings.dgp_datum import Datum, read_datum, read_object, read_pose
 from mirror.recordings.opening import require_file
@@ -35,6 +34,7 @@ from mirror.recordings.paths import identifier, inside
 from mirror.recordings.placing import no_rotations
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
+from mirror.recordings.row_faults import RowFaults
 from mirror.schema.tables import BOXES
 
 _BOXES_3D: Final = "1"

@@ -15,9 +15,10 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
-from mirror.recordings.bad_rows import Reason, RowFaults
+from mirror.recordings.bad_rows import Reason
 from mirror.recordings.opening import unreadable
 from mirror.recordings.protocol import Track
+from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import StampError, to_unix_ns
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
-from mirror.recordings.bad_rows import RowFaults
+from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.stamps import parse_stamps
 from mirror.recordings.tabular import Rows
 

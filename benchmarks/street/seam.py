@@ -15,16 +15,16 @@ from hybridworldsim.model.parts import LatentSelector
 from hybridworldsim.model.street import Street
 from mirror.arrays import Float64
 from mirror.geometry.poses import Poses
-from mirror.protocols.views.view import View, pose_numbers
+from mirror.protocols.views.view import RenderView, pose_numbers
 
 STEP_M = 0.1
 
 
 def seam_rows(
     blocks: Sequence[tuple[Block, Street]],
-    views: Sequence[View],
-    inside: Sequence[View],
-    looks: Callable[[View], LatentSelector],
+    views: Sequence[RenderView],
+    inside: Sequence[RenderView],
+    looks: Callable[[RenderView], LatentSelector],
     name: str,
 ) -> list[Row]:
     """Steps of cameras across the boundary of two blocks, and inside them.
@@ -42,17 +42,19 @@ def seam_rows(
     middle = (np.array(a.origin_m[:2]) + np.array(b.origin_m[:2])) / 2.0
     street, alone = Composition(blocks), [Composition([one]) for one in blocks]
 
-    def composed(view: View) -> Tensor:
+    def composed(view: RenderView) -> Tensor:
         return street.render(view, looks(view))[0].rgb.clamp(0.0, 1.0)
 
-    def switched(view: View) -> Tensor:
+    def switched(view: RenderView) -> Tensor:
         beyond = float((view.pose.translation[0, :2] - middle) @ way) >= 0.0
         return alone[beyond].render(view, looks(view))[0].rgb.clamp(0.0, 1.0)
 
-    def onto_m(view: View) -> float:
+    def onto_m(view: RenderView) -> float:
         return float((middle - view.pose.translation[0, :2]) @ way)
 
-    def step_db(draw: Callable[[View], Tensor], chosen: Sequence[View], moved_m: Callable[[View], float]) -> float:
+    def step_db(
+        draw: Callable[[RenderView], Tensor], chosen: Sequence[RenderView], moved_m: Callable[[RenderView], float]
+    ) -> float:
         errors = []
         for view in chosen:
             before, after = (draw(_moved(view, (moved_m(view) + side * STEP_M / 2.0) * way)) for side in (-1.0, 1.0))
@@ -75,7 +77,7 @@ def seam_rows(
     ]
 
 
-def _moved(view: View, by_m: Float64) -> View:
+def _moved(view: RenderView, by_m: Float64) -> RenderView:
     pose = view.pose
     moved = Poses(pose.rotation, pose.translation + np.array([[*by_m, 0.0]]))
     return view.model_copy(update={"world_SE3_camera": pose_numbers(moved)})

@@ -17,7 +17,7 @@ from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import FACE, ROUND
 from mirror.synth.render.rendering import render
-from mirror.synth.render.view import RenderView
+from mirror.synth.render.view import RasterizedView
 from mirror.synth.road_users.body import Placement, RoadUser, StaticMotion
 from mirror.synth.road_users.cars import car
 from mirror.synth.road_users.people import pedestrian
@@ -146,7 +146,7 @@ def _placed(
     return road_users
 
 
-def _faces(view: RenderView, camera: Camera, pose: Poses) -> list[Target]:
+def _faces(view: RasterizedView, camera: Camera, pose: Poses) -> list[Target]:
     """Faces: of the front half of each head, from the chin to the brow."""
     rounds = view.scene.rounds.view(ROUND)
     high, low = _BROW_AND_CHIN
@@ -161,7 +161,7 @@ def _faces(view: RenderView, camera: Camera, pose: Poses) -> list[Target]:
     return [target for target in found if target is not None]
 
 
-def _plates(view: RenderView, camera: Camera, pose: Poses) -> list[Target]:
+def _plates(view: RasterizedView, camera: Camera, pose: Poses) -> list[Target]:
     """Number plates."""
     faces = view.scene.faces.view(FACE)
     along, up = (

@@ -16,7 +16,7 @@ from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.protocols.png import decode_render, most_bytes
 from mirror.protocols.truth.source import GroundTruth
-from mirror.protocols.views import Plan, View, plan_views
+from mirror.protocols.views import Plan, RenderView, plan_views
 from mirror.schema.files import write_bytes
 from mirror_leaderboard.entry import Pair
 from mirror_leaderboard.refused import RefusedError
@@ -80,7 +80,7 @@ def copy_pairs(result: Result, submission: Path, truth: Path, pictures: Path) ->
     return tuple(pairs)
 
 
-def _chosen(plan: Plan) -> list[View]:
+def _chosen(plan: Plan) -> list[RenderView]:
     """Views of the rig's first camera, evenly through the protocol's last group that has any."""
     group = next(group.name for group in reversed(plan.protocol.groups) if group.name not in plan.empty_groups)
     views = [view for view in plan.views if view.group == group]

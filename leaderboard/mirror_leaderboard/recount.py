@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import mean_weights
 from mirror.evaluation.result import IMAGES, Figure, Result
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror_leaderboard.entry import ALL
 from mirror_leaderboard.refused import RefusedError
 
@@ -68,7 +68,7 @@ def _require(result: Result, figure: Figure, rows: Sequence[Mapping[str, Any]], 
     mean = None
     if finite:
         keys = ("scene_id", "traversal_id")
-        views = [View.model_construct(**{key: row[key] for key in keys}) for row in finite]
+        views = [RenderView.model_construct(**{key: row[key] for key in keys}) for row in finite]
         weights = mean_weights(views, result.protocol.averaging)
         mean = math.fsum(weights * np.array([row[figure.metric] for row in finite]))
     fits = (

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mirror.evaluation.submission.writing import Render
     from mirror.methods.appearance import AppearancePolicy
     from mirror.protocols.views.plan import Plan
-    from mirror.protocols.views.view import View
+    from mirror.protocols.views.view import RenderView
 
 _VIDEOS = (".mp4", ".mkv")
 _HZ = 10.0
@@ -274,7 +274,7 @@ def _base(dataset: Dataset, trajectory: str, split: str) -> str:
 
 
 def _side_by_side(
-    views: Sequence[View], render: Callable[[View], UInt8], cameras: int, advance: Callable[[int], None]
+    views: Sequence[RenderView], render: Callable[[RenderView], UInt8], cameras: int, advance: Callable[[int], None]
 ) -> Iterator[UInt8]:
     import numpy as np
 
@@ -283,7 +283,9 @@ def _side_by_side(
         advance(cameras)
 
 
-def _pictures(out: Path, views: Sequence[View], render: Callable[[View], UInt8], advance: Callable[[int], None]) -> int:
+def _pictures(
+    out: Path, views: Sequence[RenderView], render: Callable[[RenderView], UInt8], advance: Callable[[int], None]
+) -> int:
     """Render what is not there yet; how many that was."""
     from mirror.protocols.png import encode_png
     from mirror.schema.begun import finish_folder

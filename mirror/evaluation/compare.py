@@ -16,7 +16,7 @@ from mirror.evaluation.figures import LEAST_BLOCKS, TOO_FEW_BLOCKS, blocks_of, m
 from mirror.evaluation.result import IMAGES, Figure, Result, finite
 from mirror.evaluation.run import read_result
 from mirror.metrics.images.bootstrap import paired_difference
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 _KEYS: Final = ("scene_id", "traversal_id", "frame_index", "camera", "light", "weather")
 
@@ -185,6 +185,6 @@ def _finite(value: object) -> bool:
     return isinstance(value, (int, float)) and math.isfinite(value)
 
 
-def _view(row: dict[str, Any]) -> View:
+def _view(row: dict[str, Any]) -> RenderView:
     """What means and blocks are taken by."""
-    return View.model_construct(**{key: row[key] for key in _KEYS})
+    return RenderView.model_construct(**{key: row[key] for key in _KEYS})

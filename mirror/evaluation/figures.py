@@ -15,11 +15,11 @@ from mirror.metrics.images.aggregate import summarise
 from mirror.metrics.images.bootstrap import Interval, frame_blocks, mean_interval
 from mirror.metrics.score import Score
 from mirror.protocols.document import Protocol
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 Better = Literal["higher", "lower", "none"]
 
-_PARTS: Final[Mapping[Level, Callable[[View], str]]] = {
+_PARTS: Final[Mapping[Level, Callable[[RenderView], str]]] = {
     "scene": lambda view: view.scene_id,
     "traversal": lambda view: view.traversal_id,
     "camera": lambda view: view.camera,
@@ -40,7 +40,7 @@ class Measure:
 
 
 def figures_of(
-    protocol: Protocol, measure: Measure, group: str, views: Sequence[View], scores: Sequence[Score]
+    protocol: Protocol, measure: Measure, group: str, views: Sequence[RenderView], scores: Sequence[Score]
 ) -> list[Figure]:
     """The figures of one metric and group.
 
@@ -68,7 +68,7 @@ def figures_of(
     return found
 
 
-def mean_weights(views: Sequence[View], averaging: Sequence[str]) -> Float64:
+def mean_weights(views: Sequence[RenderView], averaging: Sequence[str]) -> Float64:
     """Weights (N,), of sum 1, of pictures in the mean of means; the last of ``averaging`` is the outermost.
 
     Raises:
@@ -101,14 +101,14 @@ def spread_of(values: Float64, weights: Float64) -> Float64:
     return np.asarray(mean + len(values) * weights * (values - mean))
 
 
-def blocks_of(protocol: Protocol, views: Sequence[View]) -> Int64:
+def blocks_of(protocol: Protocol, views: Sequence[RenderView]) -> Int64:
     """The block (N,) of consecutive frames that each view is resampled with."""
     traversals, frames = [view.traversal_id for view in views], [view.frame_index for view in views]
     return frame_blocks(traversals, frames, protocol.intervals.block_frames)
 
 
 def weighted_interval(
-    protocol: Protocol, views: Sequence[View], values: Float64, weights: Float64
+    protocol: Protocol, views: Sequence[RenderView], values: Float64, weights: Float64
 ) -> tuple[float, Interval]:
     """A weighted mean of finite values, and its interval under resampling of blocks of frames."""
     mean = math.fsum(weights * values)
@@ -127,7 +127,7 @@ def _figure(
     group: str,
     level: Level,
     key: str,
-    views: Sequence[View],
+    views: Sequence[RenderView],
     scores: Sequence[Score],
     averaging: Sequence[str],
 ) -> Figure:

@@ -21,7 +21,7 @@ from mirror.evaluation.run import Evaluation
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Scored
 from mirror.html import html_table, inline_image, style_sheet
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
 
@@ -162,7 +162,7 @@ def _places(count: int) -> dict[str, range]:
     return found
 
 
-def _triple(words: str, view: View, inputs: Inputs) -> str:
+def _triple(words: str, view: RenderView, inputs: Inputs) -> str:
     render, truth, scored = inputs.render(view), inputs.truth.picture(view), inputs.scored(view)
     pictures = (("render", render), ("truth", truth), ("error", error_map(render, truth, scored)))
     figures = ""

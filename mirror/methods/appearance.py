@@ -9,7 +9,7 @@ from typing import Final
 from mirror.dataset.dataset import Dataset
 from mirror.protocols.rectangle import Rectangle
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 FITTED_PART: Final = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
 """The part of a held-out image that an appearance may be fitted to. It is not scored then."""
@@ -27,6 +27,6 @@ class AppearancePolicy:
     """
 
     policy: str = "nearest"
-    views: Sequence[View] = ()
+    views: Sequence[RenderView] = ()
     everywhere: bool = False
     truth: tuple[Dataset, Plan] | None = None

@@ -10,7 +10,7 @@ from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.plugin import InstalledMethod
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
 def by_camera(policies: str, cameras: Sequence[str]) -> dict[str, str]:
@@ -36,7 +36,7 @@ def by_camera(policies: str, cameras: Sequence[str]) -> dict[str, str]:
 
 def opened_by_camera(
     method: InstalledMethod, model: Path, appearance: AppearancePolicy, policies: Mapping[str, str]
-) -> Callable[[View], UInt8]:
+) -> Callable[[RenderView], UInt8]:
     """A renderer of views whose cameras have policies of their own."""
     renderers = {one: method.open(model, replace(appearance, policy=one)) for one in dict.fromkeys(policies.values())}
     return lambda view: renderers[policies[view.camera]](view)

@@ -13,7 +13,7 @@ from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.training_images import Picture
 from mirror.progress import ProgressReporter
 from mirror.protocols import document as protocols
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
 @dataclass(frozen=True)
@@ -100,5 +100,5 @@ class InstalledMethod(Protocol):
             watch: told how it goes.
         """
 
-    def open(self, model: Path, appearance: AppearancePolicy = ...) -> Callable[[View], UInt8]:
+    def open(self, model: Path, appearance: AppearancePolicy = ...) -> Callable[[RenderView], UInt8]:
         """A renderer of a trained model: pixels (H, W, 3), RGB, of a view."""

@@ -10,7 +10,7 @@ from typing import Literal, Protocol, runtime_checkable
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.registry import installed_method
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,12 @@ class BakingMethod(Protocol):
     """An installed method that can bake."""
 
     def bake(
-        self, model: Path, views: Sequence[View], out: Path, options: BakeOptions, appearance: AppearancePolicy = ...
+        self,
+        model: Path,
+        views: Sequence[RenderView],
+        out: Path,
+        options: BakeOptions,
+        appearance: AppearancePolicy = ...,
     ) -> Baking:
         """Write a model as a PLY.
 

@@ -19,7 +19,7 @@ from mirror.protocols.truth.hidden import HIDDEN, hidden_document
 from mirror.protocols.truth.raster import raster_of
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan, require_group
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.begun import begin_folder, finish_folder
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import Kind, require_own_folder
@@ -90,7 +90,7 @@ def write_hidden_truth(
     return len(plan.views)
 
 
-def _require_recorded(view: View, truth: GroundTruth, preset: str, seed: int, drive_id: str) -> None:
+def _require_recorded(view: RenderView, truth: GroundTruth, preset: str, seed: int, drive_id: str) -> None:
     """Check that the image of a view, rendered at its true pose, equals the recorded image."""
     recorded = truth.recorded(view)[1].decode()
     rendered = render_shifted(view, 0.0, preset, seed, drive_id)
@@ -105,7 +105,7 @@ def _require_recorded(view: View, truth: GroundTruth, preset: str, seed: int, dr
         )
 
 
-def render_shifted(view: View, shift_m: float, preset: str, seed: int, drive_id: str) -> UInt8:
+def render_shifted(view: RenderView, shift_m: float, preset: str, seed: int, drive_id: str) -> UInt8:
     """Render the RGB image (H, W, 3) of a view with the vehicle shifted to its left by ``shift_m``."""
     drive, schedule = _drive(preset, seed, drive_id)
     stamps = schedule.recorded_ns.get(view.camera, np.empty(0, np.int64))

@@ -41,7 +41,7 @@ from mirror.methods.registry import installed_method
 from mirror.progress import NullProgress, progress_bar
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import Plan, plan_views
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.tables import DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 
@@ -586,7 +586,7 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
     said(capsys, *words, "--out", whole)
     drawn = []
 
-    def interrupted(opened: StreetRenderer, view: View) -> UInt8:
+    def interrupted(opened: StreetRenderer, view: RenderView) -> UInt8:
         drawn.append(view.path)
         if len(drawn) == 6:
             raise KeyboardInterrupt
@@ -666,7 +666,7 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     monkeypatch.setattr("hybridworldsim.methods.static.divide", lambda driven, size_m: divide(driven, 16.0))
     usual, masked = TrainingImageCache.__call__, set[str]()
 
-    def covered(pictures: TrainingImageCache, view: View) -> TrainingImage:
+    def covered(pictures: TrainingImageCache, view: RenderView) -> TrainingImage:
         picture = usual(pictures, view)
         return replace(picture, scored=torch.zeros_like(picture.scored)) if view.path in masked else picture
 

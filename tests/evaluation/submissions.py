@@ -13,7 +13,7 @@ from mirror.evaluation.submission.template import manifest_for, write_manifest
 from mirror.protocols.document import Protocol, parse_protocol
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import GroundTruth
-from mirror.protocols.views import Plan, View, plan_views
+from mirror.protocols.views import Plan, RenderView, plan_views
 
 SPLIT = "novel"
 
@@ -66,7 +66,7 @@ def write_renders(
     dataset: Dataset,
     protocol: Protocol,
     out: Path,
-    change: Callable[[View, UInt8], UInt8] = lambda _, truth: truth,
+    change: Callable[[RenderView, UInt8], UInt8] = lambda _, truth: truth,
     *,
     name: str = "changed truth",
     appearance: Appearance | None = None,

@@ -24,7 +24,7 @@ from mirror.evaluation.workers import Log
 from mirror.geometry.box_projection import project_boxes
 from mirror.protocols.document import load_protocol
 from mirror.protocols.truth.source import GroundTruth
-from mirror.protocols.views import View
+from mirror.protocols.views import RenderView
 from tests.evaluation.submissions import SPLIT, small, write_renders
 from tests.evaluation.test_png import chunk, png
 
@@ -32,7 +32,7 @@ ALONE = Options(workers=1)
 
 
 def noisy(sigma: float):
-    def change(view: View, truth: UInt8) -> UInt8:
+    def change(view: RenderView, truth: UInt8) -> UInt8:
         noise = np.random.default_rng(zlib.crc32(view.path.encode())).normal(0.0, sigma, truth.shape)
         return np.clip(np.round(truth + noise), 0, 255).astype(np.uint8)
 
@@ -145,7 +145,7 @@ def test_renders_equal_to_the_truth_are_counted_not_averaged(root: Path, dataset
 
 
 def test_held_out_pixels_that_were_fitted_to_are_not_scored(root: Path, dataset: Dataset, tmp_path: Path) -> None:
-    def half(view: View, truth: UInt8) -> UInt8:
+    def half(view: RenderView, truth: UInt8) -> UInt8:
         spoilt = truth.copy()
         spoilt[:, : math.ceil(truth.shape[1] / 2)] = 255 - spoilt[:, : math.ceil(truth.shape[1] / 2)]
         return spoilt

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from mirror.evaluation.figures import LEAST_BLOCKS, Measure, figures_of, mean_weights, spread_of
 from mirror.metrics.score import Score
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from tests.evaluation.submissions import small
 
 MEASURE = Measure("psnr", "dB", "higher")
 
 
-def view(scene: str, traversal: str, frame: int, camera: str = "front_wide") -> View:
-    return View.model_construct(
+def view(scene: str, traversal: str, frame: int, camera: str = "front_wide") -> RenderView:
+    return RenderView.model_construct(
         path=f"{traversal}/{camera}/{frame}",
         group="novel",
         scene_id=scene,

@@ -32,7 +32,7 @@ from mirror.metrics.features.frechet import frechet_distance
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, hidden_document
-from mirror.protocols.views import View, plan_views
+from mirror.protocols.views import RenderView, plan_views
 from mirror.schema.files import read_json, write_json
 from mirror.synth import hidden_truth as synthetic
 from mirror.synth.hidden_truth import write_hidden_truth
@@ -156,7 +156,7 @@ def test_distances_are_of_the_features_of_each_group(
     groups = "".join(f'[[groups]]\nname = "{name}"\nroles = ["held_out"]\n' for name in ("same", "darker"))
     protocol = small(task="generation", groups=groups, every=1, metrics=FID + FVD)
 
-    def change(view: View, truth: UInt8) -> UInt8:
+    def change(view: RenderView, truth: UInt8) -> UInt8:
         return truth if view.group == "same" else (truth * 0.5).astype(np.uint8)
 
     write_renders(dataset, protocol, tmp_path / "s", change)
@@ -185,9 +185,11 @@ def test_distances_are_of_the_features_of_each_group(
 
 
 def test_clips_are_of_consecutive_frames_of_one_camera() -> None:
-    def of(camera: str, *frames: int) -> list[View]:
+    def of(camera: str, *frames: int) -> list[RenderView]:
         return [
-            View.model_construct(group="g", traversal_id="t", camera=camera, frame_index=frame, path=f"{camera}{frame}")
+            RenderView.model_construct(
+                group="g", traversal_id="t", camera=camera, frame_index=frame, path=f"{camera}{frame}"
+            )
             for frame in frames
         ]
 
@@ -206,7 +208,7 @@ def test_without_weights_distances_are_unavailable(dataset: Dataset, root: Path,
     assert "consecutive" in done.result.unavailable["fvd"]
 
 
-def paint(view: View, truth: UInt8, shift_px: float = 0.0) -> UInt8:
+def paint(view: RenderView, truth: UInt8, shift_px: float = 0.0) -> UInt8:
     if view.edits[0].world_SE3_target is None:
         return truth
     hull = target_hull(view, view.edits[0]) + np.array([shift_px, 0.0])
@@ -347,11 +349,11 @@ def test_run_time_is_what_the_manifest_reports(dataset: Dataset, root: Path, tmp
 def test_the_speed_of_an_installed_method_is_measured_here(
     dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen: list[View] = []
+    seen: list[RenderView] = []
 
     class Slow:
         def open(self, model: Path):
-            def render(view: View) -> UInt8:
+            def render(view: RenderView) -> UInt8:
                 seen.append(view)
                 time.sleep(0.02)
                 return np.zeros((view.height_px, view.width_px, 3), np.uint8)

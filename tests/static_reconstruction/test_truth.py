@@ -18,17 +18,17 @@ from benchmarks.studies.static_reconstruction.truth.geometry import (
 from benchmarks.studies.static_reconstruction.truth.street import TrueView, camera_z, world_points
 from benchmarks.studies.static_reconstruction.truth.trained import evenly_chosen
 from mirror.errors import UsageError
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.synth.model import Label
 
 angles = st.floats(-0.4, 0.4)
 
 
-def view_at(roll: float, pitch: float, yaw: float, height_m: float, origin_m: float = 0.0) -> View:
+def view_at(roll: float, pitch: float, yaw: float, height_m: float, origin_m: float = 0.0) -> RenderView:
     """A camera over a plane, level and looking east but for small turns."""
     level = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     x, y, z, w = (level * Rotation.from_euler("zxy", (roll, pitch, yaw))).as_quat().tolist()
-    return View(
+    return RenderView(
         path="renders/a.png", group="training", scene_id="s", traversal_id="s.a.0", frame_index=0, camera="front_wide",
         timestamp_ns=0, light="day", weather="clear", model="pinhole", width_px=24, height_px=16, fx_px=15.0,
         fy_px=14.0, cx_px=11.3, cy_px=8.2, distortion=(),
@@ -36,7 +36,7 @@ def view_at(roll: float, pitch: float, yaw: float, height_m: float, origin_m: fl
     )  # fmt: skip
 
 
-def plane(view: View) -> tuple[np.ndarray, np.ndarray]:
+def plane(view: RenderView) -> tuple[np.ndarray, np.ndarray]:
     """Distances (H, W) to the plane z = 0 along rays, infinite above the horizon, and camera z, from matrices alone."""
     u, v = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
     slopes = np.stack([(u - view.cx_px) / view.fx_px, (v - view.cy_px) / view.fy_px, np.ones_like(u)], axis=-1)

@@ -10,7 +10,7 @@ from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.street import Street
 from hybridworldsim.training.viewpoint import Source
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 SOURCES = [Source("s.a.0", "front_wide"), Source("s.a.0", "rear")]
 HALF = 30.0
@@ -56,9 +56,11 @@ def street(anchors: int = 300, seed: int = 0, k: int = 10, hidden: int = 12) -> 
         )
 
 
-def view(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 1.5, camera: str = "front_wide", fx_px: float = 40.0) -> View:
+def view(
+    x_m: float = 0.0, y_m: float = 0.0, z_m: float = 1.5, camera: str = "front_wide", fx_px: float = 40.0
+) -> RenderView:
     """A camera that looks along the world's x."""
-    return View(
+    return RenderView(
         path=f"renders/test/s.a.0/{camera}/0.png",
         group="test",
         scene_id="s",

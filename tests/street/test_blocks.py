@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from hybridworldsim.model.blocks import Block, divide, views_of
 from mirror.errors import UsageError
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from tests.street.streets import view
 
 UTM = np.array([441_000.0, 4_475_000.0, 600.0])
@@ -71,7 +71,7 @@ def test_views_are_those_in_the_block_and_those_that_look_into_it_from_near() ->
     assert views_of(block, []) == ()
 
 
-def turned(yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: float) -> View:
+def turned(yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: float) -> RenderView:
     """A level camera that looks along x, rolled about its axis, then tilted down, then turned to the left."""
     level = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     about = Rotation.from_euler("ZYX", (yaw_deg, pitch_deg, roll_deg), degrees=True) * level

@@ -13,7 +13,7 @@ from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.model import Label, Material, Model
 from mirror.synth.render.scene import Instant
-from mirror.synth.render.view import RenderView, rasterize_view
+from mirror.synth.render.view import RasterizedView, rasterize_view
 from mirror.synth.truth.casting import cast_rays
 
 MOMENTS = (0.35, 0.6)
@@ -32,7 +32,7 @@ class Seen:
     camera: str
     instant: Instant
     world_SE3_camera: Poses
-    view: RenderView
+    view: RasterizedView
 
     @property
     def rotation(self) -> np.ndarray:

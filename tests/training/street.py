@@ -13,7 +13,7 @@ from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 WIDTH, HEIGHT = 32, 20
 TRAVERSALS = ("s.day.0", "s.night.0")
@@ -29,9 +29,9 @@ SETTINGS = Settings(
 )
 
 
-def view(traversal: str, frame: int, camera: str = "front_wide", x_m: float | None = None) -> View:
+def view(traversal: str, frame: int, camera: str = "front_wide", x_m: float | None = None) -> RenderView:
     """A camera 1.5 m above the road, that looks along x."""
-    return View(
+    return RenderView(
         path=f"renders/training/{traversal}/{camera}/{frame}.png",
         group="training",
         scene_id="s",
@@ -54,7 +54,7 @@ def view(traversal: str, frame: int, camera: str = "front_wide", x_m: float | No
     )
 
 
-def views(count: int = 6, traversals: Sequence[str] = TRAVERSALS) -> list[View]:
+def views(count: int = 6, traversals: Sequence[str] = TRAVERSALS) -> list[RenderView]:
     return [view(traversal, frame) for traversal in traversals for frame in range(count)]
 
 
@@ -99,7 +99,7 @@ class Painted:
     edit: Edit = lambda image: image
     opened: int = 0
 
-    def __call__(self, one: View) -> TrainingImage:
+    def __call__(self, one: RenderView) -> TrainingImage:
         self.opened += 1
         made = picture_of(to_viewpoint(one, np.zeros(3)), "night" in one.traversal_id)
         return replace(self.edit(made), name=one.path)

@@ -12,7 +12,7 @@ from hybridworldsim.training.appearance import AppearanceSelector, trained_camer
 from hybridworldsim.training.driven_lines import DrivenLines, chamfer_m, densify_line
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from tests.training.street import Painted, trainer, view
 
 CAMERAS = ("front_wide", "rear")
@@ -20,7 +20,7 @@ BACK = (0.5, -0.5, -0.5, 0.5)
 """Of a camera that looks along minus x."""
 
 
-def line(traversal: str, y_m: float, cameras: tuple[str, ...] = CAMERAS, weather: str = "clear") -> list[View]:
+def line(traversal: str, y_m: float, cameras: tuple[str, ...] = CAMERAS, weather: str = "clear") -> list[RenderView]:
     found = []
     for frame in range(10):
         for camera in cameras:
@@ -35,7 +35,7 @@ TRAINED = [*line("s.day.0", 0.0), *line("s.day.1", 8.0, weather="rain"), *line("
 SEEN = trained_cameras(TRAINED)
 
 
-def look(policy: str, asked: list[View], which: int = 0, everywhere: bool = False):
+def look(policy: str, asked: list[RenderView], which: int = 0, everywhere: bool = False):
     return AppearanceSelector(SEEN, policy, asked, everywhere).select(asked[which])
 
 

@@ -16,7 +16,7 @@ from hybridworldsim.training.run.folder import Run, TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror.methods.appearance import FITTED_PART, AppearancePolicy
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 _STEPS: Final = 60
 _RATE: Final = 0.05
@@ -51,7 +51,7 @@ def fit_appearances(street: Street, block: Block, run: Run, appearance: Appearan
     images = TrainingImageCache(dataset, plan, np.array(block.origin_m))
     known = {Source(one.traversal_id, one.camera) for one in seen}
     looks = AppearanceSelector(seen, "nearest", appearance.views)
-    by_source: dict[Source, list[View]] = {}
+    by_source: dict[Source, list[RenderView]] = {}
     for view in views_of(
         block, [view for view in plan.views if view.scene_id == run.scene and view.group not in moved]
     ):
@@ -69,7 +69,7 @@ def fit_appearances(street: Street, block: Block, run: Run, appearance: Appearan
     return (*seen, *fitted)
 
 
-def _fitted(street: Street, near: Source, images: TrainingImageCache, views: list[View]) -> torch.Tensor:
+def _fitted(street: Street, near: Source, images: TrainingImageCache, views: list[RenderView]) -> torch.Tensor:
     latent = street.appearance(near).detach().clone().requires_grad_()
     adam = torch.optim.Adam([latent], lr=_RATE)
     for step in range(_STEPS):

@@ -21,17 +21,17 @@ from hybridworldsim.training.viewpoint import Source, to_viewpoint
 from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
 class Renderer(Protocol):
     """Renders views of a trained model."""
 
-    def __call__(self, view: View) -> UInt8:
+    def __call__(self, view: RenderView) -> UInt8:
         """(H, W, 3) of a view."""
         ...
 
-    def render(self, view: View) -> Rendering:
+    def render(self, view: RenderView) -> Rendering:
         """A view with its depth."""
         ...
 
@@ -87,11 +87,11 @@ class NearestBlockRenderer:
         ]
         self._centres = np.array([one.run.origin_m[:2] for one in blocks])
 
-    def __call__(self, view: View) -> UInt8:
+    def __call__(self, view: RenderView) -> UInt8:
         """(H, W, 3) of a view."""
         return pixels(self.render(view).rgb)
 
-    def render(self, view: View) -> Rendering:
+    def render(self, view: RenderView) -> Rendering:
         """A view with its depth."""
         here = view.pose.translation[0, :2]
         place = int(np.abs(self._centres - here).max(axis=1).argmin())

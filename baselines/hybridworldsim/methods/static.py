@@ -39,7 +39,7 @@ from mirror.methods.plugin import ReconstructionResult, ReconstructionTask
 from mirror.progress import ProgressReporter
 from mirror.protocols.document import Group
 from mirror.protocols.views import Plan, plan_views
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_json
 from mirror.schema.folders import Kind, require_own_folder
 
@@ -237,7 +237,7 @@ class _Block:
     """What one block is trained with."""
 
     block: Block
-    views: tuple[View, ...]
+    views: tuple[RenderView, ...]
     initial: InitialGeometry
     layers: Layers
     training: TrainingViews
@@ -284,14 +284,14 @@ def block_folders(model: Path) -> list[Path]:
     return folders
 
 
-def _pictured_m(driven: Float64, views: Sequence[View]) -> Float64:
+def _pictured_m(driven: Float64, views: Sequence[RenderView]) -> Float64:
     """Driven places (N, 3) at which pictures were taken: poses go on before the first and after the last of them."""
     cameras = np.array([view.pose.translation[0] for view in views])
     _, nearest = cKDTree(driven[:, :2]).query(cameras[:, :2])
     return driven[np.unique(nearest)]
 
 
-def _sources(views: Sequence[View]) -> list[Source]:
+def _sources(views: Sequence[RenderView]) -> list[Source]:
     return sorted({Source(view.traversal_id, view.camera) for view in views})
 
 

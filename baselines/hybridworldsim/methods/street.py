@@ -30,7 +30,7 @@ from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.ply_export import BakeOptions, Baking
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 NAME: Final = "hybridworldsim"
 STRUCTURE_WEIGHT: Final = 0.1
@@ -46,7 +46,7 @@ class StreetMethod(StaticMethod):
     def bake(
         self,
         model: Path,
-        views: Sequence[View],
+        views: Sequence[RenderView],
         out: Path,
         options: BakeOptions,
         appearance: AppearancePolicy = AppearancePolicy(),  # noqa: B008
@@ -108,16 +108,16 @@ class StreetRenderer:
         self.blocks = [(one.block, one.street) for one in blocks]
         self._composition = Composition(self.blocks)
 
-    def __call__(self, view: View) -> UInt8:
+    def __call__(self, view: RenderView) -> UInt8:
         """(H, W, 3) of a view."""
         return pixels(self.render(view).rgb)
 
-    def render(self, view: View) -> Rendering:
+    def render(self, view: RenderView) -> Rendering:
         """A view with its depth."""
         drawn, counts = self._composition.render(view, self.latents(view))
         return Rendering(drawn.rgb, drawn.alpha, drawn.depth_m, counts)
 
-    def latents(self, view: View) -> Callable[[AppearanceLatents], tuple[Tensor, Tensor]]:
+    def latents(self, view: RenderView) -> Callable[[AppearanceLatents], tuple[Tensor, Tensor]]:
         """Of a block's appearance, what a view's colours and content are drawn with."""
 
         def of(appearance: AppearanceLatents) -> tuple[Tensor, Tensor]:

@@ -12,7 +12,7 @@ from mirror.arrays import Bool, Float64
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
-    from mirror.protocols.views.view import View
+    from mirror.protocols.views.view import RenderView
 
 SIZE_M: Final = 100.0
 OVERLAP: Final = 0.25
@@ -107,7 +107,7 @@ def divide(driven_m: Float64, size_m: float = SIZE_M, overlap: float = OVERLAP) 
     return Division(tuple(blocks), int(counts.prod()) - len(blocks))
 
 
-def views_of(block: Block, views: Sequence[View], reach_m: float = REACH_M) -> tuple[View, ...]:
+def views_of(block: Block, views: Sequence[RenderView], reach_m: float = REACH_M) -> tuple[RenderView, ...]:
     """The views that a block is trained on: taken in it, or looking into it from no farther than a reach.
 
     Args:
@@ -133,7 +133,7 @@ def views_of(block: Block, views: Sequence[View], reach_m: float = REACH_M) -> t
     return tuple(view for view, own in zip(views, chosen) if own)
 
 
-def _sector(view: View, reach_m: float) -> Any:
+def _sector(view: RenderView, reach_m: float) -> Any:
     """What a view sees of the ground's plan, up to a distance, however it is turned: a polygon of shapely."""
     import shapely
 

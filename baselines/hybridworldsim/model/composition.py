@@ -16,7 +16,7 @@ from hybridworldsim.model.street import RenderOutput, Street, render
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
 class Composition:
@@ -42,7 +42,7 @@ class Composition:
         self._ready = [_Ready(part) for part in self._all.parts]
 
     @torch.inference_mode()
-    def render(self, view: View, looks: LatentSelector) -> tuple[RenderOutput, Mapping[str, int]]:
+    def render(self, view: RenderView, looks: LatentSelector) -> tuple[RenderOutput, Mapping[str, int]]:
         """Draw a view.
 
         Args:
@@ -108,7 +108,7 @@ class _Ready:
         return shown
 
 
-def _nothing(view: View) -> RenderOutput:
+def _nothing(view: RenderView) -> RenderOutput:
     """What a view sees that looks out of the street."""
     rows, columns = view.height_px, view.width_px
     return RenderOutput(torch.zeros(rows, columns, 3), torch.zeros(rows, columns), torch.zeros(rows, columns), (), {})

@@ -25,7 +25,7 @@ from hybridworldsim.rasterizer.reference.spherical_harmonics import spherical_ha
 from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
 
 Sky = Literal["pull", "clip", "keep"]
@@ -65,7 +65,7 @@ class ExportedGaussians:
 
 def bake(
     blocks: Sequence[tuple[Block, Street]],
-    views: Sequence[View],
+    views: Sequence[RenderView],
     looks: LatentSelector,
     *,
     degree: int = 3,
@@ -116,7 +116,7 @@ def bake(
 
 
 def psnr_to_model_db(
-    baked: ExportedGaussians, blocks: Sequence[tuple[Block, Street]], views: Sequence[View], looks: LatentSelector
+    baked: ExportedGaussians, blocks: Sequence[tuple[Block, Street]], views: Sequence[RenderView], looks: LatentSelector
 ) -> float:
     """What baking loses: PSNR of the baked street's pictures against the model's, over all pixels of some views."""
     street = Composition(blocks)
@@ -128,7 +128,7 @@ def psnr_to_model_db(
 
 
 @torch.inference_mode()
-def render_gaussians(baked: ExportedGaussians, view: View) -> Tensor:
+def render_gaussians(baked: ExportedGaussians, view: RenderView) -> Tensor:
     """(H, W, 3) as a viewer shows it."""
     viewpoint = to_viewpoint(view, baked.origin_m)
     images, _, _ = rasterization(

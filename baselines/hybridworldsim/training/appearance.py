@@ -20,7 +20,7 @@ from hybridworldsim.training.run.folder import TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 Blend: TypeAlias = tuple[tuple[Source, float], ...]
 """Looks that were trained on, with weights that sum to one."""
@@ -44,9 +44,9 @@ class AppearanceChoice:
     content: Source
 
 
-def trained_cameras(views: Sequence[View]) -> tuple[TrainedCamera, ...]:
+def trained_cameras(views: Sequence[RenderView]) -> tuple[TrainedCamera, ...]:
     """The traversals and cameras of training views, with some of the places that they were at."""
-    by_source: dict[Source, list[View]] = {}
+    by_source: dict[Source, list[RenderView]] = {}
     for view in views:
         by_source.setdefault(Source(view.traversal_id, view.camera), []).append(view)
     found = []
@@ -81,7 +81,7 @@ class AppearanceSelector:
 
     seen: tuple[TrainedCamera, ...]
     policy: str = "nearest"
-    views: Sequence[View] = ()
+    views: Sequence[RenderView] = ()
     everywhere: bool = False
     lines: DrivenLines | None = None
 
@@ -89,7 +89,7 @@ class AppearanceSelector:
         for word in self._words:
             self._matching(word)
 
-    def select(self, view: View) -> AppearanceChoice:
+    def select(self, view: RenderView) -> AppearanceChoice:
         """The look of one picture.
 
         Raises:
@@ -138,7 +138,7 @@ class AppearanceSelector:
         frames = sorted({view.frame_index for view in self.views})
         return {frame: place / max(len(frames) - 1, 1) for place, frame in enumerate(frames)}
 
-    def _share(self, view: View) -> float:
+    def _share(self, view: RenderView) -> float:
         if view.frame_index not in self._order:
             raise UsageError("a sweep needs all pictures that shall be rendered", expected="a trajectory")
         return self._order[view.frame_index]
@@ -156,7 +156,7 @@ class AppearanceSelector:
             )  # fmt: skip
         return found
 
-    def _traversal(self, view: View, word: str | None) -> str:
+    def _traversal(self, view: RenderView, word: str | None) -> str:
         """Of the traversals that a word means, or of all, the one whose line is nearest to a view's."""
         names = sorted({one.traversal_id for one in self._street.known}) if word is None else self._matching(word)
         chosen = self._street.nearest(view, names)
@@ -164,7 +164,7 @@ class AppearanceSelector:
             return chosen
         return self._street.nearest(view, [name for name in names if name in self._own] or sorted(self._own))
 
-    def _of_camera(self, traversal_id: str, view: View) -> Source:
+    def _of_camera(self, traversal_id: str, view: RenderView) -> Source:
         wanted = Source(traversal_id, view.camera)
         if wanted in self._by_source:
             return wanted

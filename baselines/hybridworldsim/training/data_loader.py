@@ -21,7 +21,7 @@ from mirror.geometry.cameras import Camera
 from mirror.protocols.truth.raster import raster_of
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 CACHE_BYTES: Final = 512 << 20
 _AHEAD: Final = 3
@@ -60,7 +60,7 @@ class TrainingImageCache:
         self.held_bytes = 0
         self.opened = 0
 
-    def __call__(self, view: View) -> TrainingImage:
+    def __call__(self, view: RenderView) -> TrainingImage:
         """The picture of a view.
 
         Raises:
@@ -79,7 +79,7 @@ class TrainingImageCache:
         # Held as it was recorded: in float32 colours would take four times the bytes.
         return replace(recorded, rgb=recorded.rgb.to(torch.float32).div_(255.0))
 
-    def _open(self, view: View) -> TrainingImage:
+    def _open(self, view: RenderView) -> TrainingImage:
         """The picture of a view, its colours as they were recorded: uint8."""
         rgb = self._source.picture(view)
         _, image = self._source.recorded(view)
@@ -99,7 +99,7 @@ class TrainingImageCache:
         )
 
 
-def resample_depth(view: View, lens: Camera, depth_m: Float32) -> Float32:
+def resample_depth(view: RenderView, lens: Camera, depth_m: Float32) -> Float32:
     """A depth map as a view's lens has it.
 
     Args:
@@ -154,7 +154,7 @@ class NoSupervisionError(DatasetError):
 
 
 def stream(
-    images: TrainingImageCache, views: Sequence[View], seed: int, first: int
+    images: TrainingImageCache, views: Sequence[RenderView], seed: int, first: int
 ) -> Generator[TrainingImage, None, None]:
     """Training pictures without end, in the order of `order`; a thread opens the next ones meanwhile.
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from hybridworldsim.training.run.folder import TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 _STEP_M: Final = 0.5
 
@@ -26,14 +26,14 @@ class DrivenLines:
         views: all that will be rendered: what they tell of a traversal's line decides which is nearest to it.
     """
 
-    def __init__(self, known: Sequence[TrainedCamera], views: Sequence[View]) -> None:
+    def __init__(self, known: Sequence[TrainedCamera], views: Sequence[RenderView]) -> None:
         self.known = tuple(known)
         self._views = views
         self._trees: dict[str, cKDTree] | None = None
         self._asked: dict[str, cKDTree] | None = None
         self._apart_m: dict[tuple[str, str], float] = {}
 
-    def nearest(self, view: View, names: Sequence[str]) -> str:
+    def nearest(self, view: RenderView, names: Sequence[str]) -> str:
         """Of traversals that were trained on, the one whose line is nearest to that of a view's traversal.
 
         A traversal that is not among what is asked for is judged by the one view.

@@ -24,7 +24,7 @@ from hybridworldsim.training.trainable_method import StepReport, TrainableMethod
 from hybridworldsim.training.training_image import TrainingImage
 from mirror.errors import DatasetError
 from mirror.progress import NullProgress, ProgressReporter
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 REPORTS: Final = 40
 """Rows of the curves, at equal steps of progress."""
@@ -54,7 +54,7 @@ class Options:
 def train(
     trainer: TrainableMethod,
     images: TrainingImageCache,
-    views: Sequence[View],
+    views: Sequence[RenderView],
     budget: Budget,
     folder: RunFolder,
     write: Callable[[Path], int],

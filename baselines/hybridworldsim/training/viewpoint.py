@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
 class Source(NamedTuple):
@@ -54,7 +54,7 @@ class Viewpoint:
         return replace(self, source=source)
 
 
-def require_pinhole(view: View) -> None:
+def require_pinhole(view: RenderView) -> None:
     """See that a view can be rasterized.
 
     Raises:
@@ -67,7 +67,7 @@ def require_pinhole(view: View) -> None:
         )  # fmt: skip
 
 
-def to_viewpoint(view: View, origin_m: Float64) -> Viewpoint:
+def to_viewpoint(view: RenderView, origin_m: Float64) -> Viewpoint:
     """The viewpoint of a view of a protocol.
 
     Args:

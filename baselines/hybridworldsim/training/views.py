@@ -13,7 +13,7 @@ from mirror.methods.training_images import Picture
 from mirror.protocols.document import Frames, Group, Protocol
 from mirror.protocols.views import plan_views
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class TrainingViews:
     """
 
     plan: Plan
-    views: tuple[View, ...]
+    views: tuple[RenderView, ...]
     stationary_count: int
 
 

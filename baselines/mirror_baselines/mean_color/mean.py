@@ -13,7 +13,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import Image
 from mirror.evaluation.submission.writing import Render
 from mirror.methods.training_images import training_pictures
-from mirror.protocols.views import Plan, View
+from mirror.protocols.views import Plan, RenderView
 
 MAX_IMAGES: Final = 200
 """So many pictures of a camera, evenly through all of them, are opened at most: the mean hardly changes with more."""
@@ -38,7 +38,7 @@ def mean_colour(images: Sequence[Image]) -> Float64:
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
     """One picture a camera, scene and size; see `mirror.evaluation.submission.writing.Renderer`."""
     colours = {key: mean_colour(own.images) for key, own in training_pictures(dataset, plan).items()}
-    alike: dict[tuple[str, str, int, int], list[View]] = {}
+    alike: dict[tuple[str, str, int, int], list[RenderView]] = {}
     for view in plan.views:
         alike.setdefault((view.scene_id, view.camera, view.width_px, view.height_px), []).append(view)
     for (scene, camera, width, height), views in alike.items():

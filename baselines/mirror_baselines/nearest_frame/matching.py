@@ -16,7 +16,7 @@ from mirror.geometry.poses import Poses
 from mirror.methods.training_images import training_pictures
 from mirror.protocols.document import Pixels
 from mirror.protocols.truth.raster import raster_of
-from mirror.protocols.views import Plan, View
+from mirror.protocols.views import Plan, RenderView
 
 METRES_PER_RADIAN: Final = 10.0
 """What a turn counts as: what is this far away moves by as much in the picture when the camera moves by it."""
@@ -48,7 +48,7 @@ def find_nearest(wanted: Poses, there: Poses) -> Int64:
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
     """The picture of each view, those that share one together; see `mirror.evaluation.submission.writing.Renderer`."""
     images = training_pictures(dataset, plan)
-    views: dict[tuple[str, str], list[View]] = {}
+    views: dict[tuple[str, str], list[RenderView]] = {}
     for view in plan.views:
         views.setdefault((view.scene_id, view.camera), []).append(view)
     for key, own in views.items():
@@ -70,15 +70,15 @@ def _closest(ours: Float64, theirs: Float64) -> Int64:
     return np.asarray(squares.argmin(axis=1), np.int64)
 
 
-def _poses(views: list[View]) -> Poses:
+def _poses(views: list[RenderView]) -> Poses:
     numbers = np.array([view.world_SE3_camera for view in views])
     return Poses(numbers[:, :4], numbers[:, 4:])
 
 
-def _shown(image: Image, views: list[View], pixels: Pixels) -> Iterator[Render]:
+def _shown(image: Image, views: list[RenderView], pixels: Pixels) -> Iterator[Render]:
     """One recorded picture in the raster of its own camera, scaled where a view's has another size."""
     picture = raster_of(image.camera_model, pixels).picture(image.decode())
-    sizes: dict[tuple[int, int], list[View]] = {}
+    sizes: dict[tuple[int, int], list[RenderView]] = {}
     for view in views:
         sizes.setdefault((view.width_px, view.height_px), []).append(view)
     for size, own in sizes.items():

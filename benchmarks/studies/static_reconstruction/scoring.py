@@ -16,7 +16,7 @@ from mirror.metrics.images.psnr import psnr
 from mirror.metrics.images.ssim import ssim
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 _PERCEIVED = 40
 """ST-LPIPS takes half a second an image: about so many images of a group get it, evenly chosen."""
@@ -36,7 +36,7 @@ class Scores:
 
 
 def score_views(
-    render: Callable[[View], UInt8],
+    render: Callable[[RenderView], UInt8],
     plan: Plan,
     truth: GroundTruth,
     groups: Sequence[str],
@@ -53,7 +53,9 @@ def score_views(
     return found
 
 
-def score_image(view: View, image: UInt8, true: UInt8, mask: Bool, network: PerceptualDistance | None = None) -> Scores:
+def score_image(
+    view: RenderView, image: UInt8, true: UInt8, mask: Bool, network: PerceptualDistance | None = None
+) -> Scores:
     """Score an image (H, W, 3) of a view against the true one (H, W, 3), over the pixels of a mask (H, W)."""
     return Scores(
         view.path,

@@ -21,7 +21,7 @@ from mirror.metrics.detection.config import DETECTION_CVPR_2019, DetectionConfig
 from mirror.metrics.detection.nuscenes import NuScenesDetection, nuscenes_detection
 from mirror.protocols.document import Detection
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import Document
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e7, le=1e7)]
@@ -113,9 +113,9 @@ class Annotation:
         return list(_figures(group, nuscenes_detection(truth, predictions, config, absent=metric.absent), len(truth)))
 
 
-def _frames(plan: Plan) -> dict[str, list[View]]:
+def _frames(plan: Plan) -> dict[str, list[RenderView]]:
     """One view a frame, by traversal."""
-    found: dict[str, dict[int, View]] = {}
+    found: dict[str, dict[int, RenderView]] = {}
     for view in plan.views:
         found.setdefault(view.traversal_id, {}).setdefault(view.frame_index, view)
     return {key: list(frames.values()) for key, frames in found.items()}
@@ -182,7 +182,7 @@ def _boxes(
     return DetectionBoxes.from_poses(samples, names, poses, lwh_m, velocity_mps=velocity, score=score)
 
 
-def _truth(sample: str, view: View, inputs: Inputs, config: DetectionConfig) -> DetectionBoxes:
+def _truth(sample: str, view: RenderView, inputs: Inputs, config: DetectionConfig) -> DetectionBoxes:
     frame, _ = inputs.truth.recorded(view)
     boxes = frame.boxes("ego")
     rows = np.flatnonzero(np.isin(np.array(boxes.category, dtype=object), list(config.class_range)))

@@ -19,7 +19,7 @@ from mirror.metrics.features.frechet import frechet_distance
 from mirror.metrics.features.kid import kid
 from mirror.protocols.document import Fid, Fvd, Kid, Metric, Protocol, metric_name
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 if TYPE_CHECKING:
     from mirror.metrics.features.extractor import Extractor
@@ -101,9 +101,9 @@ class Distributions:
         return found
 
 
-def clips_of(views: Iterable[View], frames: int) -> list[tuple[View, ...]]:
+def clips_of(views: Iterable[RenderView], frames: int) -> list[tuple[RenderView, ...]]:
     """Clips of so many consecutive frames of one camera, side by side; a rest that is shorter is left out."""
-    runs: dict[tuple[str, str, str], list[View]] = {}
+    runs: dict[tuple[str, str, str], list[RenderView]] = {}
     for view in views:
         runs.setdefault((view.group, view.traversal_id, view.camera), []).append(view)
     found = []
@@ -119,7 +119,7 @@ def clips_of(views: Iterable[View], frames: int) -> list[tuple[View, ...]]:
     return found
 
 
-def truth_name(view: View) -> str:
+def truth_name(view: RenderView) -> str:
     """Name of the job on a view's recorded picture, the same for all groups."""
     return f"{_TRUTH}{view.traversal_id}/{view.camera}/{view.timestamp_ns}"
 
@@ -172,7 +172,7 @@ def _cache(inputs: Inputs) -> FeatureCache:
     return found
 
 
-def _clip_job(clip: tuple[View, ...], side: Side) -> Job:
+def _clip_job(clip: tuple[RenderView, ...], side: Side) -> Job:
     first, reads = clip[0], tuple(view.path for view in clip) if side == "render" else ()
     of = first.path if side == "render" else truth_name(first)
     return Job(f"{_CLIP}{of}", clip, reads, truth=side == "truth", tabled=False)
@@ -182,7 +182,7 @@ def _figure(
     protocol: Protocol,
     metric: Metric,
     group: str,
-    views: Sequence[View],
+    views: Sequence[RenderView],
     scored: Mapping[str, Scored],
     inputs: Inputs,
 ) -> Figure:
@@ -213,7 +213,7 @@ def _figure(
     )
 
 
-def _names(clip: tuple[View, ...], is_clip: bool) -> tuple[str, str]:
+def _names(clip: tuple[RenderView, ...], is_clip: bool) -> tuple[str, str]:
     if is_clip:
         return _clip_job(clip, "render").name, _clip_job(clip, "truth").name
     return clip[0].path, truth_name(clip[0])

@@ -21,7 +21,7 @@ from mirror.metrics.boxes.iou_2d import HullVariant, hull_iou
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import EditIou, Protocol, metric_name
 from mirror.protocols.views.plan import Plan, render_path
-from mirror.protocols.views.view import Edit, View, pose_of
+from mirror.protocols.views.view import Edit, RenderView, pose_of
 
 ALL: Final = "all"
 _VARIANTS: Final[Mapping[str, HullVariant]] = {
@@ -110,14 +110,14 @@ def _extractor(inputs: Inputs) -> Extractor:
     return found
 
 
-def target_hull(view: View, edit: Edit) -> Float64:
+def target_hull(view: RenderView, edit: Edit) -> Float64:
     """The convex outline (K, 2) of the target box."""
     if edit.world_SE3_target is None:
         return np.empty((0, 2))
     return project_boxes(view.lens, view.pose.inverse() @ pose_of(edit.world_SE3_target), [edit.size_m]).hull(0)
 
 
-def _nearer(view: View, edit: Edit, inputs: Inputs) -> Bool:
+def _nearer(view: RenderView, edit: Edit, inputs: Inputs) -> Bool:
     """Pixels (H, W) within hulls of other boxes that are nearer to the camera than the target: they may hide it."""
     lens = view.lens
     hidden = np.zeros((lens.height_px, lens.width_px), np.bool_)

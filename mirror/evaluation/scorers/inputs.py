@@ -19,7 +19,7 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.png import decode_render, most_bytes
 from mirror.protocols.rectangle import Rectangle
 from mirror.protocols.truth.source import GroundTruth
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.weights.resolve import WeightResolver
 
 
@@ -70,7 +70,7 @@ class Inputs:
         """The truth."""
         return GroundTruth(self.dataset, self.protocol, dict(self.layers), self.hidden)
 
-    def render(self, view: View) -> UInt8:
+    def render(self, view: RenderView) -> UInt8:
         """A render's pixels (H, W, 3), RGB.
 
         Raises:
@@ -80,7 +80,7 @@ class Inputs:
         data = self.files.read(view.path, most_bytes(view.width_px, view.height_px))
         return decode_render(data, view.width_px, view.height_px, view.path)
 
-    def scored(self, view: View) -> Bool:
+    def scored(self, view: RenderView) -> Bool:
         """The pixels (H, W) that are scored: the protocol's, but those that the method was fitted to."""
         scored = self.truth.scored(view)
         for part in self.manifest.appearance.held_out_pixels:

@@ -10,7 +10,7 @@ from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 STAND_IN: Final = "st_"
 
@@ -31,7 +31,7 @@ class Job:
     """
 
     name: str
-    views: tuple[View, ...]
+    views: tuple[RenderView, ...]
     reads: tuple[str, ...]
     truth: bool = True
     tabled: bool = True

@@ -8,14 +8,14 @@ from typing import Final
 
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 _WARM_UP: Final = 3
 LEAST_S: Final = 5.0
 _MOST_VIEWS: Final = 500
 
 
-def frames_per_second(render: Callable[[View], UInt8], views: Sequence[View]) -> tuple[float, int]:
+def frames_per_second(render: Callable[[RenderView], UInt8], views: Sequence[RenderView]) -> tuple[float, int]:
     """How many pictures a second a renderer makes, one after the other, and of how many that is.
 
     The first three warm it up; then views are rendered for five seconds at least, in their order and from the first

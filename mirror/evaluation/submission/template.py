@@ -13,7 +13,7 @@ from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, 
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.begun import begin_folder, finish_folder
 from mirror.schema.files import write_bytes, write_json
 
@@ -104,7 +104,7 @@ def _answered(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _row(out: Path, view: View, truth: GroundTruth, *, blind: bool, rendered: bool) -> Mapping[str, Any]:
+def _row(out: Path, view: RenderView, truth: GroundTruth, *, blind: bool, rendered: bool) -> Mapping[str, Any]:
     row: dict[str, Any] = view.model_dump(mode="json")
     if not rendered:
         del row["path"]

@@ -17,11 +17,11 @@ from mirror.evaluation.submission.template import expected_files, manifest_for, 
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.png import encode_png
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.begun import BEGUN, begin_folder, finish_folder
 from mirror.schema.files import write_bytes
 
-Render: TypeAlias = tuple[Sequence[View], UInt8]
+Render: TypeAlias = tuple[Sequence[RenderView], UInt8]
 """A picture (H, W, 3), RGB, and the views that it is the render of."""
 
 Renderer: TypeAlias = Callable[[Dataset, Plan], Iterable[Render]]

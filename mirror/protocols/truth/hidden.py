@@ -8,7 +8,7 @@ from typing import Final, Literal
 from mirror.errors import DatasetError, UsageError
 from mirror.protocols.png import problem_of_png, raster_of_png
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json
 
@@ -89,7 +89,7 @@ def require_hidden(hidden: Path, plan: Plan) -> None:
         )
 
 
-def _problem(hidden: Path, view: View) -> str | None:
+def _problem(hidden: Path, view: RenderView) -> str | None:
     try:
         data = (hidden / view.path).read_bytes()
     except FileNotFoundError:

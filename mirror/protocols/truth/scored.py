@@ -13,10 +13,10 @@ from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import Masks, Protocol
 from mirror.protocols.truth.raster import Raster, raster_of
 from mirror.protocols.views.plan import require_group
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
-def scored_pixels(protocol: Protocol, view: View, frame: Frame, image: Image, layers: tuple[str, ...]) -> Bool:
+def scored_pixels(protocol: Protocol, view: RenderView, frame: Frame, image: Image, layers: tuple[str, ...]) -> Bool:
     """The pixels that a protocol scores of a view.
 
     Args:
@@ -77,7 +77,7 @@ def _of_layers(raster: Raster, image: Image, kinds: list[str]) -> Bool:
     return excluded
 
 
-def _of_boxes(masks: Masks, view: View, frame: Frame) -> Bool:
+def _of_boxes(masks: Masks, view: RenderView, frame: Frame) -> Bool:
     """Pixels whose centres the hulls of projected boxes hold."""
     boxes = frame.boxes("world")
     lens = view.lens

@@ -17,7 +17,7 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.png import RenderError, decode_render
 from mirror.protocols.truth.raster import raster_of
 from mirror.protocols.truth.scored import scored_pixels
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 _HELD: Final = 16
 """Traversals whose frames are held open: training asks for pictures of all in any order."""
@@ -41,7 +41,7 @@ class GroundTruth:
         self._traversals: OrderedDict[str, tuple[FrameSequence, dict[int, int]]] = OrderedDict()
         self._frame: tuple[str, Frame] | None = None
 
-    def picture(self, view: View) -> UInt8:
+    def picture(self, view: RenderView) -> UInt8:
         """The true picture (H, W, 3), RGB, in the view's raster.
 
         Raises:
@@ -58,12 +58,12 @@ class GroundTruth:
         _, image = self.recorded(view)
         return raster_of(image.camera_model, self._protocol.pixels).picture(image.decode())
 
-    def scored(self, view: View) -> Bool:
+    def scored(self, view: RenderView) -> Bool:
         """The pixels (H, W) that are scored; see `scored_pixels`."""
         frame, image = self.recorded(view)
         return scored_pixels(self._protocol, view, frame, image, self._layers.get(view.traversal_id, ()))
 
-    def identity(self, view: View) -> str:
+    def identity(self, view: RenderView) -> str:
         """A hash that changes when the true picture does, had without decoding it."""
         if self._hidden is not None:
             return hashlib.sha256(_read_hidden(self._hidden, view)).hexdigest()
@@ -72,7 +72,7 @@ class GroundTruth:
             return image.sha256.hex()
         return hashlib.sha256(f"{image.uri} {image.video_pts} {image.byte_length}".encode()).hexdigest()
 
-    def recorded(self, view: View) -> tuple[Frame, Image]:
+    def recorded(self, view: RenderView) -> tuple[Frame, Image]:
         """The frame and the recorded picture that a view was made of.
 
         Raises:
@@ -100,7 +100,7 @@ class GroundTruth:
         return frame, image
 
 
-def _read_hidden(hidden: Path, view: View) -> bytes:
+def _read_hidden(hidden: Path, view: RenderView) -> bytes:
     path = hidden / view.path
     try:
         return path.read_bytes()

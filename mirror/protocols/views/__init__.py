@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from mirror.protocols.views.plan import Plan, plan_views
-from mirror.protocols.views.view import Edit, View
+from mirror.protocols.views.view import Edit, RenderView
 
-__all__ = ["Edit", "Plan", "View", "plan_views"]
+__all__ = ["Edit", "Plan", "RenderView", "plan_views"]

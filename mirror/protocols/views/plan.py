@@ -19,7 +19,7 @@ from mirror.geometry.poses import Poses
 from mirror.protocols.document import Frames, Group, Protocol
 from mirror.protocols.views.edits import Editor
 from mirror.protocols.views.final_camera import final_camera
-from mirror.protocols.views.view import View, pose_numbers
+from mirror.protocols.views.view import RenderView, pose_numbers
 from mirror.schema.documents import SplitDocument
 
 _MASKS = "masks"
@@ -44,7 +44,7 @@ class Plan:
     split: str
     dataset_hash: str
     layers: dict[str, tuple[str, ...]]
-    views: tuple[View, ...]
+    views: tuple[RenderView, ...]
     empty_groups: tuple[str, ...]
 
     @property
@@ -80,7 +80,7 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
             file=dataset.store.where(f"splits/{split}.json"),
             remedy=f"make it: mirror split {dataset.root} {split}",
         )
-    views: list[View] = []
+    views: list[RenderView] = []
     empty = []
     editor = Editor(protocol)
     for group in protocol.groups:
@@ -126,7 +126,7 @@ def _has(dataset: Dataset, split: str) -> bool:
 
 def _of_group(
     dataset: Dataset, protocol: Protocol, split: str, document: SplitDocument, group: Group, editor: Editor
-) -> Iterator[View]:
+) -> Iterator[RenderView]:
     if not set(group.roles) & set(document.assignments.values()):
         return
     view = dataset.where(split=split, role=group.roles)
@@ -147,7 +147,9 @@ def _of_group(
                     yield one
 
 
-def _view(group: Group, frame: Frame, image: Image, camera: Camera, row: dict[str, str], editor: Editor) -> View | None:
+def _view(
+    group: Group, frame: Frame, image: Image, camera: Camera, row: dict[str, str], editor: Editor
+) -> RenderView | None:
     pose = image.world_SE3_camera
     if group.ego_shift_m:
         ego_SE3_camera = image.calibration.ego_SE3_camera
@@ -156,7 +158,7 @@ def _view(group: Group, frame: Frame, image: Image, camera: Camera, row: dict[st
     edits = editor.edits(group, frame, image.camera, camera, pose)
     if edits is None:
         return None
-    return View(
+    return RenderView(
         path=render_path(group.name, frame.traversal_id, image.camera, image.timestamp_ns),
         group=group.name,
         scene_id=frame.scene_id,

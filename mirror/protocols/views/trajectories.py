@@ -17,7 +17,7 @@ from mirror.geometry.poses import COLUMNS, Poses
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.plan import render_path
-from mirror.protocols.views.view import View, pose_numbers
+from mirror.protocols.views.view import RenderView, pose_numbers
 
 GROUP: Final = "trajectory"
 _SECOND_NS: Final = 1_000_000_000
@@ -166,7 +166,7 @@ def named(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> T
 
 def views_along(
     dataset: Dataset, traversal_id: str, trajectory: Trajectory, pixels: Pixels, cameras: Sequence[str] | None = None
-) -> tuple[View, ...]:
+) -> tuple[RenderView, ...]:
     """What the cameras of a traversal's rig see along a trajectory.
 
     Args:
@@ -195,7 +195,7 @@ def views_along(
         for camera in (cameras or images)
     ]
     return tuple(
-        View(
+        RenderView(
             path=render_path(GROUP, traversal_id, camera, int(stamp)),
             group=GROUP,
             scene_id=row["scene_id"],

@@ -33,7 +33,7 @@ class Edit(Document):
     world_SE3_target: PoseNumbers | None
 
 
-class View(Document):
+class RenderView(Document):
     """One picture.
 
     Attributes:

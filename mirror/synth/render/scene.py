@@ -31,7 +31,7 @@ from mirror.synth.render.surroundings import (
     MAPS,
     Surroundings,
 )
-from mirror.synth.render.view import RenderView, rasterize_view
+from mirror.synth.render.view import RasterizedView, rasterize_view
 from mirror.synth.render.wet import add_reflections
 from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
 from mirror.synth.roads.markings import MARK, narrowed
@@ -117,7 +117,7 @@ class RenderedImage:
     """
 
     bgr: UInt8
-    view: RenderView
+    view: RasterizedView
 
 
 class Scene:

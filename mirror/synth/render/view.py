@@ -25,7 +25,7 @@ _PATTERNS: Final = pattern_table()
 
 
 @dataclass(frozen=True, eq=False)
-class RenderView:
+class RasterizedView:
     """The visible surfaces of a scene from a camera.
 
     Attributes:
@@ -113,7 +113,7 @@ def rasterize_view(
     offsets: Float32 = OFFSETS,
     wanted: Float32 = _EVERYWHERE,
     ground: bool = True,
-) -> RenderView:
+) -> RasterizedView:
     """Find the surfaces that a camera sees.
 
     Args:
@@ -152,7 +152,7 @@ def rasterize_view(
         "surfaces": len(scene.spheres), "facing": len(order), "near": len(lists), "tried": int(counts[1]),
         "tiles": int(counts[0]),
     }  # fmt: skip
-    return RenderView(
+    return RasterizedView(
         scene, lens, rotation, np.array([x, y, z]), offsets, wanted, surface, mixed, which, share, counted
     )
 

@@ -27,7 +27,7 @@ def add_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation
     The ground is approximated by a plane that is fitted around the camera.
 
     Args:
-        radiance: (H, W, 4) from `RenderView.radiance`.
+        radiance: (H, W, 4) from `RasterizedView.radiance`.
         scene: the scene.
         lens: rays of the camera.
         rotation: (3, 3) world_R_camera.

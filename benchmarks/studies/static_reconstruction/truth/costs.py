@@ -9,7 +9,7 @@ import torch
 
 from benchmarks.street.benchmark import HEIGHT, PAPER_MS, WIDTH, timed
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel, evenly_chosen
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 PAPER_FPS: Final = 1000.0 / PAPER_MS
 PAPER_SIZE: Final = "960 x 540"
@@ -37,7 +37,7 @@ def measure_costs(trained: TrainedModel) -> dict[str, Any]:
     }
 
 
-def _wide(view: View) -> View:
+def _wide(view: RenderView) -> RenderView:
     """A view from the same pose with the lens of the timed size, 80 degrees wide."""
     lens = {
         "width_px": WIDTH, "height_px": HEIGHT, "fx_px": 0.6 * WIDTH, "fy_px": 0.6 * WIDTH, "cx_px": WIDTH / 2.0,

@@ -10,7 +10,7 @@ from benchmarks.studies.static_reconstruction.declaration import NOVEL, TRAINING
 from benchmarks.studies.static_reconstruction.scoring import average_scores, score_image
 from benchmarks.studies.static_reconstruction.truth.request import TruthRequest, request_truth
 from hybridworldsim.training.appearance import AppearanceSelector, trained_cameras
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 POSES: Final = ("recorded", "true")
 
@@ -28,13 +28,13 @@ def score_exact_street(folder: Path, declaration: Declaration, scene: str, width
     request = request_truth(folder, declaration, scene, declaration.split, width_px)
     selector = AppearanceSelector(trained_cameras(request.views(TRAINING)), declaration.policy, request.plan.views)
 
-    def of_its_own(view: View) -> str:
+    def of_its_own(view: RenderView) -> str:
         return view.traversal_id
 
-    def of_policy(view: View) -> str:
+    def of_policy(view: RenderView) -> str:
         return selector.select(view).colours[0][0].traversal_id
 
-    wanted: tuple[tuple[str, str, Callable[[View], str]], ...] = (
+    wanted: tuple[tuple[str, str, Callable[[RenderView], str]], ...] = (
         (TRAINING, "own", of_its_own),
         (NOVEL, "own", of_its_own),
         (NOVEL, declaration.policy, of_policy),
@@ -42,7 +42,9 @@ def score_exact_street(folder: Path, declaration: Declaration, scene: str, width
     return [_row(request, group, light, source, poses) for group, light, source in wanted for poses in POSES]
 
 
-def _row(request: TruthRequest, group: str, light: str, source: Callable[[View], str], poses: str) -> dict[str, Any]:
+def _row(
+    request: TruthRequest, group: str, light: str, source: Callable[[RenderView], str], poses: str
+) -> dict[str, Any]:
     recorded, found = request.street.recorded, []
     for view in request.views(group):
         render = request.street.relit(view, source(view), as_recorded=poses == "recorded")

@@ -13,7 +13,7 @@ from benchmarks.studies.static_reconstruction.truth.street import TrueView, worl
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
 from hybridworldsim.methods.street import StreetRenderer
 from mirror.arrays import Bool, Float64
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.synth.model import Label
 
 EDGES_M: Final = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0)
@@ -73,7 +73,7 @@ def height_errors(errors_m: Float64) -> dict[str, float]:
     }  # fmt: skip
 
 
-def nearby_road(truth: TrueView, view: View) -> Bool:
+def nearby_road(truth: TrueView, view: RenderView) -> Bool:
     """Mask (H, W) of pixels that show road within `GROUND_M` of the camera."""
     points = world_points(np.where(truth.static, truth.depth_m, 0.0), view)
     away = np.linalg.norm(points - view.pose.translation[0], axis=-1)

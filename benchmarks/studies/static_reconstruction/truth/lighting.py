@@ -9,7 +9,7 @@ from benchmarks.studies.static_reconstruction.scoring import average_scores, sco
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
 from hybridworldsim.training.appearance import AppearanceSelector
 from hybridworldsim.training.run.previews import pixels
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 EDITS: Final = (("day", "night"), ("night", "day"))
 
@@ -20,13 +20,13 @@ def measure_lighting(trained: TrainedModel) -> list[dict[str, Any]]:
     return [_edit_row(trained, *edit) for edit in EDITS if lights >= set(edit)]
 
 
-def target_traversal(trained: TrainedModel, light: str, view: View) -> str:
+def target_traversal(trained: TrainedModel, light: str, view: RenderView) -> str:
     """The traversal whose appearance a view gets if a light is the policy."""
     selector = AppearanceSelector(trained.training_sources, light, trained.plan.views, everywhere=True)
     return selector.select(view).colours[0][0].traversal_id
 
 
-def views_in(trained: TrainedModel, light: str) -> list[View]:
+def views_in(trained: TrainedModel, light: str) -> list[RenderView]:
     """Views of the training traversals that were recorded in a light."""
     known = {one.traversal_id for one in trained.training_sources if one.light == light}
     return [view for view in trained.views(TRAINING) if view.traversal_id in known]

@@ -11,7 +11,7 @@ from benchmarks.studies.static_reconstruction.scenes import open_scenes, protoco
 from benchmarks.studies.static_reconstruction.truth.street import StreetTruth
 from mirror.protocols.views import plan_views
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class TruthRequest:
     plan: Plan
     street: StreetTruth
 
-    def views(self, group: str) -> list[View]:
+    def views(self, group: str) -> list[RenderView]:
         """All scored views of a group."""
         return [view for view in self.plan.views if view.group == group]
 

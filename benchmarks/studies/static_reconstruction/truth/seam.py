@@ -13,7 +13,7 @@ from benchmarks.street.seam import seam_rows
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel, evenly_chosen
 from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 _NEAR_M: Final = 5.0
 _MOST_VIEWS: Final = 8
@@ -33,7 +33,7 @@ def measure_seams(trained: TrainedModel) -> list[dict[str, Any]]:
     return [asdict(row) for row in rows]
 
 
-def _views(a: Block, b: Block, views: Sequence[View]) -> tuple[list[View], list[View]]:
+def _views(a: Block, b: Block, views: Sequence[RenderView]) -> tuple[list[RenderView], list[RenderView]]:
     """Some views from near the boundary of two blocks, and some beyond the strip that both show, evenly chosen."""
     here, there = np.array(a.origin_m[:2]), np.array(b.origin_m[:2])
     way = (there - here) / np.linalg.norm(there - here)

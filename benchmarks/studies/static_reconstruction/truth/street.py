@@ -17,7 +17,7 @@ from mirror.metrics.images.psnr import psnr
 from mirror.protocols.truth.raster import raster_of
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.synth.model import NO_OBJECT
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def camera_z(distance_m: npt.ArrayLike, lens: Camera) -> Float64:
     return z
 
 
-def world_points(depth_m: npt.ArrayLike, view: View) -> Float64:
+def world_points(depth_m: npt.ArrayLike, view: RenderView) -> Float64:
     """World points (H, W, 3) that pixels with camera z (H, W) show."""
     direction = view.lens.rays().direction
     local = np.asarray(depth_m, np.float64)[..., None] * direction / direction[..., 2:]
@@ -83,7 +83,7 @@ class StreetTruth:
         self._views: dict[str, TrueView] = {}
         self._relit: dict[tuple[str, str, bool], UInt8] = {}
 
-    def true_view(self, view: View) -> TrueView:
+    def true_view(self, view: RenderView) -> TrueView:
         """Depth and labels from the pose and lens of a view; kept for the next model.
 
         Raises:
@@ -93,7 +93,7 @@ class StreetTruth:
             self._views[view.path] = self._trace(view)
         return self._views[view.path]
 
-    def relit(self, view: View, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
+    def relit(self, view: RenderView, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
         """The view's image (H, W, 3), RGB, with the light, weather, leaves and camera response of a traversal.
 
         Lens, road users and headlights are those of the view's own traversal. The image is rendered and resampled as
@@ -113,12 +113,12 @@ class StreetTruth:
             self._relit[key] = self._render_relit(view, traversal_id, as_recorded=as_recorded)
         return self._relit[key]
 
-    def height_m(self, view: View, points_m: Float64) -> Float64:
+    def height_m(self, view: RenderView, points_m: Float64) -> Float64:
         """Heights (...,) of the ground under or above points (..., 3) of a view's scene."""
         x, y = (np.clip(points_m[..., axis], -_GROUND_M, _GROUND_M) for axis in (0, 1))
         return self._drive(view.traversal_id).drive.world.height_m(x, y)
 
-    def _trace(self, view: View) -> TrueView:
+    def _trace(self, view: RenderView) -> TrueView:
         from mirror.synth.render.lens import make_lens
         from mirror.synth.render.view import rasterize_view
 
@@ -130,7 +130,7 @@ class StreetTruth:
         depth = camera_z(seen.distance_m, view.lens).astype(np.float32)
         return TrueView(depth, seen.label, np.isfinite(depth) & (seen.object == NO_OBJECT))
 
-    def _require(self, view: View) -> None:
+    def _require(self, view: RenderView) -> None:
         """Check that the first view of each traversal, rendered again, equals the recorded image."""
         if view.traversal_id in self._checked:
             return
@@ -144,7 +144,7 @@ class StreetTruth:
             )
         self._checked.add(view.traversal_id)
 
-    def _render_relit(self, view: View, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
+    def _render_relit(self, view: RenderView, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
         own, other, moment = self._drive(view.traversal_id), self._drive(traversal_id), self._moment(view)
         stage = own.stage_lit_by(other)
         stamps = np.array([moment.true_ns])
@@ -160,7 +160,7 @@ class StreetTruth:
         raster = raster_of(image.camera_model, self._pixels)
         return raster.picture(np.ascontiguousarray(picture.bgr[..., ::-1]))
 
-    def _moment(self, view: View) -> _Moment:
+    def _moment(self, view: RenderView) -> _Moment:
         drive = self._drive(view.traversal_id)
         at = np.flatnonzero(drive.schedule.recorded_ns[view.camera] == view.timestamp_ns)
         if not len(at):

@@ -12,7 +12,7 @@ from hybridworldsim.training.appearance import SWEEP
 from mirror.arrays import UInt8
 from mirror.methods.appearance import AppearancePolicy
 from mirror.protocols.png import encode_png
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
 
 _SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -31,7 +31,7 @@ def write_sweep(trained: TrainedModel, path: Path) -> None:
     write_bytes(path, encode_png(sheet([tiles])))
 
 
-def _renders(trained: TrainedModel, view: View, target: str) -> list[UInt8]:
+def _renders(trained: TrainedModel, view: RenderView, target: str) -> list[UInt8]:
     """Renders of the view whose appearance goes from its own traversal's to another's."""
     # A sweep goes along frames: here they are all of one place.
     views = [view.model_copy(update={"frame_index": place}) for place in range(len(_SHARES))]

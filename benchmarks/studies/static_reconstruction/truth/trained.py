@@ -23,7 +23,7 @@ from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.model_document import Costs, read_reconstruction
 from mirror.protocols.views.plan import Plan
-from mirror.protocols.views.view import View
+from mirror.protocols.views.view import RenderView
 
 FRAMES: Final = 4
 """Frames of each traversal that are measured."""
@@ -109,7 +109,7 @@ class TrainedModel:
             whole.update((block / MODEL).read_bytes())
         return whole.hexdigest()
 
-    def views(self, group: str) -> list[View]:
+    def views(self, group: str) -> list[RenderView]:
         """Views of a group: a few evenly chosen frames of each traversal, with all their cameras."""
         own = self._request.views(group)
         frames: dict[str, list[int]] = {}

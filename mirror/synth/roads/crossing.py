@@ -1,4 +1,4 @@
-"""Where streets meet: which arms there are, how their kerbs are rounded, and how far the crossing reaches into each."""
+"""Crossings of streets: their arms, the rounded kerbs at their corners, and their extent along each arm."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mirror.synth.roads.line import Line
 from mirror.synth.roads.section import Section
 
 Control = Literal["signal", "priority", "joint"]
-"""Traffic lights; who goes first is said by signs; nothing crosses, a lane only branches off."""
+"""Who goes first: traffic lights decide; signs decide; no lanes cross, a lane only branches off or merges."""
 
 _STRAIGHT_RAD: Final = math.radians(150.0)
 _ARC_PIECES: Final = 6
@@ -26,12 +26,12 @@ _INSIDE_M: Final = 1.0
 
 @dataclass(frozen=True)
 class Street:
-    """A street.
+    """A street with its middle line and its cross-section.
 
     Attributes:
-        name: its id.
-        line: its middle.
-        section: its cross-section.
+        name: id of the street.
+        line: middle line.
+        section: cross-section.
     """
 
     name: str
@@ -41,14 +41,14 @@ class Street:
 
 @dataclass(frozen=True)
 class Arm:
-    """A street on its way out of a crossing.
+    """One street that leads away from a crossing.
 
     Attributes:
         street: the street.
-        station_m: where it passes the crossing's middle.
-        way: 1 where its stations grow outwards, else -1.
-        minor: whether it yields.
-        zebra: whether one crosses it on foot.
+        station_m: station of the street at the crossing's centre, metres.
+        way: 1 if the street's stations increase away from the crossing, else -1.
+        minor: whether its traffic yields to the other street.
+        zebra: whether a zebra crossing leads over it.
     """
 
     street: Street
@@ -58,31 +58,31 @@ class Arm:
     zebra: bool = False
 
     def at(self, out_m: float, left_m: float) -> Float64:
-        """The point (2,) so far out and so far left, seen outwards."""
+        """The point (2,), ``out_m`` metres out of the crossing and ``left_m`` metres left of the outward direction."""
         return self.street.line.at(self.station_m + self.way * out_m, self.way * left_m)
 
     def station(self, out_m: float) -> float:
-        """Station of the street so far out."""
+        """The street's station at ``out_m`` metres from the crossing's centre."""
         return self.station_m + self.way * out_m
 
     @property
     def heading_rad(self) -> float:
-        """Outwards."""
+        """Outward heading at the crossing's centre, radians, counter-clockwise from east."""
         return float(self.street.line.heading(self.station_m)) + (0.0 if self.way > 0 else math.pi)
 
 
 @dataclass(frozen=True)
 class Corner:
-    """The rounded kerb between an arm and the next one counter-clockwise.
+    """The rounded kerb between one arm and the next arm counter-clockwise.
 
     Attributes:
-        first: number of the arm to its right, seen from the crossing.
-        second: number of the arm to its left.
-        radius_m: of the kerb.
-        centre: (2,) of its arc.
-        inner: (2,) a place within both carriageways, behind the corner.
-        first_out_m: where the arc leaves the first arm's kerb.
-        second_out_m: where it meets the second's.
+        first: index of the arm on the corner's right, seen from the crossing.
+        second: index of the arm on the corner's left.
+        radius_m: radius of the kerb's arc.
+        centre: (2,) centre of the arc, metres.
+        inner: (2,) a point inside both carriageways, towards the crossing's centre.
+        first_out_m: distance out along the first arm at which the arc begins.
+        second_out_m: distance out along the second arm at which the arc ends.
     """
 
     first: int
@@ -96,15 +96,15 @@ class Corner:
 
 @dataclass(frozen=True)
 class Crossing:
-    """A place where streets meet.
+    """A place where streets cross or join.
 
     Attributes:
-        name: its id.
-        arms: counter-clockwise.
-        control: who goes first.
-        first: name of the street whose traffic lights are group 0; the others' are group 1.
-        corners: between arms that do not go straight on.
-        reach_m: by arm, how far the crossing reaches into it.
+        name: id of the crossing.
+        arms: the arms, counter-clockwise.
+        control: how the right of way is decided.
+        first: name of the street whose traffic lights are group 0; those of the other street are group 1.
+        corners: rounded corners between neighbouring arms that do not form one straight street.
+        reach_m: for each arm, the distance from the centre at which the crossing ends.
     """
 
     name: str
@@ -115,11 +115,11 @@ class Crossing:
     reach_m: tuple[float, ...] = field(default=())
 
     def group(self, arm: int) -> int:
-        """The signal group of those who come on an arm, where there are traffic lights."""
+        """Signal group of the traffic that arrives on an arm; only meaningful where the control is ``signal``."""
         return 0 if self.arms[arm].street.name == self.first else 1
 
     def patch(self, corner: Corner, beside_m: float) -> Float64:
-        """Outline (N, 2) of what a corner adds to carriageways that are widened by ``beside_m``."""
+        """Outline (N, 2) of the area that a corner adds to carriageways that are widened by ``beside_m``."""
         first, second = self.arms[corner.first], self.arms[corner.second]
         half, other = first.street.section.half_m, second.street.section.half_m
         start = first.at(corner.first_out_m, half + beside_m)
@@ -132,16 +132,16 @@ class Crossing:
 
 
 def crossing(name: str, arms: Sequence[Arm], control: Control, radius_m: float = 6.0) -> Crossing:
-    """A crossing with rounded kerbs.
+    """Build a crossing with rounded kerbs.
 
     Args:
-        name: its id.
-        arms: in any order; the first is of the street whose traffic lights are group 0.
-        control: who goes first.
-        radius_m: of the kerbs at its corners.
+        name: id of the crossing.
+        arms: the arms in any order; the traffic lights of the first one's street are group 0.
+        control: how the right of way is decided.
+        radius_m: radius of the kerbs at the corners.
 
     Raises:
-        UsageError: two arms run so close that there is no corner between them.
+        UsageError: two neighbouring arms meet at an angle below 20 or above 160 degrees.
     """
     ordered = tuple(sorted(arms, key=lambda arm: arm.heading_rad % (2.0 * math.pi)))
     corners = []
@@ -162,7 +162,7 @@ def crossing(name: str, arms: Sequence[Arm], control: Control, radius_m: float =
 
 
 def _meeting(arm: Arm, other: Arm, left_m: float, right_m: float) -> tuple[float, float]:
-    """How far out the line left of an arm and the line right of another meet, by Newton's steps."""
+    """Distances out where the line ``left_m`` left of an arm meets the line ``right_m`` right of another."""
     turn = (other.heading_rad - arm.heading_rad) % (2.0 * math.pi)
     sin, cos = math.sin(turn), math.cos(turn)
     if sin < 0.2:

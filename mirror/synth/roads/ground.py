@@ -1,9 +1,9 @@
-"""The ground as triangles: carriageways, kerbs, pavements and land, without a gap between any two.
+"""Triangulates the ground: carriageways, kerbs, pavements and land, without gaps between them.
 
-All outlines and cross-lines are laid into one arrangement of lines on a grid of a millimetre, whose cells are then
-triangulated; so neighbours share their corners exactly. What a triangle is made of is asked at its middle. Every corner
-has a height on the carriageway and one a kerb above it; where one side of an edge is carriageway and the other is not,
-a kerb stands.
+All outlines and cross-lines are merged into one planar arrangement on a grid of 1 mm, and its cells are triangulated.
+So neighbouring triangles share their corners exactly. The centroid of a triangle decides its material. Every corner
+has two heights: that of the carriageway and that of the kerb's top. Upright kerb faces close the step wherever a
+carriageway meets another surface.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _KERB_GREY: Final = (0.34, 0.335, 0.32)
 
 @dataclass(frozen=True)
 class Cover:
-    """What a part of the land is covered with.
+    """A surface that covers a part of the land.
 
     Attributes:
-        outline: where; None: dealt out.
-        material: of it.
-        label: of it.
-        colour: of it.
+        outline: the covered area; empty for a cover that parcels of land are assigned to.
+        material: material of the surface.
+        label: semantic label of the surface.
+        colour: reflectance (r, g, b) of the surface.
     """
 
     outline: shapely.Geometry
@@ -49,7 +49,7 @@ class Cover:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a street and its row of markings."""
+    """A part of a street, from one station to another, and the index of its marking layout."""
 
     street: int
     low_m: float
@@ -59,7 +59,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Outlines:
-    """Where carriageways are, with their kerbs, and with the pavements beside them."""
+    """Outlines of the carriageways alone, with their kerbs, and with the pavements beside them."""
 
     carriageway: shapely.Geometry
     kerbs: shapely.Geometry
@@ -68,12 +68,13 @@ class Outlines:
 
 @dataclass(frozen=True)
 class Ground:
-    """The ground.
+    """The triangulated ground.
 
     Attributes:
-        model: its faces.
-        triangles: (T, 3, 3) corners of all but the kerbs' faces, metres, counter-clockwise from above.
-        outlines: of the roads.
+        model: all faces of the ground.
+        triangles: (T, 3, 3) corners of all triangles except the kerbs' upright faces, metres, counter-clockwise from
+            above.
+        outlines: outlines of the roads.
     """
 
     model: Model
@@ -84,13 +85,13 @@ class Ground:
 def outlines(
     streets: Sequence[Street], stations: Sequence[Float64], crossings: Sequence[Crossing], kerbs: bool
 ) -> Outlines:
-    """The roads' outlines, their corners rounded.
+    """Merge the outlines of all roads, with rounded corners at the crossings.
 
     Args:
-        streets: all of them.
-        stations: by street, where its pieces end.
-        crossings: where they meet.
-        kerbs: whether there are any.
+        streets: all streets.
+        stations: for each street, the stations at which its pieces end.
+        crossings: all crossings.
+        kerbs: whether the roads have kerbs.
     """
     grown = []
     for beside in ("none", "kerb", "pavement"):
@@ -117,14 +118,14 @@ def outlines(
 
 
 def _steps(section: Section, kerbs: bool) -> Float64:
-    """Offsets (N,) at which something else begins, from the right to the left."""
+    """Offsets (N,) of the boundaries within a cross-section, from right to left."""
     kerb = section.half_m + (_KERB_TOP_M if kerbs else 0.0)
     half = np.array([section.median_m, section.half_m, kerb, section.half_m + section.pavement_m])
     return np.unique(np.concatenate([-half, [0.0], half]))
 
 
 def _strip(street: Street, stations: Float64, low_m: float, high_m: float, kerbs: bool) -> shapely.Geometry:
-    """A band along a street; its ends have corners wherever something begins on them."""
+    """A band along a street; its two ends have a vertex at every boundary of the cross-section."""
     steps = _steps(street.section, kerbs)
     across = steps[(steps > low_m) & (steps < high_m)]
     first, last = stations[0], stations[-1]
@@ -155,16 +156,16 @@ def build_ground(
     """Triangulate the ground.
 
     Args:
-        streets: in the order in which they lay claim to crossings.
-        stations: by street, where its pieces end.
-        roads: their outlines.
-        relief: the heights.
-        stretches: the markings.
-        covers: of outlined parts of the land; the first that holds a place counts.
-        parcels: of the rest of the land, dealt out by its grid.
-        yaw_rad: direction of the grid of the land.
-        extent_m: half the width of the land that is laid finely, and of all.
-        seed: of the parcels' colours.
+        streets: all streets; where two overlap, the earlier one determines the surface.
+        stations: for each street, the stations at which its pieces end.
+        roads: outlines of the roads.
+        relief: heights of carriageways and land.
+        stretches: marking layouts along the streets.
+        covers: covers of outlined parts of the land; where two overlap, the earlier one applies.
+        parcels: covers of the remaining land, assigned to parcels of its grid.
+        yaw_rad: direction of the land's grid, counter-clockwise from east.
+        extent_m: half the width of the finely divided land, and half the width of all land.
+        seed: seed of the parcels' covers and tones.
     """
     lines = [roads.carriageway.boundary, roads.kerbs.boundary, roads.roads.boundary]
     lines += [cover.outline.boundary for cover in covers]
@@ -202,7 +203,7 @@ def build_ground(
 
 
 def _triangulated(lines: Sequence[shapely.Geometry]) -> tuple[Float64, Int64]:
-    """Corners (P, 2) and triangles (T, 3), counter-clockwise, of the arrangement of lines."""
+    """Corners (P, 2) and counter-clockwise triangles (T, 3) of the arrangement of the lines."""
     mesh = shapely.unary_union(np.array(lines), grid_size=_GRID_M)
     cells = shapely.get_parts(shapely.polygonize([mesh]))
     pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(cells))
@@ -220,7 +221,7 @@ def _inside(region: shapely.Geometry, points: Float64) -> Bool:
 
 
 def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief: Relief) -> list[shapely.Geometry]:
-    """Lines across the streets where their pieces end, and along their crowns: none in crossings and older streets."""
+    """Lines across the streets where pieces end, and along the crowns; none in crossings or on earlier streets."""
     found: list[shapely.Geometry] = []
     older: shapely.Geometry = shapely.Polygon()
     for number, (street, at) in enumerate(zip(streets, stations)):
@@ -239,7 +240,7 @@ def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief:
 
 
 def _grid_lines(yaw_rad: float, fine_m: float, extent_m: float) -> AnyArray:
-    """Lines (N, 2, 2) of the land's grid, turned by the yaw; its cells grow outside ``fine_m``."""
+    """Lines (N, 2, 2) of the land's grid, rotated by the yaw; its cells grow outside ``fine_m``."""
     steps = [0.0]
     step = _CELL_M
     while steps[-1] < extent_m:
@@ -257,17 +258,17 @@ def _grid_lines(yaw_rad: float, fine_m: float, extent_m: float) -> AnyArray:
 def _owned(
     streets: Sequence[Street], places: Sequence[tuple[Float64, Float64]], number: Int64
 ) -> tuple[Int64, Float64]:
-    """Which street each triangle belongs to, and its corners' stations and offsets there.
+    """Assign each triangle to a street, and compute its corners' stations and offsets there.
 
-    It is the first street that the triangle's middle lies within, else the nearest.
+    A triangle belongs to the first street that contains its centroid, else to the nearest street.
 
     Args:
-        streets: all of them.
-        places: by street, stations and offsets of all corners.
-        number: (T, 3) of the triangles' corners.
+        streets: all streets.
+        places: for each street, stations and offsets of all corners.
+        number: (T, 3) corner indices of the triangles.
 
     Returns:
-        (T,) streets; (T, 3, 2) stations and offsets.
+        (T,) street indices; (T, 3, 2) stations and offsets, metres.
     """
     table = np.stack([np.stack(place, axis=1) for place in places])
     beyond = np.empty((len(streets), len(number)))
@@ -297,7 +298,7 @@ def _carriageways(
 
 
 def _kerb_faces(number: Int64, driven: Bool, plane: Float64, low: Float64, high: Float64) -> Model:
-    """Upright faces where a carriageway ends and something a kerb higher begins; they look to the carriageway."""
+    """Upright faces (towards the carriageway) along edges between a carriageway and a surface that is higher."""
     edges = np.concatenate([number[:, [0, 1]], number[:, [1, 2]], number[:, [2, 0]]])
     below = np.tile(driven, 3)
     key = edges.min(axis=1) * len(plane) + edges.max(axis=1)
@@ -324,7 +325,7 @@ def _kerb_faces(number: Int64, driven: Bool, plane: Float64, low: Float64, high:
 
 
 def _turned(triangles: Float64, yaw_rad: float) -> Float64:
-    """Texture coordinates (T, 3, 2) along the grid of the land."""
+    """Texture coordinates (T, 3, 2) along the axes of the land's grid, metres."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     return triangles[:, :, :2] @ np.array([[cos, -sin], [sin, cos]])
 
@@ -337,7 +338,7 @@ def _covered(cover: Cover, triangles: Float64, texture: Float64, shade: Float64 
 
 
 def _dealt(middle: Float64, count: int, seed: int) -> tuple[Int64, Float64]:
-    """Which cover (T,) of ``count`` a place gets, and a tone (T,) from 0.85 to 1.15: by the parcel that it lies in."""
+    """For each centroid, the cover index (T,) of its parcel and a tone (T,) from 0.85 to 1.15."""
     row, column = (np.floor(middle / (_CELL_M * np.array(_PARCEL_CELLS))).astype(np.int64)).T
     mixed = (row * 73856093) ^ (column * 19349663) ^ (seed * 83492791)
     mixed = (mixed ^ (mixed >> 13)) * 1274126177 & 0x7FFFFFFF

@@ -1,4 +1,4 @@
-"""Lanes along the streets, between their crossings."""
+"""Builds the lanes along the streets, between their crossings."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ WALK_MPS: Final = 1.4
 
 @dataclass(frozen=True)
 class Port:
-    """Where a lane meets a crossing.
+    """The end of a lane at a crossing.
 
     Attributes:
-        lane_id: the lane.
-        place: (2,) its end there.
-        heading_rad: of who drives there.
+        lane_id: id of the lane.
+        place: (2,) position of the lane's end, metres.
+        heading_rad: heading of the lane's traffic there.
         crossing: name of the crossing.
-        arm: number of the arm.
-        arrives: whether the lane ends there; else it begins there.
-        left: of walking lanes: whether it is on the arm's left, seen outwards.
+        arm: index of the arm.
+        arrives: whether the lane ends here; otherwise it begins here.
+        left: for walking lanes: whether the lane is on the left of the arm, seen outwards.
     """
 
     lane_id: str
@@ -48,7 +48,7 @@ class Port:
 
 @dataclass(frozen=True)
 class _Limit:
-    """An end of a stretch of street between two crossings; ``approach`` is None where the street ends."""
+    """One end of a stretch of street between two crossings; ``approach`` is None at the end of the street."""
 
     station_m: float
     crossing: str = ""
@@ -57,12 +57,12 @@ class _Limit:
 
 
 def lanes_along(street: Street, crossings: Sequence[Crossing], feet: bool) -> Iterator[tuple[Lane, tuple[Port, ...]]]:
-    """The lanes of a street, with the crossings that they meet.
+    """Build the lanes of a street, with their ends at crossings.
 
     Args:
         street: the street.
-        crossings: all of the scene.
-        feet: whether there are pavements to walk on.
+        crossings: all crossings of the scene.
+        feet: whether the street has pavements with walking lanes.
     """
     for number, (low, high) in enumerate(_stretches(street, crossings)):
         name = f"{street.name}.{number}"
@@ -80,7 +80,7 @@ def lanes_along(street: Street, crossings: Sequence[Crossing], feet: bool) -> It
 
 
 def _stretches(street: Street, crossings: Sequence[Crossing]) -> list[tuple[_Limit, _Limit]]:
-    """Stretches of a street between its ends and crossings."""
+    """Split a street into the stretches between its ends and crossings."""
     ends: list[_Limit] = []
     starts: list[_Limit] = []
     for crossing in crossings:
@@ -101,7 +101,7 @@ def _stretches(street: Street, crossings: Sequence[Crossing]) -> list[tuple[_Lim
 def _lane(
     street: Street, name: str, track: Track, beside: Sequence[Track], low: _Limit, high: _Limit
 ) -> tuple[Lane, tuple[Port, ...]]:
-    """One lane of a stretch, and its ports."""
+    """Build one lane of a stretch, and its ports."""
     begin, end = (_trimmed(limit, track, sign) for limit, sign in ((low, 1), (high, -1)))
     if track.use == "park" and end - begin < _LEAST_M:
         end = begin + _LEAST_M
@@ -128,7 +128,7 @@ def _lane(
 
 
 def _stepped(street: Street, begin: float, end: float, offset_m: float) -> Float64:
-    """A line (N, 2) beside a street's middle, in steps of at most ``_STEP_M`` of its own length."""
+    """A line (N, 2) at an offset from the street's middle, in steps of at most ``_STEP_M`` along it."""
     longest = _STEP_M
     count = 0
     while longest > 0.99 * _STEP_M:
@@ -139,7 +139,7 @@ def _stepped(street: Street, begin: float, end: float, offset_m: float) -> Float
 
 
 def _trimmed(limit: _Limit, track: Track, inwards: int) -> float:
-    """The station where a lane ends: parking keeps clear of crossings, walking goes up to the zebra."""
+    """The station at which a lane ends: parking keeps clear of crossings, walking continues up to the zebra."""
     approach = limit.approach
     if approach is None:
         return limit.station_m
@@ -151,12 +151,12 @@ def _trimmed(limit: _Limit, track: Track, inwards: int) -> float:
 
 
 def walks_from(approach: Approach) -> float:
-    """How far out of a crossing's middle an arm's pavements begin: at the middle of its zebra, if there is one."""
+    """Distance from the crossing's centre at which an arm's pavements begin: the middle of its zebra, if it has one."""
     return approach.begin_m + 0.5 if approach.zebra_m is None else 0.5 * sum(approach.zebra_m)
 
 
 def _neighbour(name: str, track: Track, beside: Sequence[Track], side: int) -> str | None:
-    """The lane beside a track to which one may change: 1 to the left, -1 to the right of who drives."""
+    """Id of the lane to change to, on the left (side 1) or right (side -1) of the driver; None if there is none."""
     if track.use != "drive":
         return None
     for other in beside:

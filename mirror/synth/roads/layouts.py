@@ -1,4 +1,4 @@
-"""Which markings lie where: between crossings, before them and in them."""
+"""Assigns marking layouts to stretches of street: between crossings, before crossings and in crossings."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ _SLIP_LINE: Final = dashes(-MOTORWAY_EDGE_M, 0.15, 12.0, 6.0)
 
 @dataclass(frozen=True)
 class Approach:
-    """What lies on an arm before a crossing, in metres out from the crossing's middle.
+    """Distances of markings on an arm before a crossing, in metres from the crossing's centre.
 
     Attributes:
         arm: the arm.
-        begin_m: where the crossing ends.
-        stop_m: where those who come stop; None: they need not.
-        zebra_m: the zebra crossing; None: there is none.
-        end_m: from where on the street is as anywhere.
+        begin_m: end of the crossing's area.
+        stop_m: stop line for arriving traffic; None if it need not stop.
+        zebra_m: beginning and end of the zebra crossing; None if there is none.
+        end_m: distance from which on the street has its usual markings.
     """
 
     arm: Arm
@@ -62,13 +62,13 @@ def approaches(crossing: Crossing) -> tuple[Approach, ...]:
 
 @dataclass(frozen=True)
 class Layouts:
-    """All markings of a scene.
+    """All marking layouts of a scene.
 
     Attributes:
-        table: (L, MOST_MARKS) MARK; row 0 has none.
-        stretches: which row lies where.
-        dips: where kerbs are dropped.
-        stations: by street, where its pieces end.
+        table: (L, MOST_MARKS) MARK; row 0 is empty.
+        stretches: layout index of each stretch of street; later stretches override earlier ones.
+        dips: stretches with dropped kerbs.
+        stations: for each street, the stations at which its pieces end.
     """
 
     table: Records
@@ -78,7 +78,7 @@ class Layouts:
 
 
 def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts:
-    """Distribute the markings over the streets, and cut these into pieces."""
+    """Assign markings to the streets, and divide the streets into pieces."""
     rows: list[Sequence[Mark]] = [()]
     stretches: list[Stretch] = []
     dips: list[Dip] = []
@@ -125,12 +125,12 @@ def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts
 
 
 def _beside_slip_road(street: Street, crossing: Crossing) -> tuple[float, float] | None:
-    """Stations between which one may cross a motorway's right edge line to or from a slip road."""
+    """Stations between which traffic may cross a motorway's right edge line to or from a slip road, or None."""
     slip = next((arm for arm in crossing.arms if arm.street.section is SLIP_ROAD), None)
     main = next((arm for arm in crossing.arms if arm.street is street), None)
     if slip is None or main is None or slip.street is street:
         return None
-    # The roads part where the slip road's left edge leaves the motorway's edge line.
+    # The roads separate where the slip road's left edge leaves the motorway's edge line.
     places = slip.street.line.at(slip.station_m + slip.way * np.arange(0.0, 250.0), SLIP_EDGE_M)
     station, offset = street.line.locate(places)
     parted = int(np.argmax(np.abs(offset) > MOTORWAY_EDGE_M))
@@ -142,7 +142,7 @@ def _stretch(street: int, one_m: float, other_m: float, layout: int) -> Stretch:
 
 
 def _through(crossing: Crossing, street: Street) -> tuple[Mark, ...]:
-    """Marks of a street that goes first through a crossing: traces, the middle, and the edge where nobody comes in."""
+    """Marks of the priority street inside a crossing: wear, middle line, edge lines where no street joins."""
     heading = next(arm.heading_rad for arm in crossing.arms if arm.street is street and arm.way > 0)
     comes_in = {math.sin(arm.heading_rad - heading) > 0.0 for arm in crossing.arms if arm.street is not street}
     section = street.section
@@ -152,7 +152,7 @@ def _through(crossing: Crossing, street: Street) -> tuple[Mark, ...]:
 
 
 def _before_crossing(approach: Approach, signal: bool) -> tuple[Mark, ...]:
-    """The marks between a crossing and the street as it is anywhere."""
+    """The marks between a crossing and the stretch with the street's usual markings."""
     arm, section = approach.arm, approach.arm.street.section
     begin, end = sorted((arm.station(approach.begin_m), arm.station(approach.end_m)))
     marks: list[Mark] = []
@@ -161,7 +161,7 @@ def _before_crossing(approach: Approach, signal: bool) -> tuple[Mark, ...]:
         low, high = sorted(arm.station(out) for out in approach.zebra_m)
         marks.append(zebra((low, high), section.half_m))
     if stop is not None:
-        # Who comes keeps right: seen outwards, on the left.
+        # Arriving traffic keeps right: it is on the left, seen outwards.
         coming = [track for track in section.tracks if track.way == -arm.way and track.use in ("drive", "cycle")]
         sides = [track.offset_m + side * 0.5 * track.width_m for track in coming for side in (-1, 1)]
         broken = not signal and approach.zebra_m is None
@@ -181,7 +181,7 @@ def _within(mark: Mark, u_m: tuple[float, float]) -> Mark:
 
 
 def _pieces(street: Street, cuts: Float64) -> Float64:
-    """Stations where a street's pieces end: at the cuts, and between them the closer the sharper the bend."""
+    """Stations at which a street's pieces end: at all cuts, and in between at steps that shrink with the curvature."""
     line = street.line
     cuts = np.unique(np.clip(cuts, line.first_m, line.last_m))
     kept = [cuts[0]]

@@ -1,4 +1,4 @@
-"""Middle lines of streets: smooth curves whose curvature grows and fades without a jump."""
+"""Middle lines of streets: smooth curves with continuous curvature."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Bend:
     """A bend whose curvature is a raised cosine; its least radius is ``length_m / (2 |turn_rad|)``.
 
     Attributes:
-        at_m: its middle, metres along the line.
-        length_m: of the bend.
-        turn_rad: by which the heading grows, counter-clockwise.
+        at_m: station of its middle, metres.
+        length_m: length of the bend.
+        turn_rad: change of heading over the bend, counter-clockwise.
     """
 
     at_m: float
@@ -34,14 +34,14 @@ class Bend:
 
 @dataclass(frozen=True)
 class Line:
-    """A smooth line, known by its stations (metres along it) and offsets (metres to the left of it).
+    """A smooth line, addressed by stations (metres along it) and offsets (metres to its left).
 
     Attributes:
-        first_m: least station.
-        last_m: greatest station.
-        stations: (N,) of the table, evenly.
-        points: (N, 2) there, metres.
-        headings: (N,) there, radians, counter-clockwise from east, without jumps.
+        first_m: smallest station.
+        last_m: largest station.
+        stations: (N,) evenly spaced stations of the table, metres.
+        points: (N, 2) positions at the stations, metres.
+        headings: (N,) headings at the stations, radians, counter-clockwise from east, without jumps of 2 pi.
     """
 
     first_m: float
@@ -51,11 +51,11 @@ class Line:
     headings: Float64
 
     def heading(self, station_m: npt.ArrayLike) -> Float64:
-        """Heading at stations (...,), radians; beyond the ends as at them."""
+        """Headings (...,) at stations, radians; beyond an end, the heading at that end."""
         return np.asarray(np.interp(np.asarray(station_m, np.float64), self.stations, self.headings))
 
     def at(self, station_m: npt.ArrayLike, offset_m: npt.ArrayLike = 0.0) -> Float64:
-        """Points (..., 2) at stations and offsets to the left; beyond the ends the line goes straight on."""
+        """Points (..., 2) at stations and offsets to the left; the line continues straight beyond its ends."""
         station, offset = np.broadcast_arrays(np.asarray(station_m, np.float64), np.asarray(offset_m, np.float64))
         heading = self.heading(station)
         beyond = station - np.clip(station, self.stations[0], self.stations[-1])
@@ -65,9 +65,9 @@ class Line:
         return np.stack([x + beyond * cos - offset * sin, y + beyond * sin + offset * cos], axis=-1)
 
     def locate(self, points: npt.ArrayLike) -> tuple[Float64, Float64]:
-        """Stations (N,) and offsets (N,) of points (N, 2): the feet of their perpendiculars, found by Newton's steps.
+        """Stations (N,) and offsets (N,) of points (N, 2): feet of their perpendiculars, by Newton's method.
 
-        Beyond the ends the line goes straight on.
+        The line continues straight beyond its ends.
         """
         where = np.asarray(points, np.float64)
         coarse = self.points[::_COARSE]
@@ -88,7 +88,7 @@ class Line:
         return station, gap[:, 1] * np.cos(heading) - gap[:, 0] * np.sin(heading)
 
     def until(self, distance_m: float) -> Line:
-        """The stretch about station 0 that lies within a distance of (0, 0)."""
+        """The stretch around station 0 that lies within ``distance_m`` of (0, 0)."""
         far = np.hypot(*self.points.T) > distance_m
         middle = int(np.argmin(np.abs(self.stations)))
         before, after = np.flatnonzero(far[:middle]), np.flatnonzero(far[middle:])
@@ -100,14 +100,14 @@ class Line:
 
 
 def curved(place: npt.ArrayLike, heading_rad: float, first_m: float, last_m: float, bends: Sequence[Bend] = ()) -> Line:
-    """A line with bends.
+    """Build a line with bends.
 
     Args:
-        place: (2,) where its station 0 is, metres.
-        heading_rad: there.
-        first_m: least station, at most 0.
-        last_m: greatest station, at least 0.
-        bends: in any order.
+        place: (2,) position of station 0, metres.
+        heading_rad: heading at station 0.
+        first_m: smallest station, at most 0.
+        last_m: largest station, at least 0.
+        bends: the bends, in any order.
     """
     before, after = math.ceil(-first_m / _STEP_M), math.ceil(last_m / _STEP_M)
     stations: Float64 = _STEP_M * np.arange(-before, after + 1, dtype=np.float64)

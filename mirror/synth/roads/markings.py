@@ -1,7 +1,7 @@
-"""Markings of carriageways: each layout is a row of marks, each mark a patch of stripes in a street's own coordinates.
+"""Markings of carriageways. A layout is a row of marks; a mark is a patch of stripes in a street's own coordinates.
 
-u runs along the street, v to the left of its middle, in metres. A pixel's share of a mark is the exact mean over its
-footprint, so that lines fade with distance and never flicker (`mirror.synth.render.carriageway`).
+u runs along the street, v to the left of its middle, in metres. A pixel's share of a mark is the exact mean over the
+pixel's footprint, so lines fade with distance and do not flicker (`mirror.synth.render.carriageway`).
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ MARK: Final = np.dtype(
 )
 """A patch [u_low, u_high] x [v_low, v_high] of stripes.
 
-Along u the stripes start at ``u_phase + slant v`` and repeat after ``u_period`` metres (0: no stripes), of which they
-fill the share ``u_duty``; the same along v. ``strength`` is 0 where a row has no more marks; below 1 the carriageway
-shows through: traces of wheels. ``worn`` is how much of the paint has gone in places, ``soft`` over how many metres the
-edges along the street fade."""
+Along u the stripes start at ``u_phase + slant v``, repeat every ``u_period`` metres (0: no stripes) and fill the share
+``u_duty``; likewise along v. ``strength`` is the opacity: 0 ends the row, values below 1 let the carriageway show
+through (wheel tracks). ``worn`` is the share of paint that is worn off in places; ``soft`` is the width in metres over
+which the edges along the street fade."""
 
 
 @dataclass(frozen=True)
 class Mark:
-    """One mark, as MARK has it."""
+    """One mark; its fields are those of MARK."""
 
     u_m: tuple[float, float]
     v_m: tuple[float, float]
@@ -72,17 +72,17 @@ _ALONG: Final = (-FAR_M, FAR_M)
 
 
 def solid(v_m: float, half_m: float) -> Mark:
-    """A line without gaps at v."""
+    """A continuous line at offset v."""
     return Mark(_ALONG, (v_m - half_m, v_m + half_m))
 
 
 def dashes(v_m: float, half_m: float, period_m: float, length_m: float) -> Mark:
-    """A line of dashes at v."""
+    """A dashed line at offset v."""
     return replace(solid(v_m, half_m), u_stripes=(period_m, length_m / period_m, 0.0))
 
 
 def parking_bays(inner_m: float, outer_m: float) -> tuple[Mark, ...]:
-    """Bays beside the lane: a broken line, and ticks between the bays."""
+    """Parking bays beside the lane: a dashed line, and ticks between the bays."""
     low, high = min(inner_m, outer_m), max(inner_m, outer_m)
     return (
         replace(dashes(inner_m, 0.05, 6.0, 1.6), worn=0.5),
@@ -91,7 +91,7 @@ def parking_bays(inner_m: float, outer_m: float) -> tuple[Mark, ...]:
 
 
 def cycle_lane(low_m: float, high_m: float) -> tuple[Mark, ...]:
-    """A red lane between two white lines."""
+    """A red cycle lane between two white lines."""
     return (
         Mark(_ALONG, (low_m, high_m), colour=RED, strength=0.85, worn=0.3),
         dashes(low_m if low_m > 0 else high_m, 0.06, 2.0, 1.0),
@@ -99,7 +99,7 @@ def cycle_lane(low_m: float, high_m: float) -> tuple[Mark, ...]:
 
 
 def tracks_of_wheels(v_m: float) -> tuple[Mark, ...]:
-    """Where wheels have polished a lane with its middle at v."""
+    """Polished wheel tracks of a lane with its middle at v."""
     return tuple(
         Mark(
             _ALONG, (v_m + side - 0.28, v_m + side + 0.28), colour=(0.15, 0.15, 0.15), strength=0.20, worn=0.6,
@@ -110,35 +110,35 @@ def tracks_of_wheels(v_m: float) -> tuple[Mark, ...]:
 
 
 def oil(v_m: float) -> Mark:
-    """What drips on the middle of a lane."""
+    """The oil stain along the middle of a lane."""
     return Mark(_ALONG, (v_m - 0.3, v_m + 0.3), colour=(0.05, 0.05, 0.05), strength=0.24, worn=0.7, soft_m=0.4)
 
 
 def zebra(u_m: tuple[float, float], half_m: float) -> Mark:
-    """A crossing on foot between u and u, over a carriageway as wide as twice ``half_m``."""
+    """A zebra crossing between two stations, over a carriageway of width ``2 * half_m``."""
     return Mark(u_m, (-half_m + 0.25, half_m - 0.25), v_stripes=(1.0, 0.5, 0.25))
 
 
 def stop_line(u_m: tuple[float, float], v_m: tuple[float, float]) -> Mark:
-    """A bar across the lane of those who wait."""
+    """A stop line across a lane."""
     return Mark(u_m, v_m)
 
 
 def yield_line(u_m: tuple[float, float], v_m: tuple[float, float]) -> Mark:
-    """A broken bar across the lane of those who yield."""
+    """A broken yield line across a lane."""
     return Mark(u_m, v_m, v_stripes=(0.75, 0.5 / 0.75, v_m[0] + 0.12))
 
 
 def hatched(u_m: tuple[float, float], v_m: tuple[float, float], slant: float) -> Mark:
-    """An area not to be driven on."""
+    """A hatched area that is closed to traffic."""
     return Mark(u_m, v_m, u_stripes=(2.0, 0.4, 0.0), slant=slant)
 
 
 def layout_table(rows: Sequence[Sequence[Mark]]) -> Records:
-    """Layouts (L, MOST_MARKS) MARK.
+    """Pack layouts into a table (L, MOST_MARKS) MARK.
 
     Raises:
-        UsageError: a row has more marks than fit.
+        UsageError: a row has more than MOST_MARKS marks.
     """
     table = np.zeros((len(rows), MOST_MARKS), MARK)
     for number, marks in enumerate(rows):
@@ -153,14 +153,14 @@ def layout_table(rows: Sequence[Sequence[Mark]]) -> Records:
 
 
 def narrowed(model: Model, table: Records) -> tuple[Model, Records]:
-    """Layouts that hold, for each piece of carriageway, only the marks that reach it: less to look through a pixel.
+    """Give each piece of carriageway a layout with only the marks that reach it, so that a pixel tests fewer marks.
 
     Args:
-        model: its ASPHALT faces name rows of the table.
+        model: model with ASPHALT faces; their layouts index the table.
         table: (L, K) MARK.
 
     Returns:
-        The model with other layouts, and the table of those.
+        The model with new layout indices, and the new table.
     """
     faces, corners = joined([model.faces]), model.corners
     paved = np.flatnonzero(faces["material"] == Material.ASPHALT)

@@ -1,4 +1,4 @@
-"""The network of a street plan: its lanes, joined, ruled and laid on the ground."""
+"""Builds the road network of a street plan: lanes with successors, right of way and heights."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mirror.synth.street.network import Lane, Network
 
 _CYCLE_S: Final = 60.0
 _GREEN_S: Final = np.array([[0.0, 24.0], [30.0, 54.0], [30.0, 46.0], [0.0, 16.0]])
-"""Of the first street, of the second, on foot over the first, on foot over the second."""
+"""Start and end of green for the first street, the second street, the zebras over the first and over the second."""
 _ON_FOOT: Final = 2
 
 
@@ -26,13 +26,13 @@ def build_network(
     feet: bool,
     height_m: Callable[[Float64, Float64], Float64],
 ) -> Network:
-    """All lanes of a plan.
+    """Build all lanes of a plan.
 
     Args:
-        streets: its streets.
-        crossings: where they meet.
-        feet: whether they have pavements.
-        height_m: of the ground, by x and y.
+        streets: the streets.
+        crossings: the crossings.
+        feet: whether the streets have pavements.
+        height_m: height of the ground as a function of x and y.
     """
     lanes: dict[str, Lane] = {}
     ports: dict[str, list[Port]] = {crossing.name: [] for crossing in crossings}
@@ -49,7 +49,7 @@ def build_network(
 
 
 def _cross(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane], feet: bool) -> None:
-    """Add a crossing's lanes, and tell those that meet it what follows and what they wait for."""
+    """Add the lanes of a crossing; set successors, signals and right of way of the lanes that arrive at it."""
     if crossing.control == "joint":
         _join(crossing, ports, lanes)
         return
@@ -83,7 +83,7 @@ def _cross(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane], fe
 
 
 def _join(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane]) -> None:
-    """Lanes that branch off or come in: who comes in waits for who is there."""
+    """Link the lanes at a junction without crossing traffic; merging traffic yields."""
     after = joined(ports)
     for port in ports:
         if port.arrives:
@@ -99,7 +99,7 @@ def _join(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane]) -> 
 
 
 def _main(crossing: Crossing) -> Street:
-    """The street that goes through."""
+    """The street that continues through the crossing."""
     names = [arm.street.name for arm in crossing.arms]
     return next(arm.street for arm in crossing.arms if names.count(arm.street.name) == 2)
 

@@ -31,11 +31,11 @@ _GRASS: Final = (0.090, 0.130, 0.042)
 
 @dataclass(frozen=True)
 class Overbridge:
-    """A bridge over a street.
+    """A bridge over a street, with its embankments.
 
     Attributes:
-        model: of the bridge and its embankments, which reach below the ground.
-        outline: what it takes of the land.
+        model: faces of the bridge and its embankments, which reach below the ground.
+        outline: area of land that they occupy.
     """
 
     model: Model
@@ -43,12 +43,12 @@ class Overbridge:
 
 
 def overbridge(street: Street, station_m: float, height_m: float) -> Overbridge:
-    """A bridge at right angles to a street.
+    """Build a bridge at right angles over a street.
 
     Args:
-        street: that it leads over.
-        station_m: where.
-        height_m: of the street's middle there.
+        street: the street below.
+        station_m: station of the street at the bridge.
+        height_m: height of the street's middle there.
     """
     span = street.section.half_m + _CLEAR_M + _BACK_M
     parts = [
@@ -79,7 +79,7 @@ def overbridge(street: Street, station_m: float, height_m: float) -> Overbridge:
 
 
 def _embankment(span_m: float) -> Model:
-    """The embankment towards +x of a bridge over the origin; its crest falls evenly until it is under the ground."""
+    """The embankment on the +x side of a bridge over the origin; its crest descends evenly to below the ground."""
     high, low = _RISE_M, -_BELOW_M
     end = span_m + _FALL_M * (high - low) / high
     foot_x, foot_y = span_m - _FRONT * (high - low), _HALF_M + _SIDE * (high - low)

@@ -1,4 +1,4 @@
-"""Heights: the land's gentle slopes, the crown of the carriageways upon it, and the kerbs."""
+"""Heights of the land, of the carriageways' crowns, and of the kerbs."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _RAMP_BEHIND_M: Final = 1.6
 
 @dataclass(frozen=True)
 class Land:
-    """A smooth surface: waves upon a plane, 0 at (0, 0).
+    """A smooth surface: a tilted plane with waves; its height at (0, 0) is 0.
 
     Attributes:
-        slope: (2,) of the plane.
-        waves: (W, 4) wave number along x and y (radians a metre), phase, amplitude (m).
+        slope: (2,) gradient of the plane along x and y.
+        waves: (W, 4) wave number along x and along y (radians a metre), phase (radians), amplitude (metres).
     """
 
     slope: Float64
     waves: Float64
 
     def height_m(self, points: Float64) -> Float64:
-        """Heights (N,) at (N, 2)."""
+        """Heights (N,) at points (N, 2)."""
         return points @ self.slope + self._waves(points) - self._waves(np.zeros((1, 2)))
 
     def _waves(self, points: Float64) -> Float64:
@@ -40,12 +40,12 @@ class Land:
 
 
 def land(rng: np.random.Generator, slope: float, steepest: float) -> Land:
-    """Land of chance.
+    """Draw a random land surface.
 
     Args:
-        rng: of the chance.
-        slope: of the plane.
-        steepest: of all waves together, at most.
+        rng: random generator.
+        slope: slope of the plane.
+        steepest: upper bound of the slope of all waves together.
     """
     bearing = rng.uniform(0.0, 2.0 * math.pi, 6)
     length = np.array([760.0, 540.0, 390.0, 290.0, 210.0, 160.0]) * rng.uniform(0.9, 1.1, 6)
@@ -60,7 +60,7 @@ def land(rng: np.random.Generator, slope: float, steepest: float) -> Land:
 
 @dataclass(frozen=True)
 class Dip:
-    """A stretch of a street where kerbs are dropped, between two stations."""
+    """A stretch of a street, between two stations, where the kerbs are dropped."""
 
     street: int
     low_m: float
@@ -69,14 +69,14 @@ class Dip:
 
 @dataclass(frozen=True)
 class Relief:
-    """Heights of the carriageways and of the land beside them.
+    """Heights of the carriageways and of the surfaces beside them.
 
     Attributes:
-        land: the surface below.
-        streets: whose crowns are upon it.
-        level_at: by street, stretches (K, 2) of stations where it has no crown: its crossings.
-        kerb_m: height of kerbs.
-        dips: where they are dropped.
+        land: the surface below the streets.
+        streets: the streets.
+        level_at: for each street, stretches (K, 2) of stations without a crown: its crossings.
+        kerb_m: height of the kerbs.
+        dips: stretches with dropped kerbs.
     """
 
     land: Land
@@ -86,11 +86,11 @@ class Relief:
     dips: tuple[Dip, ...]
 
     def heights_m(self, points: Float64, places: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:
-        """Heights (N,) of the carriageway and of what stands a kerb above it.
+        """Heights (N,) of the carriageway, and heights (N,) of the surface that is one kerb higher.
 
         Args:
-            points: (N, 2) metres.
-            places: by street, their stations and offsets (N,).
+            points: (N, 2) positions, metres.
+            places: for each street, stations (N,) and offsets (N,) of the points.
         """
         low = self.land.height_m(points)
         raised = np.ones(len(points))
@@ -126,7 +126,7 @@ def _smooth(x: Float64) -> Float64:
 
 
 def level_stretches(street: Street, crossings: Sequence[Crossing]) -> Float64:
-    """Stretches (K, 2) of a street's stations that lie within crossings."""
+    """Stretches (K, 2) of a street's stations that lie inside crossings."""
     stretches = []
     for crossing in crossings:
         mine = [

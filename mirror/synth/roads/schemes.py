@@ -1,4 +1,4 @@
-"""The street plans of the four kinds of scene."""
+"""Street plans of the four kinds of scene."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from mirror.synth.roads.section import (
 )
 
 BEYOND_M: Final = 90.0
-"""By which streets go on outside the ROI."""
+"""Length by which streets continue outside the ROI."""
 EDGE: Final = 0.975
-"""Share of the radius at which the street at the ROI's edge passes."""
+"""Distance of the outermost cross street from the ROI's centre, as a share of the ROI's radius."""
 _SLIP_RAD: Final = 0.30
-"""By which slip roads turn away from a motorway."""
+"""Angle at which slip roads leave a motorway."""
 
 GRASS: Final = (0.085, 0.125, 0.040)
 _MEADOW: Final = (0.110, 0.150, 0.048)
@@ -51,16 +51,16 @@ class Scheme:
     """A street plan.
 
     Attributes:
-        streets: the main street first; who comes first has the say on the surface of crossings.
-        crossings: where they meet.
-        kerb_m: height of kerbs.
-        slope: of the land as a whole.
-        steepest: of its waves.
-        pavement: what lies beside carriageways.
-        forecourt_m: by how much it goes on behind pavements, up to the houses.
-        covers: outlined parts of the land.
-        parcels: what the rest of the land is parcelled into, as often as named.
-        bridge_m: station of the main street at which a bridge leads over it; None: none does.
+        streets: the main street first; where streets overlap, the earlier one determines the surface.
+        crossings: the crossings.
+        kerb_m: height of the kerbs.
+        slope: slope of the land as a whole.
+        steepest: upper bound of the slope of the land's waves.
+        pavement: cover beside the carriageways.
+        forecourt_m: width of the same cover between the pavements and the houses.
+        covers: covers of outlined parts of the land.
+        parcels: covers of the remaining land; one that is listed twice is twice as frequent.
+        bridge_m: station of the main street at which a bridge leads over it; None if there is no bridge.
     """
 
     streets: tuple[Street, ...]
@@ -76,7 +76,7 @@ class Scheme:
 
 
 def _wound(length_m: float, least_radius_m: float, most_rad: float) -> float:
-    """The most that a bend of a length may turn."""
+    """The largest change of heading of a bend of a given length and least radius, at most ``most_rad``."""
     return min(most_rad, length_m / (2.0 * least_radius_m))
 
 
@@ -85,7 +85,7 @@ def _through(street: Street, station: float, *, zebra: bool = False, minor: bool
 
 
 def _edge_street(main: Line, radius: float, section: Section, extent: float) -> tuple[Street, float]:
-    """A straight street across the main street whose distance from the ROI's centre is ``EDGE`` times the radius."""
+    """A straight street across the main street, at a distance of ``EDGE`` times the radius from the ROI's centre."""
     stations = np.arange(main.first_m, -0.5 * radius, 0.25)
     headings, points = main.heading(stations), main.at(stations)
     distance = -(points[:, 0] * np.cos(headings) + points[:, 1] * np.sin(headings))
@@ -97,7 +97,7 @@ def _edge_street(main: Line, radius: float, section: Section, extent: float) -> 
 def _across(
     name: str, main: Line, station: float, turn: float, section: Section, extent: float, bends: tuple[Bend, ...] = ()
 ) -> Street:
-    """A street through the main street, at an angle of ``turn`` to it."""
+    """A street that crosses the main street at an angle of ``turn``."""
     line = curved(main.at(station), float(main.heading(station)) + turn, -2.0 * extent, 2.0 * extent, bends)
     return Street(name, line.until(extent), section)
 
@@ -105,7 +105,7 @@ def _across(
 def _branch(
     name: str, main: Line, station: float, turn: float, section: Section, extent: float, bends: tuple[Bend, ...] = ()
 ) -> Street:
-    """A street that begins on the main street's middle."""
+    """A street that begins at the main street's middle."""
     line = curved(main.at(station), float(main.heading(station)) + turn, 0.0, 2.0 * extent, bends)
     far = np.hypot(*line.points.T) > extent
     stop = int(np.argmax(far)) if far.any() else len(far)
@@ -227,7 +227,7 @@ def _rural(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
 def _highway(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
     extent = radius + BEYOND_M
     length = 1.6 * radius
-    # It curves to the left, away from its slip roads.
+    # The motorway curves to the left, away from its slip roads.
     bends = (Bend(0.1 * radius, length, _wound(length, 350.0, rng.uniform(0.15, 0.35))),)
     main = Street("main", curved(_away(yaw, -9.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MOTORWAY)
     verge = _land(Material.GRASS, Label.TERRAIN, GRASS)
@@ -242,7 +242,7 @@ def _highway(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
 
 
 def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Street, ...], tuple[Crossing, ...]]:
-    """The entry and, after it, the exit of the carriageway along the line: on its right."""
+    """The entry and the exit after it, on the right of the carriageway along the line."""
     lane = next(track.offset_m for track in MOTORWAY.tracks if track.name == "drive1+")
     join, leave = -0.32 * radius, 0.10 * radius
     out = curved(

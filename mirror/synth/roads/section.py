@@ -1,4 +1,4 @@
-"""Cross-sections of streets: what lies side by side from one edge to the other."""
+"""Cross-sections of streets: lanes and markings from one edge to the other."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class Track:
     """One lane of a cross-section.
 
     Attributes:
-        name: within the section.
-        use: what it is for.
-        offset_m: its middle, to the left of the street's middle.
-        width_m: of it.
-        way: 1 along the street, -1 against it.
-        speed_mps: allowed.
+        name: name of the lane, unique within the section.
+        use: what the lane is for.
+        offset_m: its middle, metres to the left of the street's middle.
+        width_m: width of the lane.
+        way: 1 if traffic moves along the street's stations, -1 if against them.
+        speed_mps: speed limit.
     """
 
     name: str
@@ -41,19 +41,19 @@ class Track:
 
 @dataclass(frozen=True)
 class Section:
-    """A cross-section, the same on both sides.
+    """A cross-section that is the same on both sides.
 
     Attributes:
-        half_m: from the middle to the outer edge of the carriageway.
-        tracks: its lanes.
-        marks: its markings, but those down the middle.
-        middle: markings down the middle, where one may overtake.
-        strict: markings down the middle before crossings.
-        median_m: from the middle to the inner edge of the carriageway; 0: there is but one carriageway.
-        crossfall: by which the carriageway falls outwards, metres a metre.
-        pavement_m: width of the pavement, verge or shoulder beside it.
-        material: of the carriageway.
-        colour: of the carriageway.
+        half_m: distance from the middle to the outer edge of the carriageway.
+        tracks: the lanes.
+        marks: all markings except the middle line.
+        middle: markings of the middle line where overtaking is allowed.
+        strict: markings of the middle line before crossings.
+        median_m: distance from the middle to the inner edge of the carriageway; 0: there is only one carriageway.
+        crossfall: outward slope of the carriageway, metres per metre.
+        pavement_m: width of the pavement, verge or shoulder beside the carriageway.
+        material: material of the carriageway.
+        colour: reflectance (r, g, b) of the carriageway.
     """
 
     half_m: float
@@ -69,7 +69,7 @@ class Section:
 
 
 def _both(use: Use, offset: float, width: float, speed: float, number: int = 1) -> tuple[Track, Track]:
-    """A lane on either side; traffic keeps right."""
+    """One lane on each side; traffic keeps right."""
     return (
         Track(f"{use}{number}+", use, -offset, width, 1, speed),
         Track(f"{use}{number}-", use, offset, width, -1, speed),
@@ -77,7 +77,7 @@ def _both(use: Use, offset: float, width: float, speed: float, number: int = 1) 
 
 
 def _worn(*offsets: float) -> tuple[Mark, ...]:
-    """What wheels and oil leave on lanes on either side."""
+    """Wheel tracks and oil stains of lanes at offsets on both sides."""
     lanes = [side * offset for offset in offsets for side in (1.0, -1.0)]
     return tuple(mark for lane in lanes for mark in (*tracks_of_wheels(lane), oil(lane)))
 
@@ -142,9 +142,9 @@ FARM_TRACK: Final = Section(
     colour=(0.30, 0.26, 0.20),
 )
 MOTORWAY_EDGE_M: Final = 13.95
-"""Offset of the line between a motorway's lanes and its hard shoulder."""
+"""Offset of the line between a motorway's lanes and its hard shoulder, metres."""
 SLIP_EDGE_M: Final = 2.6
-"""Offset of the edge lines of a slip road."""
+"""Offset of a slip road's edge lines, metres."""
 MOTORWAY: Final = Section(
     16.6,
     tuple(

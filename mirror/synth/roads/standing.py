@@ -1,4 +1,4 @@
-"""Where things stand: the height of the ground's triangles under any point."""
+"""Heights of the ground: finds the triangle below a point through a grid of cells."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _MARGIN: Final = 1e-9
 
 @dataclass(frozen=True)
 class Standing:
-    """The ground's triangles, found by the cell of a grid that they reach into.
+    """The ground's triangles, indexed by the cells of a grid.
 
     Attributes:
         triangles: (T, 3, 3) corners, metres, counter-clockwise from above.
-        low: (2,) where the grid begins.
-        shape: cells along x and y.
-        first: (cells + 1,) where each cell's triangles begin in ``members``.
-        members: numbers of triangles.
+        low: (2,) lower corner of the grid, metres.
+        shape: number of cells along x and y.
+        first: (cells + 1,) index in ``members`` of each cell's first triangle.
+        members: triangle indices, grouped by cell.
     """
 
     triangles: Float64
@@ -36,10 +36,10 @@ class Standing:
     members: Int64
 
     def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
-        """Heights (...,) of the ground at places; on a kerb's edge the higher one.
+        """Heights (...,) of the ground at positions; on a kerb's edge, the higher of the two.
 
         Raises:
-            UsageError: a place is off the ground, or not finite.
+            UsageError: a position is outside the ground, or not finite.
         """
         x, y = np.broadcast_arrays(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
         shape = x.shape
@@ -48,13 +48,15 @@ class Standing:
         if np.isnan(found).any():
             place = points[int(np.argmax(np.isnan(found)))]
             raise UsageError(
-                "no ground there", place=f"({place[0]:.3f}, {place[1]:.3f})", expected="a place of the scene"
+                "the ground has no triangle at this position",
+                place=f"({place[0]:.3f}, {place[1]:.3f})",
+                expected="a position within the scene",
             )
         return found.reshape(shape)
 
 
 def standing_on(triangles: Float64) -> Standing:
-    """Make the grid over triangles (T, 3, 3)."""
+    """Build the grid of cells over triangles (T, 3, 3)."""
     low = triangles[:, :, :2].min(axis=(0, 1))
     span = triangles[:, :, :2].max(axis=(0, 1)) - low
     nx, ny = (int(n) for n in np.ceil(span / _CELL_M + 1e-9))
@@ -64,12 +66,12 @@ def standing_on(triangles: Float64) -> Standing:
 
 @njit(cache=True, nogil=True)
 def _reaches(triangle: Float64, left: float, bottom: float) -> bool:
-    """Whether a triangle (3, 3) reaches into the cell whose lower left corner is given, by its edges' half planes."""
+    """Whether a triangle (3, 3) overlaps the cell with this lower left corner; tests its edges' half planes."""
     for corner in range(3):
         other = (corner + 1) % 3
         ax, ay = triangle[corner, 0], triangle[corner, 1]
         dx, dy = triangle[other, 0] - ax, triangle[other, 1] - ay
-        # The cell's corner that lies farthest to the left of the edge.
+        # The cell's corner farthest to the left of the edge.
         x = left if dy > 0.0 else left + _CELL_M
         y = bottom + _CELL_M if dx > 0.0 else bottom
         if dx * (y - ay) - dy * (x - ax) < -1e-6:

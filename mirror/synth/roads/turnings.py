@@ -1,4 +1,4 @@
-"""Lanes through crossings, and who goes first on them."""
+"""Lanes through crossings, and their right of way."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Turning:
 
     Attributes:
         lane: the lane.
-        start: where it comes from.
-        goal: where it leads to.
-        turn_rad: by which one turns on it, counter-clockwise.
+        start: end of the lane that arrives.
+        goal: beginning of the lane that leaves.
+        turn_rad: change of heading along it, counter-clockwise.
     """
 
     lane: Lane
@@ -42,7 +42,7 @@ class Turning:
 def curve(
     start: Float64, heading_rad: float, goal: Float64, goal_heading_rad: float, step_m: float = _STEP_M
 ) -> Float64:
-    """A cubic curve (N, 2) from one place and heading to another; an arc where both are as far from their corner."""
+    """A cubic curve (N, 2) between two positions with headings; an arc if both are equally far from their corner."""
     turn = _wrapped(goal_heading_rad - heading_rad)
     ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
     after = np.array([math.cos(goal_heading_rad), math.sin(goal_heading_rad)])
@@ -79,7 +79,7 @@ def _wrapped(angle: float) -> float:
 
 
 def turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane]) -> list[Turning]:
-    """The lanes of wheels through a crossing, from each lane that arrives to each of the same use on another arm."""
+    """Build vehicle lanes through a crossing: from each arriving lane to those of the same use on other arms."""
     found = []
     for start in ports:
         use = lanes[start.lane_id].use
@@ -102,7 +102,7 @@ def turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane
 
 
 def joined(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
-    """Successors of lanes that go on at once where others begin: where lanes branch off and come in."""
+    """Successors of each lane that continues directly in another one, as where lanes branch off and merge."""
     return {
         start.lane_id: tuple(
             goal.lane_id for goal in ports if not goal.arrives and np.hypot(*(goal.place - start.place)) < _SAME_M
@@ -113,12 +113,12 @@ def joined(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
 
 
 def ruled(crossing: Crossing, found: Sequence[Turning], crosses: Mapping[int, tuple[str, ...]]) -> list[Lane]:
-    """The turning lanes, with those that they yield to.
+    """Convert turnings to lanes that name the lanes they yield to.
 
     Args:
         crossing: the crossing.
         found: its turnings.
-        crosses: by arm, the lanes on foot over its zebra.
+        crosses: for each arm, the ids of the walking lanes over its zebra.
     """
     lines = [shapely.LineString(turning.lane.line) for turning in found]
     lanes = []
@@ -138,18 +138,18 @@ def ruled(crossing: Crossing, found: Sequence[Turning], crosses: Mapping[int, tu
 
 
 def _goes_first(crossing: Crossing, other: Turning, mine: Turning) -> bool:
-    """Whether one who turns has to wait for another."""
+    """Whether ``mine`` has to wait for ``other``."""
     theirs, own = crossing.arms[other.start.arm], crossing.arms[mine.start.arm]
     if theirs.minor != own.minor:
         return own.minor
     if theirs.street is not own.street and crossing.control == "signal":
         return False
-    # Of equals, who turns left waits for those who do not.
+    # With equal priority, left turns wait for all others.
     return mine.turn_rad > _STRAIGHT_RAD and other.turn_rad <= _STRAIGHT_RAD
 
 
 def _round(start: Port, goal: Port, corner: Corner | None) -> Float64:
-    """The way on foot round a corner, close to its kerb; or straight on where there is none."""
+    """The walking path around a corner, close to its kerb; a straight line where there is no corner."""
     if corner is None:
         return curve(start.place, start.heading_rad, goal.place, goal.heading_rad)
     out = corner.inner - corner.centre
@@ -164,15 +164,15 @@ def _round(start: Port, goal: Port, corner: Corner | None) -> Float64:
 def footways(
     crossing: Crossing, ports: Sequence[Port], zebras: Sequence[bool]
 ) -> tuple[list[Lane], dict[int, tuple[str, ...]]]:
-    """Lanes on foot round the corners of a crossing and over its zebras, linked with each other and the pavements.
+    """Build walking lanes around a crossing's corners and over its zebras, linked with each other and the pavements.
 
     Args:
         crossing: the crossing.
-        ports: of its lanes on foot alone.
-        zebras: by arm, whether there is one.
+        ports: ends of its walking lanes.
+        zebras: for each arm, whether it has a zebra crossing.
 
     Returns:
-        The lanes, and the ids of those over each arm.
+        The lanes, and for each arm the ids of the lanes over its zebra.
     """
     at = {(port.arm, port.left, port.arrives): port for port in ports}
     made: list[tuple[Lane, tuple[int, bool], tuple[int, bool]]] = []

@@ -1,4 +1,4 @@
-"""The year of plants: leaves come out, turn and fall, each in its own time."""
+"""Seasonal foliage: leaves come out, turn and fall, each at its own time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Colour = tuple[float, float, float]
 
 
 class Species(IntEnum):
-    """What a leaf belongs to: in the high bits of its seed. Seeds below 2**24 stay green all year."""
+    """Plant species, stored in the high bits of a leaf's seed. Leaves with seeds below 2**24 stay green all year."""
 
     EVERGREEN = 0
     LIME = 1
@@ -32,17 +32,17 @@ class Species(IntEnum):
 
 @dataclass(frozen=True)
 class Year:
-    """When the leaves of a species come and go, in parts of a year from 1 January in the north.
+    """Times at which the leaves of a species appear and fall, as fractions of a year from 1 January in the north.
 
     Attributes:
-        out: when the first comes out.
-        out_span: until when the last has, after the first.
+        out: time at which the first leaf appears.
+        out_span: time between the first and the last leaf to appear.
         fresh: colour of a young leaf, as a factor of its colour in summer.
-        fresh_span: how long it is young.
-        turn: when the first turns.
-        turn_span: until when the last has, after the first.
-        turned: factors of the colours that leaves turn to.
-        linger: how long a turned leaf stays.
+        fresh_span: duration for which a leaf is young.
+        turn: time at which the first leaf turns.
+        turn_span: time between the first and the last leaf to turn.
+        turned: two factors of the colours that leaves turn to.
+        linger: duration for which a turned leaf stays on the plant.
     """
 
     out: float
@@ -66,34 +66,35 @@ _YEARS: Final[dict[Species, Year]] = {
     Species.SHRUB: Year(0.24, 0.07, _FRESH, 0.12, 0.77, 0.10, ((2.8, 1.6, 0.9), (2.0, 1.4, 0.9)), 0.06),
     Species.CROP: Year(0.22, 0.10, _FRESH, 0.10, 0.50, 0.04, ((4.4, 2.0, 1.8), (3.9, 1.9, 1.7)), 0.10),
 }
-"""Evergreens and reeds have none: they stay."""
+"""Evergreens and reeds have no entry: their leaves stay."""
 _MOST_GONE: Final = 0.035
-"""Share of the leaves that are missing on any one visit, others on each."""
+"""Largest share of the leaves that are missing on a visit; every visit misses other leaves."""
 _THIN: Final = 0.65
-"""With less than this share of its leaves a crown has no dark inside."""
+"""A crown with less than this share of its leaves has no dark inside."""
 _DENSE: Final = 0.85
-"""With more than this share of its leaves a crown hides its twigs."""
+"""A crown with more than this share of its leaves hides its twigs."""
 
 
 def leaf_seeds(rng: np.random.Generator, species: Species, number: int) -> Int64:
-    """Seeds (number,) of the leaves of one plant."""
+    """Draw seeds (number,) for the leaves of one plant."""
     return (int(species) << 24) + rng.integers(1 << 24, size=number)
 
 
 def foliage(model: Model, season: float, visit: int) -> Model:
-    """A model as its leaves are at a time of the year.
+    """Return a model with its leaves as they are at a time of the year.
 
     Args:
-        model: of anything. Two-sided faces of LEAVES change as sprays, all else of LEAVES as the inside of a crown;
-            BARK with the seed of a species is hidden while that is in full leaf; other materials stay.
-        season: part of the year in [0, 1), 0 the 1st of January in the north and the 1st of July in the south.
-        visit: each has a few leaves less, others than the next.
+        model: any model. Two-sided LEAVES faces change as sprays of leaves, all other LEAVES faces as insides of
+            crowns;
+            BARK faces with a species in their seed are hidden while the species is in full leaf; other materials stay.
+        season: fraction of the year in [0, 1); 0 is 1 January in the north and 1 July in the south.
+        visit: index of the visit; each visit misses a few other leaves.
 
     Raises:
-        UsageError: the season is not in [0, 1).
+        UsageError: the season is outside [0, 1).
     """
     if not 0.0 <= season < 1.0:
-        raise UsageError(f"season {season}", expected="a part of the year in [0, 1)")
+        raise UsageError(f"season {season}", expected="a fraction of the year in [0, 1)")
     faces, rounds = model.faces.copy(), model.rounds.copy()
     shown = np.ones(len(faces), np.bool_)
     leafy = faces["material"] == Material.LEAVES
@@ -108,7 +109,7 @@ def foliage(model: Model, season: float, visit: int) -> Model:
     stays = np.ones(len(rounds), np.bool_)
     inner = np.flatnonzero(rounds["material"] == Material.LEAVES)
     share = _filled(rounds, inner, season)
-    # It shrinks faster than leaves fall, and lies in their shade.
+    # The inside shrinks faster than the leaves fall, and lies in their shade.
     rounds["half"][inner] *= share[:, None]
     rounds["colour"][inner] *= (0.5 + 0.5 * share)[:, None]
     stays[inner] = share >= _THIN
@@ -116,14 +117,14 @@ def foliage(model: Model, season: float, visit: int) -> Model:
 
 
 def _filled(pieces: Records, bodies: Int64, season: float) -> Float64:
-    """Colour the insides of crowns and hedges; the shares of their leaves that are left."""
+    """Colour the insides of crowns and hedges in place; return the share of leaves that each still has."""
     middling = np.full(len(bodies), 0.5)
     _dressed(pieces, bodies, season, middling, middling)
     return crown_share(pieces["seed"][bodies], season)
 
 
 def crown_share(seeds: Int64, season: float) -> Float64:
-    """Share (N,) of the leaves of the plants that the seeds belong to, expected at a season."""
+    """Expected share (N,) of leaves at a season, for the plants with these seeds."""
     share = np.ones(len(seeds))
     for species, year in _YEARS.items():
         out = np.clip((season - year.out) / year.out_span, 0.0, 1.0)
@@ -133,14 +134,14 @@ def crown_share(seeds: Int64, season: float) -> Float64:
 
 
 def _dressed(pieces: Records, leaves: Int64, season: float, early: Float64, late: Float64) -> Bool:
-    """Colour the leaves for the season; which of them are there.
+    """Colour leaves for the season in place; return which of them are present.
 
     Args:
-        pieces: faces or rounds, changed in place.
-        leaves: (N,) which of them.
-        season: part of the year.
-        early: (N,) how late in its species' spring each comes out, in [0, 1).
-        late: (N,) how late in autumn each turns.
+        pieces: faces or ellipsoids, changed in place.
+        leaves: (N,) indices of the leaves among them.
+        season: fraction of the year.
+        early: (N,) how late in the spring of its species each leaf appears, in [0, 1).
+        late: (N,) how late in autumn each leaf turns, in [0, 1).
     """
     seeds = pieces["seed"][leaves]
     there = np.ones(len(leaves), np.bool_)
@@ -159,7 +160,7 @@ def _dressed(pieces: Records, leaves: Int64, season: float, early: Float64, late
 
 
 def _draw(seeds: Int64, turn: int) -> Float64:
-    """Numbers (N,) in [0, 1) that depend on the seeds and the turn alone (a xor-shift multiply hash)."""
+    """Pseudo-random numbers (N,) in [0, 1), hashed from the seeds and the turn (xor-shift multiply)."""
     shift = np.uint64(turn * 0xC2B2AE3D27D4EB4F & 0xFFFFFFFFFFFFFFFF)
     mixed = seeds.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + shift
     mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -168,7 +169,7 @@ def _draw(seeds: Int64, turn: int) -> Float64:
 
 
 def _without(model: Model, faces: Records, shown: Bool, rounds: Records) -> Model:
-    """Only the faces that are shown, with their corners alone."""
+    """The model with only the shown faces and the corners that they use."""
     kept = faces[shown]
     index = np.repeat(kept["first"] - np.cumsum(kept["count"]) + kept["count"], kept["count"])
     corners = model.corners[index + np.arange(len(index))]

@@ -1,4 +1,4 @@
-"""Lots along the streets, as close as the kind of scene builds."""
+"""Places lots along the streets, as densely as the kind of scene requires."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _LEAST_SHARE: Final = 0.75
 
 @dataclass(frozen=True)
 class Building:
-    """How a row of lots is built up.
+    """Rules for a row of lots.
 
     Attributes:
-        kind: what belongs there.
-        length_m: least and most along the street.
-        depth_m: least and most.
-        gap_m: least and most between lots, where they do not touch.
-        touching: share of the lots that touch the next.
-        set_back_m: least and most from the pavement.
-        streets: on which streets, by name; none named: on all.
+        kind: kind of lot.
+        length_m: smallest and largest length along the street.
+        depth_m: smallest and largest depth.
+        gap_m: smallest and largest gap between lots that do not touch.
+        touching: share of the lots that touch the next one.
+        set_back_m: smallest and largest distance from the pavement.
+        streets: names of the streets that the row is built on; empty: all streets.
     """
 
     kind: LotKind
@@ -70,14 +70,14 @@ def lay_lots(
     height_m: Callable[[npt.ArrayLike, npt.ArrayLike], Float64],
     rng: np.random.Generator,
 ) -> tuple[Lot, ...]:
-    """Lots on both sides of the streets, clear of ``taken`` and of each other.
+    """Place lots on both sides of the streets, clear of ``taken`` and of each other.
 
     Args:
-        streets: in the order in which they are built up.
-        taken: where there are roads and squares.
-        kind: of scene.
-        height_m: of the ground.
-        rng: of what is left to chance.
+        streets: the streets, in the order in which lots are placed.
+        taken: area of roads and squares.
+        kind: kind of scene.
+        height_m: height of the ground as a function of x and y.
+        rng: random generator.
     """
     shapely.prepare(taken)
     outlines: list[shapely.Geometry] = []
@@ -100,13 +100,13 @@ def _standing(lot: Lot, height_m: Callable[[npt.ArrayLike, npt.ArrayLike], Float
 
 @dataclass(frozen=True)
 class _Side:
-    """One side of a street, every ``_GRID_M`` of its stations.
+    """One side of a street, sampled every ``_GRID_M`` of its stations.
 
     Attributes:
-        middle: (N, 2) of the street.
-        away: (N, 2) directions away from it, to this side.
-        edge_m: where the pavement ends.
-        side: 1 on the left, -1 on the right.
+        middle: (N, 2) points of the street's middle line.
+        away: (N, 2) unit directions from the middle line to this side.
+        edge_m: distance of the pavement's outer edge from the middle line.
+        side: 1 for the left side, -1 for the right side.
     """
 
     middle: Float64
@@ -115,11 +115,11 @@ class _Side:
     side: int
 
     def at(self, index: int, aside_m: float) -> Float64:
-        """A point (2,) beside the street."""
+        """The point (2,) at a distance from the street's middle."""
         return self.middle[index] + aside_m * self.away[index]
 
     def lot(self, first: int, last: int, depth: float, back: float, kind: LotKind) -> Lot:
-        """A lot whose front is a chord of the street's side, no point of it nearer than ``back`` to the pavement."""
+        """A lot along a chord of the street's side; every point of it is at least ``back`` from the pavement."""
         front = self.middle[first : last + 1 : _COARSE] + (self.edge_m + back) * self.away[first : last + 1 : _COARSE]
         length = math.dist(front[0], front[-1])
         along = (front[-1] - front[0]) / length
@@ -142,7 +142,7 @@ def _row(
     built: Sequence[shapely.Geometry],
     rng: np.random.Generator,
 ) -> Iterator[tuple[Lot, shapely.Geometry]]:
-    """Lots of one side of a street; whoever takes one adds its outline to ``built``."""
+    """Yield lots for one side of a street; the caller appends accepted outlines to ``built``."""
     at, (count, depth, back, gap) = 0, _wish(building, rng)
     while at + count < len(beside.middle):
         for deep in (depth, 0.75 * depth):
@@ -173,7 +173,7 @@ def _at_corner(beside: _Side, first: int, last: int, taken: shapely.Geometry) ->
 
 
 def _wish(building: Building, rng: np.random.Generator) -> tuple[int, float, float, int]:
-    """Length, depth, distance from the pavement and gap to the next of a lot; lengths and gaps in steps."""
+    """Draw length, depth, distance from the pavement and gap of a lot; length and gap are counted in grid steps."""
     length, depth = rng.uniform(*building.length_m), rng.uniform(*building.depth_m)
     back, gap = rng.uniform(*building.set_back_m), rng.uniform(*building.gap_m)
     gap = 0.0 if rng.random() < building.touching else gap

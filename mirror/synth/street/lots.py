@@ -1,4 +1,4 @@
-"""Where houses, lamps, trees and signs go: lots along the streets, spots on their pavements, rails beside them."""
+"""Places for houses and furniture: lots along the streets, spots on their pavements, rails beside them."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ import shapely
 from mirror.arrays import Float64
 
 LotKind = Literal["front", "corner", "yard", "hall", "farm", "works"]
-"""A house in a row; one at a crossing; one behind others; a building of a campus; a farm; a shed beside a motorway."""
+"""A row house; a house at a crossing; a house behind others; a campus building; a farm; a motorway shed."""
 
 SpotKind = Literal[
     "lamp", "tree", "sign", "furniture", "signal", "yield", "stop", "crosswalk", "bus_stop", "gantry", "exit", "pole"
 ]
-"""A street lamp; a tree; a traffic sign (speed, parking); anything small (bench, bin, box, bollards); a traffic light;
-a yield sign; a stop sign; a sign of a zebra crossing; a bus shelter; a gantry over the carriageway, with
-one foot there; the sign of an exit; a pole with wires."""
+"""A street lamp; a tree; a traffic sign (speed, parking); small furniture (bench, bin, box, bollards); a traffic light;
+a yield sign; a stop sign; a zebra crossing's sign; a bus shelter; a gantry over the carriageway with one foot here;
+a motorway exit's sign; a pole with wires."""
 
 RailKind = Literal["guard", "fence", "wall", "hedge"]
 
 
 @dataclass(frozen=True)
 class Lot:
-    """Free land along a street for one house.
+    """A piece of land along a street for one house.
 
-    A house stands with the middle of its front at ``origin``, turned by ``yaw_rad``: its own +x is to the right seen
-    from the street, +y leads away from it.
+    A house stands with the middle of its front at ``origin``, rotated by ``yaw_rad``: its own +x axis points right as
+    seen from the street, and its +y axis points away from the street.
 
     Attributes:
-        origin: (3,) middle of the front edge on the ground, world metres.
-        yaw_rad: turn about z, counter-clockwise.
-        length_m: along the street.
-        depth_m: away from it.
-        kind: what belongs there.
+        origin: (3,) middle of the front edge on the ground, world frame, metres.
+        yaw_rad: rotation about z, counter-clockwise.
+        length_m: extent along the street.
+        depth_m: extent away from the street.
+        kind: kind of lot.
     """
 
     origin: Float64
@@ -46,7 +46,7 @@ class Lot:
     kind: LotKind
 
     def outline(self) -> shapely.Polygon:
-        """Its rectangle on the ground plane."""
+        """The lot's rectangle on the ground plane."""
         along = np.array([math.cos(self.yaw_rad), math.sin(self.yaw_rad)])
         half, deep = 0.5 * self.length_m * along, self.depth_m * np.array([-along[1], along[0]])
         front = self.origin[:2]
@@ -55,15 +55,15 @@ class Lot:
 
 @dataclass(frozen=True)
 class Spot:
-    """A place for one thing beside a carriageway.
+    """A place for one object beside a carriageway.
 
     Attributes:
-        place: (3,) on the ground, world metres.
+        place: (3,) position on the ground, world frame, metres.
         yaw_rad: direction towards the middle of the road, counter-clockwise from east.
-        facing_rad: direction towards the traffic that comes on this side: what a sign's front looks to.
-        kind: what belongs there.
-        group: signal group of a traffic light; else None.
-        reach_m: from there to the middle of the near lane: how far an arm reaches; the span of a gantry.
+        facing_rad: direction towards oncoming traffic on this side, which the front of a sign faces.
+        kind: kind of object.
+        group: signal group of a traffic light; otherwise None.
+        reach_m: distance to the middle of the nearest lane, which limits the length of an arm; for a gantry, its span.
     """
 
     place: Float64
@@ -76,11 +76,11 @@ class Spot:
 
 @dataclass(frozen=True)
 class Rail:
-    """Something that runs along a street: a guard rail, a fence.
+    """An object that runs along a street, such as a guard rail or a fence.
 
     Attributes:
-        line: (N, 3) on the ground, world metres.
-        kind: what it is.
+        line: (N, 3) points on the ground, world frame, metres.
+        kind: kind of rail.
     """
 
     line: Float64

@@ -1,4 +1,4 @@
-"""The road network as traffic sees it: lanes, what follows them, where one stops."""
+"""The road network for traffic simulation: lanes, their successors and their stop positions."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ import numpy as np
 from mirror.arrays import Float64
 
 Use = Literal["drive", "turn", "park", "cycle", "walk", "cross"]
-"""What a lane is for: driving; turning or going straight on within a crossing; parking; cycling; walking on the
-pavement; crossing a carriageway on foot."""
+"""Purpose of a lane: driving; turning or going straight through a crossing; parking; cycling; walking on the pavement;
+crossing a carriageway on foot."""
 
 
 @dataclass(frozen=True)
 class Lane:
-    """One lane, one way.
+    """One lane with one direction of travel.
 
     Attributes:
-        lane_id: its id.
-        use: what it is for.
-        line: (N, 3) its middle on the ground, in driving direction, world metres; steps of 1 m at most.
-        width_m: of the lane.
-        speed_mps: allowed.
-        successors: lanes that go on where it ends.
-        left: the lane beside it in the same direction that one may change to, or None.
-        right: the same to the right.
-        stop_m: length along the line at which one waits, or None.
-        signal: number of the signal group that it waits for, or None.
-        yields_to: lanes whose traffic goes first.
+        lane_id: id of the lane.
+        use: purpose of the lane.
+        line: (N, 3) middle line on the ground in driving direction, world frame, metres; steps of at most 1 m.
+        width_m: width of the lane.
+        speed_mps: speed limit.
+        successors: ids of the lanes that begin where this one ends.
+        left: id of the left neighbour in the same direction that traffic may change to, or None.
+        right: id of the right neighbour that traffic may change to, or None.
+        stop_m: position of the stop line along the lane, or None.
+        signal: index of the signal group that controls the lane, or None.
+        yields_to: ids of the lanes that have the right of way over this one.
     """
 
     lane_id: str
@@ -48,22 +48,22 @@ class Lane:
 
     @cached_property
     def along_m(self) -> Float64:
-        """(N,) lengths along the line on the ground plane, at its points."""
+        """Distances (N,) along the line on the ground plane, at its points."""
         return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.line[:, :2], axis=0).T))])
 
     @property
     def length_m(self) -> float:
-        """Of the line on the ground plane."""
+        """Length of the line on the ground plane."""
         return float(self.along_m[-1])
 
 
 @dataclass(frozen=True)
 class Network:
-    """All lanes of a scene, and its signals.
+    """All lanes and signals of a scene.
 
     Attributes:
-        lanes: by id.
-        green_s: (groups, 2) start and end of each signal group's green within the cycle; amber is the 3 s after it.
+        lanes: the lanes, by id.
+        green_s: (groups, 2) start and end of each signal group's green within the cycle; 3 s of amber follow.
         cycle_s: length of the signals' cycle.
     """
 

@@ -1,4 +1,4 @@
-"""The plan of a scene: its roads and ground, and where all else goes."""
+"""The plan of a scene: roads, ground, and the places of everything else."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ class Plan:
     """The plan of a scene, in its world frame: east, north, up, metres, the origin at the ROI's centre.
 
     Attributes:
-        roi: the scene.
-        kind: of scene.
+        roi: the region of interest.
+        kind: kind of scene.
         yaw_rad: direction of the main street at the ROI's centre, counter-clockwise from east.
-        streets: the main street first.
-        crossings: where they meet.
-        ground: carriageways, kerbs, pavements and land; and a bridge, where there is one.
-        layouts: (L, MOST_MARKS) MARK, by the ``layout`` of the carriageways' faces.
+        streets: the streets, the main street first.
+        crossings: the crossings.
+        ground: faces of carriageways, kerbs, pavements and land, and of a bridge if the scene has one.
+        layouts: (L, MOST_MARKS) MARK; the ``layout`` of the carriageways' faces is an index into it.
         network: the lanes.
-        lots: for houses.
-        spots: for lamps, trees, signs and lights.
-        rails: beside the streets.
+        lots: places for houses.
+        spots: places for lamps, trees, signs and lights.
+        rails: rails beside the streets.
         standing: heights of the ground.
-        driven: the carriageways, on the ground plane.
-        roads: these with their pavements or shoulders, squares, and what a bridge takes.
-        built: the lots.
+        driven: area of the carriageways on the ground plane.
+        roads: area of the carriageways with pavements or shoulders, squares and bridges.
+        built: area of the lots.
     """
 
     roi: Roi
@@ -72,15 +72,15 @@ class Plan:
     built: shapely.Geometry
 
     def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
-        """Heights (...,) of the ground at places; on a kerb's edge the higher one.
+        """Heights (...,) of the ground at positions; on a kerb's edge, the higher of the two.
 
         Raises:
-            UsageError: a place is off the ground, or not finite.
+            UsageError: a position is outside the ground, or not finite.
         """
         return self.standing.height_m(x_m, y_m)
 
     def is_free(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, clear_m: float = 0.0) -> Bool:
-        """Whether places (...,) are open land, so far from any road, square and lot."""
+        """Whether positions (...,) are open land, at least ``clear_m`` from every road, square and lot."""
         places = shapely.points(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
         return np.asarray(
             (shapely.distance(self.roads, places) > clear_m) & (shapely.distance(self.built, places) > clear_m)
@@ -91,12 +91,12 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
     """Plan a scene.
 
     Args:
-        roi: its radius sets the extent, its ``scene_type`` the kind; default: urban.
+        roi: the region of interest; its radius sets the extent, its ``scene_type`` the kind (default: urban).
         yaw_deg: direction of the main street at the centre, counter-clockwise from east.
-        seed: of all that is left to chance.
+        seed: seed of all random choices.
 
     Raises:
-        UsageError: the ROI is smaller than a crossing, or larger than the land that can be laid.
+        UsageError: the ROI's radius is below 50 or above 400 m.
     """
     if not _LEAST_RADIUS_M <= roi.radius_m <= _MOST_RADIUS_M:
         raise UsageError(

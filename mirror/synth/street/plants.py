@@ -1,4 +1,4 @@
-"""Trees, bushes, hedges, crops and reeds in full leaf: how they stand at a time of the year is ``foliage``'s."""
+"""Trees, bushes, hedges, crops and reeds in full leaf; `foliage` changes them with the season."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ Kind = Literal["lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", 
 
 TREES: Final[tuple[Kind, ...]] = ("lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", "cherry", "oak")
 STREET_TREES: Final[tuple[Kind, ...]] = ("lime", "plane", "birch", "cherry")
-"""That stand along streets; on roads through fields and woods it is more the others."""
+"""Trees along streets; roads through fields and woods have the others."""
 PASSING_M: Final = 4.5
-"""Nothing hangs lower over a carriageway."""
+"""Smallest height of branches over a carriageway."""
 _COVER: Final = 0.72
-"""Area of the sprays by that of the crown."""
+"""Total area of the leaf sprays as a share of the crown's surface."""
 _ROOT_M: Final = 0.5
-"""Trunks go this far into the ground, which may slope."""
+"""Depth of trunks below the ground, because the ground may slope."""
 
 
 @dataclass(frozen=True)
 class _Habit:
-    """How a kind of tree grows.
+    """Growth parameters of a kind of tree.
 
     Attributes:
-        species: of its leaves.
-        height_m: least and greatest.
+        species: species of its leaves.
+        height_m: smallest and largest height.
         spread: diameter of the crown, as a share of the height.
-        crown_m: where the crown begins.
-        lobes: how many round parts the crown has.
-        lobe: their radius, as a share of the crown's there; 1 puts them round the trunk, one above the other.
-        shape: the crown's radius at its foot, middle and top, as shares of its greatest.
-        leaves: how many polygons; each stands for a spray of leaves, as large as to cover the crown.
-        narrow: half width of one, as a share.
-        hang: how far they hang down instead of lying any way.
-        leaf: colour.
-        bark: colour.
-        trunk: radius, as a share of the height.
+        crown_m: height at which the crown begins.
+        lobes: number of ellipsoids that form the crown.
+        lobe: radius of an ellipsoid, as a share of the crown's radius there; 1 stacks them around the trunk.
+        shape: radius of the crown at its foot, middle and top, as shares of the largest.
+        leaves: number of polygons; each is a spray of leaves, and their size is chosen so that they cover the crown.
+        narrow: half the width of a spray, as a share of its length.
+        hang: from 0 (sprays at random angles) to 1 (sprays hang down).
+        leaf: colour of the leaves.
+        bark: colour of the bark.
+        trunk: radius of the trunk, as a share of the height.
     """
 
     species: Species
@@ -104,15 +104,15 @@ _HABITS: Final[dict[Kind, _Habit]] = {
 
 
 def tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf) -> Model:
-    """A tree in full leaf, its trunk's foot at the origin.
+    """Build a tree in full leaf; the foot of its trunk is the origin.
 
     Args:
-        rng: decides its size and growth.
-        kind: of tree.
-        road_m: how far the carriageway is from its trunk; beyond it nothing hangs lower than PASSING_M.
+        rng: random generator that decides its size and growth.
+        kind: kind of tree.
+        road_m: distance of the carriageway from the trunk; over the carriageway no leaf is below PASSING_M.
 
     Raises:
-        UsageError: no such kind.
+        UsageError: the kind is unknown.
     """
     if kind not in _HABITS:
         raise UsageError(f"a tree of kind {kind!r}", expected=f"one of {', '.join(TREES)}")
@@ -127,7 +127,7 @@ def tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf) -> M
 
 
 def bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
-    """A bush of about 1 to 2 m, its middle at the origin."""
+    """Build a bush of about 1 to 2 m, centred at the origin."""
     size = rng.uniform(0.5, 1.0)
     spots = rng.normal(0.0, 0.35 * size, (4, 2))
     halves = size * rng.uniform([0.6, 0.6, 0.65], [0.9, 0.9, 1.05], (4, 3))
@@ -144,7 +144,7 @@ def bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
 
 
 def hedge(rng: np.random.Generator, length_m: float, height_m: float = 1.3, width_m: float = 0.7) -> Model:
-    """A clipped evergreen hedge along x, its middle at the origin; it goes 0.4 m into the ground."""
+    """Build a clipped evergreen hedge along x, centred at the origin; it extends 0.4 m into the ground."""
     leaf = np.array((0.035, 0.072, 0.028)) * rng.uniform(0.85, 1.3)
     number = max(12, round(9.0 * length_m * (height_m + 0.5 * width_m)))
     seeds = leaf_seeds(rng, Species.EVERGREEN, number + 1)
@@ -168,7 +168,7 @@ def hedge(rng: np.random.Generator, length_m: float, height_m: float = 1.3, widt
 
 
 def crops(rng: np.random.Generator, length_m: float) -> Model:
-    """A row of corn along x, its middle at the origin."""
+    """Build a row of corn along x, centred at the origin."""
     number = max(2, round(2.4 * length_m))
     seeds = leaf_seeds(rng, Species.CROP, number)
     place = np.c_[(np.arange(number) + rng.uniform(0.2, 0.8, number)) / number - 0.5, np.zeros(number)]
@@ -178,7 +178,7 @@ def crops(rng: np.random.Generator, length_m: float) -> Model:
 
 
 def reeds(rng: np.random.Generator, length_m: float, width_m: float = 0.8) -> Model:
-    """Reeds or tall grass along x, their middle at the origin."""
+    """Build reeds or tall grass along x, centred at the origin."""
     number = max(3, round(8.0 * length_m * width_m))
     seeds = leaf_seeds(rng, Species.REED, number)
     foot = rng.uniform(-0.5, 0.5, (number, 2)) * (length_m, width_m)
@@ -195,11 +195,11 @@ def _blades(
     colour: Colour,
     seeds: Int64,
 ) -> Model:
-    """Upright tufts at places (N, 2), wider at the top."""
+    """Upright tufts at positions (N, 2), wider at the top."""
     number = len(foot_m)
     foot = np.c_[foot_m, np.full(number, -0.1)]
     aside = np.c_[np.cos(turn), np.sin(turn), np.zeros(number)] * half_m
-    # Leaning along its own width keeps a tuft in one plane.
+    # A tuft leans along its own width, so that it stays planar.
     lean = rng.normal(0.0, 0.25, (number, 1)) * aside
     top = foot + lean + np.c_[np.zeros((number, 2)), 0.1 + height_m]
     drop = np.c_[np.zeros((number, 2)), rng.uniform(0.12, 0.3, number) * height_m]
@@ -208,7 +208,7 @@ def _blades(
 
 
 def _lobes(rng: np.random.Generator, habit: _Habit, height: float, road_m: float) -> tuple[Float64, Float64]:
-    """Centres and half axes (L, 3) of the round parts of a crown."""
+    """Centres and half axes (L, 3) of a crown's ellipsoids."""
     number = habit.lobes
     low, high = min(habit.crown_m * rng.uniform(0.95, 1.1), 0.6 * height), height
     radius = 0.5 * habit.spread * height
@@ -238,9 +238,9 @@ def _leaves(
     seeds: Int64,
     road_m: float = math.inf,
 ) -> Model:
-    """Sprays of leaves on the outside of the lobes, none low over the carriageway nor in the ground."""
+    """Sprays of leaves on the outside of the ellipsoids; none low over the carriageway or in the ground."""
     tries = 4 * number
-    # As of a sphere whose squared radius is the mean of the three products of two half axes.
+    # The area is that of a sphere whose squared radius is the mean of the three products of two half axes.
     area = 4.0 / 3.0 * math.pi * halves[:, 0] * (halves[:, 0] + 2.0 * halves[:, 2])
     lobe = rng.choice(len(centres), tries, p=area / area.sum())
     ray = rng.normal(size=(tries, 3))
@@ -261,7 +261,7 @@ def _leaves(
 
 
 def _depth(up_m: Float64, top_m: float) -> Float64:
-    """How bright (N, 1) leaves are by their height: lower ones stand in the others' shade."""
+    """Brightness (N, 1) of leaves by their height: lower leaves are shaded by higher ones."""
     return (0.72 + 0.36 * np.clip(up_m / top_m, 0.0, 1.0))[:, None]
 
 
@@ -274,7 +274,7 @@ def _sprays(
     hang: float,
     jitter: float,
 ) -> Float64:
-    """Irregular convex five-cornered polygons (N, 5, 3) about places, roughly facing outwards."""
+    """Irregular convex pentagons (N, 5, 3) at positions, facing roughly outwards."""
     number = len(places)
     normal = outward + rng.normal(0.0, jitter, (number, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -282,7 +282,7 @@ def _sprays(
     along = wish - np.einsum("ni,ni->n", wish, normal)[:, None] * normal
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     aside = np.cross(normal, along)
-    # On an ellipse, with gaps below half a turn, so that they are convex whatever the draw.
+    # The corners lie on an ellipse with gaps below half a turn, so the polygon is always convex.
     angle = 2.0 * math.pi / 5.0 * (np.arange(5) + rng.uniform(-0.32, 0.32, (number, 5)))
     x, y = sizes[:, None] * np.cos(angle), narrow * sizes[:, None] * np.sin(angle)
     return places[:, None] + x[..., None] * along[:, None] + y[..., None] * aside[:, None]
@@ -297,17 +297,17 @@ def _painted(rng: np.random.Generator, corners: Float64, colours: Float64, seeds
 
 
 def _insides(centres: Float64, halves: Float64, colour: Float64, seeds: Int64) -> Model:
-    """The dark inside of each lobe, so that a crown in leaf is not seen through everywhere."""
+    """The dark inside of each ellipsoid, so that a crown in leaf is not transparent."""
     return ellipsoids(centres, 0.84 * halves, 0.65 * colour, Material.LEAVES, Label.VEGETATION, seeds=seeds)
 
 
 def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float64, halves: Float64) -> Model:
-    """Trunk, a limb to every other lobe, twigs in each."""
+    """Trunk, a limb to every second ellipsoid, and twigs in each."""
     thick = habit.trunk * height
     fork = min(habit.crown_m + 0.5, 0.5 * height)
     lean = rng.normal(0.0, 0.012 * height, 2)
     knee, tip = np.array([*(0.5 * lean), fork]), np.array([*lean, float(centres[:, 2].max())])
-    # The upper part begins a little inside the lower one, so that no gap opens where it bends.
+    # The upper part begins a little inside the lower one, so that no gap opens at the bend.
     inside = knee - 0.1 * (tip - knee) / np.linalg.norm(tip - knee)
     trunk = tubes(
         np.array([[0.0, 0.0, -_ROOT_M], inside]), np.array([knee, tip]), np.array([1.15, 0.8]) * thick,
@@ -330,7 +330,7 @@ def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float
 def _twigs(
     rng: np.random.Generator, species: Species, bark: Colour, centres: Float64, halves: Float64, starts: Float64
 ) -> Model:
-    """Thin triangles from the limbs to the outside of the lobes: what is left to see in winter."""
+    """Thin triangles from the limbs to the outside of the ellipsoids: the twigs that are visible in winter."""
     number = 4 * len(centres)
     lobe = np.repeat(np.arange(len(centres)), 4)
     ray = rng.normal(size=(number, 3))
@@ -341,7 +341,7 @@ def _twigs(
     across = np.cross(ends - roots, rng.normal(size=(number, 3)))
     across *= 0.025 / np.linalg.norm(across, axis=1, keepdims=True)
     corners = np.stack([roots - across, roots + across, ends], axis=1)
-    # The species in their seeds says when leaves hide them.
+    # The species in their seeds decides when leaves hide the twigs.
     seeds = leaf_seeds(rng, species, number)
     return polygons(
         corners, 0.8 * np.array(bark), Material.BARK, Label.VEGETATION, seeds=seeds, two_sided=True

@@ -29,16 +29,16 @@ _TREE_SHARE: Final = 0.8
 
 @dataclass(frozen=True)
 class Furnishing:
-    """What stands along a kind of scene's streets.
+    """Furnishing of the streets of a kind of scene; lengths in metres.
 
     Attributes:
-        lamps_m: between lamps; 0: there are none.
-        trees_m: between trees; 0: there are none.
-        tree_aside_m: of trees from the edge of the carriageway.
-        things_m: between signs and small things.
-        aside_m: of lamps, signs and small things from the edge of the carriageway.
-        poles_m: between poles with wires, on one side of the main street; 0: there are none.
-        rails: kinds and offsets from the carriageway's outer edge, negative ones from its inner edge.
+        lamps_m: distance between lamps; 0: no lamps.
+        trees_m: distance between trees; 0: no trees.
+        tree_aside_m: distance of trees from the edge of the carriageway.
+        things_m: distance between signs and small objects.
+        aside_m: distance of lamps, signs and small objects from the edge of the carriageway.
+        poles_m: distance between poles with wires, on one side of the main street; 0: no poles.
+        rails: kinds of rail, and their offsets from the carriageway's outer edge, or if negative, from its inner edge.
     """
 
     lamps_m: float
@@ -56,12 +56,12 @@ FURNISHINGS: Final = {
     "rural": Furnishing(0.0, 19.0, 3.2, 120.0, poles_m=42.0),
     "highway": Furnishing(0.0, 30.0, 9.0, 140.0, aside_m=2.6, rails=(("guard", 0.8), ("guard", -0.7))),
 }
-"""By kind of scene."""
+"""The furnishing of each kind of scene."""
 
 
 @dataclass(frozen=True)
 class _Place:
-    """A spot in a street's own coordinates."""
+    """A spot in the coordinates of a street."""
 
     street: Street
     station_m: float
@@ -92,15 +92,15 @@ def lay_spots(
     standing: Standing,
     rng: np.random.Generator,
 ) -> tuple[Spot, ...]:
-    """Spots on both sides of the streets, none on a carriageway.
+    """Place spots on both sides of the streets, outside all carriageways.
 
     Args:
-        streets: the main street first.
-        crossings: where they meet.
-        kind: of scene.
-        taken: the carriageways, and what else is to be kept free.
-        standing: the ground.
-        rng: of what is left to chance.
+        streets: the streets, the main street first.
+        crossings: the crossings.
+        kind: kind of scene.
+        taken: carriageways and other areas to keep free.
+        standing: heights of the ground.
+        rng: random generator.
     """
     places = [place for crossing in crossings for place in _at_crossing(crossing)]
     if kind == "highway":
@@ -119,7 +119,7 @@ def lay_spots(
 
 
 def _off_streets(found: Sequence[_Place], street: Street, level: Float64, others: Sequence[Street]) -> list[_Place]:
-    """Places beside a street that are neither in its crossings nor on other streets, pavements and medians."""
+    """The places beside a street that are outside its crossings and outside other streets, pavements and medians."""
     at = np.array([place.station_m for place in found])
     points = street.line.at(at, np.array([place.offset_m for place in found]))
     free = (at > street.line.first_m) & (at < street.line.last_m)
@@ -132,13 +132,13 @@ def _off_streets(found: Sequence[_Place], street: Street, level: Float64, others
 
 
 def _at_crossing(crossing: Crossing) -> Iterator[_Place]:
-    """Lights and signs before a crossing, on the right of those who come."""
+    """Yield places for lights and signs before a crossing, on the right of arriving traffic."""
     for number, approach in enumerate(approaches(crossing)):
         arm = approach.arm
         if approach.stop_m is None:
             continue
         station = arm.station(approach.stop_m + 0.3)
-        # Who comes inwards has the arm's left, seen outwards, on the right.
+        # The right of arriving traffic is the left of the arm, seen outwards.
         offset = arm.way * (arm.street.section.half_m + _KERB_SIDE_M)
         if crossing.control == "signal":
             yield _Place(arm.street, station, offset, "signal", crossing.group(number))
@@ -149,7 +149,7 @@ def _at_crossing(crossing: Crossing) -> Iterator[_Place]:
 
 
 def _over_motorway(street: Street) -> list[_Place]:
-    """Gantries over both carriageways."""
+    """Places for gantries over both carriageways."""
     aside = street.section.half_m + 1.4
     length = street.line.last_m - street.line.first_m
     return [
@@ -159,7 +159,7 @@ def _over_motorway(street: Street) -> list[_Place]:
 
 
 def _lined(street: Street, furnishing: Furnishing, rng: np.random.Generator) -> list[_Place]:
-    """Lamps by turns on both sides, trees between them, signs and small things between these."""
+    """Lamps alternating between both sides, trees between them, and signs and small objects in the gaps."""
     found: list[_Place] = []
     for side in (1, -1):
         lamps = []
@@ -186,7 +186,7 @@ def _regular(
     rng: np.random.Generator | None = None,
     jitter: float = 0.0,
 ) -> list[_Place]:
-    """Places every ``step_m`` along one side, by half a step apart from the other side's."""
+    """Places every ``step_m`` along one side, shifted by half a step against the other side."""
     stations = np.arange(street.line.first_m + (0.3 if side > 0 else 0.8) * step_m, street.line.last_m, step_m)
     if rng is not None:
         stations = stations + jitter * step_m * rng.uniform(-1.0, 1.0, len(stations))
@@ -200,13 +200,13 @@ def _apart(place: _Place, others: Sequence[_Place], least_m: float) -> bool:
 def lay_rails(
     streets: Sequence[Street], stations: Sequence[Float64], kind: str, standing: Standing
 ) -> tuple[Rail, ...]:
-    """Rails along the main street, broken where other streets come in.
+    """Place rails along the main street, interrupted where other streets join.
 
     Args:
-        streets: the main street first.
-        stations: by street, where its pieces end.
-        kind: of scene.
-        standing: the ground.
+        streets: the streets, the main street first.
+        stations: for each street, the stations at which its pieces end.
+        kind: kind of scene.
+        standing: heights of the ground.
     """
     main, at = streets[0], stations[0]
     others = shapely.union_all(

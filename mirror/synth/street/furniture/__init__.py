@@ -1,7 +1,7 @@
-"""What stands along streets: lamps, signals, signs, seats, fences.
+"""Street furniture: lamps, signals, signs, seats, fences.
 
-All of it stands in its own frame with its foot at the origin and looks to +x; feet go down into the ground, which may
-slope.
+Each model stands in its own frame with its foot at the origin and its front towards +x. Posts extend below the ground,
+because the ground may slope.
 """
 
 from __future__ import annotations

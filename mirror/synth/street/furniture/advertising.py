@@ -1,4 +1,4 @@
-"""What carries advertisements: billboards, columns, bus shelters."""
+"""Furniture that carries advertisements: billboards, columns, bus shelters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mirror.synth.street.furniture.signs import plate
 from mirror.synth.textures.catalogue import BILLBOARDS, POSTERS, Sign
 
 _TURNS: Final = 4
-"""So many contents take turns from traversal to traversal."""
+"""Number of images that a changing billboard shows in turn, one per traversal."""
 _STEEL: Final = Finish((0.20, 0.21, 0.21), Material.METAL, Label.POLE)
 _FRAME: Final = Finish((0.06, 0.065, 0.07), Material.METAL, Label.BILLBOARD)
 
@@ -23,12 +23,12 @@ def _changing_image(rng: np.random.Generator, numbers: range, label: Label) -> F
 
 
 def billboard(rng: np.random.Generator, *, width_m: float = 3.9, low_m: float = 2.4) -> Model:
-    """A board, 3 wide to 2 high, on posts; it looks to +x, and its content changes between traversals.
+    """A 3:2 board on posts that faces +x; its image changes between traversals.
 
     Args:
-        rng: chooses the contents.
-        width_m: of the image.
-        low_m: height of its foot; above 4 m it stands on one thick post.
+        rng: random generator that chooses the images.
+        width_m: width of the image.
+        low_m: height of its lower edge; above 4 m the board stands on one thick post.
     """
     pieces = Pieces()
     half, high = 0.5 * width_m, low_m + width_m / 1.5
@@ -43,12 +43,12 @@ def billboard(rng: np.random.Generator, *, width_m: float = 3.9, low_m: float = 
 
 
 def high_billboard(rng: np.random.Generator) -> Model:
-    """A large board high on a post, as beside motorways."""
+    """A large board high on a post, as used beside motorways."""
     return billboard(rng, width_m=8.4, low_m=5.5)
 
 
 def city_light(rng: np.random.Generator) -> Model:
-    """A poster in a lit case, seen from both sides (+x and -x)."""
+    """A poster in an illuminated case, visible from both sides (+x and -x)."""
     pieces = Pieces()
     half, low, high = 0.6, 0.55, 2.35
     pieces.block((-0.08, -0.2, FOOT_M), (0.08, 0.2, low), _FRAME, without=("-z", "+z"))
@@ -59,7 +59,7 @@ def city_light(rng: np.random.Generator) -> Model:
 
 
 def advertising_column(rng: np.random.Generator) -> Model:
-    """A round column with posters, on a plinth, under a cap."""
+    """A round column with posters, a plinth and a cap."""
     pieces = Pieces()
     count, radius = 10, 0.68
     angle = 2.0 * np.pi * np.arange(count) / count
@@ -68,7 +68,7 @@ def advertising_column(rng: np.random.Generator) -> Model:
     pieces.prism((radius + 0.06) * ring, FOOT_M, 0.5, stone)
     pieces.prism((radius - 0.003) * ring, 0.5, 3.0, stone._replace(colour=(0.42, 0.43, 0.40)))
     for start in range(0, count, 2):
-        # Narrower than the column's sides, or their edges would stand out from its corners.
+        # The posters are narrower than the column's sides, so that their edges stay within its corners.
         left, right = (radius * (ring[start] + share * (ring[start + 1] - ring[start])) for share in (0.06, 0.94))
         pieces.wall(tuple(left), tuple(right), 1.2, 1.83, _changing_image(rng, POSTERS, Label.BILLBOARD))
         pieces.wall(tuple(left), tuple(right), 2.0, 2.63, _changing_image(rng, POSTERS, Label.BILLBOARD))
@@ -79,7 +79,7 @@ def advertising_column(rng: np.random.Generator) -> Model:
 
 
 def bus_shelter(rng: np.random.Generator) -> Model:
-    """A roof on posts, open to +x, with glass behind, a bench, a poster and the sign of the stop."""
+    """A bus shelter that is open to +x: roof, posts, glass at the back, a bench, a poster and the sign of the stop."""
     pieces = Pieces()
     half, back, front, high = 2.0, -0.75, 0.75, 2.45
     steel = Finish((0.10, 0.11, 0.12), Material.METAL, Label.FURNITURE)

@@ -1,4 +1,4 @@
-"""Street lamps. All that stands along streets looks to its own +x; its foot is at the origin."""
+"""Street lamps. The front faces +x; the foot is at the origin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mirror.arrays import Float64
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
 
 LampKind = Literal["arm", "double", "column", "lantern"]
-"""A high one whose arm reaches over the road; one with two arms, between carriageways; a modern low one; an old one."""
+"""High lamp with an arm over the road; lamp with two arms, between carriageways; low modern lamp; historic lantern."""
 
 FOOT_M: Final = -0.6
 _STEEL: Final = Finish((0.24, 0.25, 0.25), Material.METAL, Label.POLE)
@@ -24,8 +24,8 @@ class LampPost:
     """A street lamp.
 
     Attributes:
-        model: of it.
-        lights: (L, 3) where its light comes from, metres.
+        model: its faces.
+        lights: (L, 3) positions of its light sources, metres.
     """
 
     model: Model
@@ -33,12 +33,12 @@ class LampPost:
 
 
 def lamp_post(kind: LampKind, *, height_m: float, reach_m: float = 1.8) -> LampPost:
-    """A street lamp.
+    """Build a street lamp.
 
     Args:
-        kind: of lamp.
-        height_m: of the light over the ground.
-        reach_m: of its arms.
+        kind: kind of lamp.
+        height_m: height of the light above the ground.
+        reach_m: length of its arms.
     """
     pieces = Pieces()
     if kind in ("arm", "double"):

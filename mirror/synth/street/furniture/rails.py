@@ -1,4 +1,4 @@
-"""What runs along streets: guard rails, fences, walls, wires; lines are in the frame that the models are wanted in."""
+"""Rails, fences, walls and wires along streets; the models are in the same frame as the given lines."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from mirror.synth.street.houses.styles import Colour
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _ZINC: Final = Finish((0.40, 0.41, 0.41), Material.METAL, Label.FURNITURE, two_sided=True)
 _BEAM: Final = ((0.0, 0.52), (0.07, 0.58), (0.0, 0.67), (0.07, 0.76), (0.0, 0.82))
-"""Section of a guard rail's beam: aside and up, metres."""
+"""Cross-section of a guard rail's beam: offset sideways and height, metres."""
 _POLE: Final = Finish((0.17, 0.12, 0.08), Material.BARK, Label.POLE)
 _WIRE: Final = Finish((0.03, 0.03, 0.03), Material.PLAIN, Label.POLE)
 
 
 def _spaced(line: Float64, step_m: float) -> Float64:
-    """Points (N, 3) on a line at even steps, about ``step_m`` apart."""
+    """Evenly spaced points (N, 3) on a line, about ``step_m`` apart."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     count = max(round(along[-1] / step_m), 1) + 1
     at = np.linspace(0.0, along[-1], count)
@@ -28,22 +28,22 @@ def _spaced(line: Float64, step_m: float) -> Float64:
 
 
 def _aside(start: Float64, end: Float64) -> Float64:
-    """Level unit direction to the left of a step."""
+    """Horizontal unit vector to the left of a segment."""
     step = (end - start)[:2]
     return np.array([-step[1], step[0], 0.0]) / np.linalg.norm(step)
 
 
 def _sheet(pieces: Pieces, start: Float64, end: Float64, low_m: float, high_m: float, finish: Finish) -> None:
-    """An upright piece over a step, whose front is to the step's right."""
+    """Add an upright sheet above a segment; its front is on the segment's right."""
     low, high = low_m * _UP, high_m * _UP
     pieces.face(np.array([start + low, end + low, end + high, start + high]), finish)
 
 
 def guard_rail(line: Float64) -> Model:
-    """A guard rail of steel beams on posts.
+    """Build a guard rail of steel beams on posts.
 
     Args:
-        line: (N, 3) on the ground, metres.
+        line: (N, 3) points on the ground, metres.
     """
     pieces = Pieces()
     points = _spaced(line, 4.0)
@@ -57,11 +57,11 @@ def guard_rail(line: Float64) -> Model:
 
 
 def fence(rng: np.random.Generator, line: Float64) -> Model:
-    """A fence of wooden or metal rails on posts.
+    """Build a fence of wooden or metal rails on posts.
 
     Args:
-        rng: chooses which.
-        line: (N, 3) on the ground, metres.
+        rng: random generator that chooses the kind.
+        line: (N, 3) points on the ground, metres.
     """
     pieces = Pieces()
     wooden = bool(rng.random() < 0.6)
@@ -85,12 +85,12 @@ def fence(rng: np.random.Generator, line: Float64) -> Model:
 
 
 def garden_wall(rng: np.random.Generator, line: Float64, *, high_m: float = 1.1) -> Model:
-    """A wall with a coping.
+    """Build a wall with a coping.
 
     Args:
-        rng: chooses brick or plaster.
-        line: (N, 3) on the ground, metres.
-        high_m: of the wall.
+        rng: random generator that chooses brick or plaster.
+        line: (N, 3) points on the ground, metres.
+        high_m: height of the wall.
     """
     pieces = Pieces()
     kinds: tuple[tuple[Colour, Material], ...] = (
@@ -118,12 +118,12 @@ def garden_wall(rng: np.random.Generator, line: Float64, *, high_m: float = 1.1)
 
 
 def power_line(places: Float64, *, height_m: float = 8.5, sag_m: float = 0.5) -> Model:
-    """Wooden poles with cross-arms, and three wires that hang from one to the next.
+    """Build wooden poles with cross-arms, and three wires between neighbouring poles.
 
     Args:
         places: (N, 3) feet of the poles, metres.
-        height_m: of the poles.
-        sag_m: of the wires between two poles.
+        height_m: height of the poles.
+        sag_m: sag of the wires between two poles.
     """
     pieces = Pieces()
     count = len(places)

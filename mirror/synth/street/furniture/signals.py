@@ -1,4 +1,4 @@
-"""Traffic lights, whose lamps are switched by number."""
+"""Traffic lights; their lamps are addressed by face index."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class SignalHead:
     """A traffic light.
 
     Attributes:
-        model: of it; it looks to +x.
-        red: numbers of its red lamps among the model's faces.
-        amber: of its amber ones.
-        green: of its green ones.
+        model: its faces; the front is towards +x.
+        red: indices of the red lamps among the model's faces.
+        amber: indices of the amber lamps.
+        green: indices of the green lamps.
     """
 
     model: Model
@@ -36,10 +36,10 @@ class SignalHead:
 
 
 def traffic_light(reach_m: float = 0.0) -> SignalHead:
-    """A traffic light on a pole, and a second one on an arm over the road.
+    """Build a traffic light on a pole, and optionally a second one on an arm over the road.
 
     Args:
-        reach_m: where along its own y the second one hangs, either way; 0: there is none.
+        reach_m: y of the second light, of either sign; 0: there is no second light.
     """
     pieces = Pieces()
     lamps: list[list[int]] = [[], [], []]
@@ -55,7 +55,7 @@ def traffic_light(reach_m: float = 0.0) -> SignalHead:
 
 
 def _head(pieces: Pieces, lamps: list[list[int]], y: float, foot_m: float) -> None:
-    """A case with three lamps under hoods, in front of the pole or arm."""
+    """Add a case with three hooded lamps in front of the pole or arm."""
     pieces.block((0.07, y - 0.16, foot_m), (0.26, y + 0.16, foot_m + 0.96), _CASE, without=())
     angle = 2.0 * np.pi * (np.arange(10) + 0.5) / 10 - 0.5 * np.pi
     ring = np.c_[np.full(10, 0.265), y + _LENS_M * np.cos(angle), _LENS_M * np.sin(angle)]

@@ -21,7 +21,7 @@ _WARNING: Final = frozenset((Sign.BEND, Sign.CHILDREN, Sign.ROADWORKS, Sign.CROS
 
 
 def _outline(sign: Sign) -> Float64:
-    """Corners (N, 2) of a sign, counter-clockwise, that reach from -1 to 1 both ways, as its image does."""
+    """Corners (N, 2) of a sign's outline, counter-clockwise, from -1 to 1 on both axes, as in its image."""
     if sign in _ROUND or sign == Sign.STOP:
         count = 8 if sign == Sign.STOP else 16
         angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
@@ -36,12 +36,12 @@ def _outline(sign: Sign) -> Float64:
 
 
 def traffic_sign(signs: tuple[Sign, ...], *, low_m: float = 2.1, size_m: float = 0.62) -> Model:
-    """Signs one above the other on a pole, the first on top; they look to +x.
+    """Build signs one above the other on a pole, the first on top; they face +x.
 
     Args:
-        signs: which ones.
-        low_m: height of the lowest one's foot.
-        size_m: width and height of each.
+        signs: the signs.
+        low_m: height of the lowest sign's lower edge.
+        size_m: width and height of each sign.
     """
     pieces = Pieces()
     top = low_m + len(signs) * (size_m + 0.05)
@@ -54,16 +54,16 @@ def traffic_sign(signs: tuple[Sign, ...], *, low_m: float = 2.1, size_m: float =
 
 
 def plate(pieces: Pieces, sign: Sign, middle_m: float, half_m: float, *, x: float = 0.05) -> None:
-    """One sign with its grey back, that looks to +x."""
+    """Add one sign with its grey back, facing +x."""
     outline = _outline(sign)
     front = np.c_[np.full(len(outline), x), half_m * outline[:, 0], middle_m + half_m * outline[:, 1]]
-    # A shape of its own, whose u is level though none of its edges may be.
+    # The outline is a polygon, so the texture's u axis is set level explicitly.
     pieces.add(polygon(front, (0.5, 0.5, 0.5), Material.IMAGE, Label.TRAFFIC_SIGN, image=int(sign)))
     pieces.face(front[::-1], _BACK)
 
 
 def direction_sign(rng: np.random.Generator, *, width_m: float = 3.0, low_m: float = 2.3) -> Model:
-    """A board with directions on two posts, that looks to +x."""
+    """Build a direction board on two posts, facing +x."""
     pieces = Pieces()
     high = 0.5 * width_m
     for y in (-0.32 * width_m, 0.32 * width_m):
@@ -73,7 +73,7 @@ def direction_sign(rng: np.random.Generator, *, width_m: float = 3.0, low_m: flo
 
 
 def _board(pieces: Pieces, rng: np.random.Generator, y: float, half_m: float, low_m: float) -> None:
-    """A direction sign, twice as wide as high."""
+    """Add a direction sign that is twice as wide as high."""
     left, right, high = y - half_m, y + half_m, low_m + half_m
     panel = Finish((0.5, 0.5, 0.5), Material.IMAGE, Label.TRAFFIC_SIGN, image=int(rng.choice(DIRECTION_SIGNS)))
     pieces.wall((0.10, left), (0.10, right), low_m, high, panel)
@@ -81,12 +81,12 @@ def _board(pieces: Pieces, rng: np.random.Generator, y: float, half_m: float, lo
 
 
 def gantry(rng: np.random.Generator, span_m: float, boards: int = 2) -> Model:
-    """A gantry over a carriageway, from its foot at the origin to the other foot at y = ``span_m``; it looks to +x.
+    """Build a gantry over a carriageway, from its foot at the origin to its other foot at y = ``span_m``; it faces +x.
 
     Args:
-        rng: chooses the boards.
-        span_m: to the other foot, along its own y, either way.
-        boards: how many direction signs hang there.
+        rng: random generator that chooses the boards.
+        span_m: y of the other foot, of either sign.
+        boards: number of direction signs.
     """
     pieces = Pieces()
     low, high = 6.2, 7.3

@@ -1,4 +1,4 @@
-"""Small things on pavements: seats, bins, boxes, bollards, tables, works."""
+"""Small furniture on pavements: seats, bins, boxes, bollards, tables, road works."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _ring(count: int, radius_m: float) -> np.ndarray[tuple[int, ...], np.dtype[n
 
 
 def bench(rng: np.random.Generator) -> Model:
-    """A bench that looks to +x."""
+    """A bench that faces +x."""
     pieces = Pieces()
     half = rng.uniform(0.8, 1.0)
     for x in (-0.02, 0.16):
@@ -76,7 +76,7 @@ def hydrant(rng: np.random.Generator) -> Model:
 
 
 def post_box(rng: np.random.Generator) -> Model:
-    """A post box that looks to +x."""
+    """A post box that faces +x."""
     pieces = Pieces()
     colour = ((0.55, 0.38, 0.02), (0.45, 0.03, 0.02), (0.05, 0.12, 0.32))[int(rng.integers(3))]
     coat = Finish(colour, Material.PAINT, Label.FURNITURE)
@@ -89,7 +89,7 @@ def post_box(rng: np.random.Generator) -> Model:
 
 
 def electrical_box(rng: np.random.Generator) -> Model:
-    """A grey cabinet, on which posters are sometimes stuck."""
+    """A grey cabinet, on some of which posters are stuck."""
     pieces = Pieces()
     half, high = rng.uniform(0.35, 0.7), rng.uniform(1.05, 1.4)
     coat = Finish((0.36, 0.38, 0.36), Material.METAL, Label.FURNITURE, int(rng.integers(1 << 20)))
@@ -105,7 +105,7 @@ def electrical_box(rng: np.random.Generator) -> Model:
 
 
 def bicycle_stands(rng: np.random.Generator) -> Model:
-    """Hoops of steel side by side along y."""
+    """Steel hoops side by side along y."""
     pieces = Pieces()
     for y in np.arange(int(rng.integers(2, 5))) * 0.9:
         ends = (-0.35, y, -0.2), (-0.35, y, 0.8), (0.35, y, 0.8), (0.35, y, -0.2)
@@ -115,7 +115,7 @@ def bicycle_stands(rng: np.random.Generator) -> Model:
 
 
 def cafe_table(rng: np.random.Generator) -> Model:
-    """A small table with chairs, under a parasol now and then."""
+    """A small table with chairs, some under a parasol."""
     pieces = Pieces()
     pieces.prism(_ring(10, 0.34), 0.72, 0.75, _WOOD if rng.random() < 0.5 else _GREY, bottom=True)
     pieces.tube((0, 0, -0.2), (0, 0, 0.72), 0.035, _IRON)
@@ -141,7 +141,7 @@ def cafe_table(rng: np.random.Generator) -> Model:
 
 
 def planter(rng: np.random.Generator) -> Model:
-    """A tub with something green."""
+    """A tub with a plant."""
     pieces = Pieces()
     tub = Finish((0.36, 0.35, 0.33), Material.CONCRETE, Label.FURNITURE)
     half = rng.uniform(0.35, 0.6)
@@ -160,7 +160,7 @@ def planter(rng: np.random.Generator) -> Model:
 
 
 def recycling_bank(rng: np.random.Generator) -> Model:
-    """Containers for glass and paper side by side along y."""
+    """Containers for glass and paper, side by side along y."""
     pieces = Pieces()
     colours = ((0.05, 0.15, 0.08), (0.06, 0.12, 0.26), (0.45, 0.42, 0.36))
     for number, colour in enumerate(colours[: int(rng.integers(2, 4))]):
@@ -178,7 +178,7 @@ def recycling_bank(rng: np.random.Generator) -> Model:
 
 
 def works_barrier(rng: np.random.Generator) -> Model:
-    """Red and white boards on feet, as round road works."""
+    """Red and white barrier boards on feet, as around road works."""
     pieces = Pieces()
     count, width = 5, 0.44
     for number in range(int(rng.integers(1, 3))):
@@ -211,7 +211,7 @@ def cones(rng: np.random.Generator) -> Model:
 
 
 def parking_meter(rng: np.random.Generator) -> Model:
-    """A ticket machine that looks to +x."""
+    """A ticket machine that faces +x."""
     pieces = Pieces()
     coat = Finish((0.10, 0.14, 0.22) if rng.random() < 0.5 else (0.20, 0.21, 0.21), Material.METAL, Label.FURNITURE)
     pieces.block((-0.12, -0.16, FOOT_M), (0.12, 0.16, 1.55), coat)
@@ -227,8 +227,8 @@ PAVEMENT: Final[tuple[Maker, ...]] = (
     bench, bin_, bollards, hydrant, post_box, electrical_box, bicycle_stands, planter, parking_meter, recycling_bank,
     works_barrier, cones,
 )  # fmt: skip
-"""Makers of what stands at the kerb of a town's pavement."""
+"""Builders of furniture at the kerb of a town's pavement."""
 PARK: Final[tuple[Maker, ...]] = (bench, bin_, bicycle_stands, planter, bollards, cafe_table)
-"""Makers of what stands on a campus."""
+"""Builders of furniture on a campus."""
 ROADSIDE: Final[tuple[Maker, ...]] = (electrical_box, cones, works_barrier)
-"""Makers of what stands beside a road through fields."""
+"""Builders of furniture beside a road through fields."""

@@ -1,4 +1,4 @@
-"""Houses: their walls, ground floors, roofs and windows, and what stands far off."""
+"""Houses: walls, ground floors, roofs and windows, and the distant skyline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The body of a house: where its walls stand, and the walls."""
+"""The body of a house: its outline and its walls."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from mirror.synth.street.houses.windows import Windows, grid
 from mirror.synth.textures.catalogue import BILLBOARDS, GRAFFITI, POSTERS
 
 FOOT_M: Final = -1.5
-"""Walls go down as far, since the ground slopes."""
+"""Lower end of the walls, below the ground because the ground slopes."""
 STONE: Final[Colour] = (0.30, 0.29, 0.27)
 
 
 @dataclass(frozen=True)
 class Body:
-    """The walls of a house, in its own frame: the street is towards -y, z = 0 the ground.
+    """The walls of a house, in its own frame: the street is towards -y, the ground at z = 0.
 
     Attributes:
-        left: least x, metres.
-        right: greatest x.
-        front: least y.
-        back: greatest y.
+        left: smallest x, metres.
+        right: largest x.
+        front: smallest y.
+        back: largest y.
         ground_m: height of the first upper floor.
         eaves_m: height of the walls.
-        colour: of the walls.
+        colour: reflectance (r, g, b) of the walls.
         wall: material of walls without windows.
-        front_windows: of the wall towards the street.
-        side_windows: of the other walls.
-        seed: of the textures.
+        front_windows: windows of the wall towards the street.
+        side_windows: windows of the other walls.
+        seed: seed of the textures.
     """
 
     left: float
@@ -48,16 +48,16 @@ class Body:
     seed: int
 
     def finish(self, windows: Windows, number: int = 0) -> Finish:
-        """Of a wall with windows."""
+        """Finish of a wall with windows."""
         return Finish(self.colour, Material.FACADE, Label.BUILDING, self.seed + number, int(windows))
 
     def plain(self, tone: float = 1.0, material: Material | None = None) -> Finish:
-        """Of a wall without windows, lighter or darker by ``tone``."""
+        """Finish of a wall without windows, with its colour scaled by ``tone``."""
         colour = tuple(min(tone * channel, 0.8) for channel in self.colour)
         return Finish(colour, self.wall if material is None else material, Label.BUILDING, self.seed)
 
     def columns(self) -> tuple[list[float], int]:
-        """Middles of the front's columns of windows above the ground floor, x; and how many storeys there are."""
+        """Positions x of the front's window columns above the ground floor, and the number of storeys."""
         columns, storeys = grid(self.front_windows, self.right - self.left, self.eaves_m - self.ground_m)
         pitch = (self.right - self.left) / columns
         return [self.left + (number + 0.5) * pitch for number in range(columns)], storeys
@@ -68,13 +68,13 @@ class Body:
 
 
 def raise_walls(pieces: Pieces, body: Body, rng: np.random.Generator, *, sides_seen: bool) -> None:
-    """The upper storeys of the front, the other walls from the ground up, and their feet.
+    """Add the upper storeys of the front, the other walls from the ground up, and the walls below the ground.
 
     Args:
-        pieces: to add to.
-        body: of the house.
-        rng: chooses what is painted on blind walls.
-        sides_seen: whether the sides have windows; else they are fire walls towards the neighbours.
+        pieces: the faces to add to.
+        body: body of the house.
+        rng: random generator that chooses paintings on blind walls.
+        sides_seen: whether the side walls have windows; otherwise they are fire walls towards the neighbours.
     """
     left, right, front, back = body.left, body.right, body.front, body.back
     if body.eaves_m > body.ground_m:
@@ -93,7 +93,7 @@ def raise_walls(pieces: Pieces, body: Body, rng: np.random.Generator, *, sides_s
 
 
 def _paint(pieces: Pieces, start: tuple[float, float], end: tuple[float, float], rng: np.random.Generator) -> None:
-    """Graffiti, posters or a billboard on a side wall, near the street."""
+    """Add graffiti, posters or a billboard to a side wall, near the street."""
     x, ahead = start[0], 1.0 if end[1] > start[1] else -1.0
     out = x + 0.02 * ahead
     near = min(start[1], end[1]) + rng.uniform(0.4, 1.5)
@@ -104,7 +104,7 @@ def _paint(pieces: Pieces, start: tuple[float, float], end: tuple[float, float],
     elif kind < 0.65:
         numbers, width, height, count = POSTERS, 1.0, 1.5, 3
     else:
-        # A billboard, whose content differs from traversal to traversal.
+        # The billboard's image changes between traversals.
         turns, low, material = 4, rng.uniform(2.8, 3.6), Material.LIT_IMAGE
         numbers, width, height, count = BILLBOARDS[: len(BILLBOARDS) - turns + 1], 5.4, 3.6, 1
     for number in range(count):
@@ -116,7 +116,7 @@ def _paint(pieces: Pieces, start: tuple[float, float], end: tuple[float, float],
 
 
 def cornice(pieces: Pieces, body: Body, proud_m: float = 0.35, high_m: float = 0.35) -> None:
-    """A ledge along the top of the front."""
+    """Add a ledge along the top of the front."""
     low = (body.left, body.front - proud_m, body.eaves_m - high_m)
     pieces.block(low, (body.right, body.front, body.eaves_m), body.plain(1.15), without=("+y",))
     low = (body.left, body.front - 0.5 * proud_m, body.eaves_m - 1.7 * high_m)

@@ -1,4 +1,4 @@
-"""What stands out of a front above the ground floor: balconies and bay windows."""
+"""Parts that project from a front above the ground floor: balconies and bay windows."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _PLASTERED: Final = {
 
 
 def add_balconies(pieces: Pieces, body: Body, rng: np.random.Generator, taken: set[int], most: int = 7) -> None:
-    """Balconies one above the other at some columns of windows.
+    """Add balconies one above the other at some columns of windows.
 
     Args:
-        pieces: to add to.
-        body: of the house.
-        rng: chooses the columns and the railings.
-        taken: columns that have something already; those that get balconies are added.
-        most: so many balconies at most.
+        pieces: the faces to add to.
+        body: body of the house.
+        rng: random generator that chooses the columns and the railings.
+        taken: indices of columns in use; columns that get balconies are added.
+        most: largest number of balconies.
     """
     columns, storeys = body.columns()
     free = [number for number in range(len(columns)) if number not in taken]
@@ -58,17 +58,17 @@ def add_balconies(pieces: Pieces, body: Body, rng: np.random.Generator, taken: s
 def balcony(
     pieces: Pieces, x: float, y: float, floor_m: float, half_m: float, deep_m: float, slab: Finish, railing: Finish
 ) -> None:
-    """A slab with a railing on three sides.
+    """Add a slab with a railing on three sides.
 
     Args:
-        pieces: to add to.
-        x: middle, metres.
-        y: of the wall.
+        pieces: the faces to add to.
+        x: middle of the balcony, metres.
+        y: y of the wall.
         floor_m: height of the slab's top.
-        half_m: half its width.
-        deep_m: how far it stands out.
-        slab: what the slab is made of.
-        railing: what the railing is made of; it is seen from both sides.
+        half_m: half the width.
+        deep_m: depth from the wall.
+        slab: finish of the slab.
+        railing: finish of the railing; both of its sides are visible.
     """
     left, right, front = x - half_m, x + half_m, y - deep_m
     pieces.block((left, front, floor_m - 0.16), (right, y, floor_m), slab, without=("+y",))
@@ -84,12 +84,12 @@ def balcony(
 
 
 def add_bay(pieces: Pieces, body: Body, x: float, half_m: float, *, chamfered: bool) -> None:
-    """A bay window over all upper storeys but the last, with a foot and a roof of its own.
+    """Add a bay window over all upper storeys except the top one, with a foot and its own roof.
 
     Args:
-        pieces: to add to.
-        body: of the house.
-        x: its middle.
+        pieces: the faces to add to.
+        body: body of the house.
+        x: middle of the bay window.
         half_m: half its width along the wall.
         chamfered: whether its sides are turned towards the street.
     """
@@ -100,7 +100,7 @@ def add_bay(pieces: Pieces, body: Body, x: float, half_m: float, *, chamfered: b
     wall, front = body.front, body.front - deep
     corners = [(x - half_m, wall), (x - inner, front), (x + inner, front), (x + half_m, wall)]
     if body.wall == Material.BRICK:
-        # Of the bricks behind it, a bay would hardly be seen from the front.
+        # A brick bay in front of a brick wall would hardly be visible from the front.
         body = replace(body, colour=_PAINTED, wall=Material.PLASTER)
     front_windows = _PLASTERED.get(body.front_windows, body.front_windows)
     side = Windows.SIDE if chamfered else Windows.BLIND

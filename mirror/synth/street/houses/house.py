@@ -1,4 +1,4 @@
-"""A house of a style on a lot."""
+"""Builds a house of a given style on a lot."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def house(
     corner: bool = False,
     detailed: bool = True,
 ) -> Model:
-    """A house: the middle of the lot's front edge at the origin, the street towards -y, z = 0 the ground.
+    """Build a house: the middle of the lot's front edge is the origin, the street towards -y, the ground at z = 0.
 
-    Its walls stand within the lot; balconies, awnings and eaves reach up to 1.3 m over its edges.
+    The walls stand within the lot; balconies, awnings and eaves reach up to 1.3 m beyond its edges.
 
     Args:
-        rng: of all that is left to chance.
-        style: of the house.
-        length_m: of the lot, along x; at least 5.
-        depth_m: of the lot, along y; at least 8.
-        corner: whether the sides of a house in a row are seen, so that they have windows.
-        detailed: whether it is ever seen from near; else it has no shops, doors and balconies.
+        rng: random generator.
+        style: style of the house.
+        length_m: length of the lot along x, at least 5.
+        depth_m: depth of the lot along y, at least 8.
+        corner: whether the sides of a row house are visible and so have windows.
+        detailed: whether the house is visible from nearby; otherwise it has no shops, doors and balconies.
     """
     if style == "farm":
         return farm(rng, length_m, depth_m)
@@ -92,7 +92,7 @@ def _body(rng: np.random.Generator, style: Style, length_m: float, depth_m: floa
 
 
 def _front(pieces: Pieces, body: Body, style: Style, rng: np.random.Generator) -> None:
-    """Bay windows and balconies."""
+    """Add bay windows and balconies."""
     columns, storeys = body.columns()
     taken: set[int] = set()
     if body.eaves_m <= body.ground_m:

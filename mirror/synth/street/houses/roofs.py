@@ -1,4 +1,4 @@
-"""Roofs: flat with what stands on them, gabled, hipped and mansard ones with dormers and chimneys."""
+"""Roofs: flat ones with equipment; gabled, hipped and mansard ones with dormers and chimneys."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _METAL: Final[Colour] = (0.40, 0.41, 0.41)
 
 
 def add_roof(pieces: Pieces, body: Body, kind: RoofKind, rng: np.random.Generator) -> None:
-    """A roof on the walls of a body."""
+    """Add a roof on the walls of a body."""
     tiles = Finish(TILES[int(rng.integers(len(TILES)))], Material.ROOF, Label.BUILDING, body.seed)
     deep = body.back - body.front
     if kind == "flat":
@@ -42,7 +42,7 @@ def add_roof(pieces: Pieces, body: Body, kind: RoofKind, rng: np.random.Generato
 
 
 def _along(pieces: Pieces, body: Body, tiles: Finish, profile: list[tuple[float, float]]) -> None:
-    """A convex profile (distance from the front, height over the eaves) pulled along the street, on fascias."""
+    """Extrude a convex profile (distance from the front, height above the eaves) along the street, with fascias."""
     over = 0.35
     base = body.eaves_m + _FASCIA_M
     left, right = body.left, body.right
@@ -61,7 +61,7 @@ def _along(pieces: Pieces, body: Body, tiles: Finish, profile: list[tuple[float,
 
 
 def _under(pieces: Pieces, low: tuple[float, float], high: tuple[float, float], z: float, finish: Finish) -> None:
-    """A level rectangle that is seen from below."""
+    """Add a horizontal rectangle that faces down."""
     (a, b), (c, d) = low, high
     pieces.face(((a, d, z), (c, d, z), (c, b, z), (a, b, z)), finish)
 
@@ -93,7 +93,7 @@ def _hip(pieces: Pieces, body: Body, tiles: Finish, slope: float) -> None:
 
 
 def _dormers(pieces: Pieces, body: Body, tiles: Finish, slope: float, above_m: float, rng: np.random.Generator) -> None:
-    """Dormers in the front's slope, over columns of windows."""
+    """Add dormers to the front slope, above columns of windows."""
     columns, _ = body.columns()
     chosen = columns[int(rng.integers(2)) :: 2][:4]
     base = body.eaves_m + _FASCIA_M
@@ -122,7 +122,7 @@ def _chimneys(pieces: Pieces, body: Body, ridge_m: float, rng: np.random.Generat
 
 
 def _flat(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
-    """A parapet, and on some roofs a set-back storey, a shaft, air conditioners, an antenna."""
+    """Add a parapet, and on some roofs a set-back storey, a shaft, air conditioners or an antenna."""
     left, right, front, back = body.left, body.right, body.front, body.back
     top = body.eaves_m + 0.55
     pieces.block((left, front, body.eaves_m), (right, back, top), body.plain(), without=("-z", "+z"))

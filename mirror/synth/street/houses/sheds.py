@@ -26,14 +26,14 @@ def _shed(
     gable: Finish,
     roof: Finish,
 ) -> None:
-    """Four walls and a saddle roof whose ridge runs along the longer side."""
+    """Add four walls and a saddle roof; its ridge runs along the longer side."""
     (a, b), (c, d) = low, high
     foot = Finish(STONE, Material.CONCRETE, Label.BUILDING, wall.seed)
     outline = [(a, b), (c, b), (c, d), (a, d)]
     for start, end in zip(outline, outline[1:] + outline[:1]):
         pieces.wall(start, end, FOOT_M, 0.5, foot)
         pieces.wall(start, end, 0.5, eaves_m, wall)
-    # p along the ridge, q across it, turned by 90 degrees where the ridge leads away from the street.
+    # p runs along the ridge and q across it; both are rotated by 90 degrees if the ridge leads away from the street.
     turned = d - b > c - a
     p0, p1, q0, q1 = (b, d, -c, -a) if turned else (a, c, b, d)
 
@@ -50,12 +50,12 @@ def _shed(
 
 
 def farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
-    """A barn with a large door, a farmhouse beside it where there is room, a silo.
+    """Build a barn with a large door, a silo, and a farmhouse where there is room.
 
     Args:
-        rng: of all that is left to chance.
-        length_m: of the lot.
-        depth_m: of the lot.
+        rng: random generator.
+        length_m: length of the lot.
+        depth_m: depth of the lot.
     """
     pieces = Pieces()
     seed = int(rng.integers(1 << 20))
@@ -96,12 +96,12 @@ def farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
 
 
 def warehouse(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
-    """A hall of metal sheets with gates, an office corner and the firm's sign.
+    """Build a hall of metal sheets with gates, an office corner and a company sign.
 
     Args:
-        rng: of all that is left to chance.
-        length_m: of the lot.
-        depth_m: of the lot.
+        rng: random generator.
+        length_m: length of the lot.
+        depth_m: depth of the lot.
     """
     pieces = Pieces()
     seed = int(rng.integers(1 << 20))
@@ -134,12 +134,12 @@ def warehouse(rng: np.random.Generator, length_m: float, depth_m: float) -> Mode
 
 
 def petrol_station(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
-    """A canopy over pumps, a shop behind, a price mast.
+    """Build a canopy over pumps, a shop behind it, and a price mast.
 
     Args:
-        rng: of all that is left to chance.
-        length_m: of the lot.
-        depth_m: of the lot.
+        rng: random generator.
+        length_m: length of the lot.
+        depth_m: depth of the lot.
     """
     pieces = Pieces()
     seed = int(rng.integers(1 << 20))
@@ -188,7 +188,7 @@ def petrol_station(rng: np.random.Generator, length_m: float, depth_m: float) ->
 
 
 def _lights(pieces: Pieces, low: tuple[float, float], high: tuple[float, float], z_m: float, lamp: Finish) -> None:
-    """Lamps under the canopy."""
+    """Add lamps under the canopy."""
     for x in np.linspace(0.8 * low[0], 0.8 * high[0], 4):
         for y in (low[1] + 1.5, high[1] - 1.5):
             left, right, near, far = x - 0.35, x + 0.35, y - 0.35, y + 0.35
@@ -196,7 +196,7 @@ def _lights(pieces: Pieces, low: tuple[float, float], high: tuple[float, float],
 
 
 def _mast(pieces: Pieces, x: float, y: float, image: int, finish: Finish) -> None:
-    """A pole with an advertisement that is seen from both sides along the street."""
+    """Add a pole with an advertisement that is visible from both directions of the street."""
     pieces.tube((x, y, FOOT_M), (x, y, 5.0), 0.12, finish)
     panel = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BILLBOARD, image=image)
     low, high = (x - 0.12, y - 0.9), (x + 0.12, y + 0.9)

@@ -33,7 +33,7 @@ _AWNINGS: Final[tuple[Colour, ...]] = ((0.32, 0.05, 0.04), (0.06, 0.17, 0.10), (
 
 
 def add_shops(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
-    """Shops side by side, with the entrance of the house between them where there is room."""
+    """Add shops side by side, with the house's entrance between them where there is room."""
     at, right = body.left, body.right
     entrance = right - at > 9.0
     door_at = rng.uniform(0.3, 0.7) * (right - at) + at
@@ -86,7 +86,7 @@ def _awning(pieces: Pieces, left: float, right: float, wall: float, high: float,
 
 
 def _blade(pieces: Pieces, x: float, wall: float, low: float, rng: np.random.Generator) -> None:
-    """A sign that stands out from the wall, seen from both sides."""
+    """Add a sign at right angles to the wall, visible from both sides."""
     poster = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BUILDING, image=int(rng.choice(POSTERS)))
     edge = Finish((0.05, 0.05, 0.05), Material.METAL, Label.BUILDING)
     near, far, high = wall - 0.2, wall - 0.75, low + 0.825
@@ -96,7 +96,7 @@ def _blade(pieces: Pieces, x: float, wall: float, low: float, rng: np.random.Gen
 
 
 def _entrance_bay(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, right: float) -> None:
-    """A piece of wall with the door of the house."""
+    """Add a part of the wall with the house's door."""
     front = body.front
     pieces.wall((left, front), (right, front), 0.0, body.ground_m, body.plain())
     pieces.wall((left, front), (right, front), FOOT_M, 0.0, Finish(STONE, Material.CONCRETE, Label.BUILDING, body.seed))
@@ -104,7 +104,7 @@ def _entrance_bay(pieces: Pieces, body: Body, rng: np.random.Generator, left: fl
 
 
 def add_door(pieces: Pieces, body: Body, x: float, rng: np.random.Generator) -> None:
-    """A house door in a portal that stands out a little, and a step."""
+    """Add a house door in a projecting portal, and a step."""
     front, proud = body.front, 0.14
     stone = body.plain(1.12)
     high = 2.75
@@ -120,7 +120,7 @@ def add_door(pieces: Pieces, body: Body, x: float, rng: np.random.Generator) -> 
 
 
 def add_flats(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
-    """Windows on the ground floor over a plinth, and a door in a piece of wall of its own."""
+    """Add ground-floor windows above a plinth, and a door in its own part of the wall."""
     left, right, front = body.left, body.right, body.front
     plinth = Finish(STONE, Material.CONCRETE, Label.BUILDING, body.seed)
     columns, _ = body.columns()
@@ -136,7 +136,7 @@ def add_flats(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
 
 
 def add_lobby(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
-    """A ground floor of glass between pillars, with a porch over the entrance."""
+    """Add a ground floor of glass between pillars, with a porch over the entrance."""
     left, right, front, high = body.left, body.right, body.front, body.ground_m
     glass = Finish((0.10, 0.11, 0.12), Material.FACADE, Label.BUILDING, body.seed + 5, int(Windows.CURTAIN_WALL))
     back = front + 0.6

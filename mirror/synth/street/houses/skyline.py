@@ -1,4 +1,4 @@
-"""What stands far off on all sides, so that no street ends in nothing: blocks of houses, woods, hills."""
+"""The skyline: distant blocks of houses, woods and hills on all sides, so that streets do not end at the horizon."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from mirror.synth.model import Finish, Label, Material, Model, Pieces
 from mirror.synth.street.houses.windows import Windows
 
 Height = Callable[[float, float], Float64]
-"""Of the ground at a place."""
+"""Height of the ground at (x, y), metres."""
 
 
 def far_houses(
     rng: np.random.Generator, near_m: float, far_m: float, tall_m: tuple[float, float], height_m: Height
 ) -> Model:
-    """A ring of house blocks about the origin, two deep, the higher ones behind.
+    """Build a ring of house blocks around the origin, in two rows, with the higher blocks in the outer row.
 
     Args:
-        rng: of all that is left to chance.
+        rng: random generator.
         near_m: distance of the nearest fronts.
-        far_m: distance of the farthest.
-        tall_m: least and greatest height.
-        height_m: of the ground.
+        far_m: distance of the farthest fronts.
+        tall_m: smallest and largest height.
+        height_m: height of the ground.
     """
     pieces = Pieces()
     for row, (distance, most) in enumerate(((near_m, 0.5), (0.5 * (near_m + far_m), 1.0))):
@@ -43,7 +43,7 @@ def far_houses(
             block = Pieces()
             roof = Finish((0.14, 0.10, 0.09) if rng.random() < 0.5 else (0.12,) * 3, Material.ROOF, Label.BUILDING)
             half, deep, foot = 0.5 * wide, 12.0, -12.0
-            # Its front looks to the origin, which lies towards its own -x.
+            # The front faces the origin, which is towards the block's own -x.
             block.wall((0.0, half), (0.0, -half), foot, tall, wall)
             block.wall((0.0, -half), (deep, -half), foot, tall, wall)
             block.wall((deep, half), (0.0, half), foot, tall, wall)
@@ -66,14 +66,14 @@ def far_houses(
 def far_woods(
     rng: np.random.Generator, near_m: float, far_m: float, tall_m: tuple[float, float], height_m: Height
 ) -> Model:
-    """Rings of trees about the origin, paler with distance, as upright outlines that look inwards.
+    """Build rings of trees around the origin as upright outlines that face inwards, paler with distance.
 
     Args:
-        rng: of all that is left to chance.
+        rng: random generator.
         near_m: distance of the nearest ring.
-        far_m: distance of the farthest, which stands on hills.
-        tall_m: least and greatest height of trees.
-        height_m: of the ground.
+        far_m: distance of the farthest ring, which stands on hills.
+        tall_m: smallest and largest height of the trees.
+        height_m: height of the ground.
     """
     pieces = Pieces()
     rings = 3

@@ -1,4 +1,4 @@
-"""Styles of houses: how many storeys, which walls, roofs, ground floors and colours."""
+"""Styles of houses: numbers of storeys, walls, roofs, ground floors and colours."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BRICKS: Final[tuple[Colour, ...]] = (
     (0.41, 0.29, 0.19),
     (0.20, 0.17, 0.15),
 )
-"""Colours of all walls of bricks."""
+"""Colours of brick walls."""
 _MODERN: Final[tuple[Colour, ...]] = (
     (0.55, 0.55, 0.53),
     (0.30, 0.30, 0.31),
@@ -51,23 +51,23 @@ TILES: Final[tuple[Colour, ...]] = ((0.24, 0.10, 0.065), (0.19, 0.085, 0.06), (0
 
 @dataclass(frozen=True)
 class Style:
-    """What the houses of one style have in common.
+    """Properties that the houses of one style share.
 
     Attributes:
-        storeys: fewest and most above the ground floor.
-        depth_m: least and most.
-        fronts: walls towards the street, one of which is taken.
-        sides: the other walls.
+        storeys: smallest and largest number of storeys above the ground floor.
+        depth_m: smallest and largest depth.
+        fronts: windows of the wall towards the street; one is chosen.
+        sides: windows of the other walls.
         wall: material of gables and other walls without windows.
-        colours: of walls that are not of bricks, one of which is taken.
-        roofs: kinds, one of which is taken.
-        ground: kinds of ground floor, one of which is taken.
-        ground_m: its height.
+        colours: colours of walls that are not brick; one is chosen.
+        roofs: kinds of roof; one is chosen.
+        ground: kinds of ground floor; one is chosen.
+        ground_m: height of the ground floor.
         balconies: share of the houses with balconies.
         bays: share of the houses with bay windows.
-        cornice: whether there is one under the roof.
-        free: whether all four sides are seen.
-        set_back_m: of the front from the lot's edge, least and most.
+        cornice: whether there is a cornice under the roof.
+        free: whether all four sides are visible.
+        set_back_m: smallest and largest distance of the front from the lot's edge.
     """
 
     storeys: tuple[int, int]
@@ -121,4 +121,4 @@ STYLES: Final[dict[HouseStyle, Style]] = {
         ((0.10, 0.13, 0.15), (0.13, 0.13, 0.13), (0.22, 0.25, 0.27)), ("flat",), ("lobby",), 4.8, free=True,
     ),
 }  # fmt: skip
-"""Of the houses with storeys; farms, warehouses and petrol stations are built of their own parts."""
+"""Styles of houses with storeys; farms, warehouses and petrol stations have their own builders."""

@@ -1,4 +1,4 @@
-"""How the windows of a wall are made: the rows that a face's layout names."""
+"""Window patterns of walls: the rows that a FACADE face's layout refers to."""
 
 from __future__ import annotations
 
@@ -12,68 +12,68 @@ from mirror.synth.textures.catalogue import Grain
 
 
 class Windows(IntEnum):
-    """A wall with windows, as the ``layout`` of a FACADE face."""
+    """Kinds of windows of a wall, stored as the ``layout`` of a FACADE face."""
 
     BLIND = 0
-    """None: plaster."""
+    """No windows: plaster."""
     BLIND_BRICK = 1
     TALL = 2
-    """Tall casements with a surround: stucco of the 19th century."""
+    """Tall casements with a surround, as in stucco of the 19th century."""
     TALL_BRICK = 3
     SASH = 4
-    """Many small panes."""
+    """Sash windows with many small panes."""
     SASH_BRICK = 5
     MODERN = 6
     """Broad dark panes."""
     MODERN_BRICK = 7
     PANEL = 8
-    """Slabs of concrete with joints."""
+    """Concrete slabs with joints."""
     RIBBON = 9
-    """Long rows of panes, offices and schools."""
+    """Long rows of panes, as in offices and schools."""
     CURTAIN_WALL = 10
-    """Glass from edge to edge."""
+    """Glass across the whole wall."""
     COTTAGE = 11
     """Small windows with shutters."""
     COTTAGE_BRICK = 12
     SIDE = 13
-    """Few small windows: sides and backs."""
+    """Few small windows, for sides and backs."""
     SIDE_BRICK = 14
     LOFT = 15
-    """Large iron windows of small panes: workshops."""
+    """Large iron windows with small panes, as in workshops."""
     CLADDING = 16
-    """Sheets of metal without windows."""
+    """Metal sheets without windows."""
     BOARDS = 17
-    """Wooden boards without windows: barns."""
+    """Wooden boards without windows, as in barns."""
     FAR = 18
-    """Of a far house."""
+    """Windows of a distant house."""
     DORMER = 19
-    """One small window that fills its wall."""
+    """One small window that fills the wall."""
 
 
 class Pattern(NamedTuple):
-    """One row: lengths in metres, shares of 1.
+    """One row of the pattern table; lengths in metres, shares from 0 to 1.
 
     Attributes:
-        grain: of the wall, a :class:`Grain`.
-        storey_m: height of a storey, about: a face holds a whole number of them.
-        pitch_m: from window to window, about: a face holds a whole number of them.
-        width_m: of a window; 0: none.
-        height_m: of a window.
-        sill_m: from the floor to the window's foot.
-        panes: beside each other.
-        transom: from the window's top down to a bar, as a share of its height; 0: none.
-        frame_m: width of a frame.
-        frame: reflectance of frames.
-        surround_m: width of the frame about a window, in the wall.
-        trim: how far surrounds and string courses are from the wall's colour to a light one.
+        grain: surface of the wall, a :class:`Grain`.
+        storey_m: approximate height of a storey; a face holds a whole number of storeys.
+        pitch_m: approximate distance between windows; a face holds a whole number of them.
+        width_m: width of a window; 0: no windows.
+        height_m: height of a window.
+        sill_m: distance from the floor to the window's lower edge.
+        panes: number of panes side by side.
+        transom: distance from the window's top to a horizontal bar, as a share of its height; 0: no bar.
+        frame_m: width of the frame.
+        frame: reflectance of the frame.
+        surround_m: width of the surround in the wall.
+        trim: colour of surrounds and string courses, from 0 (the wall's colour) to 1 (a light colour).
         course_m: height of the string course at the foot of each storey.
         joint_m: width of the joints between storeys and columns.
         shutter_m: width of a shutter on either side.
         curtains: share of windows with curtains or blinds.
         glass: reflectance behind bare panes by day.
-        gloss: of panes.
-        lit: share of windows that are lit at night, against the setting's.
-        cool: share of those that are lit in cold white.
+        gloss: mirror reflectance of the panes.
+        lit: share of windows that are lit at night, relative to the share of the lighting setting.
+        cool: share of the lit windows with cold white light.
     """
 
     grain: Grain
@@ -145,16 +145,16 @@ PATTERNS: Final[dict[Windows, Pattern]] = {
     Windows.FAR: Pattern(Grain.PLASTER, 3.2, 3.0, 1.5, 1.7, 0.8, panes=1, frame=0.4, curtains=0.5, gloss=0.08, lit=0.8),
     Windows.DORMER: Pattern(Grain.PLASTER, 1.6, 1.4, 0.95, 1.05, 0.25, frame_m=0.055, frame=0.7),
 }  # fmt: skip
-"""A row for each :class:`Windows`."""
+"""The row of each :class:`Windows`."""
 
 
 def pattern_table() -> Records:
-    """(rows,) of :class:`Pattern`'s fields, for compiled kernels."""
+    """The patterns as a record array (rows,) with :class:`Pattern`'s fields, for compiled kernels."""
     kind = np.dtype([(name, np.int64 if name in ("grain", "panes") else np.float64) for name in Pattern._fields])
     return np.array([tuple(PATTERNS[row]) for row in Windows], kind)
 
 
 def grid(windows: Windows, width_m: float, height_m: float) -> tuple[int, int]:
-    """Columns and storeys of windows on a face; the looks count alike."""
+    """Numbers of columns and storeys of windows on a face; the renderer computes the same numbers."""
     pattern = PATTERNS[windows]
     return max(int(width_m / pattern.pitch_m + 0.5), 1), max(int(height_m / pattern.storey_m + 0.5), 1)

@@ -1,4 +1,4 @@
-"""A scene's static world: its plan with houses, furniture, plants, parked cars and what stands far off."""
+"""The static world of a scene: its plan with houses, furniture, plants, parked cars and the skyline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lamps, lights, signs and all that stands at a plan's spots."""
+"""Places lamps, lights, signs and small furniture at a plan's spots."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SIGNS: Final[dict[str, tuple[tuple[Sign, ...], ...]]] = {
     "rural": ((Sign.SPEED_80,), (Sign.BEND,), (Sign.BEND, Sign.SPEED_50), (Sign.PRIORITY,)),
     "highway": ((Sign.SPEED_120,), (Sign.SPEED_80,)),
 }  # fmt: skip
-"""On poles at spots for signs, one of which is taken."""
+"""Combinations of signs on a pole; one is chosen for each sign spot."""
 
 _THINGS: Final[dict[str, tuple[Maker, ...]]] = {
     "urban": (
@@ -39,30 +39,30 @@ _THINGS: Final[dict[str, tuple[Maker, ...]]] = {
     "rural": (*furniture.ROADSIDE, furniture.billboard),
     "highway": (furniture.electrical_box, furniture.high_billboard),
 }  # fmt: skip
-"""Makers of what stands at spots for small things, one of which is taken; some are named twice, being more common."""
+"""Builders of small furniture; one is chosen for each spot. Common ones are listed twice."""
 
 _TO_TRAFFIC: Final = frozenset((furniture.billboard, furniture.high_billboard, furniture.city_light))
-"""Look to the traffic that comes, not to the road."""
+"""Objects that face oncoming traffic instead of the road."""
 _AWAY_M: Final[dict[Maker, float]] = {
     furniture.billboard: 2.6,
     furniture.high_billboard: 7.5,
     furniture.cafe_table: 0.75,
     furniture.advertising_column: 0.4,
 }
-"""How much farther from the road than the spot they stand, being wide."""
+"""Additional distance of wide objects from the road, metres."""
 _MAIN_REACH_M: Final = 3.0
-"""Spots so far from the next lane are on main streets."""
+"""Spots with a larger reach than this belong to main streets."""
 _SHELTERS: Final = 3
 
 
 @dataclass(frozen=True)
 class Furniture:
-    """What stands at spots.
+    """Furniture at the spots of a plan.
 
     Attributes:
-        lamps: street lamps, in the world.
-        signals: groups of traffic lights and the lights, in the world.
-        others: all else.
+        lamps: street lamps, in the world frame.
+        signals: signal groups and their traffic lights, in the world frame.
+        others: all other models.
     """
 
     lamps: tuple[LampPost, ...]
@@ -71,11 +71,11 @@ class Furniture:
 
 
 def furnish(plan: Plan, seed: int) -> Furniture:
-    """Furniture for a plan's spots and rails.
+    """Build furniture for a plan's spots and rails.
 
     Args:
-        plan: of the scene.
-        seed: of all that is left to chance.
+        plan: plan of the scene.
+        seed: seed of all random choices.
     """
     lamps: list[LampPost] = []
     signals: list[tuple[int, SignalHead]] = []
@@ -104,7 +104,7 @@ def furnish(plan: Plan, seed: int) -> Furniture:
 
 
 def _thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
-    """A sign or a small thing."""
+    """A sign or small object at a spot."""
     if spot.kind == "furniture":
         makers = _THINGS[plan.kind]
         maker = makers[int(rng.integers(len(makers)))]
@@ -159,11 +159,11 @@ def _is_main(spot: Spot) -> bool:
 
 
 def _aside(spot: Spot) -> float:
-    """On which side, 1 or -1 along y, the road is of what looks to the traffic."""
+    """The side, 1 or -1 along y, on which an object that faces the traffic has the road."""
     return math.copysign(1.0, math.sin(spot.yaw_rad - spot.facing_rad))
 
 
 def _at(spot: Spot, model: Model, yaw_rad: float, *, away_m: float = 0.0) -> Model:
-    """A model at a spot, or ``away_m`` farther from the road."""
+    """A model moved to a spot, or ``away_m`` farther from the road."""
     place: Float64 = spot.place - away_m * np.array([math.cos(spot.yaw_rad), math.sin(spot.yaw_rad), 0.0])
     return model.standing(float(place[0]), float(place[1]), float(place[2]), yaw_rad)

@@ -1,4 +1,4 @@
-"""Parked vehicles."""
+"""Places parked vehicles on parking lanes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _BAY_M: Final = 6.2
 _TAKEN: Final = 0.62
 _VANS: Final = 0.12
 _MADE: Final = 16
-"""So many bodies are made; each stands in several places, under another plate."""
+"""Number of different bodies; each is parked at several places with different number plates."""
 
 
 def parked_on(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
-    """Vehicles on a plan's parking lanes, in driving direction.
+    """Place vehicles on a plan's parking lanes, in driving direction.
 
     Args:
-        plan: of the scene.
-        seed: of all that is left to chance.
+        plan: plan of the scene.
+        seed: seed of all random choices.
     """
     lanes = [lane for lane in plan.network.lanes.values() if lane.use == "park"]
     if not lanes:
@@ -44,7 +44,7 @@ def parked_on(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
 
 
 def _bays(plan: Plan, lane: Lane, rng: np.random.Generator) -> Iterator[Placement]:
-    """Placements of those that take a bay of a lane."""
+    """Yield placements for the occupied bays of a lane."""
     for bay in range(int((lane.length_m - 1.0) / _BAY_M)):
         taken, jitter = rng.random() < _TAKEN, rng.uniform(-0.35, 0.35, 2)
         if not taken:
@@ -64,7 +64,7 @@ def _bays(plan: Plan, lane: Lane, rng: np.random.Generator) -> Iterator[Placemen
 
 
 def _plated(body: Body, rng: np.random.Generator) -> Body:
-    """The same body under another number plate."""
+    """The same body with another number plate."""
     faces = body.model.faces.copy()
     plates = (faces["material"] == Material.IMAGE) & np.isin(faces["image"], PLATES) & (faces["label"] >= Label.CAR)
     faces["image"][plates] = int(rng.choice(PLATES))

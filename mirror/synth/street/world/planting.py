@@ -1,4 +1,4 @@
-"""Trees at a plan's spots, and what grows on its open land."""
+"""Plants trees at a plan's spots, and trees, bushes and hedges on its open land."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from mirror.synth.street.plants import STREET_TREES, Kind, bush, hedge, tree
 _FIELD_TREES: Final[tuple[Kind, ...]] = ("oak", "birch", "poplar", "spruce", "pine", "lime")
 _GARDEN_TREES: Final[tuple[Kind, ...]] = ("oak", "plane", "birch", "cherry", "pine", "cypress")
 _GROWN: Final = 4
-"""So many of each kind are grown; they stand turned in many places."""
+"""Number of models per kind of tree; each is planted at many places with random rotations."""
 _LOOSE: Final = {"urban": (30, 30), "campus": (90, 70), "rural": (110, 60), "highway": (90, 50)}
-"""Trees and bushes that stand on open land."""
+"""Numbers of trees and of bushes on open land."""
 _CLEAR_M: Final = {"urban": 2.5, "campus": 4.0, "rural": 5.0, "highway": 12.0}
-"""Distance of these from roads and houses."""
+"""Smallest distance of these from roads and houses, metres."""
 _SEEN_WELL_M: Final = 25.0
 _ROAD_M: Final = {"urban": 0.9, "campus": 0.9, "rural": 3.0, "highway": 8.0}
-"""Distance of the trees at spots from the carriageway."""
+"""Distance of the trees at spots from the carriageway, metres."""
 
 
 def plants_of(plan: Plan, seed: int) -> Iterator[Model]:
-    """Trees, bushes and hedges in full leaf, in the world.
+    """Yield trees, bushes and hedges in full leaf, in the world frame.
 
     Args:
-        plan: of the scene.
-        seed: of all that is left to chance.
+        plan: plan of the scene.
+        seed: seed of all random choices.
     """
     rng = np.random.default_rng([seed, 24])
     streets = [str(kind) for kind in rng.choice(STREET_TREES, 2, replace=False)]
@@ -62,13 +62,13 @@ def plants_of(plan: Plan, seed: int) -> Iterator[Model]:
 
 
 def _is_near(plan: Plan, place: Float64) -> bool:
-    """Whether a place is ever seen from near: within the ROI or just beyond, and not far off the roads."""
+    """Whether a position is visible from nearby: within or just outside the ROI, and near the roads."""
     within = float(np.hypot(place[0], place[1])) < plan.roi.radius_m + _SEEN_WELL_M
     return within and plan.roads.distance(shapely.Point(place[:2])) < _SEEN_WELL_M
 
 
 def _thinned(model: Model) -> Model:
-    """A tree as it may be where it is never seen from near: a third of its leaves about a larger inside."""
+    """A cheaper tree for distant places: a third of its leaves around a larger inside."""
     leaves = np.flatnonzero(model.faces["material"] == Material.LEAVES)
     kept = np.ones(len(model.faces), np.bool_)
     kept[leaves] = np.arange(len(leaves)) % 3 == 0
@@ -86,7 +86,7 @@ def _turned(model: Model, place: Float64, rng: np.random.Generator) -> Model:
 
 
 def _open_places(plan: Plan, number: int, rng: np.random.Generator) -> Float64:
-    """Places (N, 3) on open land, in loose groups."""
+    """Positions (N, 3) on open land, in loose groups."""
     reach = plan.roi.radius_m + 60.0
     middles = rng.uniform(-reach, reach, (number, 2))
     near = middles[rng.integers(number, size=6 * number)] + rng.normal(0.0, 7.0, (6 * number, 2))
@@ -96,7 +96,7 @@ def _open_places(plan: Plan, number: int, rng: np.random.Generator) -> Float64:
 
 
 def _hedges(line: Float64, rng: np.random.Generator) -> Iterator[Model]:
-    """Hedges from point to point of a line."""
+    """Yield hedges along the segments of a line."""
     for start, end in pairwise(line):
         step = end - start
         length = float(np.hypot(step[0], step[1]))

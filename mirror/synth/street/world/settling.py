@@ -1,4 +1,4 @@
-"""Houses on a plan's lots."""
+"""Places houses on a plan's lots."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ _STYLES: Final[dict[str, dict[str, Shares]]] = {
     "rural": {"farm": {"detached": 0.6, "farm": 0.4}, "yard": {"farm": 0.7, "detached": 0.3}},
     "highway": {"works": {"warehouse": 0.65, "hall": 0.2, "station": 0.15}},
 }
-"""Shares of the styles by kind of scene and of lot."""
+"""Shares of the house styles, by kind of scene and kind of lot."""
 
 _SEEN_WELL_M: Final = 30.0
-"""Beyond the ROI houses are seen in detail so far."""
+"""Houses up to this distance outside the ROI are detailed."""
 
 
 def houses_of(plan: Plan, seed: int) -> Iterator[Model]:
-    """A house for each lot, in the world; those that are never seen from near have less detail.
+    """Yield a house for each lot, in the world frame; distant ones have less detail.
 
     Args:
-        plan: of the scene.
-        seed: of all that is left to chance.
+        plan: plan of the scene.
+        seed: seed of all random choices.
     """
     for number, lot in enumerate(plan.lots):
         rng = np.random.default_rng([seed, 21, number])
@@ -56,7 +56,7 @@ def houses_of(plan: Plan, seed: int) -> Iterator[Model]:
 
 
 def _standing(plan: Plan, lot: Lot, model: Model) -> Model:
-    """A house in the world, as high as the highest ground along its front."""
+    """A house in the world frame, at the highest ground along its front."""
     along = np.array([math.cos(lot.yaw_rad), math.sin(lot.yaw_rad)])
     places = lot.origin[:2] + 0.5 * lot.length_m * np.array([[-1.0], [-0.5], [0.0], [0.5], [1.0]]) * along
     height = float(plan.height_m(places[:, 0], places[:, 1]).max())
@@ -64,7 +64,7 @@ def _standing(plan: Plan, lot: Lot, model: Model) -> Model:
 
 
 def _front_fence(plan: Plan, lot: Lot, rng: np.random.Generator) -> Model:
-    """A fence or wall along the front of a garden, with a way in on one side."""
+    """A fence or wall along the front of a garden, with an opening on one side."""
     along = np.array([math.cos(lot.yaw_rad), math.sin(lot.yaw_rad)])
     ends = (-0.5, 0.28) if rng.random() < 0.5 else (-0.28, 0.5)
     places = lot.origin[:2] + lot.length_m * np.linspace(*ends, 6)[:, None] * along

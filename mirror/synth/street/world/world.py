@@ -1,4 +1,4 @@
-"""A scene's static world."""
+"""Builds a scene's static world."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from mirror.synth.street.world.planting import plants_of
 from mirror.synth.street.world.settling import houses_of
 
 AMBER_S: Final = 3.0
-"""Amber follows a signal's green for so long."""
+"""Duration of amber after a signal's green."""
 READY_S: Final = 1.0
-"""Red and amber come before it for so long."""
+"""Duration of red and amber before a signal's green."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Lights:
     """The lamps of one signal group, as faces of the world's model.
 
     Attributes:
-        red: red ones.
-        amber: amber ones.
-        green: green ones.
+        red: indices of the red lamps.
+        amber: indices of the amber lamps.
+        green: indices of the green lamps.
     """
 
     red: Int64
@@ -44,16 +44,16 @@ class Lights:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """All that stands still in a scene, in its world frame: east, north, up, metres, the origin at the ROI's centre.
+    """All static objects of a scene, in its world frame: east, north, up, metres, the origin at the ROI's centre.
 
     Attributes:
-        plan: of the scene.
-        model: ground, houses, furniture, plants in full leaf, what stands far off. Plants come last: taking leaves away
-            does not change the other faces' numbers.
-        lamps: (M, 3) places of street lamps' lights.
-        lights: lamps of traffic lights by signal group.
-        parked: parked vehicles, whose bodies are not in ``model``.
-        seed: of all that was left to chance.
+        plan: plan of the scene.
+        model: ground, houses, furniture, plants in full leaf, and skyline. Plants come last, so that removing leaves
+            does not change the indices of the other faces.
+        lamps: (M, 3) light sources of the street lamps, metres.
+        lights: lamps of the traffic lights, by signal group.
+        parked: parked vehicles; their bodies are not part of ``model``.
+        seed: seed of all random choices.
     """
 
     plan: Plan
@@ -65,7 +65,7 @@ class World:
 
     @property
     def roi(self) -> Roi:
-        """The scene."""
+        """The region of interest."""
         return self.plan.roi
 
     @property
@@ -80,19 +80,19 @@ class World:
 
     @property
     def layouts(self) -> Records:
-        """Markings, by the ``layout`` of the carriageways' faces."""
+        """Marking layouts, indexed by the ``layout`` of the carriageways' faces."""
         return self.plan.layouts
 
     def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
-        """Heights (...,) of the ground at places.
+        """Heights (...,) of the ground at positions.
 
         Raises:
-            UsageError: a place is off the ground, or not finite.
+            UsageError: a position is outside the ground, or not finite.
         """
         return self.plan.height_m(x_m, y_m)
 
     def burning(self, time_s: float) -> Int64:
-        """Faces of the model that are burning lamps of traffic lights, at a time of the signals' cycle."""
+        """Faces of traffic lights that are lit at a time of the signals' cycle."""
         network, found = self.plan.network, [np.zeros(0, np.int64)]
         for group, lights in self.lights.items():
             start, end = network.green_s[group]
@@ -112,12 +112,12 @@ def build_world(roi: Roi, yaw_deg: float, seed: int) -> World:
     """Build a scene's world.
 
     Args:
-        roi: its radius sets the extent, its ``scene_type`` the kind; default: urban.
+        roi: the region of interest; its radius sets the extent, its ``scene_type`` the kind (default: urban).
         yaw_deg: direction of the main street at the centre, counter-clockwise from east.
-        seed: of all that is left to chance.
+        seed: seed of all random choices.
 
     Raises:
-        UsageError: the ROI is smaller than a crossing, or larger than the land that can be laid.
+        UsageError: the ROI's radius is below 50 or above 400 m.
     """
     plan = plan_scene(roi, yaw_deg, seed)
     things = furnish(plan, seed)
@@ -138,7 +138,7 @@ def build_world(roi: Roi, yaw_deg: float, seed: int) -> World:
 
 
 def _lights(things: Furniture) -> dict[int, Lights]:
-    """Lamps by group; the traffic lights' faces come first in the world's model."""
+    """Lamps of the traffic lights by signal group; their faces come first in the world's model."""
     found: dict[int, list[tuple[Int64, Int64, Int64]]] = {}
     first = 0
     for group, head in things.signals:
@@ -148,7 +148,7 @@ def _lights(things: Furniture) -> dict[int, Lights]:
 
 
 def _backdrop(plan: Plan, seed: int) -> list[Model]:
-    """What stands far off on all sides."""
+    """The skyline on all sides."""
     rng = np.random.default_rng([seed, 28])
     radius = plan.roi.radius_m
     if plan.kind == "urban":

@@ -102,5 +102,5 @@ def test_plain_seeds_are_evergreen_and_seasons_outside_a_year_are_refused() -> N
     assert (crown_share(np.arange(5), 0.0) == 1.0).all()
     assert (leaf_seeds(np.random.default_rng(0), Species.OAK, 9) >> 24 == Species.OAK).all()
     for season in (-0.1, 1.0, float("nan")):
-        with pytest.raises(UsageError, match="part of the year"):
+        with pytest.raises(UsageError, match="fraction of the year"):
             foliage(Model.empty(), season, 0)

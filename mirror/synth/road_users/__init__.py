@@ -1,1 +1,1 @@
-"""Road users: bodies of vehicles and people, and where they are at any time."""
+"""Road users: bodies of vehicles and people, and their motions."""

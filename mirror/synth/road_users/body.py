@@ -1,4 +1,4 @@
-"""What a road user is: a body, a motion and a name."""
+"""Road users: a body, a motion and an id."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mirror.synth.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What a road user looks like, in its own frame: x forward, y left, z up, origin on the ground below its centre.
+    """Shape of a road user in its own frame: x forward, y left, z up, origin on the ground below its centre.
 
     Attributes:
-        category: the class in its 3D boxes.
-        size_m: length, width, height of its 3D box, which stands on the origin.
-        model: within the box to a millimetre.
+        category: class of its 3D boxes.
+        size_m: length, width and height of its 3D box, which stands on the origin.
+        model: its faces, which stay within the box to 1 mm.
     """
 
     category: str
@@ -28,12 +28,12 @@ class Body:
     model: Model
 
     def posed(self, placement: Placement) -> Model:
-        """The model as it moves, within the box too: people walk, all others keep their shape."""
+        """The model in the pose of a placement, within the box: people walk, all others are rigid."""
         return self.model
 
 
 def boxed(category: str, model: Model) -> Body:
-    """The body of a model with the least box about it, its origin moved below the box's middle."""
+    """Make a body from a model: compute its bounding box and move the origin below the box's middle."""
     low, high = model.bounds()
     middle = 0.5 * (low[0] + high[0])
     size = float(high[0] - low[0]), 2.0 * float(max(high[1], -low[1])), float(high[2])
@@ -42,13 +42,13 @@ def boxed(category: str, model: Model) -> Body:
 
 @dataclass(frozen=True)
 class Saddle:
-    """Where somebody sits on a two-wheeler: places in the body's frame, metres.
+    """The rider's contact points on a two-wheeler, in the body's frame, metres.
 
     Attributes:
-        hip: where the pelvis rests on the saddle; its y is 0.
-        hand: the left grip; the right one mirrors it.
-        foot: the left pedal or peg, under the sole.
-        foot_right: the right one: pedals are half a turn apart.
+        hip: position of the pelvis on the saddle; its y is 0.
+        hand: position of the left grip; the right one is its mirror image.
+        foot: position of the left pedal or peg, under the sole.
+        foot_right: position of the right pedal or peg; pedals are half a turn apart.
     """
 
     hip: tuple[float, float, float]
@@ -59,17 +59,17 @@ class Saddle:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a road user is at an instant, in the world.
+    """Pose and motion of a road user at one time, in the world frame.
 
     Attributes:
-        x_m: of the body's origin, to the east.
-        y_m: to the north.
+        x_m: east coordinate of the body's origin.
+        y_m: north coordinate of the body's origin.
         z_m: height of the ground there.
-        yaw_rad: counter-clockwise from east.
-        pitch_rad: nose upwards.
-        roll_rad: left side upwards.
-        speed_mps: forwards.
-        along_m: how far it has moved: people set their feet by it.
+        yaw_rad: heading, counter-clockwise from east.
+        pitch_rad: pitch, positive with the nose up.
+        roll_rad: roll, positive with the left side up.
+        speed_mps: forward speed.
+        along_m: distance travelled; it determines the phase of a walk.
     """
 
     x_m: float
@@ -83,12 +83,12 @@ class Placement:
 
     @property
     def translation(self) -> Float64:
-        """(3,) of ``world_SE3_body``."""
+        """Translation (3,) of ``world_SE3_body``."""
         return np.array([self.x_m, self.y_m, self.z_m])
 
     @property
     def rotation(self) -> Float64:
-        """(3, 3) of ``world_SE3_body``: roll first, then pitch, then yaw."""
+        """Rotation (3, 3) of ``world_SE3_body``: roll first, then pitch, then yaw."""
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         up_cos, up_sin = math.cos(self.pitch_rad), math.sin(self.pitch_rad)
         roll_cos, roll_sin = math.cos(self.roll_rad), math.sin(self.roll_rad)
@@ -101,32 +101,32 @@ class Placement:
         )
 
     def world_SE3_body(self) -> Poses:  # noqa: N802
-        """Its pose."""
+        """The pose of the body in the world."""
         return Poses(quaternion_from_matrix(self.rotation[None]), self.translation[None])
 
 
 class Motion(Protocol):
-    """Where something is at any time of a drive."""
+    """The placement of a road user at any time of a drive."""
 
     def at(self, time_s: float) -> Placement:
-        """The placement ``time_s`` after the drive's start."""
+        """The placement ``time_s`` seconds after the drive's start."""
         ...
 
 
 @dataclass(frozen=True)
 class StaticMotion:
-    """Standing where it is: parked cars."""
+    """A motion that stays at one placement, as of parked cars."""
 
     placement: Placement
 
     def at(self, time_s: float) -> Placement:
-        """The placement, at all times."""
+        """The placement; it is the same at all times."""
         return self.placement
 
 
 @dataclass(frozen=True, eq=False)
 class RoadUser:
-    """One road user of a drive: its boxes carry ``track_id``."""
+    """One road user of a drive; its boxes carry ``track_id``."""
 
     track_id: str
     body: Body

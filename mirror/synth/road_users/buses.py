@@ -33,17 +33,17 @@ _LIVERIES: Final[tuple[tuple[tuple[float, float, float], tuple[float, float, flo
     ((0.05, 0.16, 0.36), (0.03, 0.05, 0.09)),
     ((0.62, 0.60, 0.52), (0.03, 0.22, 0.14)),
 )
-"""Upper and lower colours."""
+"""Colours of the upper and the lower body."""
 _DISPLAY: Final = Finish((0.42, 0.25, 0.03), Material.PLAIN)
 
 
 def bus(rng: np.random.Generator) -> Body:
-    """A city bus or, now and then, a coach."""
+    """Build a city bus or, less often, a coach."""
     return city_bus(rng) if rng.random() < 0.8 else coach(rng)
 
 
 def city_bus(rng: np.random.Generator) -> Body:
-    """Low floor, three doors on the right, large windows, a route's display."""
+    """Build a city bus: low floor, three doors on the right, large windows, a destination display."""
     upper, lower = _LIVERIES[int(rng.integers(len(_LIVERIES)))]
     length = float(rng.choice((10.6, 12.0)))
     shape = bus_shape(length, 3.0, waist=1.10, overhangs=(2.7, 3.1))
@@ -62,7 +62,7 @@ def city_bus(rng: np.random.Generator) -> Body:
 
 
 def coach(rng: np.random.Generator) -> Body:
-    """High, with luggage under dark windows."""
+    """Build a coach: high, with luggage space under dark windows."""
     shape = bus_shape(12.4, 3.65, waist=1.72, overhangs=(2.6, 3.4))
     sheets = Sheets(Label.BUS, int(rng.integers(1 << 30)))
     coat = car_paint(rng)
@@ -77,7 +77,7 @@ _ROOF_SIDES: Final = (Side.FRONT, Side.BACK, Side.LEFT, Side.RIGHT, Side.TOP)
 def bus_shape(
     length: float, height: float, *, waist: float, overhangs: tuple[float, float], width: float = 2.53
 ) -> Shape:
-    """A box on two axles, from a few measures in metres: overhangs are in front and behind."""
+    """Shape of a box on two axles; lengths in metres, overhangs at the front and at the back."""
     end = 0.5 * length
     axles = end - overhangs[0], overhangs[1] - end
     return Shape(
@@ -104,7 +104,7 @@ def bus_shape(
 
 
 def bus_body(sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, pitch_m: float) -> None:
-    """Add the body with its rows of windows, a pillar every ``pitch_m``."""
+    """Add the body with its rows of windows and a pillar every ``pitch_m``."""
     shell(sheets, shape, upper, sill=lower, deck=upper, screen=DARK_PANE)
     low, high = shape.waist_m + 0.05, shape.rail_m - 0.14
     ahead = shape.screen(low) - 0.22
@@ -125,7 +125,7 @@ def bus_body(sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, pitc
 def _dressed(
     rng: np.random.Generator, sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, pitch_m: float
 ) -> None:
-    """Body, lamps, plates, wheels and mirrors."""
+    """Add body, lamps, plates, wheels and mirrors."""
     bus_body(sheets, shape, upper, lower, pitch_m=pitch_m)
     middle = shape.levels_m[1]
     lamp(sheets, shape, shape.front, HEADLIGHT, (middle + 0.03, middle + 0.22), inner=0.66, wrap=0.5)
@@ -142,7 +142,7 @@ def _dressed(
 
 
 def _door(sheets: Sheets, shape: Shape, middle: float, wide: float) -> None:
-    """Two leaves of glass on the right."""
+    """Add a door with two glass leaves on the right."""
     y = -0.5 * shape.width_m - 0.003
     low, high = shape.levels_m[0] + 0.05, shape.rail_m - 0.20
     ends = (middle - 0.5 * wide, middle + 0.5 * wide)
@@ -156,7 +156,7 @@ def _door(sheets: Sheets, shape: Shape, middle: float, wide: float) -> None:
 
 
 def _display(sheets: Sheets, shape: Shape, z: float) -> None:
-    """Where it goes, in front and on its right."""
+    """Add destination displays at the front and on the right."""
     low, high = z - 0.13, z + 0.13
     corners = np.array([(shape.screen(h), side * 0.72, h) for h, side in ((low, 1), (low, -1), (high, -1), (high, 1))])
     sheets.sheet(corners, Side.FRONT, BLACK, lift_m=0.006)
@@ -166,7 +166,7 @@ def _display(sheets: Sheets, shape: Shape, z: float) -> None:
 
 
 def _advertisement(sheets: Sheets, shape: Shape, middle: float, image: int) -> None:
-    """An image on the left flank, from below the windows to the skirt."""
+    """Add an advertisement on the left side, from below the windows to the skirt."""
     y = 0.5 * shape.width_m + 0.003
     low, high = shape.levels_m[1] - 0.10, shape.waist_m - 0.03
     half = high - low

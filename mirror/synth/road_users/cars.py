@@ -19,49 +19,49 @@ _TAXI_PAINTS: Final = ((0.62, 0.56, 0.40), (0.55, 0.33, 0.015), (0.015, 0.015, 0
 
 
 def car(rng: np.random.Generator) -> Body:
-    """Any car, each kind about as often as it is seen in a city."""
+    """Build a car of any kind, with the shares of city traffic."""
     kinds = list(_SHARES)
     shares = np.array([_SHARES[kind] for kind in kinds])
     return kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))](rng)
 
 
 def hatchback(rng: np.random.Generator) -> Body:
-    """A compact car with a steep back."""
+    """Build a compact car with a steep back."""
     return _painted(rng, _hatchback(rng))
 
 
 def saloon(rng: np.random.Generator) -> Body:
-    """A car with a boot."""
+    """Build a saloon."""
     return _painted(rng, _saloon(rng))
 
 
 def estate(rng: np.random.Generator) -> Body:
-    """A saloon whose roof goes on to the end."""
+    """Build an estate: its roof extends to the rear end."""
     return _painted(rng, _estate(rng))
 
 
 def suv(rng: np.random.Generator) -> Body:
-    """High, with large wheels and dark sills."""
+    """Build a sport utility vehicle: high, with large wheels and dark sills."""
     return _painted(rng, _suv(rng))
 
 
 def city_car(rng: np.random.Generator) -> Body:
-    """Very short, with two doors."""
+    """Build a city car: very short, with two doors."""
     return _painted(rng, _city_car(rng))
 
 
 def coupe(rng: np.random.Generator) -> Body:
-    """Low, with a long bonnet and a sloping back."""
+    """Build a coupe: low, with a long bonnet and a sloping back."""
     return _painted(rng, _coupe(rng))
 
 
 def pickup(rng: np.random.Generator) -> Body:
-    """A double cab with a covered bed."""
+    """Build a pickup with a double cab and a covered bed."""
     return _painted(rng, _pickup(rng))
 
 
 def taxi(rng: np.random.Generator) -> Body:
-    """A saloon or an estate with a sign on its roof."""
+    """Build a taxi: a saloon or an estate with a sign on its roof."""
     design = _saloon(rng) if rng.random() < 0.5 else _estate(rng)
     colour = _TAXI_PAINTS[int(rng.integers(len(_TAXI_PAINTS)))]
     sheets = dressed(rng, design, Finish(colour, Material.PAINT), Label.CAR)

@@ -1,4 +1,4 @@
-"""The recording vehicle: what its own cameras can see of its body."""
+"""The recording vehicle: the parts of its body that its own cameras can see."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ EgoKind = Literal["saloon", "hatchback", "estate", "suv", "van", "truck", "bus"]
 
 
 class Measures(NamedTuple):
-    """A vehicle's outline, in metres.
+    """Outer dimensions of a vehicle, in metres.
 
     Attributes:
-        length: over all.
-        width: without mirrors.
-        height: of the roof.
-        wheelbase: from axle to axle.
-        rear: from the rear axle to the rear end.
+        length: overall length.
+        width: width without mirrors.
+        height: height of the roof.
+        wheelbase: distance between the axles.
+        rear: distance from the rear axle to the rear end.
     """
 
     length: float
@@ -38,7 +38,7 @@ class Measures(NamedTuple):
 
     @property
     def overhangs(self) -> tuple[float, float]:
-        """In front and behind."""
+        """Front and rear overhang."""
         return self.length - self.wheelbase - self.rear, self.rear
 
 
@@ -54,13 +54,13 @@ _PAINTS: Final[Mapping[EgoKind, tuple[float, float, float]]] = {
 
 
 def make_ego_body(kind: EgoKind, measures: Measures) -> Model:
-    """A vehicle without wheels, mirrors and windscreen, in its ego frame.
+    """Build a vehicle without wheels, mirrors and windscreen, in its ego frame.
 
-    Cameras may be inside of it: from there its sheets are not seen.
+    Cameras may be inside the body: its sheets are not visible from inside.
 
     Args:
-        kind: of vehicle.
-        measures: its outline.
+        kind: kind of vehicle.
+        measures: outer dimensions.
     """
     sheets = Sheets(Label.EGO)
     paint = Finish(_PAINTS[kind], Material.PAINT)
@@ -82,7 +82,7 @@ def make_ego_body(kind: EgoKind, measures: Measures) -> Model:
 
 
 def _cowl(sheets: Sheets, shape: Shape, paint: Finish) -> None:
-    """Carry the bonnet on below the cameras: they look over it, not over a dashboard."""
+    """Extend the bonnet below the cameras, which would otherwise see a dashboard."""
     (x, z), rise = shape.roof[0], _COWL_RISE * _COWL_M
     half = shape.side_m(z) - 0.01
     corners = [(x, half, z), (x, -half, z), (x - _COWL_M, -half, z + rise), (x - _COWL_M, half, z + rise)]

@@ -1,4 +1,4 @@
-"""What people look like: a skeleton dressed as a model."""
+"""Builds the model of a person from a skeleton and clothes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _HEMS: Final[dict[Garment, tuple[float, float]]] = {
     "coat": (-0.17, 1.58),
     "dress": (-0.21, 1.68),
 }
-"""Height of the hem over the hips, as a share of that of the body; its width by that of the waist."""
+"""Height of the hem above the hips as a share of the trunk's height; its width as a share of the waist's."""
 _NEXT: Final = np.array([1, 2, 0])
 _AFTER: Final = np.array([2, 0, 1])
 _BLACK: Final = (0.02, 0.02, 0.022)
@@ -33,22 +33,22 @@ _BLACK: Final = (0.02, 0.02, 0.022)
 
 @dataclass(frozen=True)
 class Person:
-    """Who somebody is and what they wear.
+    """Body and clothes of a person.
 
     Attributes:
-        height_m: standing, bareheaded.
-        stout: width of the trunk and the limbs, about 1.
-        face: image of the catalogue.
-        garment: over the trunk; shirts have bare forearms, dresses bare legs.
-        top: colour of it.
+        height_m: height when standing, without a hat.
+        stout: width of trunk and limbs, relative to the average of 1.
+        face: index of the face in the catalogue.
+        garment: garment on the trunk; shirts leave the forearms bare, dresses the legs.
+        top: colour of the garment.
         legs: colour of the trousers.
-        shoes: colour.
-        hat: on the head.
-        hat_colour: colour of it.
-        bag: that is carried.
-        bag_colour: colour of it.
-        umbrella: colour of one that is held up, or None.
-        seed: of the cloth's texture.
+        shoes: colour of the shoes.
+        hat: kind of hat.
+        hat_colour: colour of the hat.
+        bag: kind of bag.
+        bag_colour: colour of the bag.
+        umbrella: colour of a raised umbrella, or None.
+        seed: seed of the cloth's texture.
     """
 
     height_m: float
@@ -67,7 +67,7 @@ class Person:
 
 
 class _Rounds:
-    """Gathers ellipsoids; all limbs are turned at once."""
+    """Collects ellipsoids; all limbs are oriented in one vectorised step."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[Float64, tuple[float, float, float], Float64, Colour, Material, int]] = []
@@ -83,7 +83,7 @@ class _Rounds:
         self, start: Float64, end: Float64, radius: float, colour: Colour, material: Material = Material.CLOTH,
         over: float = 1.22,
     ) -> None:  # fmt: skip
-        """From joint to joint and ``over`` them a little."""
+        """Add a limb from joint to joint, longer than their distance by the factor ``over``."""
         self.limbs.append((start, end, radius, colour, material, over))
 
     def model(self, label: Label, seed: int) -> Model:
@@ -105,12 +105,12 @@ class _Rounds:
 
 
 def _cross(one: Float64, other: Float64) -> Float64:
-    """Cross products of (..., 3): numpy's own are much slower on a few."""
+    """Cross products of (..., 3) vectors; `numpy.cross` is much slower for a few vectors."""
     return one[..., _NEXT] * other[..., _AFTER] - one[..., _AFTER] * other[..., _NEXT]
 
 
 def _along(way: Float64) -> Float64:
-    """Axes (N, 3, 3) as rows, the third along each direction (N, 3)."""
+    """Axes (N, 3, 3) as rows; the third is along each direction (N, 3)."""
     other = np.where(np.abs(way[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 0.0, -1.0]])
     side = _cross(way, other)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
@@ -118,11 +118,11 @@ def _along(way: Float64) -> Float64:
 
 
 def dressed(person: Person, skeleton: Skeleton, label: Label) -> Model:
-    """A person in a pose.
+    """Build the model of a person in a pose.
 
     Args:
-        person: who.
-        skeleton: the pose, in the frame of the model.
+        person: body and clothes.
+        skeleton: the pose, in the model's frame.
         label: PERSON or RIDER.
     """
     rounds = _Rounds()
@@ -142,7 +142,7 @@ def dressed(person: Person, skeleton: Skeleton, label: Label) -> Model:
 
 
 def _head(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
-    """Skull, hair, ears, nose, hat; lengths are in half heights of the head."""
+    """Add skull, hair, ears, nose and hat; lengths are in half heights of the head."""
     half, look = head_half_m(person.height_m), features(person.face)
     cos, sin = math.cos(skeleton.nod), math.sin(skeleton.nod)
     axes = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
@@ -179,7 +179,7 @@ def _head(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
 
 
 def _trunk(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
-    """Chest, belly, pelvis and shoulders; a backpack."""
+    """Add chest, belly, pelvis, shoulders and a backpack."""
     middle, chest = skeleton.hips.mean(axis=0), skeleton.shoulders.mean(axis=0)
     axes = _trunk_axes(skeleton)
     size, wide = person.height_m, person.height_m * person.stout
@@ -234,7 +234,7 @@ def _limbs(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
 
 
 def _hem(person: Person, skeleton: Skeleton, label: Label) -> Model:
-    """What of the garment hangs from the waist."""
+    """The part of the garment that hangs from the waist."""
     axes, size, wide = _trunk_axes(skeleton), person.height_m, person.height_m * person.stout
     middle = skeleton.hips.mean(axis=0)
     low, flare = _HEMS[person.garment]
@@ -265,7 +265,7 @@ def _handbag(person: Person, skeleton: Skeleton, label: Label) -> Model:
 
 
 def _umbrella(person: Person, colour: Colour, skeleton: Skeleton, label: Label) -> Model:
-    """Eight panels."""
+    """An umbrella of eight panels."""
     apex = _umbrella_top(person, skeleton)
     angle = 2.0 * math.pi * np.arange(9) / 8
     rim = apex + np.c_[0.48 * np.cos(angle), 0.48 * np.sin(angle), np.full(9, -0.24)]
@@ -274,6 +274,6 @@ def _umbrella(person: Person, colour: Colour, skeleton: Skeleton, label: Label) 
 
 
 def _umbrella_top(person: Person, skeleton: Skeleton) -> Float64:
-    """Over the left hand and a little towards the head."""
+    """Position of the umbrella's top: above the left hand, shifted a little towards the head."""
     hand = skeleton.wrists[0]
     return np.array([hand[0] + 0.05, 0.6 * hand[1], person.height_m + 0.30])

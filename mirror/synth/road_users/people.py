@@ -1,4 +1,4 @@
-"""People on foot and on two-wheelers."""
+"""Builds people on foot and on two-wheelers."""
 
 from __future__ import annotations
 
@@ -26,43 +26,43 @@ _LEGS: Final[tuple[Colour, ...]] = (
 _SHOES: Final[tuple[Colour, ...]] = ((0.02, 0.02, 0.02), (0.055, 0.033, 0.02), (0.45, 0.45, 0.44))
 _FULL_PACE_MPS: Final = 0.9
 _RIDING_LEG: Final = 0.50
-"""From the saddle to the lower pedal at most, as a share of the height."""
+"""Largest distance from the saddle to the lower pedal, as a share of the height."""
 _PHASES: Final = 64
-"""Steps of a gait that are posed: 2 cm of way apart."""
+"""Number of poses in a gait cycle, 2 cm of walking apart."""
 _PACES: Final = 8
 _POSES_KEPT: Final = 4096
 _BOX_PHASES: Final = 16
 _BOX_SPARE_M: Final = 0.004
-"""Added to the box, for poses between those that were looked at."""
+"""Margin of the box for poses between the sampled ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pedestrian(Body):
-    """A person on foot; ``model`` stands still.
+    """A person on foot; ``model`` is the standing pose.
 
     Attributes:
-        person: who it is.
+        person: body and clothes.
     """
 
     person: Person
 
     @property
     def stride_m(self) -> float:
-        """Two steps at full pace."""
+        """Length of a gait cycle: two steps at full pace."""
         return STRIDE * self.person.height_m
 
     def posed(self, placement: Placement) -> Model:
-        """Walking, with shorter steps when slow, or standing; in poses of which there are only so many."""
+        """The walking or standing pose, rounded to a fixed set of poses; steps are shorter at low speed."""
         phase = round(_PHASES * placement.along_m / self.stride_m) % _PHASES
         pace = round(_PACES * min(placement.speed_mps / _FULL_PACE_MPS, 1.0))
         return self.model if pace <= 0 else _kept(self.person, phase, pace)
 
     def walking(self, phase: float, pace: float = 1.0) -> Model:
-        """A step; within the box at every phase and pace.
+        """A pose of the walk; it stays within the box at every phase and pace.
 
         Args:
-            phase: distance walked by ``stride_m``; the gait repeats after 1.
-            pace: 0 standing to 1 full steps.
+            phase: walked distance divided by ``stride_m``; the gait repeats after 1.
+            pace: from 0 (standing) to 1 (full steps).
         """
         if pace <= 0.0:
             return self.model
@@ -80,13 +80,13 @@ def _walker(who: Person, phase: float, pace: float) -> Model:
 
 
 def person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False) -> Person:
-    """Somebody, dressed for the weather.
+    """Draw a person with clothes for the weather.
 
     Args:
-        rng: decides who.
-        child: 5 to 12 years old, else grown up.
-        umbrella: holds one up.
-        warm: shirts and dresses, else jackets and coats.
+        rng: random generator.
+        child: whether the person is a child of 5 to 12 years instead of an adult.
+        umbrella: whether the person holds an umbrella up.
+        warm: whether the clothes are shirts and dresses instead of jackets and coats.
     """
     garments: tuple[Garment, ...] = ("shirt", "shirt", "dress", "jacket") if warm else ("jacket", "jacket", "coat")
     hats: tuple[Hat, ...] = ("none", "none", "none", "cap") if warm else ("none", "none", "none", "beanie", "cap")
@@ -113,10 +113,10 @@ def person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = Fa
 def pedestrian(
     rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False
 ) -> Pedestrian:
-    """A person on foot; arguments as those of :func:`person`."""
+    """Draw a pedestrian; the arguments are those of :func:`person`."""
     who = person(rng, child=child, umbrella=umbrella, warm=warm)
     still = _walker(who, 0.0, 0.0)
-    # Legs are furthest out as the heels come down, arms and what they carry a little later, the head half-way between.
+    # Legs reach farthest as the heels come down, arms and luggage a little later, the head half-way between.
     poses = [_walker(who, phase / _BOX_PHASES, 1.0) for phase in range(_BOX_PHASES)]
     ends = np.array([np.abs(model.bounds()).max(axis=0) for model in (still, *poses)]).max(axis=0)
     length, width, height = np.array([2.0, 2.0, 1.0]) * ends + _BOX_SPARE_M
@@ -124,18 +124,18 @@ def pedestrian(
 
 
 def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False) -> Model:
-    """Somebody who rides a two-wheeler, in its frame.
+    """Build the rider of a two-wheeler, in the frame of the vehicle.
 
     Args:
-        rng: decides who.
-        saddle: where they sit.
-        motorcycle: with a full helmet and a jacket; else mostly with a cycle helmet or none.
+        rng: random generator that decides the person.
+        saddle: contact points of the rider.
+        motorcycle: whether the rider wears a full helmet and a jacket; others mostly wear a cycle helmet or none.
     """
     who = person(rng)
     hats: tuple[Hat, ...] = ("full helmet",) if motorcycle else ("cycle helmet", "cycle helmet", "none")
     bag: Bag = "none" if who.bag == "handbag" else who.bag
     garment: Garment = "jacket" if motorcycle or rng.random() < 0.6 else "shirt"
-    # Whoever rides it has long enough legs.
+    # The rider's height is raised until the legs reach the pedals.
     reach = max(float(np.linalg.norm(np.subtract(saddle.hip, foot))) for foot in (saddle.foot, saddle.foot_right))
     height = max(who.height_m, reach / _RIDING_LEG)
     who = replace(who, height_m=min(height, 2.0), garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag)

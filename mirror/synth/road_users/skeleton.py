@@ -1,4 +1,4 @@
-"""Poses of people: where the joints are when they stand, walk and ride."""
+"""Skeletons of people who stand, walk and ride."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ _HIP_OUT: Final = 0.050
 _SHOULDER_OUT: Final = 0.112
 _TRUNK: Final = 0.290
 _STANCE: Final = 0.62
-"""Share of a stride for which a foot is on the ground."""
+"""Share of a gait cycle for which a foot is on the ground."""
 STRIDE: Final = 0.68
-"""Two steps, as a share of the height."""
+"""Length of two steps, as a share of the body height."""
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Joints in the body's frame (x forward, y left, z up); where there are two, left comes first.
+    """Joint positions in the body's frame (x forward, y left, z up), metres; of each pair the left one comes first.
 
     Attributes:
-        hips: (2, 3) metres.
-        knees: (2, 3).
-        ankles: (2, 3).
+        hips: (2, 3) hip joints.
+        knees: (2, 3) knee joints.
+        ankles: (2, 3) ankle joints.
         soles: (2, 3) directions from heel to toe.
-        shoulders: (2, 3).
-        elbows: (2, 3).
-        wrists: (2, 3).
-        neck: (3,) where it leaves the trunk.
-        head: (3,) middle of the skull.
-        nod: the head's turn downwards, radians.
+        shoulders: (2, 3) shoulder joints.
+        elbows: (2, 3) elbow joints.
+        wrists: (2, 3) wrist joints.
+        neck: (3,) upper end of the trunk.
+        head: (3,) centre of the skull.
+        nod: downward rotation of the head, radians.
     """
 
     hips: Float64
@@ -55,25 +55,25 @@ class Skeleton:
 
 
 def _rows(x: float | Float64, y: float | Float64, z: float | Float64) -> Float64:
-    """(2, 3) for left and right; numpy's own ways are ten times slower, and somebody takes a step in each image."""
+    """Rows (2, 3) for left and right. Numpy's own functions are ten times slower, and each image has new poses."""
     rows = np.empty((2, 3))
     rows[:, 0], rows[:, 1], rows[:, 2] = x, y, z
     return rows
 
 
 def head_half_m(height_m: float) -> float:
-    """Half the height of a head; children's are larger for their size."""
+    """Half the height of a head; children's heads are larger relative to their height."""
     return 0.5 * (0.160 + 0.037 * height_m)
 
 
 def walking(height_m: float, phase: float, pace: float, *, held: bool = False) -> Skeleton:
-    """A step of a walk: at full pace feet stand still on the ground while the body passes over them.
+    """Compute a pose of the walk; at full pace the feet do not slide on the ground.
 
     Args:
-        height_m: of the person.
-        phase: of the stride; it repeats after 1. At 0 the left heel comes down.
+        height_m: height of the person.
+        phase: phase of the gait, which repeats after 1; at 0 the left heel touches the ground.
         pace: length of the steps, 0 to 1; at 0 the person stands.
-        held: the left hand holds something up.
+        held: whether the left hand holds something up.
     """
     stride = STRIDE * height_m * pace
     phases = (phase + np.array([0.0, 0.5])) % 1.0
@@ -90,7 +90,7 @@ def walking(height_m: float, phase: float, pace: float, *, held: bool = False) -
 
 
 def _upright(height_m: float, ankles: Float64, pitch: Float64, step: Float64, lean: float, held: bool) -> Skeleton:
-    """The body over its feet; the arms swing against the ``step`` of their side."""
+    """Place the body over its feet; the arms swing opposite to the ``step`` of their side."""
     leg = 0.995 * (_THIGH + _SHANK) * height_m
     turn = 0.025 * height_m * step
     reach = np.maximum(leg**2 - (ankles[:, 0] - turn) ** 2, 0.0)
@@ -120,20 +120,20 @@ def _upright(height_m: float, ankles: Float64, pitch: Float64, step: Float64, le
 
 
 def _above(height_m: float, chest: Float64, up: Float64) -> tuple[Float64, Float64]:
-    """Neck and head over the middle of the shoulders."""
+    """Positions of neck and head above the middle of the shoulders."""
     neck = chest + 0.015 * height_m * up
-    # As high as a person who stands upright is tall, with the hair.
+    # The head is as high as for a person who stands upright, hair included.
     total = (1.0 - 0.985 * (_THIGH + _SHANK + _ANKLE) - _TRUNK) * height_m
     rise = total - head_half_m(height_m) - 0.012
     return neck, chest + rise * np.array([0.5 * up[0], 0.0, 1.0]) / math.hypot(0.5 * up[0], 1.0) + [0.012, 0.0, 0.0]
 
 
 def riding(height_m: float, saddle: Saddle) -> Skeleton:
-    """On a two-wheeler, hands on the grips and feet on the pedals."""
+    """Compute the pose of a rider with hands on the grips and feet on the pedals."""
     side = np.array([1.0, -1.0])
     hip = np.array(saddle.hip) + np.array([0.0, 0.0, 0.055]) * height_m
     hips = hip + _rows(0.0, side * _HIP_OUT * height_m, 0.0)
-    # The ball of the foot is on the pedal, the heel above it.
+    # The ball of the foot is on the pedal, with the heel above it.
     ankles = np.array([saddle.foot, saddle.foot_right]) + np.array([-0.055, 0.0, 0.072]) * height_m
     knees = _joint(hips, ankles, _THIGH * height_m, _SHANK * height_m, np.array([1.0, 0.0, 0.35]))
     grips = np.array([saddle.hand, saddle.hand]) * _rows(1.0, side, 1.0)
@@ -153,7 +153,7 @@ def riding(height_m: float, saddle: Saddle) -> Skeleton:
 
 
 def _joint(starts: Float64, ends: Float64, first_m: float, second_m: float, towards: Float64) -> Float64:
-    """(N, 3) where two bones meet between their ends, bent towards a side; as near as they reach."""
+    """Middle joints (N, 3) of two-bone limbs, bent towards a direction; a limb stretches as far as its bones reach."""
     way = ends - starts
     length = np.linalg.norm(way, axis=1, keepdims=True)
     way = way / length

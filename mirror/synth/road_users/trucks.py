@@ -1,4 +1,4 @@
-"""Trucks with the cab over the engine: box bodies, tippers, and tractors with a trailer."""
+"""Trucks with the cab above the engine: box bodies, tippers, and tractors with a trailer."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ _BODY_COLOURS: Final[tuple[Colour, ...]] = (
 
 
 def truck(rng: np.random.Generator) -> Body:
-    """Any truck."""
+    """Build a truck of any kind."""
     kinds = (box_truck, tipper, articulated_truck)
     return kinds[int(rng.choice(3, p=(0.55, 0.2, 0.25)))](rng)
 
 
 def box_truck(rng: np.random.Generator) -> Body:
-    """Two axles and a closed body, often with its firm's image."""
+    """Build a truck with two axles and a closed body, often with a company's image."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
     long, high = rng.uniform(5.4, 6.6), rng.uniform(3.3, 3.6)
     number = plates(rng)
@@ -53,7 +53,7 @@ def box_truck(rng: np.random.Generator) -> Body:
 
 
 def tipper(rng: np.random.Generator) -> Body:
-    """Three axles and an open skip."""
+    """Build a tipper with three axles and an open skip."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
     number = plates(rng)
     _cab(rng, sheets, Cab(5.35, 7.25, 2.86, 0.50), number)
@@ -79,14 +79,14 @@ def tipper(rng: np.random.Generator) -> Body:
         Side.TOP,
         load,
     )
-    # A board over the cab.
+    # A board above the cab.
     sheets.block((ends[1], -top, high), (5.9, top, high + 0.55), skip, (Side.FRONT, Side.LEFT, Side.RIGHT, Side.TOP))
     _tail(sheets, 0.05, 0.72, number)
     return boxed("truck", sheets.model())
 
 
 def articulated_truck(rng: np.random.Generator) -> Body:
-    """A tractor with a trailer of three axles, in line."""
+    """Build a tractor with a trailer of three axles, in line."""
     sheets = Sheets(Label.TRUCK, int(rng.integers(1 << 30)))
     cab, number = Cab(14.15, 16.2, 3.05, 0.50), plates(rng)
     spoiler(sheets, cab, _cab(rng, sheets, cab, number))
@@ -107,7 +107,7 @@ def _colour(rng: np.random.Generator) -> Colour:
 
 
 def _cab(rng: np.random.Generator, sheets: Sheets, cab: Cab, number: int) -> Finish:
-    """Add a cab with all that belongs to it; its paint is returned."""
+    """Add a cab with its fittings; return its paint."""
     coat = car_paint(rng)
     cab_body(sheets, cab, coat, coat if rng.random() < 0.6 else BLACK)
     cab_fittings(sheets, cab, number)
@@ -115,14 +115,14 @@ def _cab(rng: np.random.Generator, sheets: Sheets, cab: Cab, number: int) -> Fin
 
 
 def _frame(sheets: Sheets, back: float, front: float) -> None:
-    """Girders, tanks and what else is dark under a body."""
+    """Add girders, tanks and other dark parts under a body."""
     sheets.block((back, -0.55, 0.55), (front, 0.55, 1.06), DARK, (Side.LEFT, Side.FRONT, Side.BACK), both=True)
 
 
 def _box(
     sheets: Sheets, ends: tuple[float, float], heights: tuple[float, float], colour: Colour, rng: np.random.Generator
 ) -> None:
-    """A closed body with doors behind, and an image on both sides of two in three."""
+    """Add a closed body with doors at the back; two of three get an image on both sides."""
     (back, front), (low, high) = ends, heights
     half = 1.275
     wall = Finish(colour, Material.PAINT, Panel.ROW)
@@ -151,7 +151,7 @@ def _box(
 
 
 def _tail(sheets: Sheets, x: float, z: float, number: int) -> None:
-    """Underrun bar, tail lights, plate."""
+    """Add underrun bar, tail lights and plate."""
     sheets.block((x + 0.02, -1.15, z - 0.08), (x + 0.14, 1.15, z + 0.06), DARK, (Side.BACK, Side.TOP))
     lamps = [(x + 0.016, y, h) for y, h in ((0.72, z - 0.04), (1.14, z - 0.04), (1.14, z + 0.12), (0.72, z + 0.12))]
     sheets.sheet(lamps, Side.BACK, TAIL_LIGHT, both=True)

@@ -44,17 +44,17 @@ Point = tuple[float, float]
 
 
 def motorcycle(rng: np.random.Generator, *, ridden: bool = True) -> Body:
-    """Any with a motor."""
+    """Build a two-wheeler with a motor."""
     return (scooter if rng.random() < 0.4 else roadster)(rng, ridden=ridden)
 
 
 def bicycle(rng: np.random.Generator, *, ridden: bool = True) -> Body:
-    """Any without."""
+    """Build a two-wheeler without a motor."""
     return (cargo_bike if rng.random() < 0.1 else city_bicycle)(rng, ridden=ridden)
 
 
 def roadster(rng: np.random.Generator, *, ridden: bool = True) -> Body:
-    """A motorcycle without fairing."""
+    """Build a motorcycle without fairing."""
     sheets = Sheets(Label.MOTORCYCLE, int(rng.integers(1 << 30)))
     coat = car_paint(rng)
     radius, back, front = 0.315, -0.72, 0.72
@@ -82,7 +82,7 @@ def roadster(rng: np.random.Generator, *, ridden: bool = True) -> Body:
 
 
 def scooter(rng: np.random.Generator, *, ridden: bool = True) -> Body:
-    """A motor scooter with a leg shield, some with a box for deliveries."""
+    """Build a motor scooter with a leg shield, some with a delivery box."""
     sheets = Sheets(Label.MOTORCYCLE, int(rng.integers(1 << 30)))
     coat = car_paint(rng)
     radius, back, front = 0.235, -0.60, 0.66
@@ -116,7 +116,7 @@ def scooter(rng: np.random.Generator, *, ridden: bool = True) -> Body:
 
 
 def city_bicycle(rng: np.random.Generator, *, ridden: bool = True) -> Body:
-    """A city or a sports bicycle."""
+    """Build a city or sports bicycle."""
     sheets = Sheets(Label.BICYCLE, int(rng.integers(1 << 30)))
     frame = _FRAMES[int(rng.integers(len(_FRAMES)))]
     radius, back, front = 0.345, -0.52, 0.54
@@ -140,7 +140,7 @@ def city_bicycle(rng: np.random.Generator, *, ridden: bool = True) -> Body:
 
 
 def cargo_bike(rng: np.random.Generator, *, ridden: bool = True) -> Body:
-    """A bicycle with a box in front of its rider."""
+    """Build a bicycle with a box in front of its rider."""
     sheets = Sheets(Label.BICYCLE, int(rng.integers(1 << 30)))
     frame = _FRAMES[int(rng.integers(len(_FRAMES)))]
     back, front = -1.05, 1.10
@@ -188,19 +188,19 @@ def _box(
     rim: list[tuple[float, float, float]],
     finish: Finish,
 ) -> None:
-    """Four walls that lean outwards, and a dark lid."""
+    """Add four walls that lean outwards, and a dark lid."""
     mirror = np.array([1.0, -1.0, 1.0])
     (back, front), (over_back, over_front) = np.array(foot), np.array(rim)
     sheets.sheet([back, back * mirror, over_back * mirror, over_back], Side.BACK, finish)
     sheets.sheet([front, front * mirror, over_front * mirror, over_front], Side.FRONT, finish)
-    # A flank of two triangles: its four corners are not in a plane.
+    # The flank is split into two triangles because its four corners are not coplanar.
     sheets.sheet([back, front, over_front], Side.LEFT, finish, both=True)
     sheets.sheet([back, over_front, over_back], Side.LEFT, finish, both=True)
     sheets.sheet([over_back, over_front, over_front * mirror, over_back * mirror], Side.TOP, BLACK)
 
 
 def _solid_wheel(sheets: Sheets, x: float, radius: float, width: float) -> None:
-    """A motorcycle's wheel."""
+    """Add a motorcycle's wheel."""
     turn = 2.0 * math.pi * (np.arange(_CORNERS) + 0.5) / _CORNERS
     reach = radius / math.cos(math.pi / _CORNERS)
     disc = np.c_[x + reach * np.sin(turn), np.full(_CORNERS, 0.5 * width), radius - reach * np.cos(turn)]
@@ -209,7 +209,7 @@ def _solid_wheel(sheets: Sheets, x: float, radius: float, width: float) -> None:
 
 
 def _ring(sheets: Sheets, x: float, radius: float) -> None:
-    """A bicycle's wheel: a tyre that is seen through, and its hub."""
+    """Add a bicycle's wheel: an open tyre and its hub."""
     turn = 2.0 * math.pi * (np.arange(_CORNERS) + 0.5) / _CORNERS
     reach = radius / math.cos(math.pi / _CORNERS)
     outer = np.c_[x + reach * np.sin(turn), np.zeros(_CORNERS), radius - reach * np.cos(turn)]
@@ -223,7 +223,7 @@ def _ring(sheets: Sheets, x: float, radius: float) -> None:
 
 
 def _tread(sheets: Sheets, disc: np.ndarray, width: float) -> None:
-    """What of the tyre is seen from before and from behind, out of the outline of its left side."""
+    """Add the parts of the tyre that are visible from the front and the back, from the outline of its left side."""
     other = disc - (0.0, width, 0.0)
     count = len(disc)
     for i in range(count):
@@ -240,7 +240,7 @@ def _tread(sheets: Sheets, disc: np.ndarray, width: float) -> None:
 def _lights(
     sheets: Sheets, front: float, head: tuple[float, float, float], back: float, tail: tuple[float, float, float]
 ) -> None:
-    """A headlight and a tail light: half width, lower and upper edge of each."""
+    """Add a headlight and a tail light: half width, lower and upper edge of each."""
     for x, (half, low, high), side, finish in (
         (front, head, Side.FRONT, HEADLIGHT),
         (back, tail, Side.BACK, TAIL_LIGHT),
@@ -253,7 +253,7 @@ def _small_plate(sheets: Sheets, x: float, z: float, number: int) -> None:
 
 
 def _pedalled(rng: np.random.Generator, sheets: Sheets, crank: Point, shift: float = 0.0) -> Saddle:
-    """Cranks somewhere in their turn, and where the rider's feet are on them."""
+    """Add cranks at a random angle; return the rider's contact points."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     dx, dz = _SPOKE_M * math.cos(turn), _SPOKE_M * math.sin(turn)
     left, right = (crank[0] + dx, 0.12, crank[1] + dz), (crank[0] - dx, -0.12, crank[1] - dz)

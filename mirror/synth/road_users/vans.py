@@ -21,13 +21,13 @@ _BUMPER = Finish((0.05, 0.05, 0.052), Material.PLAIN)
 
 
 def van(rng: np.random.Generator) -> Body:
-    """Any van."""
+    """Build a van of any kind."""
     kinds = (delivery_van, compact_van, minibus)
     return kinds[int(rng.choice(3, p=(0.55, 0.3, 0.15)))](rng)
 
 
 def delivery_van(rng: np.random.Generator) -> Body:
-    """A high-roofed van, mostly white, often with its firm's image on the sides."""
+    """Build a high-roofed van, mostly white, often with a company's image on its sides."""
     length, height = rng.uniform(5.4, 6.1), rng.uniform(2.42, 2.65)
     design = drawn_van(
         length, 2.0, height, waist=1.22, wheel=0.345, overhangs=(1.0, 1.02), cowl=0.12, screen_deg=44.0, nose=1.02
@@ -36,7 +36,7 @@ def delivery_van(rng: np.random.Generator) -> Body:
 
 
 def compact_van(rng: np.random.Generator) -> Body:
-    """A van on a car's wheels."""
+    """Build a compact van on a car's wheels."""
     length, height = rng.uniform(4.3, 4.6), rng.uniform(1.80, 1.90)
     design = drawn_van(
         length, 1.82, height, waist=1.06, wheel=0.315, overhangs=(0.90, 0.75), cowl=-0.10, screen_deg=36.0, nose=0.86
@@ -45,7 +45,7 @@ def compact_van(rng: np.random.Generator) -> Body:
 
 
 def minibus(rng: np.random.Generator) -> Body:
-    """A van with seats and windows all along."""
+    """Build a van with seats and windows along its whole length."""
     design = drawn_van(
         rng.uniform(4.9, 5.3), 1.93, rng.uniform(1.94, 2.02),
         waist=1.10, wheel=0.335, overhangs=(0.92, 0.98), cowl=-0.02, screen_deg=38.0, nose=0.90,
@@ -72,7 +72,7 @@ def minibus(rng: np.random.Generator) -> Body:
 
 
 def _van(rng: np.random.Generator, design: Design, coat: Finish, livery_m: tuple[float, float]) -> Body:
-    """Paint it, and put an image of a width and as a share of the sides' height on the sides of two in three."""
+    """Paint a van; two of three get an image on their sides, sized by a width and a share of the sides' height."""
     sheets = dressed(rng, design, coat, Label.VAN)
     if rng.random() < 0.65:
         shape = design.shape
@@ -85,7 +85,7 @@ def _van(rng: np.random.Generator, design: Design, coat: Finish, livery_m: tuple
 
 
 def livery(sheets: Sheets, shape: Shape, ends_m: Point, heights_m: Point, image: int) -> None:
-    """An image on both sides of the greenhouse, between two places along the vehicle and two heights."""
+    """Add an image on both sides of the greenhouse, between two x positions and two heights."""
     finish = Finish((0.7, 0.7, 0.7), Material.IMAGE, image=image)
     (back, front), (low, high) = ends_m, heights_m
     left = np.array([shape.side(*point) for point in ((back, low), (front, low), (front, high), (back, high))])
@@ -105,7 +105,7 @@ def drawn_van(
     screen_deg: float,
     nose: float,
 ) -> Design:
-    """A box with a short bonnet, from a few measures in metres as `design.drawn` takes them."""
+    """Design a box with a short bonnet; the measures are those of `design.drawn`, in metres."""
     end = 0.5 * length
     axles = end - overhangs[0], overhangs[1] - end
     foot, brow = axles[0] + cowl, min(height - 0.06, waist + 0.86)

@@ -85,8 +85,8 @@ def foliage(model: Model, season: float, visit: int) -> Model:
 
     Args:
         model: any model. Two-sided LEAVES faces change as sprays of leaves, all other LEAVES faces as insides of
-            crowns;
-            BARK faces with a species in their seed are hidden while the species is in full leaf; other materials stay.
+            crowns. BARK faces with a species in their seed are hidden while the species is in full leaf. Other
+            materials stay.
         season: fraction of the year in [0, 1); 0 is 1 January in the north and 1 July in the south.
         visit: index of the visit; each visit misses a few other leaves.
 

@@ -1,1 +1,1 @@
-"""How bodies of vehicles are made: sheets, shells of them, what is fitted to them, and the drawing that says where."""
+"""Building blocks of vehicle bodies: sheets, shells, fittings, and the designs that combine them."""

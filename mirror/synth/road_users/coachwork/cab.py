@@ -1,4 +1,4 @@
-"""Cabs of trucks, over their engines."""
+"""Cabs of trucks, above their engines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ALL: Final = (Side.FRONT, Side.BACK, Side.LEFT, Side.RIGHT, Side.TOP)
 
 
 class Cab(NamedTuple):
-    """Measures of a cab, in metres: where its back and its front are, how high it is, and the wheels below it."""
+    """Measures of a cab, in metres: x of its back and of its front, its height, and the radius of its wheels."""
 
     back: float
     front: float
@@ -28,7 +28,7 @@ class Cab(NamedTuple):
 
     @property
     def axle(self) -> float:
-        """Where its wheels are."""
+        """X of the axle."""
         return self.front - 1.36
 
 
@@ -36,7 +36,7 @@ def cab_body(sheets: Sheets, cab: Cab, coat: Finish, bumper: Finish) -> None:
     """Add front, corners, flanks, windows and steps."""
     half, inner = 0.5 * WIDTH_M, 0.5 * WIDTH_M - _CORNER_M
     waist, brow = 1.72, cab.high - 0.32
-    # Heights, and how far the front stands back there.
+    # Heights, and how far the front is set back at each.
     levels = ((0.38, 0.05), (FLOOR_M, 0.0), (waist, 0.02), (brow, 0.14), (cab.high, 0.34))
     for (low, back), (high, other) in pairwise(levels):
         finish = bumper if low < FLOOR_M else DARK_PANE if low == waist else coat
@@ -91,7 +91,7 @@ def cab_fittings(sheets: Sheets, cab: Cab, number: int) -> None:
 
 
 def spoiler(sheets: Sheets, cab: Cab, coat: Finish) -> None:
-    """A roof that rises to the trailer's height."""
+    """Add a roof spoiler that rises to the trailer's height."""
     half, low, high = 0.5 * WIDTH_M - 0.06, cab.high, 3.82
     foot, top = cab.front - 0.50, cab.back + 0.45
     sheets.sheet(

@@ -1,4 +1,4 @@
-"""Vehicles as they are drawn: a shape, its windows, lamps, wheels and number plates."""
+"""Designs of vehicles: a shape with windows, lamps, wheels and number plates."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from mirror.synth.road_users.coachwork.shell import DARK, PANE, End, Point, Shap
 
 @dataclass(frozen=True)
 class Design:
-    """A shape, and what is fitted where.
+    """A shape and the positions of its fittings.
 
     Attributes:
-        shape: measures.
-        windows: points of the side windows' outline in the side view, from the windscreen's foot along the waist to
-            the back, and forward under the roof.
+        shape: measures of the body.
+        windows: outline of the side windows in the side view, from the windscreen's foot along the waist to the back,
+            and forward under the roof.
         rear_window: share of the rear window's height at which its glass begins.
-        rear_inset_m: width of the pillars beside it.
-        headlights_m: lower and upper edge.
-        tail_lights_m: lower and upper edge.
-        rear_plate_m: height of the plate's middle.
-        sill: of the lowest band; None: painted as the rest.
-        deck: behind the rear window; None: painted.
-        mirror_m: how far the mirrors are behind the windscreen's foot, and above the waist.
-        mirrors_painted: as the body.
+        rear_inset_m: width of the pillars beside the rear window.
+        headlights_m: lower and upper edge of the headlights.
+        tail_lights_m: lower and upper edge of the tail lights.
+        rear_plate_m: height of the rear plate's middle.
+        sill: finish of the lowest band; None: the body's paint.
+        deck: finish behind the rear window; None: the body's paint.
+        mirror_m: distance of the mirrors behind the windscreen's foot, and their height above the waist.
+        mirrors_painted: whether the mirrors have the body's paint.
     """
 
     shape: Shape
@@ -57,7 +57,7 @@ class Design:
 
 
 def dressed(rng: np.random.Generator, design: Design, coat: Finish, label: Label) -> Sheets:
-    """A whole vehicle in its paint."""
+    """Build a complete vehicle in its paint."""
     shape = design.shape
     sheets = Sheets(label, int(rng.integers(1 << 30)))
     bodied(sheets, design, coat)
@@ -92,7 +92,7 @@ def bodied(sheets: Sheets, design: Design, coat: Finish) -> None:
 
 
 def _face(sheets: Sheets, design: Design) -> None:
-    """Lamps, grille and air intakes."""
+    """Add lamps, grille and air intakes."""
     shape = design.shape
     front, back = shape.front, shape.back
     low, middle = shape.levels_m[:2]
@@ -125,26 +125,26 @@ def drawn(
     rear_window: float = 0.12,
     lean: float = 0.30,
 ) -> Design:
-    """A car from a few measures, in metres.
+    """Design a car from a few measures, in metres.
 
     Args:
-        length: of the body.
-        width: of the body without mirrors.
-        height: of the roof.
-        clearance: of the sills.
+        length: length of the body.
+        width: width of the body without mirrors.
+        height: height of the roof.
+        clearance: height of the sills.
         waist: height of the waistline.
-        wheel: radius.
-        overhangs: in front and behind.
-        cowl: how far the windscreen's foot is ahead of the front axle.
+        wheel: radius of the wheels.
+        overhangs: front and rear overhang.
+        cowl: distance of the windscreen's foot ahead of the front axle.
         screen_deg: slope of the windscreen.
         nose: height of the bonnet's front edge.
-        roof_end: x of the roof's end, from the tail, and how much lower it is there.
-        tail: x of the rear window's foot, from the tail.
+        roof_end: distance of the roof's end from the tail, and how much lower the roof is there.
+        tail: distance of the rear window's foot from the tail.
         pillar: width of the rear pillar.
-        rise: how much higher the side windows begin behind.
+        rise: additional height of the side windows' lower edge at the back.
         doors: seams of the flanks.
         rear_window: share of the rear window's height at which its glass begins.
-        lean: of the sides of the greenhouse.
+        lean: inward lean of the greenhouse's sides.
     """
     end = 0.5 * length
     axles = end - overhangs[0], overhangs[1] - end

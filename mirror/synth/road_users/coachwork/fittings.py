@@ -1,4 +1,4 @@
-"""What is fitted to bodies: wheels, lamps, number plates, mirrors; and the colours that vehicles are painted in."""
+"""Fittings of vehicle bodies: wheels, lamps, number plates and mirrors; and the paints of vehicles."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ HEADLIGHT: Final = Finish((0.62, 0.63, 0.65), Material.HEADLIGHT)
 TAIL_LIGHT: Final = Finish((0.30, 0.012, 0.014), Material.TAIL_LIGHT)
 RUBBER: Final = Finish((0.022, 0.022, 0.023), Material.RUBBER)
 BLACK: Final = Finish((0.016, 0.016, 0.017), Material.PLAIN)
-# From behind, below the vehicle, a wheel's outer side is seen through the wheel.
+# Two-sided: from behind, below the vehicle, the outer side of a wheel is visible through the wheel.
 RIM: Final = Finish((0.36, 0.37, 0.38), Material.RIM, two_sided=True)
 STEEL_RIM: Final = RIM._replace(colour=(0.30, 0.31, 0.32))
 _DARK_RIM: Final = RIM._replace(colour=(0.06, 0.06, 0.065))
 _TYRE_CORNERS: Final = 16
 
-# Shares of cars newly registered in Europe, rounded; tones vary from car to car.
+# Shares of newly registered cars in Europe, rounded; tones vary from car to car.
 _PAINTS: Final[tuple[tuple[float, tuple[float, float, float]], ...]] = (
     (0.24, (0.60, 0.60, 0.59)),
     (0.21, (0.014, 0.014, 0.016)),
@@ -43,7 +43,7 @@ _PAINTS: Final[tuple[tuple[float, tuple[float, float, float]], ...]] = (
 
 
 def car_paint(rng: np.random.Generator) -> Finish:
-    """Paint in one of the colours that cars have, as often as they have it."""
+    """Draw a car's paint with the shares of newly registered cars."""
     shares = np.array([share for share, _ in _PAINTS])
     colour = np.array(_PAINTS[int(rng.choice(len(_PAINTS), p=shares / shares.sum()))][1])
     return Finish(tuple(np.clip(colour * rng.uniform(0.85, 1.15), 0.0, 0.68)), Material.PAINT)
@@ -60,17 +60,17 @@ def wheel(
     open_deg: float = 79.0,
     treads: int = 2,
 ) -> None:
-    """A pair of wheels on the ground, of which the body hides the upper part.
+    """Add a pair of wheels on the ground; the body hides their upper parts.
 
     Args:
-        sheets: what it is added to.
-        x: of the axle.
+        sheets: the sheets to add to.
+        x: x of the axle.
         outer_m: y of the left wheel's outer side.
-        radius_m: of the tyre.
-        width_m: of the tyre.
-        rim: of the wheel's outer side.
-        open_deg: how far up from the ground the tread is seen, as an angle about the axle.
-        treads: in how many sheets to the front, and as many to the back.
+        radius_m: radius of the tyre.
+        width_m: width of the tyre.
+        rim: finish of the wheel's outer side.
+        open_deg: angle around the axle, up from the ground, over which the tread is visible.
+        treads: number of sheets of the tread towards the front, and the same number towards the back.
     """
     # The lowest corners of the tyre's outline lie on the ground.
     reach = radius_m / math.cos(math.pi / _TYRE_CORNERS)
@@ -92,7 +92,7 @@ def _between(outer_m: float, width_m: float, order: tuple[int, int]) -> list[flo
 
 
 def rim(rng: np.random.Generator) -> Finish:
-    """Light alloy, or now and then black."""
+    """Draw a rim: light alloy, or less often black."""
     return _DARK_RIM if rng.random() < 0.22 else RIM._replace(colour=tuple(np.full(3, rng.uniform(0.26, 0.46))))
 
 
@@ -108,18 +108,18 @@ def lamp(
     rise_m: float = 0.0,
     slant_m: float = 0.0,
 ) -> None:
-    """A pair of lamps that go round the corners.
+    """Add a pair of lamps that wrap around the corners.
 
     Args:
-        sheets: what it is added to.
-        shape: of the body.
+        sheets: the sheets to add to.
+        shape: measures of the body.
         end: front or back.
-        finish: of the lamps.
-        heights_m: of the lower and the upper edge at the corner's inner end.
-        inner: share of the front's half width at which it ends.
-        wrap: share of the corner that it covers.
-        rise_m: how much higher its outer end is.
-        slant_m: how much narrower it is at its inner end.
+        finish: finish of the lamps.
+        heights_m: lower and upper edge at the corner's inner end.
+        inner: inner end of the lamp, as a share of the front's half width.
+        wrap: share of the corner that the lamp covers.
+        rise_m: additional height at its outer end.
+        slant_m: reduction of its height at its inner end.
     """
     side = Side.FRONT if end is shape.front else Side.BACK
     low, high = heights_m
@@ -145,7 +145,7 @@ def insert(
     *,
     lift_m: float = 0.003,
 ) -> None:
-    """Something flat on the front or the back: a grille, an air intake; as wide as these shares at its foot and top."""
+    """Add a flat part on the front or the back (grille, air intake); ``widths`` are shares at its foot and top."""
     side = Side.FRONT if end is shape.front else Side.BACK
     low, high = (shape.face(end, share, z) for share, z in zip(widths, heights_m))
     mirror = np.array([1.0, -1.0, 1.0])
@@ -153,7 +153,7 @@ def insert(
 
 
 def number_plate(sheets: Sheets, middle: Sequence[float], side: Side, number: int, *, share: float = 1.0) -> None:
-    """An upright number plate, facing forwards or backwards; ``share`` of a car's in size."""
+    """Add an upright number plate that faces forwards or backwards; ``share`` is its size relative to a car's."""
     x, y, z = middle
     half, tall = 0.5 * share * PLATE_M[0], 0.5 * share * PLATE_M[1]
     corners: Float64 = np.array([(x, y + a * half, z + b * tall) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
@@ -161,12 +161,12 @@ def number_plate(sheets: Sheets, middle: Sequence[float], side: Side, number: in
 
 
 def plates(rng: np.random.Generator) -> int:
-    """A number."""
+    """Draw the number of a plate."""
     return int(rng.choice(PLATES))
 
 
 def mirrors(sheets: Sheets, place: Sequence[float], finish: Finish, size: Sequence[float] = (0.12, 0.20, 0.14)) -> None:
-    """Outside mirrors, with their housings' middles at a place on the left and mirrored from it."""
+    """Add outside mirrors, with the centres of their housings at a position on the left and at its mirror image."""
     x, y, z = place
     for side in (y, -y):
         sheets.add(ellipsoid((x, side, z), size, finish.colour, finish.material, sheets.label, seed=sheets.seed))

@@ -1,4 +1,4 @@
-"""Sheets of bodywork: polygons that are gathered in any winding, mirrored, and made a model at once."""
+"""Collects bodywork sheets: polygons of any winding, mirrored where wanted, and converted to one model."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from mirror.synth.model.surfaces import NO_IMAGE
 
 Colour = Sequence[float] | Float64
 Texture = Callable[[Float64], Float64]
-"""(N, 3) places to (N, 2) u and v; affine."""
+"""Affine map from positions (N, 3) to texture coordinates (N, 2)."""
 
 
 class Panel(IntEnum):
-    """What a sheet of PAINT or GLASS shows besides its colour; a face's ``layout``.
+    """Details on a sheet of PAINT or GLASS besides its colour, stored as a face's ``layout``.
 
-    On panels with doors u is 0 at the seam between the doors and 1 a door's length further ahead, v is the height above
-    the waistline. On panels of glass with pillars u is the same; in rows of windows every whole u is a pillar.
+    On panels with doors u is 0 at the seam between the doors and 1 one door's length further ahead; v is the height
+    above the waistline. On glass panels with pillars u is the same; in rows of windows every whole u is a pillar.
     """
 
     PLAIN = 0
     LOWER = 1
-    """Dust towards the ground; v as on doors. Through glass no seats are seen."""
+    """Dust that increases towards the ground; v as on doors. On glass: no seats are visible through it."""
     TWO_DOORS = 2
-    """One on each side, from u = 0 to 1."""
+    """One door on each side, from u = 0 to 1."""
     FOUR_DOORS = 3
-    """Two on each side, from u = -1 to 1."""
+    """Two doors on each side, from u = -1 to 1."""
     SLIDING_DOOR = 4
-    """A door in front, and a wide one that slides back along a rail."""
+    """A front door, and a wide sliding door with a rail."""
     ROW = 5
-    """Windows, or sheets, each as long as 1 u."""
+    """Windows or sheets, each 1 u long."""
     WING = 6
-    """Cargo doors: a seam in the middle, hinges at the edges."""
+    """Cargo doors: a seam in the middle and hinges at the edges."""
 
 
 class Finish(NamedTuple):
-    """What a sheet is made of: colour, material, what it shows, and whether it is seen from behind as well."""
+    """Surface of a sheet: colour, material, panel, image, and whether it is visible from both sides."""
 
     colour: Colour
     material: Material
@@ -71,11 +71,11 @@ _OTHER: Final = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT}
 
 
 class Sheets:
-    """Gathers planar convex polygons; :meth:`model` makes them one model.
+    """Collects planar convex polygons; :meth:`model` converts them to one model.
 
     Args:
-        label: semantic class of all.
-        seed: of all textures.
+        label: semantic class of all faces.
+        seed: seed of all textures.
     """
 
     def __init__(self, label: Label, seed: int = 0) -> None:
@@ -96,12 +96,14 @@ class Sheets:
         """Add a polygon.
 
         Args:
-            corners: (N, 3) metres, in either winding: it faces the side that it is said to be on.
-            side: where on the body it is.
-            finish: what it is made of.
-            texture: u and v; default: metres from the middle, u level and to the right seen from outside, v upwards.
-            lift_m: how far it stands proud of where the corners are.
-            both: another one on the other flank. Images would be turned about by that: not for them.
+            corners: (N, 3) metres, in either winding; the polygon is oriented to face ``side``.
+            side: side of the body on which it lies.
+            finish: surface of the sheet.
+            texture: texture coordinates; default: metres from the middle, u horizontal to the right seen from outside,
+                v up.
+            lift_m: distance in front of the given corners.
+            both: whether to add a mirror image on the other flank; not for finishes with images, which would be
+                reversed.
         """
         points = np.asarray(corners, np.float64)
         normal = _normal(points)
@@ -118,7 +120,7 @@ class Sheets:
     def block(
         self, low: Sequence[float], high: Sequence[float], finish: Finish, sides: Sequence[Side], *, both: bool = False
     ) -> None:
-        """Sides of a box along the axes, between two corners."""
+        """Add the given sides of an axis-aligned box between two corners."""
         (a, b, c), (d, e, f) = low, high
         for side in sides:
             axis, top = {
@@ -135,11 +137,11 @@ class Sheets:
             self.sheet(corners, side, finish, both=both)
 
     def add(self, model: Model) -> None:
-        """Surfaces of other kinds that belong to it."""
+        """Add a model with other kinds of surface."""
         self._models.append(model)
 
     def model(self) -> Model:
-        """All of it."""
+        """Convert everything to one model."""
         parts = []
         for count in sorted({len(one.corners) for one in self._sheets}):
             some = [one for one in self._sheets if len(one.corners) == count]
@@ -160,7 +162,7 @@ class Sheets:
         return merged([*parts, *self._models])
 
 
-# Bodies have hundreds of sheets of a few corners: numpy's overhead on each would be most of the time.
+# Bodies have hundreds of small sheets, so numpy's overhead per sheet would dominate; plain Python is faster.
 
 
 def _normal(points: Float64) -> Float64:

@@ -1,7 +1,8 @@
 """Bodywork of vehicles with a bonnet: flanks with wheel arches, rounded ends and a greenhouse, from a few measures.
 
-All sheets are planar: a flank's half width is a function of height that is linear in two pieces, less a taper towards
-the ends; ends are a front and two corners over two bands; everything that crosses the vehicle is a symmetric trapezoid.
+All sheets are planar. The half width of a flank is a piecewise linear function of height (two pieces), minus a taper
+towards the ends. An end consists of a front and two corners over two bands. Everything that crosses the vehicle is a
+symmetric trapezoid.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from mirror.synth.model import Material, Side
 from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
 
 Point = tuple[float, float]
-"""Of the side view: x forward and z upwards, metres."""
+"""A point of the side view: x forward and z up, metres."""
 
 DARK: Final = Finish((0.018, 0.018, 0.019), Material.PLAIN)
 PANE: Final = Finish((0.012, 0.013, 0.014), Material.GLASS)
@@ -31,15 +32,15 @@ _LEDGE_M: Final = 0.015
 
 @dataclass(frozen=True)
 class End:
-    """The front or the back, seen from above a rounded corner on each side.
+    """The front or the back of a body; seen from above it has a rounded corner on each side.
 
     Attributes:
-        reach_m: how far from the body's middle its furthest point is.
+        reach_m: distance of its farthest point from the body's middle.
         corner_m: length and width of a corner.
-        foot_slope: how much it goes out with height below its furthest point.
-        slope: how much it goes in with height above that.
-        taper: how much the flank goes in with length beyond the axle.
-        rim_m: height that the bonnet or the deck has at the end.
+        foot_slope: outward slope with height below its farthest point.
+        slope: inward slope with height above that point.
+        taper: inward slope of the flank with length beyond the axle.
+        rim_m: height of the bonnet or the deck at the end.
     """
 
     reach_m: float
@@ -55,22 +56,22 @@ class Shape:
     """Measures of a body, in metres.
 
     Attributes:
-        width_m: of the body without its mirrors.
+        width_m: width without mirrors.
         clearance_m: height of the sills.
         waist_m: height at which the greenhouse stands on the flanks.
         wheel_m: radius of the wheels.
         axles_m: x of the front and the rear axle.
-        front: the nose.
-        back: the tail.
-        bonnet: points of the side view between the windscreen's foot and the nose.
-        roof: points from the windscreen's foot over the roof to the rear window's foot; the feet are at the waist.
-        rail_m: height above which the sides of the greenhouse lean in to the roof.
-        lean: how much they lean in with height below that.
-        rail_lean: how much above it.
+        front: front end.
+        back: rear end.
+        bonnet: points of the side view between the windscreen's foot and the front end.
+        roof: points from the windscreen's foot over the roof to the rear window's foot; both feet are at the waist.
+        rail_m: height above which the greenhouse's sides lean in towards the roof.
+        lean: inward lean of the sides with height below the rail.
+        rail_lean: inward lean of the sides above the rail.
         tuck_m: how much narrower the flanks are at the sills.
-        shoulder_m: how much narrower they are at the waist.
+        shoulder_m: how much narrower the flanks are at the waist.
         doors: seams of the flanks.
-        door_m: x of the seam that they are counted from, and their length.
+        door_m: x of the seam at which u is 0, and the length of a door.
     """
 
     width_m: float
@@ -97,7 +98,7 @@ class Shape:
 
     @cached_property
     def levels_m(self) -> tuple[float, float, float, float]:
-        """Heights between the bands of the flanks; at the second they are widest and the ends reach furthest."""
+        """Heights between the bands of the flanks; at the second the body is widest and the ends reach farthest."""
         return (
             self.clearance_m,
             self.wheel_m + 0.35 * self.arch_m,
@@ -107,7 +108,7 @@ class Shape:
 
     @cached_property
     def crown(self) -> list[Point]:
-        """The roof's points, and where its line crosses the rail."""
+        """The roof's points, and the points at which its line crosses the rail."""
         points = [self.roof[0]]
         for (x, z), (other_x, other_z) in pairwise(self.roof):
             if (z - self.rail_m) * (other_z - self.rail_m) < 0.0:
@@ -136,43 +137,43 @@ class Shape:
         return foot - self.lean * (min(z, self.rail_m) - self.waist_m) - self.rail_lean * max(z - self.rail_m, 0.0)
 
     def flank(self, x: float, z: float) -> tuple[float, float, float]:
-        """A place on the left flank."""
+        """A point on the left flank."""
         return x, self.flank_m(x, z), z
 
     def side(self, x: float, z: float) -> tuple[float, float, float]:
-        """A place on the left side of the greenhouse."""
+        """A point on the left side of the greenhouse."""
         return x, self.side_m(z), z
 
     def screen(self, z: float) -> float:
-        """Where along the vehicle the windscreen is at a height."""
+        """X of the windscreen at a height."""
         return _at(self.roof[0], self.roof[1], z)
 
     def rear_window(self, z: float) -> float:
-        """Where along the vehicle the rear window is at a height."""
+        """X of the rear window at a height."""
         return _at(self.roof[-1], self.roof[-2], z)
 
     def corner(self, end: End, z: float) -> Float64:
-        """Where the left flank ends."""
+        """The point at which the left flank ends."""
         sign = 1.0 if end is self.front else -1.0
         above = z - self.levels_m[1]
         x = sign * (end.reach_m - end.corner_m[0] + (end.foot_slope if above < 0.0 else -end.slope) * above)
         return np.array(self.flank(x, z))
 
     def bend(self, end: End, share: float, z: float) -> Float64:
-        """A place on the left corner: 0 at the front, 1 at the flank."""
+        """A point on the left corner; share 0 is at the front, 1 at the flank."""
         sign = 1.0 if end is self.front else -1.0
         return self.corner(end, z) + (1.0 - share) * np.array([sign * end.corner_m[0], -end.corner_m[1], 0.0])
 
     def face(self, end: End, share: float, z: float) -> Float64:
-        """A place on the front of an end: 0 in the middle, 1 where the left corner begins."""
+        """A point on the face of an end; share 0 is in the middle, 1 where the left corner begins."""
         return self.bend(end, 0.0, z) * (1.0, share, 1.0)
 
     def shown(self, places: Float64) -> Float64:
-        """Texture of flanks: doors' lengths, and the height above the waist."""
+        """Texture coordinates of flanks: door lengths, and the height above the waist."""
         return np.c_[(places[:, 0] - self.door_m[0]) / self.door_m[1], places[:, 2] - self.waist_m]
 
     def shown_across(self, places: Float64) -> Float64:
-        """Texture of ends: to the left, and the height above the waist."""
+        """Texture coordinates of ends: metres to the left, and the height above the waist."""
         return np.c_[places[:, 1], places[:, 2] - self.waist_m]
 
 
@@ -181,15 +182,15 @@ def _at(foot: Point, top: Point, z: float) -> float:
 
 
 def shell(sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Finish, screen: Finish = PANE) -> None:
-    """Add flanks, ends, bonnet, deck, greenhouse and what is dark behind the wheels.
+    """Add flanks, ends, bonnet, deck, greenhouse and the dark parts behind the wheels.
 
     Args:
-        sheets: what it is added to.
-        shape: measures.
-        paint: of the body.
-        sill: of the lowest band of flanks and ends.
-        deck: behind the rear window.
-        screen: the windscreen.
+        sheets: the sheets to add to.
+        shape: measures of the body.
+        paint: finish of the body.
+        sill: finish of the lowest band of flanks and ends.
+        deck: finish behind the rear window.
+        screen: finish of the windscreen.
     """
     _flanks(sheets, shape, paint, sill)
     for end in (shape.front, shape.back):
@@ -244,7 +245,7 @@ def _flank(sheets: Sheets, shape: Shape, corners: list[tuple[float, float, float
 
 
 def _line(shape: Shape, end: End) -> list[Point]:
-    """Side view of what lies between the greenhouse and an end: from the greenhouse to where the flank ends."""
+    """Side view of the surface between the greenhouse and an end: from the greenhouse to the end of the flank."""
     points = [shape.roof[0], *shape.bonnet] if end is shape.front else [shape.roof[-1]]
     sign = 1.0 if end is shape.front else -1.0
     x, z = points[-1]
@@ -254,7 +255,7 @@ def _line(shape: Shape, end: End) -> list[Point]:
 
 
 def _meet(point: Point, fall: float, foot: Float64, lean: float) -> Float64:
-    """Where a line that falls from a point meets an edge that leans from its foot."""
+    """Intersection of a line that falls from a point with an edge that leans from its foot."""
     x, z = point
     height = (z + fall * (foot[0] - x) - foot[2]) / (1.0 - fall * lean)
     return foot + height * np.array([lean, 0.0, 1.0])
@@ -265,7 +266,7 @@ def _height(line: list[Point], x: float) -> float:
 
 
 def _end(sheets: Sheets, shape: Shape, end: End, paint: Finish, sill: Finish, lid: Finish) -> None:
-    """The front or the back, and the bonnet or the deck between it and the greenhouse."""
+    """Add the front or the back, and the bonnet or the deck between it and the greenhouse."""
     side = Side.FRONT if end is shape.front else Side.BACK
     sign = 1.0 if end is shape.front else -1.0
     line = _line(shape, end)
@@ -296,7 +297,7 @@ def _end(sheets: Sheets, shape: Shape, end: End, paint: Finish, sill: Finish, li
 
 
 def _across(low: tuple[float, float, float] | Float64, high: tuple[float, float, float] | Float64) -> Float64:
-    """The symmetric trapezoid between two edges across the vehicle, of which the left ends are given."""
+    """The symmetric trapezoid between two edges across the vehicle, given by their left ends."""
     mirror = np.array([1.0, -1.0, 1.0])
     one, other = np.asarray(low), np.asarray(high)
     return np.array([one, one * mirror, other * mirror, other])
@@ -318,7 +319,7 @@ def _greenhouse(sheets: Sheets, shape: Shape, paint: Finish, screen: Finish) -> 
 
 
 def pane(shape: Shape, line: Callable[[float], float], low: float, high: float, inset_m: float = 0.0) -> Float64:
-    """Corners of a window across the vehicle, between two heights, short of its edges by ``inset_m``."""
+    """Corners of a window across the vehicle between two heights, inset by ``inset_m`` from its edges."""
     heights = [low, shape.rail_m, high] if low < shape.rail_m < high else [low, high]
     left = np.array([(line(z), shape.side_m(z) - inset_m, z) for z in heights])
     return np.concatenate([left, left[::-1] * (1.0, -1.0, 1.0)])

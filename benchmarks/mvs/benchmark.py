@@ -20,8 +20,8 @@ import numpy as np
 import mirror
 from benchmarks.mvs.truth import TruePicture, looked_up, true_picture
 from benchmarks.report import Row, report
-from hybridworldsim.mvs.estimator import PosedPicture
-from hybridworldsim.mvs.ground import Ground, fit_ground, wheel_places
+from hybridworldsim.mvs.estimator import StereoImage
+from hybridworldsim.mvs.ground import Ground, compute_wheel_contacts, fit_ground
 from hybridworldsim.mvs.plane_sweep import PlaneSweep
 from hybridworldsim.mvs.run import initialise
 from mirror.arrays import Float64
@@ -108,11 +108,11 @@ def _times() -> Iterator[Row]:
         )
 
 
-def _noise(width: int, height: int, x_m: float) -> PosedPicture:
+def _noise(width: int, height: int, x_m: float) -> StereoImage:
     rgb = np.random.default_rng(0).integers(0, 255, (height, width, 3)).astype(np.uint8)
     K = np.array([[0.5 * width, 0.0, width / 2], [0.0, 0.5 * width, height / 2], [0.0, 0.0, 1.0]])
     pose = np.array([[1.0, 0, 0, x_m], [0, 0, 1, 0], [0, -1, 0, 1.5], [0, 0, 0, 1]])
-    return PosedPicture(rgb, K, Poses.from_matrix(pose), np.ones((height, width), np.bool_))
+    return StereoImage(rgb, K, Poses.from_matrix(pose), np.ones((height, width), np.bool_))
 
 
 class _Measured:
@@ -186,7 +186,7 @@ def _ground(dataset: Dataset, preset: str) -> Iterator[Row]:
     )
     own = dataset.where(scene=scene)
     world = make_drive(preset, 0, drive).world
-    driven = wheel_places(Poses.from_columns(own.table("ego_poses", COLUMNS)))
+    driven = compute_wheel_contacts(Poses.from_columns(own.table("ego_poses", COLUMNS)))
     start = time.process_time()
     from_poses = fit_ground(driven)
     spent = 1e3 * (time.process_time() - start)

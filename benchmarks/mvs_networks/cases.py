@@ -11,7 +11,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from hybridworldsim.mvs.estimator import PosedPicture
+from hybridworldsim.mvs.estimator import StereoImage
 from mirror.arrays import Float64
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
@@ -39,8 +39,8 @@ class Case:
     """
 
     name: str
-    reference: PosedPicture
-    sources: tuple[PosedPicture, ...]
+    reference: StereoImage
+    sources: tuple[StereoImage, ...]
     depth_m: Float64
 
 
@@ -106,9 +106,9 @@ def dgp_cases(folder: Path, width_px: int) -> Iterator[Case]:
         yield Case(camera, middle, (before, after), _lidar_depth(points, lens, middle.world_SE3_camera))
 
 
-def _posed(bgr: object, lens: Camera, pose: Poses) -> PosedPicture:
+def _posed(bgr: object, lens: Camera, pose: Poses) -> StereoImage:
     rgb = np.ascontiguousarray(np.asarray(bgr, np.uint8)[..., ::-1])
-    return PosedPicture(rgb, lens.intrinsic_matrix(), pose, np.ones(rgb.shape[:2], np.bool_))
+    return StereoImage(rgb, lens.intrinsic_matrix(), pose, np.ones(rgb.shape[:2], np.bool_))
 
 
 def _pose(entry: dict[str, dict[str, float]]) -> Poses:

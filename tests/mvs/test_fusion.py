@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridworldsim.mvs.fusion import PointCloud, PosedDepth, Voxels, cloud_of, confirm
+from hybridworldsim.mvs.fusion import PointCloud, PosedDepth, VoxelThinner, confirm, make_point_cloud
 from mirror.geometry.poses import Poses
-from tests.mvs.pictures import SIZE, Wall, depth_of, intrinsics
+from tests.mvs.images import SIZE, Wall, depth_of, intrinsics
 
 WALL = Wall()
 
@@ -51,11 +51,11 @@ def test_points_lie_where_the_surface_is() -> None:
     reference = posed(0.4, wall)
     found = confirm(reference, [posed(0.0, wall), posed(0.8, wall)])
     rgb = np.random.default_rng(0).integers(0, 255, (*SIZE[::-1], 3)).astype(np.uint8)
-    cloud = cloud_of(found, rgb, reference.K, reference.world_SE3_camera, 2)
+    cloud = make_point_cloud(found, rgb, reference.K, reference.world_SE3_camera, 2)
     off = cloud.position_m @ np.array(wall.normal) - wall.offset_m
     assert len(cloud) > 1000 and np.abs(off).max() < 0.05
     assert cloud.views.min() >= 2 and (cloud.sigma_m > 0.0).all()
-    assert len(cloud_of(found, rgb, reference.K, reference.world_SE3_camera, 9)) == 0
+    assert len(make_point_cloud(found, rgb, reference.K, reference.world_SE3_camera, 9)) == 0
 
 
 def made(position: np.ndarray, views: list[int]) -> PointCloud:
@@ -64,7 +64,7 @@ def made(position: np.ndarray, views: list[int]) -> PointCloud:
 
 
 def test_a_cell_keeps_the_point_with_most_views_and_is_then_taken() -> None:
-    voxels = Voxels(1.0)
+    voxels = VoxelThinner(1.0)
     kept = voxels.thin(made(np.array([[0.1, 0.1, 0.1], [0.9, 0.9, 0.9], [-0.1, 0.1, 0.1]]), [2, 3, 2]))
     assert kept.position_m.tolist() == [[0.9, 0.9, 0.9], [-0.1, 0.1, 0.1]]
     again = voxels.thin(made(np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]]), [9, 9]))
@@ -75,7 +75,7 @@ def test_a_cell_keeps_the_point_with_most_views_and_is_then_taken() -> None:
 def test_thinning_is_that_of_a_plain_reference() -> None:
     rng = np.random.default_rng(3)
     position, views = rng.normal(0.0, 3.0, (4000, 3)) + np.array([1e5, -2e5, 10.0]), rng.integers(2, 6, 4000).tolist()
-    voxels, kept = Voxels(0.5), []
+    voxels, kept = VoxelThinner(0.5), []
     # Cloud by cloud: a cell belongs to the first that has a point in it.
     for start in range(0, 4000, 800):
         own = slice(start, start + 800)

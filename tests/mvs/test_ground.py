@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridworldsim.mvs.ground import fit_ground, wheel_places
+from hybridworldsim.mvs.ground import compute_wheel_contacts, fit_ground
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 from mirror.synth.fleet.drives import make_drives
@@ -63,7 +63,7 @@ def test_the_synthetic_street_is_met_to_centimetres() -> None:
     stamps = drive.condition.start_ns + np.arange(0, 60_000_000_000, 100_000_000)
     poses = drive.world_SE3_ego(stamps)
     poses = poses[np.linalg.norm(poses.translation[:, :2], axis=1) < 45.0]
-    ground = fit_ground(wheel_places(poses))
+    ground = fit_ground(compute_wheel_contacts(poses))
     left = poses.matrix()[:, :2, 1]
     for aside, most in ((0.0, 0.02), (1.0, 0.04)):
         at = poses.translation[:, :2] + aside * left
@@ -87,4 +87,4 @@ def test_what_cannot_be_fitted_is_refused(driven: np.ndarray) -> None:
 
 def test_wheels_stand_beside_the_middle_of_the_axle() -> None:
     quarter = Poses(np.array([[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]]), np.array([[1.0, 2.0, 3.0]]))
-    np.testing.assert_allclose(wheel_places(quarter), [[1, 2, 3], [0.2, 2, 3], [1.8, 2, 3]], atol=1e-12)
+    np.testing.assert_allclose(compute_wheel_contacts(quarter), [[1, 2, 3], [0.2, 2, 3], [1.8, 2, 3]], atol=1e-12)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hybridworldsim.mvs.pictures.pairs import choose_sources
+from hybridworldsim.mvs.images.pairs import choose_sources
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 

@@ -8,14 +8,14 @@ import numba
 import numpy as np
 import pytest
 
-from hybridworldsim.mvs.estimator import PosedPicture
-from hybridworldsim.mvs.plane_sweep import PlaneSweep, grey
-from hybridworldsim.mvs.sweep.correlation import COSTS, RADIUS, UNKNOWN, cost_volume
-from hybridworldsim.mvs.sweep.path_costs import smoothed
-from hybridworldsim.mvs.sweep.planes import facing_planes, road_planes, upright_planes
+from hybridworldsim.mvs.estimator import StereoImage
+from hybridworldsim.mvs.plane_sweep import PlaneSweep, to_grey
+from hybridworldsim.mvs.sweep.correlation import COSTS, RADIUS, UNKNOWN, compute_cost_volume
+from hybridworldsim.mvs.sweep.path_costs import smooth_costs
+from hybridworldsim.mvs.sweep.planes import make_facing_planes, make_road_planes, make_upright_planes
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
-from tests.mvs.pictures import SIZE, Wall, depth_of, seen
+from tests.mvs.images import SIZE, Wall, depth_of, seen
 
 SWEEP = PlaneSweep(planes=64, road_planes=0)
 AWAY = (-1.0, 1.0, 0.5, -0.5)
@@ -48,10 +48,10 @@ def test_costs_are_those_of_a_plain_reference() -> None:
     valid = np.ones(SIZE[::-1], np.bool_)
     valid[10:14, 20:26] = False
     reference, source = seen(wall, 0.0, valid=valid), seen(wall, 0.7)
-    planes = facing_planes(7, 4.0, 20.0)
-    volume = cost_volume(
-        grey(reference), [grey(source)], planes.homographies(reference, source)[None],
-        planes.inverse_depth(reference.K), (1 / 20.0, 1 / 4.0), 7, best=2, deviation=0.01,
+    planes = make_facing_planes(7, 4.0, 20.0)
+    volume = compute_cost_volume(
+        to_grey(reference), [to_grey(source)], planes.compute_homographies(reference, source)[None],
+        planes.compute_inverse_depth(reference.K), (1 / 20.0, 1 / 4.0), 7, best=2, deviation=0.01,
     )  # fmt: skip
     expected = plain_costs(reference, source, np.linspace(1 / 20.0, 1 / 4.0, 7), 0.01)
     assert ((volume == UNKNOWN) == np.isnan(expected)).mean() > 0.999
@@ -61,11 +61,11 @@ def test_costs_are_those_of_a_plain_reference() -> None:
     assert np.abs(volume[both] - expected[both]).max() <= 2.0
 
 
-def plain_costs(reference: PosedPicture, source: PosedPicture, inverse: np.ndarray, deviation: float) -> np.ndarray:
+def plain_costs(reference: StereoImage, source: StereoImage, inverse: np.ndarray, deviation: float) -> np.ndarray:
     """The cost of each pixel and depth, in double precision, window by window."""
     height, width = reference.valid.shape
-    own = np.where(reference.valid, grey(reference).astype(np.float64), np.nan)
-    other = np.where(source.valid, grey(source).astype(np.float64), np.nan)
+    own = np.where(reference.valid, to_grey(reference).astype(np.float64), np.nan)
+    other = np.where(source.valid, to_grey(source).astype(np.float64), np.nan)
     motion = (source.world_SE3_camera.inverse() @ reference.world_SE3_camera).matrix()[0]
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(reference.K).T
@@ -99,7 +99,7 @@ def test_paths_smooth_as_a_plain_reference_does() -> None:
     volume = rng.integers(0, 255, (5, 6, 7)).astype(np.uint8)
     volume[2, 3] = UNKNOWN
     picture = rng.uniform(-0.5, 0.5, (5, 6)).astype(np.float32)
-    got = smoothed(volume, picture, step=8, jump=48, neutral=100, contrast=0.05)
+    got = smooth_costs(volume, picture, step=8, jump=48, neutral=100, contrast=0.05)
     costs = np.where(volume == UNKNOWN, 100, volume).astype(int)
     expected = np.zeros(volume.shape, int)
     for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0)):
@@ -157,7 +157,7 @@ def test_nothing_is_made_up(case: str) -> None:
 
 def test_one_pixel_and_one_row() -> None:
     for shape in ((1, 1), (1, 9), (3, 2)):
-        picture = PosedPicture(
+        picture = StereoImage(
             np.full((*shape, 3), 9, np.uint8), np.diag([5.0, 5.0, 1.0]), Poses.identity(), np.ones(shape, np.bool_)
         )
         result = SWEEP(picture, [picture], 1.0, 5.0)
@@ -207,10 +207,10 @@ def test_places_far_from_the_origin_change_nothing() -> None:
 def test_planes_are_where_they_are_said_to_be() -> None:
     # A camera that looks north, level: x east, y down, z north.
     level = Poses.from_matrix(np.array([[1.0, 0, 0, 3], [0, 0, 1, 4], [0, -1, 0, 1.5], [0, 0, 0, 1]]))
-    road = road_planes(4, level)
+    road = make_road_planes(4, level)
     np.testing.assert_allclose(road.normal, np.tile([0.0, 1.0, 0.0], (4, 1)), atol=1e-12)
     ahead = Poses(level.rotation, level.translation + np.array([0.0, 2.0, 0.0]))
-    left, right = upright_planes(4, level, [ahead], 2.0)
+    left, right = make_upright_planes(4, level, [ahead], 2.0)
     np.testing.assert_allclose(left.normal[0], [-1.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(right.normal[0], [1.0, 0.0, 0.0], atol=1e-12)
-    assert upright_planes(4, level, [level], 2.0) == []
+    assert make_upright_planes(4, level, [level], 2.0) == []

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import mirror
-from hybridworldsim.mvs.estimator import DepthMap, PosedPicture
-from hybridworldsim.mvs.methods import estimator_of
-from hybridworldsim.mvs.options import Options
+from hybridworldsim.mvs.estimator import DepthMap, StereoImage
+from hybridworldsim.mvs.methods import make_estimator
+from hybridworldsim.mvs.options import InitialisationOptions
 from hybridworldsim.mvs.run import initialise
-from hybridworldsim.mvs.writing.scene import Scene
+from hybridworldsim.mvs.writing.scene import SceneInitialisation
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256
@@ -42,7 +42,7 @@ class LevelRoad:
     def __repr__(self) -> str:
         return "LevelRoad()"
 
-    def __call__(self, reference: PosedPicture, sources: object, near_m: float, far_m: float) -> DepthMap:
+    def __call__(self, reference: StereoImage, sources: object, near_m: float, far_m: float) -> DepthMap:
         self.calls += 1
         if self.calls == self._fails_at:
             raise KeyboardInterrupt
@@ -84,7 +84,7 @@ def test_layers_are_written_for_training_traversals_only(dataset: Path) -> None:
     train = opened.where(split="s", role="train").traversals()
     report = initialise(opened, "s", method="road", estimator=LevelRoad(), width_px=48)
     assert report.layer == "road@s" and set(report.written) == set(train) and not report.kept
-    assert report.pictures == len(train) * len(CAMERAS) * 5 and report.known_share > 0.25
+    assert report.images == len(train) * len(CAMERAS) * 5 and report.known_share > 0.25
     assert report.points["ground"] > 100
     after = mirror.open(dataset).where(split="s")
     own = {
@@ -108,11 +108,15 @@ def test_layers_are_written_for_training_traversals_only(dataset: Path) -> None:
 
 def test_pictures_of_a_standing_vehicle_are_not_matched(dataset: Path) -> None:
     report = initialise(
-        mirror.open(dataset), "s", method="road", estimator=LevelRoad(), options=Options(width_px=48, stationary_m=1e3)
+        mirror.open(dataset),
+        "s",
+        method="road",
+        estimator=LevelRoad(),
+        options=InitialisationOptions(width_px=48, standing_m=1e3),
     )
-    assert report.pictures == 2 * len(CAMERAS)
+    assert report.images == 2 * len(CAMERAS)
     images = [image for frame in mirror.open(dataset).where(split="s").frames() for image in frame.images.values()]
-    assert sum(image.depth() is not None for image in images) == report.pictures < len(images)
+    assert sum(image.depth() is not None for image in images) == report.images < len(images)
 
 
 def test_what_is_there_is_kept_and_what_was_interrupted_goes_on(dataset: Path, tmp_path: Path) -> None:
@@ -126,7 +130,7 @@ def test_what_is_there_is_kept_and_what_was_interrupted_goes_on(dataset: Path, t
     # Another run may write meanwhile.
     with writer_lock(mirror.open(dataset).layout, wait=False):
         report = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
-    assert len(report.kept) == 2 and not report.written and report.pictures == 0 and files(dataset) == first
+    assert len(report.kept) == 2 and not report.written and report.images == 0 and files(dataset) == first
     other = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48, version="again")
     assert len(other.written) == 2
     tables = [
@@ -172,10 +176,10 @@ def test_layers_that_were_matched_with_other_masks_are_refused(dataset: Path) ->
 def test_what_was_interrupted_while_layers_are_written_can_be_opened(
     dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(scene: Scene, clouds: object) -> None:
+    def interrupted(scene: SceneInitialisation, clouds: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Scene, "write_points", interrupted)
+    monkeypatch.setattr(SceneInitialisation, "write_points", interrupted)
     with pytest.raises(KeyboardInterrupt):
         initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
     monkeypatch.undo()
@@ -187,7 +191,7 @@ def test_what_was_interrupted_while_layers_are_written_can_be_opened(
 
 
 def test_the_plane_sweep_runs_on_noise_and_without_masks_of_the_sky(dataset: Path) -> None:
-    report = initialise(mirror.open(dataset), "s", width_px=48, options=Options(sky=False))
+    report = initialise(mirror.open(dataset), "s", width_px=48, options=InitialisationOptions(sky=False))
     assert report.layer == "plane-sweep@s"
     layers = mirror.open(dataset).where(split="s", role="train").table("traversals", ["layers"]).column(0).to_pylist()
     assert all(set(own) == {"depth/plane-sweep@s", "points/plane-sweep@s"} for own in layers)
@@ -219,7 +223,7 @@ def test_a_learned_estimator_is_found_with_its_weights(
     assert files(dataset) == {}
     monkeypatch.setenv("MIRROR_WEIGHTS", str(weights))
     report = initialise(mirror.open(dataset), "s", method="patchmatchnet", width_px=48)
-    assert report.layer == "patchmatchnet@s" and report.pictures == 20 and len(report.written) == 2
+    assert report.layer == "patchmatchnet@s" and report.images == 20 and len(report.written) == 2
     made = sorted(dataset.glob("traversals/*/layers/depth/patchmatchnet@s/manifest.json"))
-    own = hashlib.sha256(repr(estimator_of("patchmatchnet")).encode()).hexdigest()
+    own = hashlib.sha256(repr(make_estimator("patchmatchnet")).encode()).hexdigest()
     assert [json.loads(path.read_text())["derived_from"]["estimator"] for path in made] == [own, own]

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.mvs.mvsnet.enlargement import enlarged
 from hybridworldsim.mvs.mvsnet.estimator import MVSNetEstimator
 from hybridworldsim.mvs.mvsnet.network import MVSNet
+from hybridworldsim.mvs.mvsnet.upsampling import upsample_depth
 from hybridworldsim.mvs.patchmatchnet.estimator import PatchmatchNetEstimator
 from hybridworldsim.mvs.patchmatchnet.network import PatchmatchNet
 from mirror.errors import UsageError
-from tests.mvs_networks.pictures import folded, posed, randomised, wall
+from tests.mvs_networks.images import folded, posed, randomised, wall
 
 
 @pytest.fixture(scope="module")
@@ -157,8 +157,8 @@ def test_planes_that_cannot_be_halved(planes):
 def test_enlargement_is_exact_on_a_plane_and_makes_no_bridge():
     v, u = np.meshgrid(np.arange(64.0), np.arange(96.0), indexing="ij")
     plane = torch.from_numpy(1.0 / (0.1 + 0.0005 * u + 0.0007 * v))
-    found = enlarged(plane[::4, ::4], 4)
+    found = upsample_depth(plane[::4, ::4], 4)
     torch.testing.assert_close(found[:61, :93], plane[:61, :93], rtol=1e-6, atol=0.0)
     step = torch.full((8, 8), 5.0)
     step[:, 4:] = 30.0
-    assert set(enlarged(step, 4).round(decimals=4).unique().tolist()) == {5.0, 30.0}
+    assert set(upsample_depth(step, 4).round(decimals=4).unique().tolist()) == {5.0, 30.0}

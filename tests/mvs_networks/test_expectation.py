@@ -4,9 +4,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybridworldsim.mvs.learned.expectation import soft_argmin, window_probability
+from hybridworldsim.mvs.learned.expectation import compute_window_probability, soft_argmin
 from hybridworldsim.mvs.mvsnet.planes import DepthPlanes
-from hybridworldsim.mvs.patchmatchnet.stage import inverse_expectation
+from hybridworldsim.mvs.patchmatchnet.stage import compute_inverse_expectation
 
 
 def test_soft_argmin_of_a_geometric_series():
@@ -32,26 +32,26 @@ def test_window_of_a_certain_plane(count, data):
     place = data.draw(st.integers(0, count - 1))
     certain = torch.zeros(count, 1, 1)
     certain[place] = 1.0
-    assert float(window_probability(certain)) == 1.0
+    assert float(compute_window_probability(certain)) == 1.0
 
 
 def test_window_of_no_idea_and_of_two_ideas():
     even = torch.full((64, 2, 3), 1.0 / 64.0)
-    torch.testing.assert_close(window_probability(even), torch.full((2, 3), 4.0 / 64.0))
+    torch.testing.assert_close(compute_window_probability(even), torch.full((2, 3), 4.0 / 64.0))
     torn = torch.zeros(64, 1, 1)
     torn[4] = torn[60] = 0.5
-    assert float(window_probability(torn)) == 0.0
+    assert float(compute_window_probability(torn)) == 0.0
 
 
 def test_window_stays_inside():
     last = torch.zeros(8, 1, 1)
     last[6] = last[7] = 0.5
-    assert float(window_probability(last)) == pytest.approx(1.0)
+    assert float(compute_window_probability(last)) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("spacing", ["depth", "inverse_depth"])
 def test_planes_end_at_near_and_far_and_are_even(spacing):
-    depths = DepthPlanes(2.0, 200.0, 96, spacing).all().double()
+    depths = DepthPlanes(2.0, 200.0, 96, spacing).depths_m().double()
     assert depths[0] == pytest.approx(2.0, rel=1e-6)
     assert depths[-1] == pytest.approx(200.0, rel=1e-6)
     steps = (depths if spacing == "depth" else 1.0 / depths).diff()
@@ -61,4 +61,4 @@ def test_planes_end_at_near_and_far_and_are_even(spacing):
 def test_inverse_expectation_between_two_hypotheses():
     depths = 1.0 / torch.linspace(0.1, 0.5, 5, dtype=torch.float64).view(-1, 1, 1)
     probability = torch.tensor([0.0, 0.0, 0.5, 0.5, 0.0], dtype=torch.float64).view(-1, 1, 1)
-    assert float(inverse_expectation(probability, depths)) == pytest.approx(1.0 / 0.35, rel=1e-12)
+    assert float(compute_inverse_expectation(probability, depths)) == pytest.approx(1.0 / 0.35, rel=1e-12)

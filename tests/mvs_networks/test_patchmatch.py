@@ -6,21 +6,21 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybridworldsim.mvs.learned.view import View
-from hybridworldsim.mvs.learned.warping import relative_motion
-from hybridworldsim.mvs.patchmatchnet.neighbours import gather, positions_of, ring, square
+from hybridworldsim.mvs.learned.source_features import SourceFeatures
+from hybridworldsim.mvs.learned.warping import compute_motion
+from hybridworldsim.mvs.patchmatchnet.neighbours import compute_positions, gather, make_ring, make_square
 from hybridworldsim.mvs.patchmatchnet.stage import (
     FIRST_HYPOTHESES,
     LEVELS,
-    Estimate,
-    Range,
-    Stage,
-    first_hypotheses,
-    local_hypotheses,
-    near_in_depth,
+    InverseDepthRange,
+    PatchmatchStage,
+    StageEstimate,
+    compute_depth_proximity,
+    draw_first_hypotheses,
+    make_local_hypotheses,
 )
+from tests.mvs_networks.images import randomised, wall
 from tests.mvs_networks.loops import stage_by_loops
-from tests.mvs_networks.pictures import randomised, wall
 
 
 @pytest.mark.parametrize("level", LEVELS, ids=lambda level: f"stride {level.stride}")
@@ -30,21 +30,27 @@ def test_a_stage_against_loops_in_float64(level):
     # A small reach, so that some of the places are inside; the formulas are those of any.
     level = replace(level, iterations=1, reach=2)
     last = stride == 2
-    network = randomised(Stage(level, last=last), stride)
+    network = randomised(PatchmatchStage(level, last=last), stride)
     with torch.no_grad():
         network.evaluation.similarity_net.similarity.weight *= 200.0
     pictures = [
         wall(columns * stride, rows * stride, at)[0] for at in ((0.0, 0.0, 0.0), (0.6, 0.1, 0.3), (-0.4, 0.5, 0.0))
     ]
     features = 2.0 * rng.normal(size=(3, level.channels, rows, columns))
-    motions = [relative_motion(pictures[0], source, stride) for source in pictures[1:]]
+    motions = [compute_motion(pictures[0], source, stride) for source in pictures[1:]]
     depth = rng.uniform(4.0, 9.0, (rows, columns))
     weights = rng.uniform(0.1, 1.0, (2, rows, columns))
-    views = [View(torch.from_numpy(feature).float(), motion) for feature, motion in zip(features[1:], motions)]
-    known = Estimate(torch.from_numpy(depth).float(), torch.empty(0), torch.from_numpy(weights).float())
+    sources = [
+        SourceFeatures(torch.from_numpy(feature).float(), motion) for feature, motion in zip(features[1:], motions)
+    ]
+    known = StageEstimate(torch.from_numpy(depth).float(), torch.empty(0), torch.from_numpy(weights).float())
     with torch.inference_mode():
         found = network(
-            torch.from_numpy(features[0]).float(), views, Range(1.0 / 40.0, 1.0 / 2.0), known, torch.Generator()
+            torch.from_numpy(features[0]).float(),
+            sources,
+            InverseDepthRange(1.0 / 40.0, 1.0 / 2.0),
+            known,
+            torch.Generator(),
         )
     state = {key: value.double().numpy() for key, value in network.state_dict().items()}
     matrices = [(feature, motion.rotation, motion.translation) for feature, motion in zip(features[1:], motions)]
@@ -57,8 +63,8 @@ def test_a_stage_against_loops_in_float64(level):
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.1, 10.0), st.floats(1.5, 1000.0), st.integers(0, 1000))
 def test_first_hypotheses_lie_one_in_each_part(near, ratio, seed):
-    inverse = Range(1.0 / (near * ratio), 1.0 / near)
-    depths = first_hypotheses(inverse, 3, 4, torch.Generator().manual_seed(seed)).double()
+    inverse = InverseDepthRange(1.0 / (near * ratio), 1.0 / near)
+    depths = draw_first_hypotheses(inverse, 3, 4, torch.Generator().manual_seed(seed)).double()
     place = (1.0 / depths - inverse.low) / inverse.extent * FIRST_HYPOTHESES
     part = torch.arange(FIRST_HYPOTHESES).view(-1, 1, 1)
     assert (place > part - 2e-3).all()
@@ -66,18 +72,18 @@ def test_first_hypotheses_lie_one_in_each_part(near, ratio, seed):
 
 
 def test_local_hypotheses_are_even_and_stay_in_the_range():
-    inverse = Range(0.1, 0.6)
-    depths = local_hypotheses(torch.full((1, 2), 4.0), inverse, 8, 0.02).double()
+    inverse = InverseDepthRange(0.1, 0.6)
+    depths = make_local_hypotheses(torch.full((1, 2), 4.0), inverse, 8, 0.02).double()
     steps = 1.0 / depths[:, 0, 0] - 0.25
     np.testing.assert_allclose(steps, 0.02 * 0.5 * np.arange(-4, 4), atol=1e-7)
-    clamped = 1.0 / local_hypotheses(torch.full((1, 1), 10.0), inverse, 8, 0.02)
+    clamped = 1.0 / make_local_hypotheses(torch.full((1, 1), 10.0), inverse, 8, 0.02)
     assert clamped.min() >= 0.1 - 1e-7
 
 
 def test_patterns():
-    assert ring(2) == [(-2, -2), (-2, 0), (-2, 2), (0, -2), (0, 2), (2, -2), (2, 0), (2, 2)]
-    assert square(3)[4] == (0, 0)
-    assert sorted(square(3)) == sorted([*ring(3), (0, 0)])
+    assert make_ring(2) == [(-2, -2), (-2, 0), (-2, 2), (0, -2), (0, 2), (2, -2), (2, 0), (2, 2)]
+    assert make_square(3)[4] == (0, 0)
+    assert sorted(make_square(3)) == sorted([*make_ring(3), (0, 0)])
 
 
 def test_places_of_a_ramp():
@@ -86,33 +92,35 @@ def test_places_of_a_ramp():
     ramp = torch.arange(columns).float().expand(rows, columns)[None]
     moves = torch.zeros(2, rows, columns)
     moves[0] = 0.25
-    found = gather(ramp, positions_of([(0, 2)], moves))[0, 0]
+    found = gather(ramp, compute_positions([(0, 2)], moves))[0, 0]
     expected = (torch.arange(columns) + 2.25) * columns / (columns - 1) - 0.5
     torch.testing.assert_close(found[3], expected.clamp(0, columns - 1))
 
 
 def test_nearness_in_depth_is_one_on_a_level_and_falls():
-    inverse = Range(0.0125, 0.5)
-    places = positions_of([(0, 0)], torch.zeros(2, 8, 8))
-    level = near_in_depth(torch.full((1, 8, 8), 5.0), inverse, places, 0.025)
+    inverse = InverseDepthRange(0.0125, 0.5)
+    positions = compute_positions([(0, 0)], torch.zeros(2, 8, 8))
+    level = compute_depth_proximity(torch.full((1, 8, 8), 5.0), inverse, positions, 0.025)
     torch.testing.assert_close(level, torch.full_like(level, float(torch.sigmoid(torch.tensor(4.0)))))
     edge = torch.full((1, 8, 8), 5.0)
     edge[:, :, 4:] = 50.0
-    across = near_in_depth(edge, inverse, positions_of([(0, 4)], torch.zeros(2, 8, 8)), 0.025)
+    across = compute_depth_proximity(edge, inverse, compute_positions([(0, 4)], torch.zeros(2, 8, 8)), 0.025)
     assert float(across[0, 0, 3, 1]) == pytest.approx(float(torch.sigmoid(torch.tensor(-4.0))), rel=1e-4)
 
 
 def test_hidden_sources_tell_nothing():
     """A source that is hidden everywhere changes no score, whatever is in it."""
     level = replace(LEVELS[-1], reach=2)
-    network = randomised(Stage(level, last=True), 5)
+    network = randomised(PatchmatchStage(level, last=True), 5)
     draws = torch.Generator().manual_seed(6)
     pictures = [wall(16, 12, at)[0] for at in ((0.0, 0.0, 0.0), (0.6, 0.1, 0.3), (-0.4, 0.5, 0.0))]
     reference, seen, masked = (torch.randn(16, 6, 8, generator=draws) for _ in range(3))
-    motions = [relative_motion(pictures[0], source, 2) for source in pictures[1:]]
-    known = Estimate(torch.full((6, 8), 6.0), torch.empty(0), torch.full((2, 6, 8), 0.7))
-    views = [View(seen, motions[0]), View(masked, motions[1], torch.ones(6, 8))]
-    other = [views[0], View(-3.0 * masked, motions[1], torch.ones(6, 8))]
+    motions = [compute_motion(pictures[0], source, 2) for source in pictures[1:]]
+    known = StageEstimate(torch.full((6, 8), 6.0), torch.empty(0), torch.full((2, 6, 8), 0.7))
+    sources = [SourceFeatures(seen, motions[0]), SourceFeatures(masked, motions[1], torch.ones(6, 8))]
+    other = [sources[0], SourceFeatures(-3.0 * masked, motions[1], torch.ones(6, 8))]
     with torch.inference_mode():
-        first, second = (network(reference, one, Range(0.02, 0.5), known, draws).probability for one in (views, other))
+        first, second = (
+            network(reference, one, InverseDepthRange(0.02, 0.5), known, draws).probability for one in (sources, other)
+        )
     torch.testing.assert_close(first, second)

@@ -4,11 +4,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybridworldsim.mvs.learned.view import View
-from hybridworldsim.mvs.learned.warping import relative_motion, sample, source_positions
-from hybridworldsim.mvs.mvsnet.cost_volume import variance_volume
+from hybridworldsim.mvs.learned.source_features import SourceFeatures
+from hybridworldsim.mvs.learned.warping import compute_motion, project_to_source, sample
+from hybridworldsim.mvs.mvsnet.cost_volume import compute_variance_volume
 from mirror.geometry.poses import Poses
-from tests.mvs_networks.pictures import posed, wall
+from tests.mvs_networks.images import posed, wall
 
 
 def turned(rng, degrees=5.0):
@@ -51,8 +51,8 @@ def test_warping_against_loops(stride, offset):
     reference, source = two_pictures(rng, offset)
     feature = rng.normal(size=(3, 48 // stride, 40 // stride))
     depth = rng.uniform(2.0, 60.0, (2, 40 // stride, 56 // stride))
-    positions = source_positions(
-        relative_motion(reference, source, stride), torch.from_numpy(depth).float(), feature.shape[2], feature.shape[1]
+    positions = project_to_source(
+        compute_motion(reference, source, stride), torch.from_numpy(depth).float(), feature.shape[2], feature.shape[1]
     )
     found = sample(torch.from_numpy(feature).float(), positions).numpy()
     expected = looped(feature, reference, source, depth, stride)
@@ -69,7 +69,7 @@ def test_motions_do_not_depend_on_where_the_world_is(east, north, seed):
         posed(one.rgb, one.world_SE3_camera.translation[0] + (east, north, 0.0), one.world_SE3_camera.rotation[0])
         for one in (reference, source)
     ]
-    here, there = relative_motion(reference, source, 2), relative_motion(*moved, 2)
+    here, there = compute_motion(reference, source, 2), compute_motion(*moved, 2)
     np.testing.assert_allclose(there.rotation, here.rotation, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(there.translation, here.translation, atol=1e-6)
 
@@ -78,7 +78,7 @@ def test_what_is_behind_is_outside():
     rng = np.random.default_rng(0)
     rgb = rng.integers(0, 255, (16, 16, 3), dtype=np.uint8)
     reference, ahead = posed(rgb), posed(rgb, (0.0, 0.0, 10.0))
-    positions = source_positions(relative_motion(reference, ahead, 1), torch.full((1, 16, 16), 4.0), 16, 16)
+    positions = project_to_source(compute_motion(reference, ahead, 1), torch.full((1, 16, 16), 4.0), 16, 16)
     assert (positions.abs() > 2.0).all()
     assert not sample(torch.ones(1, 16, 16), positions).any()
 
@@ -91,13 +91,13 @@ def test_variance_against_numpy():
     features = torch.from_numpy(rng.normal(size=(3, 5, 10, 14))).float()
     hidden = torch.zeros(10, 14)
     hidden[:, 9:] = 1.0
-    motions = [relative_motion(reference, source, 4) for source in (first, second)]
+    motions = [compute_motion(reference, source, 4) for source in (first, second)]
     depths = torch.tensor([2.0, 5.0, 11.0, 40.0, 3.0, 2.0, 7.0, 9.0, 30.0, 12.0])
-    views = [View(features[1], motions[0]), View(features[2], motions[1], hidden)]
-    found = variance_volume(features[0], views, depths).double().numpy()
+    sources = [SourceFeatures(features[1], motions[0]), SourceFeatures(features[2], motions[1], hidden)]
+    found = compute_variance_volume(features[0], sources, depths).double().numpy()
 
     planes = depths.view(-1, 1, 1).expand(-1, 10, 14)
-    positions = [source_positions(motion, planes, 14, 10) for motion in motions]
+    positions = [project_to_source(motion, planes, 14, 10) for motion in motions]
     shown = [torch.ones(10, 14), 1.0 - hidden]
     warped = [sample(feature * one, at).double().numpy() for feature, at, one in zip(features[1:], positions, shown)]
     weights = [np.ones((10, 10, 14)), 1.0 - sample(hidden[None], positions[1])[0].double().numpy()]
@@ -117,8 +117,8 @@ def test_variance_is_least_at_the_true_depth():
     sources = [wall(96, 64, at)[0] for at in ((0.5, 0.0, 0.0), (-0.5, 0.1, 0.2), (0.0, -0.4, 0.0))]
     colours = [torch.from_numpy(one.rgb).permute(2, 0, 1).float() for one in (reference, *sources)]
     planes = 1.0 / torch.linspace(1.0 / 16.0, 1.0 / 5.0, 64)
-    views = [View(colour, relative_motion(reference, one, 1)) for colour, one in zip(colours[1:], sources)]
-    best = variance_volume(colours[0], views, planes).sum(0).argmin(0)
+    features = [SourceFeatures(colour, compute_motion(reference, one, 1)) for colour, one in zip(colours[1:], sources)]
+    best = compute_variance_volume(colours[0], features, planes).sum(0).argmin(0)
     inner = slice(8, -8)
     step = 1.0 / 5.0 - 1.0 / 16.0
     error = np.abs(1.0 / planes[best].numpy() - 1.0 / depth)[inner, inner] / (step / 63.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.initialization import InitialGeometry
-from hybridworldsim.mvs.ground import Ground, driven, fit_ground, wheel_places
+from hybridworldsim.mvs.ground import Ground, compute_wheel_contacts, fit_ground, read_driven_poses
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64, UInt8
 from mirror.dataset.dataset import Dataset
@@ -18,7 +18,7 @@ from mirror.errors import DatasetError
 
 def driven_m(dataset: Dataset) -> Float64:
     """(N, 3) where vehicles drove in the traversals of a view, on the ground, in the world."""
-    return driven(dataset).translation
+    return read_driven_poses(dataset).translation
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ def read_scene_geometry(dataset: Dataset) -> SceneGeometry:
             expected="metres in the scene's world", remedy="`mirror check` names the file; make the layer anew",
         )  # fmt: skip
     on_ground = np.array(points.kind) == "ground"
-    ground = fit_ground(wheel_places(driven(dataset)), points.position_m[on_ground])
+    ground = fit_ground(compute_wheel_contacts(read_driven_poses(dataset)), points.position_m[on_ground])
     return SceneGeometry(points.position_m[~on_ground], points.rgb[~on_ground], driven_m(dataset), ground)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import tyro
 
 from hybridworldsim.mvs.methods import Method
-from hybridworldsim.mvs.options import Options
+from hybridworldsim.mvs.options import InitialisationOptions
 from mirror.command_line import parsed
 from mirror.errors import ExitCode
 
@@ -28,7 +28,7 @@ class Arguments:
     """Path of the weights of a learned method."""
     version: str | None = None
     """Version of the layers; default: the split's name."""
-    options: tyro.conf.OmitArgPrefixes[Options] = field(default_factory=Options)
+    options: tyro.conf.OmitArgPrefixes[InitialisationOptions] = field(default_factory=InitialisationOptions)
 
 
 def main(argv: Sequence[str]) -> int:
@@ -52,5 +52,5 @@ def main(argv: Sequence[str]) -> int:
     points = ", ".join(f"{count} {kind}" for kind, count in report.points.items())
     print(f"layers {report.layer}: {len(report.written)} traversals written, {len(report.kept)} there already")
     if report.written:
-        print(f"{report.pictures} pictures, {report.known_share:.1%} of static pixels with a depth; points: {points}")
+        print(f"{report.images} pictures, {report.known_share:.1%} of static pixels with a depth; points: {points}")
     return ExitCode.DONE

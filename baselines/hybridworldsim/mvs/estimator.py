@@ -1,4 +1,4 @@
-"""What an estimator of depth is: one function from a picture and its neighbours to a depth map."""
+"""The interface of depth estimators: a function from an image and its neighbours to a depth map."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from mirror.geometry.poses import Poses
 
 
 @dataclass(frozen=True, eq=False)
-class PosedPicture:
-    """An undistorted picture of a pinhole camera, and where it was taken.
+class StereoImage:
+    """An undistorted image of a pinhole camera with its pose.
 
     Attributes:
         rgb: (H, W, 3).
         K: (3, 3) intrinsics in px; the centre of the first pixel is at (0.5, 0.5).
         world_SE3_camera: one pose; camera x right, y down, z forward.
-        valid: (H, W) True where the picture shows the static scene: not a moving object, the vehicle itself, or what
-            the lens does not see. Other pixels neither get a depth nor give evidence for one.
+        valid: (H, W) True where the image shows the static scene. False on moving objects, on the vehicle itself, and
+            outside the field of view of the recorded lens: such pixels get no depth and give no evidence for one.
+
+    Raises:
+        UsageError: an array has another type or shape, `K` is no intrinsic matrix, or there is not exactly one pose.
     """
 
     rgb: UInt8
@@ -39,16 +42,16 @@ class PosedPicture:
         if self.K.shape != (3, 3) or not np.isfinite(self.K).all() or min(self.K[0, 0], self.K[1, 1]) <= 0.0:
             raise UsageError(f"K is {self.K.tolist()}", expected="finite intrinsics (3, 3) with positive focal lengths")
         if len(self.world_SE3_camera) != 1:
-            raise UsageError(f"{len(self.world_SE3_camera)} poses of one picture", expected="one pose")
+            raise UsageError(f"one image has {len(self.world_SE3_camera)} poses", expected="one pose")
 
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """Depth of every pixel of a picture.
+    """The depth of each pixel of an image.
 
     Attributes:
-        depth_m: (H, W) along the camera's z; NaN where unknown.
-        confidence: (H, W) from 0 (unknown) to 1; each estimator's own scale.
+        depth_m: (H, W) along the camera's z axis; NaN where unknown.
+        confidence: (H, W) from 0 (unknown) to 1; each estimator has its own scale.
     """
 
     depth_m: Float32
@@ -56,20 +59,34 @@ class DepthMap:
 
 
 class DepthEstimator(Protocol):
-    """Estimates the depth of a picture from others that see the same."""
+    """Estimates the depth of an image from other images of the same scene."""
 
-    def __call__(
-        self, reference: PosedPicture, sources: Sequence[PosedPicture], near_m: float, far_m: float
-    ) -> DepthMap:
-        """The depth of ``reference``.
+    def __call__(self, reference: StereoImage, sources: Sequence[StereoImage], near_m: float, far_m: float) -> DepthMap:
+        """Estimate the depth of ``reference``.
 
         Args:
-            reference: the picture.
-            sources: its neighbours, best first, of any size each; without any, nothing is known.
+            reference: the image.
+            sources: its neighbours of any size, best first. Without sources the result is unknown everywhere.
             near_m: smallest depth searched.
             far_m: largest depth searched.
 
         Raises:
-            UsageError: not 0 < near_m < far_m, or pictures too large for the estimator.
+            UsageError: not 0 < near_m < far_m, or images too large for the estimator.
         """
         ...
+
+
+def require_depth_range(near_m: float, far_m: float) -> None:
+    """Check a range of depths.
+
+    Raises:
+        UsageError: not 0 < near_m < far_m, or far_m is not finite.
+    """
+    if not 0.0 < near_m < far_m < np.inf:
+        raise UsageError(f"depths from {near_m} to {far_m} m", expected="0 < near_m < far_m, finite")
+
+
+def make_unknown_depth(reference: StereoImage) -> DepthMap:
+    """Make a depth map that is unknown everywhere, in the size of an image."""
+    shape = reference.valid.shape
+    return DepthMap(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))

@@ -34,7 +34,7 @@ class PosedDepth:
 
 
 @dataclass(frozen=True, eq=False)
-class Confirmed:
+class ConfirmedDepth:
     """What other pictures say of a depth map.
 
     Attributes:
@@ -50,7 +50,7 @@ class Confirmed:
 
 def confirm(
     reference: PosedDepth, others: Sequence[PosedDepth], *, most_px: float = 1.0, most_share: float = 0.01
-) -> Confirmed:
+) -> ConfirmedDepth:
     """Hold a depth map against others.
 
     Args:
@@ -82,7 +82,7 @@ def confirm(
         mean = total / views
         spread = np.sqrt(np.maximum(square / views - mean * mean, 0.0))
     depth = np.where(views > 0, mean, np.nan).astype(np.float32)
-    return Confirmed(views, depth, np.where(views > 1, spread, np.nan).astype(np.float32))
+    return ConfirmedDepth(views, depth, np.where(views > 1, spread, np.nan).astype(np.float32))
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
@@ -154,7 +154,7 @@ class PointCloud:
         return PointCloud(self.position_m[chosen], self.rgb[chosen], self.views[chosen], self.sigma_m[chosen])
 
     @classmethod
-    def together(cls, clouds: Sequence[PointCloud]) -> PointCloud:
+    def concatenate(cls, clouds: Sequence[PointCloud]) -> PointCloud:
         """Clouds one behind the other."""
         empty = cls(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0, np.int32), np.empty(0, np.float32))
         every = [empty, *clouds]
@@ -164,7 +164,9 @@ class PointCloud:
 _FIELDS: Final = ("position_m", "rgb", "views", "sigma_m")
 
 
-def cloud_of(confirmed: Confirmed, rgb: UInt8, K: Float64, world_SE3_camera: Poses, least_views: int) -> PointCloud:
+def make_point_cloud(
+    confirmed: ConfirmedDepth, rgb: UInt8, K: Float64, world_SE3_camera: Poses, least_views: int
+) -> PointCloud:
     """The points of a picture that at least so many pictures agree on."""
     row, column = np.nonzero(confirmed.views >= least_views)
     depth = confirmed.depth_m[row, column].astype(np.float64)
@@ -177,7 +179,7 @@ def cloud_of(confirmed: Confirmed, rgb: UInt8, K: Float64, world_SE3_camera: Pos
     return PointCloud(position.reshape(-1, 3), rgb[row, column], views, sigma)
 
 
-class Voxels:
+class VoxelThinner:
     """Thins points: of each cell of a grid only the first cloud's best point is kept, found by sorted hashes.
 
     Memory: 8 bytes a cell that holds a point.

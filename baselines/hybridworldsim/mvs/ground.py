@@ -68,7 +68,7 @@ class Ground:
         return np.asarray(values)
 
 
-def driven(dataset: Dataset) -> Poses:
+def read_driven_poses(dataset: Dataset) -> Poses:
     """``world_SE3_ego`` of the traversals of a view, one after the other, of its pose layer."""
     frames = [dataset.where(traversal=name).frames() for name in dataset.traversals()]
     tracks = [Poses.identity(0), *(own[0].track[1] for own in frames if len(own))]
@@ -77,7 +77,7 @@ def driven(dataset: Dataset) -> Poses:
     )
 
 
-def wheel_places(world_SE3_ego: Poses) -> Float64:
+def compute_wheel_contacts(world_SE3_ego: Poses) -> Float64:
     """Where vehicles touch the ground: (3 N, 3) the middle and the ends of the rear axle, projected onto it.
 
     The ego frame stands on the ground as the vehicle does, so its attitude tells the road's cross slope.
@@ -91,7 +91,7 @@ def fit_ground(driven_m: Float64, points_m: Float64 | None = None) -> Ground:
     """Fit the ground of a scene.
 
     Args:
-        driven_m: (N, 3) places on the ground: see `wheel_places`.
+        driven_m: (N, 3) places on the ground: see `compute_wheel_contacts`.
         points_m: (M, 3) points that may be of the ground; those far from it lose their weight. None: the driven lines
             alone.
 

@@ -13,11 +13,11 @@ Method = Literal["plane-sweep", "mvsnet", "patchmatchnet", "sparse"]
 SPARSE: Final = "sparse"
 """The method that estimates no depth: it matches features and triangulates them."""
 
-LEAST_CONFIDENCE: Final = {"plane-sweep": 0.05, "mvsnet": 0.8, "patchmatchnet": 0.8}
+MIN_CONFIDENCE: Final = {"plane-sweep": 0.05, "mvsnet": 0.8, "patchmatchnet": 0.8}
 """Confidence below which an estimate is unknown, by method."""
 
 
-def estimator_of(method: str, weights: Path | None = None) -> DepthEstimator:
+def make_estimator(method: str, weights: Path | None = None) -> DepthEstimator:
     """An estimator; its ``repr`` names all that its results depend on.
 
     Args:

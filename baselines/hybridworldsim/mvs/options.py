@@ -9,7 +9,7 @@ from mirror.protocols.document import Pixels
 
 
 @dataclass(frozen=True)
-class Options:
+class InitialisationOptions:
     """How a reconstruction is initialised.
 
     Attributes:

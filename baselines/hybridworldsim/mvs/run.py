@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Final
 
 from hybridworldsim.mvs.estimator import DepthEstimator
-from hybridworldsim.mvs.methods import SPARSE, estimator_of
-from hybridworldsim.mvs.options import Options
-from hybridworldsim.mvs.writing.layers import Layers
-from hybridworldsim.mvs.writing.scene import Scene
+from hybridworldsim.mvs.methods import SPARSE, make_estimator
+from hybridworldsim.mvs.options import InitialisationOptions
+from hybridworldsim.mvs.writing.layers import InitialisationLayers
+from hybridworldsim.mvs.writing.scene import SceneInitialisation
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layout import read_manifest
@@ -28,14 +28,14 @@ _LOOKED_AT: Final = ("poses", "calibrations", "boxes")
 
 
 @dataclass(frozen=True)
-class Initialised:
+class InitialisationReport:
     """What an initialisation did.
 
     Attributes:
         layer: ``source@version`` of the layers.
         written: traversals of which layers were written.
         kept: traversals whose layers were there already.
-        pictures: pictures whose depth was estimated.
+        images: number of images of which depth was estimated.
         known_share: share of the static pixels of the maps written that have a confirmed depth.
         points: points of the scenes written, by kind.
         ground_sigma_m: how far the driven lines are from the ground that was fitted, by scene.
@@ -44,7 +44,7 @@ class Initialised:
     layer: str
     written: tuple[str, ...]
     kept: tuple[str, ...]
-    pictures: int
+    images: int
     known_share: float
     points: Mapping[str, int]
     ground_sigma_m: Mapping[str, float] = field(default_factory=dict)
@@ -59,10 +59,10 @@ def initialise(
     weights: Path | None = None,
     estimator: DepthEstimator | None = None,
     version: str | None = None,
-    options: Options | None = None,
+    options: InitialisationOptions | None = None,
     withheld: Set[Picture] = frozenset(),
     progress: ProgressReporter | None = None,
-) -> Initialised:
+) -> InitialisationReport:
     """Write layers of depth, points and sky masks for the training traversals of a split.
 
     Held-out traversals are not read: neither their pictures nor their poses. A run that was interrupted goes on where
@@ -87,18 +87,18 @@ def initialise(
         DatasetError: layers of that name are there, but were made of other traversals or in another way.
         UsageError: there is no such split or method, or the dataset is not local.
     """
-    chosen = options or Options()
+    chosen = options or InitialisationOptions()
     if width_px is not None:
         chosen = replace(chosen, width_px=width_px)
     view = dataset.where(split=split, role="train")
     if method == SPARSE and estimator is None:
         kinds: tuple[str, ...] = ("points",)
     else:
-        estimator = estimator or estimator_of(method, weights)
+        estimator = estimator or make_estimator(method, weights)
         kinds = ("depth", "masks", "points") if chosen.sky else ("depth", "points")
     told = progress or NullProgress()
     made_of = _made_of(view, chosen, estimator, withheld)
-    layers = Layers(view.layout, method, version or split, kinds, made_of)
+    layers = InitialisationLayers(view.layout, method, version or split, kinds, made_of)
     if all(layers.complete(one) for one in view.traversals()):
         # Nothing is written, so that runs side by side may share what is there.
         return _all_scenes(view, layers, chosen, estimator, withheld, told)
@@ -114,7 +114,7 @@ def initialise(
 
 
 def _made_of(
-    view: Dataset, options: Options, estimator: DepthEstimator | None, withheld: Set[Picture]
+    view: Dataset, options: InitialisationOptions, estimator: DepthEstimator | None, withheld: Set[Picture]
 ) -> dict[str, str]:
     """Hashes of all that the layers of a view depend on."""
     hashes = {"options": _digest(json.dumps(asdict(options), sort_keys=True)), "estimator": _digest(repr(estimator))}
@@ -155,12 +155,12 @@ def _digest(text: str) -> str:
 
 def _all_scenes(
     view: Dataset,
-    layers: Layers,
-    options: Options,
+    layers: InitialisationLayers,
+    options: InitialisationOptions,
     estimator: DepthEstimator | None,
     withheld: Set[Picture],
     progress: ProgressReporter,
-) -> Initialised:
+) -> InitialisationReport:
     kept = tuple(one for one in view.traversals() if layers.complete(one))
     counts: dict[str, int] = dict.fromkeys(("ground", "background", "far"), 0)
     sigma: dict[str, float] = {}
@@ -169,7 +169,7 @@ def _all_scenes(
         own = view.where(scene=name)
         if all(one in kept for one in own.traversals()):
             continue
-        scene = Scene(own, layers, options, withheld, progress)
+        scene = SceneInitialisation(own, layers, options, withheld, progress)
         if estimator is None:
             clouds = scene.triangulate()
         else:
@@ -183,4 +183,4 @@ def _all_scenes(
     # Another run that found all layers complete may do the same at this moment.
     shutil.rmtree(layers.work, ignore_errors=True)
     written = tuple(one for one in view.traversals() if one not in kept)
-    return Initialised(layers.name, written, kept, pictures, known / static if static else 0.0, counts, sigma)
+    return InitialisationReport(layers.name, written, kept, pictures, known / static if static else 0.0, counts, sigma)

@@ -11,7 +11,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from hybridworldsim.mvs.estimator import PosedPicture
+from hybridworldsim.mvs.estimator import StereoImage
 from mirror.arrays import Bool, Float32, Float64, Int32
 
 _LEAST_RISE: Final = 0.03
@@ -34,14 +34,14 @@ class _Parts:
     lab: Float32
 
 
-def sky_mask(picture: PosedPicture, depth_m: Float32) -> Bool:
+def find_sky(picture: StereoImage, depth_m: Float32) -> Bool:
     """Pixels (H, W) that show the sky.
 
     Args:
         picture: the picture.
         depth_m: (H, W) depths that other pictures confirm; NaN where there is none.
     """
-    open_sky = (rise(picture) > _LEAST_RISE) & picture.valid & np.isnan(depth_m)
+    open_sky = (compute_ray_rise(picture) > _LEAST_RISE) & picture.valid & np.isnan(depth_m)
     if not open_sky.any():
         return open_sky
     lab = _filled(cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2LAB).astype(np.float32), picture.valid)
@@ -54,7 +54,7 @@ def sky_mask(picture: PosedPicture, depth_m: Float32) -> Bool:
     return _joined(like | seeds, seeds)
 
 
-def rise(picture: PosedPicture) -> Float64:
+def compute_ray_rise(picture: StereoImage) -> Float64:
     """The upward part (H, W) of the unit rays of all pixels."""
     height, width = picture.valid.shape
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)

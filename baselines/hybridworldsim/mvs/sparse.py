@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hybridworldsim.mvs.estimator import PosedPicture
+from hybridworldsim.mvs.estimator import StereoImage
 from hybridworldsim.mvs.fusion import PointCloud
 from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.errors import UsageError
@@ -48,7 +48,7 @@ class SparsePoints:
     first: Int64
 
 
-def triangulate(picture_of: Callable[[int], PosedPicture], sources: Sequence[Int64]) -> SparsePoints:
+def triangulate(picture_of: Callable[[int], StereoImage], sources: Sequence[Int64]) -> SparsePoints:
     """The points that pictures of known poses have in common.
 
     Args:
@@ -64,7 +64,7 @@ def triangulate(picture_of: Callable[[int], PosedPicture], sources: Sequence[Int
     sizes: dict[int, tuple[int, int]] = {}
     for number in range(len(sources)):
         picture = picture_of(number)
-        features[number] = features_of(picture)
+        features[number] = extract_features(picture)
         place = np.clip(features[number].uv_px.astype(np.int64), 0, np.array(picture.valid.shape[::-1]) - 1)
         colours[number] = picture.rgb[place[:, 1], place[:, 0]]
         cameras[number] = picture.K, picture.world_SE3_camera.inverse().matrix()[0]
@@ -72,21 +72,21 @@ def triangulate(picture_of: Callable[[int], PosedPicture], sources: Sequence[Int
     pairs = {(min(a, b), max(a, b)) for a, own in enumerate(sources) for b in own.tolist()}
     matches = {}
     for one, other in sorted(pairs):
-        found = _matched(features[one], features[other], _fundamental(cameras[one], cameras[other]))
+        found = _match_features(features[one], features[other], _fundamental(cameras[one], cameras[other]))
         if len(found):
             matches[one, other] = found
     if not matches:
-        return SparsePoints(PointCloud.together([]), np.empty(0, np.int64))
-    return _triangulated(features, colours, cameras, sizes, matches)
+        return SparsePoints(PointCloud.concatenate([]), np.empty(0, np.int64))
+    return _triangulate_matches(features, colours, cameras, sizes, matches)
 
 
-def features_of(picture: PosedPicture) -> Features:
+def extract_features(picture: StereoImage) -> Features:
     """SIFT features of what stands still, the largest first.
 
     Raises:
         UsageError: pycolmap is not installed.
     """
-    pycolmap = _colmap()
+    pycolmap = _import_pycolmap()
     options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=1)
     options.sift.max_num_features = _MOST_FEATURES
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
@@ -100,7 +100,7 @@ def features_of(picture: PosedPicture) -> Features:
     return Features(uv[still], np.asarray(descriptors.data, np.uint8)[still].reshape(-1, 128))
 
 
-def _matched(one: Features, other: Features, fundamental: Float64) -> Int64:
+def _match_features(one: Features, other: Features, fundamental: Float64) -> Int64:
     """Pairs (M, 2) of features that are each other's nearest, by far, on each other's epipolar lines."""
     if min(len(one.uv_px), len(other.uv_px)) < 2:
         return np.empty((0, 2), np.int64)
@@ -140,17 +140,17 @@ def _fundamental(one: tuple[Float64, Float64], other: tuple[Float64, Float64]) -
     return np.asarray(np.linalg.inv(other[0]).T @ cross @ motion[:3, :3] @ np.linalg.inv(one[0]))
 
 
-def _triangulated(
+def _triangulate_matches(
     features: Mapping[int, Features],
     colours: Mapping[int, Any],
     cameras: Mapping[int, tuple[Float64, Float64]],
     sizes: Mapping[int, tuple[int, int]],
     matches: Mapping[tuple[int, int], Int64],
 ) -> SparsePoints:
-    pycolmap = _colmap()
+    pycolmap = _import_pycolmap()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "matches.db"
-        there = _believed(features, cameras, sizes)
+        there = _make_reconstruction(features, cameras, sizes)
         with pycolmap.Database.open(path) as database:
             for number, camera in there.cameras.items():
                 database.write_camera(camera, use_camera_id=True)
@@ -184,13 +184,13 @@ def _triangulated(
     return SparsePoints(cloud, np.array(first, np.int64))
 
 
-def _believed(
+def _make_reconstruction(
     features: Mapping[int, Features],
     cameras: Mapping[int, tuple[Float64, Float64]],
     sizes: Mapping[int, tuple[int, int]],
 ) -> Any:
     """The pictures as pycolmap has them: each of a camera and a frame of its own."""
-    pycolmap = _colmap()
+    pycolmap = _import_pycolmap()
     there = pycolmap.Reconstruction()
     for number, own in features.items():
         (height, width), (K, camera_from_world) = sizes[number], cameras[number]
@@ -204,7 +204,7 @@ def _believed(
     return there
 
 
-def _colmap() -> Any:
+def _import_pycolmap() -> Any:
     """The module pycolmap, quiet.
 
     Its wheel exports the symbols of a zlib of its own: Python's is imported before it, or would be bound to parts of

@@ -1,1 +1,1 @@
-"""What learned estimators of depth share: layers, warping, expectations, checkpoints, and what a picture may cost."""
+"""Code that the learned depth estimators share: images as tensors, layers, warping, expectations, checkpoints."""

@@ -1,4 +1,4 @@
-"""Reads public checkpoints of networks; nothing in the file is run."""
+"""Reads public checkpoints of networks without running any code from the file."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ from torch import Tensor
 from mirror.weights.load import load_state_dict
 from mirror.weights.resolve import WeightResolver
 
-_PARALLEL = "module."
+_PARALLEL_PREFIX = "module."
 
 
-def public_state_dict(name: str, resolver: WeightResolver) -> tuple[dict[str, Tensor], str]:
-    """Tensors of a checkpoint under the names of its network, without the prefix of data-parallel training; its sha256.
+def load_public_state_dict(name: str, resolver: WeightResolver) -> tuple[dict[str, Tensor], str]:
+    """Load a checkpoint and remove the prefix of data-parallel training from its keys.
 
     Args:
-        name: of the weights, as in `mirror.weights.table`.
-        resolver: where they are looked for.
+        name: name of the weights in `mirror.weights.table`.
+        resolver: finds the file.
+
+    Returns:
+        The tensors by the names of the network's parameters, and the sha256 of the file.
 
     Raises:
-        WeightsUnavailableError: the file is missing, is another one, or holds no state dict.
+        WeightsUnavailableError: the file is missing, has another hash, or holds no state dict.
     """
     resolved = resolver.resolve(name)
     state = load_state_dict(resolved.path, entry="model")
-    return {key.removeprefix(_PARALLEL): value for key, value in state.items()}, resolved.sha256
+    return {key.removeprefix(_PARALLEL_PREFIX): value for key, value in state.items()}, resolved.sha256

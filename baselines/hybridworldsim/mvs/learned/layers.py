@@ -1,4 +1,4 @@
-"""Convolutions that are followed by batch normalisation and a rectifier, named as in public checkpoints."""
+"""Convolutions with batch normalisation and a rectifier; parameters are named as in public checkpoints."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ Layer = nn.Conv2d | nn.Conv3d | nn.ConvTranspose2d | nn.ConvTranspose3d
 
 
 class ConvNorm(nn.Module):
-    """Convolution without bias and batch normalisation; keys ``conv.weight``, ``bn.*``.
+    """A convolution without bias, then batch normalisation; its keys are ``conv.weight`` and ``bn.*``.
 
     Args:
-        dimensions: 2 for pictures, 3 for volumes.
-        inputs: channels.
-        outputs: channels.
-        size: of the kernel, odd; as many samples come out as went in, divided by the stride.
-        stride: of the convolution.
+        dimensions: 2 for images, 3 for volumes.
+        inputs: number of input channels.
+        outputs: number of output channels.
+        size: side of the kernel, odd; the output has the size of the input divided by the stride.
+        stride: stride of the convolution.
     """
 
     def __init__(self, dimensions: Literal[2, 3], inputs: int, outputs: int, *, size: int = 3, stride: int = 1) -> None:
@@ -29,26 +29,29 @@ class ConvNorm(nn.Module):
         self.bn: nn.BatchNorm2d | nn.BatchNorm3d | nn.Identity = norm(outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Normalised responses."""
+        """Convolve and normalise."""
         return self.bn(self.conv(x))
 
 
 class ConvNormReLU(ConvNorm):
-    """`ConvNorm`, then a rectifier."""
+    """`ConvNorm` followed by a rectifier."""
 
     def forward(self, x: Tensor) -> Tensor:
-        """Rectified responses."""
+        """Convolve, normalise and rectify."""
         return torch.relu_(super().forward(x))
 
 
-def doubling(dimensions: Literal[2, 3], inputs: int, outputs: int) -> Layer:
-    """A transposed 3-tap convolution that doubles every side."""
+def make_doubling_convolution(dimensions: Literal[2, 3], inputs: int, outputs: int) -> Layer:
+    """Make a transposed 3-tap convolution that doubles each side."""
     convolution = nn.ConvTranspose2d if dimensions == 2 else nn.ConvTranspose3d
     return convolution(inputs, outputs, 3, stride=2, padding=1, output_padding=1, bias=False)
 
 
 def fold_norms(network: nn.Module) -> None:
-    """Fold the normalisations of filled `ConvNorm` layers into their convolutions: the same function, fewer passes."""
+    """Fold the batch normalisation of each `ConvNorm` layer into its convolution; the layers must hold their weights.
+
+    The network computes the same function in fewer passes.
+    """
     network.eval()
     for module in network.modules():
         if isinstance(module, ConvNorm) and not isinstance(module.bn, nn.Identity):

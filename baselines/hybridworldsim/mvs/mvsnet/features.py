@@ -1,4 +1,4 @@
-"""The features of a picture, at a quarter of its size."""
+"""The features of an image, at a quarter of its size."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CHANNELS = 32
 
 
 class FeatureNet(nn.Module):
-    """Eight convolutions, two of which halve."""
+    """Eight convolutions; two of them halve the sides."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -24,6 +24,6 @@ class FeatureNet(nn.Module):
         self.feature = nn.Conv2d(32, CHANNELS, 3, padding=1)
 
     def forward(self, rgb: Tensor) -> Tensor:
-        """(32, H/4, W/4) features of (3, H, W) RGB from 0 to 1."""
+        """Compute features (32, H/4, W/4) of RGB (3, H, W) from 0 to 1."""
         half = self.conv4(self.conv3(self.conv2(self.conv1(self.conv0(rgb[None])))))
         return self.feature(self.conv6(self.conv5(half)))[0]

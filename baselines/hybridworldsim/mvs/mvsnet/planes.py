@@ -1,4 +1,4 @@
-"""Planes of depth, and depth between them."""
+"""Depth planes, and interpolation between them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Spacing = Literal["depth", "inverse_depth"]
 
 @dataclass(frozen=True)
 class DepthPlanes:
-    """Planes from near to far, the ends included.
+    """Planes from near to far, both ends included.
 
     Attributes:
-        near_m: depth of the first.
-        far_m: depth of the last.
-        count: how many.
-        spacing: what they are even in: depth, as published, or inverse depth, where each step moves a point by about
-            as many pixels, as streets need.
+        near_m: depth of the first plane.
+        far_m: depth of the last plane.
+        count: number of planes.
+        spacing: the quantity in which they are evenly spaced. The published network uses depth. Inverse depth suits
+            streets: each step then moves a point by about the same number of pixels.
     """
 
     near_m: float
@@ -28,13 +28,13 @@ class DepthPlanes:
     count: int
     spacing: Spacing
 
-    def depth_m(self, index: Tensor) -> Tensor:
-        """Depth at indices, whole or not."""
+    def depth_at(self, index: Tensor) -> Tensor:
+        """Compute the depth, metres, at plane indices, which may be fractional."""
         share = index / (self.count - 1)
         if self.spacing == "depth":
             return self.near_m + share * (self.far_m - self.near_m)
         return (1.0 / self.near_m + share * (1.0 / self.far_m - 1.0 / self.near_m)).reciprocal()
 
-    def all(self) -> Tensor:
-        """(count,) depths, computed in float64."""
-        return self.depth_m(torch.arange(self.count, dtype=torch.float64)).float()
+    def depths_m(self) -> Tensor:
+        """The depths (count,) of all planes, computed in float64."""
+        return self.depth_at(torch.arange(self.count, dtype=torch.float64)).float()

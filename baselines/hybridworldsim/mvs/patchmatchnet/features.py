@@ -1,4 +1,4 @@
-"""The pyramid of features: three levels, at strides 8, 4 and 2."""
+"""The feature pyramid: three levels at strides 8, 4 and 2."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hybridworldsim.mvs.learned.layers import ConvNormReLU
 
 
 class FeaturePyramid(nn.Module):
-    """Eleven convolutions downwards, then upwards with lateral connections."""
+    """Eleven convolutions that reduce the size, then upsampling with lateral connections."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -31,22 +31,23 @@ class FeaturePyramid(nn.Module):
         self.output3 = nn.Conv2d(64, 16, 1, bias=False)
 
     def forward(self, rgb: Tensor) -> dict[int, Tensor]:
-        """Features of a picture.
+        """Compute the features of an image.
 
         Args:
-            rgb: (3, H, W) from 0 to 1; H and W multiples of 8.
+            rgb: (3, H, W) from 0 to 1; H and W are multiples of 8.
 
         Returns:
-            By stride: 8: (64, H/8, W/8), 4: (32, H/4, W/4), 2: (16, H/2, W/2).
+            The features by stride: 8: (64, H/8, W/8), 4: (32, H/4, W/4), 2: (16, H/2, W/2).
         """
         half = self.conv4(self.conv3(self.conv2(self.conv1(self.conv0(rgb[None])))))
         quarter = self.conv7(self.conv6(self.conv5(half)))
         eighth = self.conv10(self.conv9(self.conv8(quarter)))
-        upwards = _doubled(eighth) + self.inner1(quarter)
+        upwards = _double(eighth) + self.inner1(quarter)
         levels = {8: self.output1(eighth), 4: self.output2(upwards)}
-        levels[2] = self.output3(_doubled(upwards) + self.inner2(half))
+        levels[2] = self.output3(_double(upwards) + self.inner2(half))
         return {stride: level[0] for stride, level in levels.items()}
 
 
-def _doubled(x: Tensor) -> Tensor:
+def _double(x: Tensor) -> Tensor:
+    """Double the sides of (1, C, H, W) by bilinear interpolation."""
     return functional.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)

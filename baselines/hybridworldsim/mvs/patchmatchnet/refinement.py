@@ -1,32 +1,32 @@
-"""From half to full size: a residual that the picture's edges guide."""
+"""Upsampling from half to full size by a residual that follows the edges of the image."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.mvs.learned.layers import ConvNormReLU, doubling
+from hybridworldsim.mvs.learned.layers import ConvNormReLU, make_doubling_convolution
 
 
 class Refinement(nn.Module):
-    """The residual of depth, as a share of its range, when it is doubled in size."""
+    """Computes the residual between the depth map doubled in size and the refined one, as a share of the range."""
 
     def __init__(self) -> None:
         super().__init__()
         self.conv0 = ConvNormReLU(2, 3, 8)
         self.conv1 = ConvNormReLU(2, 1, 8)
         self.conv2 = ConvNormReLU(2, 8, 8)
-        self.deconv = doubling(2, 8, 8)
+        self.deconv = make_doubling_convolution(2, 8, 8)
         self.bn = nn.BatchNorm2d(8)
         self.conv3 = ConvNormReLU(2, 16, 8)
         self.res = nn.Conv2d(8, 1, 3, padding=1, bias=False)
 
     def forward(self, rgb: Tensor, share: Tensor) -> Tensor:
-        """What is to be added to the doubled shares.
+        """Compute the residual.
 
         Args:
             rgb: (3, H, W) from 0 to 1.
-            share: (H/2, W/2) from 0, the nearest depth, to 1, the farthest.
+            share: (H/2, W/2) depth from 0, the nearest, to 1, the farthest.
 
         Returns:
             (H, W).

@@ -1,4 +1,4 @@
-"""The small networks that judge similarities, each on the groups of one sample alone."""
+"""The small networks that score similarities; each sample is scored on its own."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from hybridworldsim.mvs.learned.layers import ConvNormReLU
 
 
 class GroupScore(nn.Module):
-    """From the similarities of G groups to one number: three layers of 16, 8 and 1, in every sample by itself.
+    """Maps the similarities of G groups to one score, by three layers of 16, 8 and 1 channels.
 
     Args:
         groups: G.
-        last: what the published checkpoint calls the last layer.
+        last: name of the last layer in the published checkpoint.
     """
 
     def __init__(self, groups: int, last: str) -> None:
@@ -24,28 +24,28 @@ class GroupScore(nn.Module):
         self._last = last
 
     def forward(self, similarity: Tensor) -> Tensor:
-        """(D, H, W) of similarities (G, D, H, W)."""
+        """Compute scores (D, H, W) of similarities (G, D, H, W)."""
         return self.get_submodule(self._last)(self.conv1(self.conv0(similarity[None])))[0, 0]
 
 
 class Evaluation(nn.Module):
-    """The two networks of matching: which hypothesis fits, and which source can be believed where."""
+    """The two networks of matching: one scores hypotheses, one weights the sources at each sample."""
 
     def __init__(self, groups: int) -> None:
         super().__init__()
         self.pixel_wise_net = GroupScore(groups, "conv2")
         self.similarity_net = GroupScore(groups, "similarity")
 
-    def view_weight(self, similarity: Tensor) -> Tensor:
-        """(H, W) from 0 to 1: how far a source is believed, of its similarities (G, D, H, W)."""
+    def compute_view_weight(self, similarity: Tensor) -> Tensor:
+        """Compute the weight (H, W) of a source, from 0 to 1, from its similarities (G, D, H, W)."""
         return torch.sigmoid(self.pixel_wise_net(similarity)).amax(0)
 
 
-def group_similarity(first: Tensor, second: Tensor, groups: int) -> Tensor:
-    """Mean product of features over the channels of each group.
+def compute_group_similarity(first: Tensor, second: Tensor, groups: int) -> Tensor:
+    """Compute the mean product of features over the channels of each group.
 
     Args:
-        first: (C, D, H, W); it is overwritten.
+        first: (C, D, H, W); the function overwrites it.
         second: (C, H, W).
         groups: G, a divisor of C.
 

@@ -1,4 +1,4 @@
-"""Patchmatch at one level of the pyramid: hypotheses, propagation, evaluation. Wang et al. 2021, section 3.2."""
+"""Patchmatch at one level of the feature pyramid; Wang et al. 2021, section 3.2."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ import torch
 from torch import Tensor, nn
 
 from hybridworldsim.mvs.learned.expectation import soft_argmin
-from hybridworldsim.mvs.learned.view import View
-from hybridworldsim.mvs.patchmatchnet.neighbours import gather, positions_of, ring, square
-from hybridworldsim.mvs.patchmatchnet.scores import Evaluation, GroupScore, group_similarity
+from hybridworldsim.mvs.learned.source_features import SourceFeatures
+from hybridworldsim.mvs.patchmatchnet.neighbours import compute_positions, gather, make_ring, make_square
+from hybridworldsim.mvs.patchmatchnet.scores import Evaluation, GroupScore, compute_group_similarity
 
 FIRST_HYPOTHESES = 48
-_NO_WEIGHT = 1e-5
+_MIN_WEIGHT = 1e-5
 _NEIGHBOURS = 9
 
 
 @dataclass(frozen=True)
-class Level:
-    """The settings of a stage, as published.
+class PyramidLevel:
+    """The published settings of a stage.
 
     Attributes:
-        stride: of its features.
-        channels: of its features.
-        groups: of channels that are compared together.
-        iterations: of patchmatch.
-        hypotheses: drawn about the depth that is known so far.
-        interval: between them, as a share of the range of inverse depths.
-        reach: of the fixed pattern of propagation, in samples; that of aggregation is one less.
-        propagated: hypotheses taken over from neighbours.
+        stride: stride of the features.
+        channels: channels of the features.
+        groups: number of groups of channels; the similarity is computed per group.
+        iterations: iterations of patchmatch.
+        hypotheses: number of hypotheses around the current depth.
+        interval: distance between hypotheses, as a share of the range of inverse depths.
+        reach: reach of the fixed pattern of propagation, in samples; the pattern of aggregation reaches one less.
+        propagated: number of hypotheses taken from neighbours.
     """
 
     stride: int
@@ -44,33 +44,33 @@ class Level:
 
 
 LEVELS = (
-    Level(8, 64, 8, iterations=2, hypotheses=16, interval=0.025, reach=2, propagated=16),
-    Level(4, 32, 8, iterations=2, hypotheses=8, interval=0.0125, reach=4, propagated=8),
-    Level(2, 16, 4, iterations=1, hypotheses=8, interval=0.005, reach=6, propagated=0),
+    PyramidLevel(8, 64, 8, iterations=2, hypotheses=16, interval=0.025, reach=2, propagated=16),
+    PyramidLevel(4, 32, 8, iterations=2, hypotheses=8, interval=0.0125, reach=4, propagated=8),
+    PyramidLevel(2, 16, 4, iterations=1, hypotheses=8, interval=0.005, reach=6, propagated=0),
 )
 
 
 @dataclass(frozen=True, eq=False)
-class Range:
-    """Inverse depths, per metre."""
+class InverseDepthRange:
+    """A range of inverse depths, 1 / m."""
 
     low: float
     high: float
 
     @property
     def extent(self) -> float:
-        """From the lowest to the highest."""
+        """The difference of the highest and the lowest inverse depth, 1 / m."""
         return self.high - self.low
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """What a stage found.
+class StageEstimate:
+    """The result of a stage.
 
     Attributes:
         depth_m: (H, W).
-        probability: (D, H, W) of the last hypotheses.
-        view_weights: (V, H, W) how far each source is believed.
+        probability: (D, H, W) probabilities of the last hypotheses.
+        view_weights: (V, H, W) weight of each source, from 0 to 1.
     """
 
     depth_m: Tensor
@@ -78,109 +78,117 @@ class Estimate:
     view_weights: Tensor
 
 
-class Stage(nn.Module):
-    """Patchmatch at one level; the last is that of the finest.
+class PatchmatchStage(nn.Module):
+    """Patchmatch at one level.
 
     Args:
-        level: its settings.
-        last: whether depth is the expectation of inverse depth at the end.
+        level: the settings.
+        last: whether this is the finest level, at which depth is the expectation of inverse depth at the end.
     """
 
-    def __init__(self, level: Level, *, last: bool) -> None:
+    def __init__(self, level: PyramidLevel, *, last: bool) -> None:
         super().__init__()
         self.level, self.last = level, last
         self.evaluation = Evaluation(level.groups)
-        self.propa_conv = _moves(level, max(2 * level.propagated, 1))
-        self.eval_conv = _moves(level, 2 * _NEIGHBOURS)
+        self.propa_conv = _make_offset_convolution(level, max(2 * level.propagated, 1))
+        self.eval_conv = _make_offset_convolution(level, 2 * _NEIGHBOURS)
         self.feature_weight_net = GroupScore(level.groups, "similarity")
 
     def forward(
-        self, reference: Tensor, views: Sequence[View], inverse: Range, start: Estimate | None, draws: torch.Generator
-    ) -> Estimate:
-        """Depth of the reference at this level.
+        self,
+        reference: Tensor,
+        sources: Sequence[SourceFeatures],
+        inverse: InverseDepthRange,
+        start: StageEstimate | None,
+        generator: torch.Generator,
+    ) -> StageEstimate:
+        """Estimate the depth of the reference at this level.
 
         Args:
             reference: (C, H, W) features.
-            views: the sources, one at least.
-            inverse: depths that are searched.
-            start: of the level before, brought to this one's size; None: nothing is known yet.
-            draws: for the first hypotheses.
+            sources: at least one.
+            inverse: range that is searched.
+            start: estimate of the coarser level, resized to this level; None at the coarsest level.
+            generator: of the first hypotheses' random numbers.
         """
-        places = positions_of(square(self.level.reach - 1), self.eval_conv(reference[None])[0])
-        alike = torch.sigmoid(
-            self.feature_weight_net(group_similarity(gather(reference, places), reference, self.level.groups))
+        positions = compute_positions(make_square(self.level.reach - 1), self.eval_conv(reference[None])[0])
+        similarity_weights = torch.sigmoid(
+            self.feature_weight_net(
+                compute_group_similarity(gather(reference, positions), reference, self.level.groups)
+            )
         )
-        donors = self._donors(reference)
+        donor_positions = self._compute_donor_positions(reference)
         estimate = start
         for iteration in range(self.level.iterations):
             if estimate is None:
-                depths = first_hypotheses(inverse, reference.shape[1], reference.shape[2], draws)
+                depths = draw_first_hypotheses(inverse, reference.shape[1], reference.shape[2], generator)
             else:
-                depths = local_hypotheses(estimate.depth_m, inverse, self.level.hypotheses, self.level.interval)
-            if donors is not None:
-                taken = gather(depths[len(depths) // 2][None], donors)[0]
-                depths = torch.cat((depths, taken)).sort(dim=0).values
-            weights = near_in_depth(depths, inverse, places, self.level.interval).mul_(alike)
+                depths = make_local_hypotheses(estimate.depth_m, inverse, self.level.hypotheses, self.level.interval)
+            if donor_positions is not None:
+                propagated = gather(depths[len(depths) // 2][None], donor_positions)[0]
+                depths = torch.cat((depths, propagated)).sort(dim=0).values
+            weights = compute_depth_proximity(depths, inverse, positions, self.level.interval).mul_(similarity_weights)
             weights /= weights.sum(1, keepdim=True)
-            matched, view_weights = self._match(reference, views, depths, estimate)
-            score = (gather(self.evaluation.similarity_net(matched), places) * weights).sum(1)
+            matched, view_weights = self._match(reference, sources, depths, estimate)
+            score = (gather(self.evaluation.similarity_net(matched), positions) * weights).sum(1)
             probability = score.softmax(0)
             finest = self.last and iteration == self.level.iterations - 1
-            depth = inverse_expectation(probability, depths) if finest else soft_argmin(probability, depths)
-            estimate = Estimate(depth, probability, view_weights)
+            depth = compute_inverse_expectation(probability, depths) if finest else soft_argmin(probability, depths)
+            estimate = StageEstimate(depth, probability, view_weights)
         if estimate is None:
-            raise RuntimeError("a stage of no iterations")
+            raise RuntimeError("the stage has no iterations")
         return estimate
 
-    def _donors(self, reference: Tensor) -> Tensor | None:
+    def _compute_donor_positions(self, reference: Tensor) -> Tensor | None:
+        """Compute the neighbour positions (N, H, W, 2) that give hypotheses; None if this level does not propagate."""
         if self.level.propagated == 0:
             return None
-        near = ring(self.level.reach)
-        far = [(2 * down, 2 * right) for down, right in near]
-        return positions_of((near + far)[: self.level.propagated], self.propa_conv(reference[None])[0])
+        inner = make_ring(self.level.reach)
+        outer = [(2 * down, 2 * right) for down, right in inner]
+        return compute_positions((inner + outer)[: self.level.propagated], self.propa_conv(reference[None])[0])
 
     def _match(
-        self, reference: Tensor, views: Sequence[View], depths: Tensor, known: Estimate | None
+        self, reference: Tensor, sources: Sequence[SourceFeatures], depths: Tensor, known: StageEstimate | None
     ) -> tuple[Tensor, Tensor]:
-        """Similarities (G, D, H, W) over all sources, and how far each of those is believed (V, H, W)."""
-        total, believed, weights = torch.zeros(()), torch.tensor(_NO_WEIGHT), []
-        for number, view in enumerate(views):
-            seen, evidence = view.seen(depths)
-            similarity = group_similarity(seen, reference, self.level.groups)
-            weight = self.evaluation.view_weight(similarity) if known is None else known.view_weights[number]
+        """Compute the weighted mean similarity (G, D, H, W) over the sources, and the sources' weights (V, H, W)."""
+        total, total_weight, weights = torch.zeros(()), torch.tensor(_MIN_WEIGHT), []
+        for number, source in enumerate(sources):
+            warped, evidence = source.warp(depths)
+            similarity = compute_group_similarity(warped, reference, self.level.groups)
+            weight = self.evaluation.compute_view_weight(similarity) if known is None else known.view_weights[number]
             weights.append(weight)
             total = similarity.mul_(weight).add_(total)
-            believed = believed + weight * evidence
-        return total.div_(believed), torch.stack(weights)
+            total_weight = total_weight + weight * evidence
+        return total.div_(total_weight), torch.stack(weights)
 
 
-def first_hypotheses(inverse: Range, rows: int, columns: int, draws: torch.Generator) -> Tensor:
-    """(48, rows, columns) depths: one drawn evenly from each of as many equal parts of the range of inverse depths."""
-    drawn = torch.rand((FIRST_HYPOTHESES, rows, columns), generator=draws)
-    share = (drawn + torch.arange(FIRST_HYPOTHESES).view(-1, 1, 1)).div_(FIRST_HYPOTHESES)
+def draw_first_hypotheses(inverse: InverseDepthRange, rows: int, columns: int, generator: torch.Generator) -> Tensor:
+    """Draw depths (48, rows, columns): one at random from each of 48 equal parts of the range of inverse depths."""
+    random = torch.rand((FIRST_HYPOTHESES, rows, columns), generator=generator)
+    share = (random + torch.arange(FIRST_HYPOTHESES).view(-1, 1, 1)).div_(FIRST_HYPOTHESES)
     return share.mul_(inverse.extent).add_(inverse.low).reciprocal_()
 
 
-def local_hypotheses(depth_m: Tensor, inverse: Range, count: int, interval: float) -> Tensor:
-    """(count, H, W) depths about (H, W) known ones, evenly spaced in inverse depth, within the range."""
+def make_local_hypotheses(depth_m: Tensor, inverse: InverseDepthRange, count: int, interval: float) -> Tensor:
+    """Make depths (count, H, W) around known ones (H, W), evenly spaced in inverse depth, within the range."""
     steps = torch.arange(-(count // 2), count - count // 2).view(-1, 1, 1) * (interval * inverse.extent)
     return (depth_m.reciprocal() + steps).clamp_(inverse.low, inverse.high).reciprocal_()
 
 
-def near_in_depth(depths: Tensor, inverse: Range, places: Tensor, interval: float) -> Tensor:
-    """(D, N, H, W) from 0 to 1: how near each hypothesis (D, H, W) is to that of each of N places."""
+def compute_depth_proximity(depths: Tensor, inverse: InverseDepthRange, positions: Tensor, interval: float) -> Tensor:
+    """Compute how close each hypothesis (D, H, W) is to the same hypothesis at N neighbours: (D, N, H, W), 0 to 1."""
     share = (depths.reciprocal() - inverse.low) / inverse.extent
-    steps = (gather(share, places) - share[:, None]).abs_().div_(interval).clamp_(max=4.0)
+    steps = (gather(share, positions) - share[:, None]).abs_().div_(interval).clamp_(max=4.0)
     return torch.sigmoid(4.0 - 2.0 * steps)
 
 
-def inverse_expectation(probability: Tensor, depths: Tensor) -> Tensor:
-    """(H, W) depth at the expected index of hypotheses (D, H, W) that are evenly spaced in inverse depth."""
+def compute_inverse_expectation(probability: Tensor, depths: Tensor) -> Tensor:
+    """Compute depth (H, W) at the expected index of hypotheses (D, H, W) that are evenly spaced in inverse depth."""
     last = len(depths) - 1
     index = soft_argmin(probability, torch.arange(last + 1, dtype=probability.dtype))
     first = depths[0].reciprocal()
     return (first + index / last * (depths[-1].reciprocal() - first)).reciprocal_()
 
 
-def _moves(level: Level, outputs: int) -> nn.Conv2d:
+def _make_offset_convolution(level: PyramidLevel, outputs: int) -> nn.Conv2d:
     return nn.Conv2d(level.channels, outputs, 3, padding=level.reach, dilation=level.reach)

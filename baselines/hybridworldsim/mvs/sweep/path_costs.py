@@ -1,4 +1,4 @@
-"""Smoothing of a cost volume along paths: depths of neighbours cost where they differ.
+"""Smooths a cost volume along paths: a difference in depth between neighbouring pixels has a cost.
 
 Hirschmueller, "Stereo processing by semiglobal matching and mutual information" (TPAMI 2008), with four paths.
 """
@@ -12,57 +12,74 @@ from hybridworldsim.mvs.sweep.correlation import UNKNOWN
 from mirror.arrays import AnyArray, Float32, UInt8
 
 
-def smoothed(volume: UInt8, grey: Float32, *, step: int, jump: int, neutral: int, contrast: float) -> AnyArray:
-    """The costs (H, W, D) int32 summed over the four paths through each pixel.
+def smooth_costs(volume: UInt8, grey: Float32, *, step: int, jump: int, neutral: int, contrast: float) -> AnyArray:
+    """Sum the costs over the four paths through each pixel.
 
     Args:
-        volume: (H, W, D) costs; `UNKNOWN` where there is none.
-        grey: (H, W) the picture; a jump costs less where it changes. NaN changes everything.
-        step: what a change of depth by one costs.
-        jump: what any larger change costs at most.
-        neutral: what an unknown cost counts as.
+        volume: (H, W, D) costs; `UNKNOWN` where no source sees the depth.
+        grey: (H, W) the image; a jump costs less where the grey value changes. NaN counts as a large change.
+        step: cost of a change of depth by one.
+        jump: greatest cost of a larger change.
+        neutral: cost that stands for an unknown cost.
         contrast: change of grey at which a jump costs half.
+
+    Returns:
+        (H, W, D) uint16.
     """
-    return np.asarray(_smooth(volume, np.nan_to_num(grey, nan=9.0), step, jump, neutral, contrast))
+    settings = (step, jump, neutral, int(UNKNOWN), contrast)
+    return np.asarray(_smooth(volume, np.nan_to_num(grey, nan=9.0), *settings))
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _smooth(volume: AnyArray, grey: AnyArray, step: int, jump: int, neutral: int, contrast: float) -> AnyArray:
+def _smooth(
+    volume: AnyArray, grey: AnyArray, step: int, jump: int, neutral: int, unknown: int, contrast: float
+) -> AnyArray:
+    """Sum the costs of the four paths; `unknown` is an argument, because a cached kernel keeps imported constants."""
     height, width, depths = volume.shape
     total = np.zeros((height, width, depths), np.uint16)
     for row in numba.prange(height):
         for back in range(2):
-            _path(volume[row], grey[row], total[row], back == 1, step, jump, neutral, contrast)
+            _add_path(volume[row], grey[row], total[row], back == 1, step, jump, neutral, unknown, contrast)
     for column in numba.prange(width):
         for back in range(2):
-            _path(volume[:, column], grey[:, column], total[:, column], back == 1, step, jump, neutral, contrast)
+            _add_path(
+                volume[:, column], grey[:, column], total[:, column], back == 1, step, jump, neutral, unknown, contrast
+            )
     return total
 
 
 @numba.njit(cache=True, nogil=True)
-def _path(
-    costs: AnyArray, grey: AnyArray, total: AnyArray, back: bool, step: int, jump: int, neutral: int, contrast: float
+def _add_path(
+    costs: AnyArray,
+    grey: AnyArray,
+    total: AnyArray,
+    back: bool,
+    step: int,
+    jump: int,
+    neutral: int,
+    unknown: int,
+    contrast: float,
 ) -> None:
-    """Add one path's costs (N, D) to the sum; it runs backwards if ``back``."""
+    """Add the costs (N, D) of one path to the sum; the path runs backwards if ``back``."""
     count, depths = costs.shape
     before = np.zeros(depths + 2, np.int32)
     now = np.zeros(depths + 2, np.int32)
-    # Beyond the ends nothing is cheaper.
+    # The padding at both ends is too expensive to be chosen.
     before[0] = before[depths + 1] = now[0] = now[depths + 1] = 1 << 20
     least = 0
     for index in range(count):
         at = count - 1 - index if back else index
-        behind = at + 1 if back else at - 1
-        change = abs(grey[at] - grey[behind]) if index else 0.0
+        previous = at + 1 if back else at - 1
+        change = abs(grey[at] - grey[previous]) if index else 0.0
         leap = max(int(jump / (1.0 + change / contrast)), step + 1)
         ceiling = least + leap
         lowest = 1 << 20
         for depth in range(depths):
-            own = np.int32(costs[at, depth])
-            if own == UNKNOWN:
-                own = np.int32(neutral)
-            near = min(before[depth], before[depth + 2]) + step
-            value = own + min(min(before[depth + 1], near), ceiling) - least
+            cost = np.int32(costs[at, depth])
+            if cost == unknown:
+                cost = np.int32(neutral)
+            beside = min(before[depth], before[depth + 2]) + step
+            value = cost + min(min(before[depth + 1], beside), ceiling) - least
             now[depth + 1] = value
             lowest = min(lowest, value)
         for depth in range(depths):
@@ -72,13 +89,25 @@ def _path(
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def decide(
-    volume: AnyArray, total: AnyArray, valid: AnyArray, low: float, high: float, most_cost: float, margin: float
+def select_depths(
+    volume: AnyArray, total: AnyArray, valid: AnyArray, low: float, high: float, max_cost: float, margin: float
 ) -> tuple[Float32, Float32]:
-    """Depth (H, W), NaN where unknown, and confidence (H, W) of a smoothed volume.
+    """Select the cheapest depth of each pixel.
 
-    The cheapest depth counts if what it costs by itself is at most ``most_cost``, and all depths that are not beside
-    it cost at least ``margin`` of one path's jump more; it is refined by a parabola through its neighbours' sums.
+    The cheapest depth counts if its own cost is at most ``max_cost``, and if all depths that are more than two steps
+    away cost at least ``margin`` more in the sum. A parabola through the sums of its neighbours refines it.
+
+    Args:
+        volume: (H, W, D) costs.
+        total: (H, W, D) costs summed over the paths.
+        valid: (H, W) pixels that get a depth.
+        low: smallest inverse depth, 1 / m.
+        high: largest inverse depth, 1 / m.
+        max_cost: greatest cost in `volume`.
+        margin: least difference in `total`.
+
+    Returns:
+        Depth (H, W), metres, NaN where unknown; confidence (H, W) from 0 to 1.
     """
     height, width, depths = total.shape
     depth = np.full((height, width), np.nan, np.float32)
@@ -93,23 +122,23 @@ def decide(
                 if sums[index] < sums[best]:
                     best = index
             if best == 0 or best == depths - 1:
-                # What lies beyond the range fits its ends best.
+                # A surface outside the range fits one of the ends of the range best.
                 continue
-            own = int(volume[row, column, best])
+            cost = int(volume[row, column, best])
             for index in range(best - 1, best + 2):
-                own = min(own, int(volume[row, column, index]))
+                cost = min(cost, int(volume[row, column, index]))
             second = 1 << 20
             for index in range(depths):
                 if abs(index - best) > 2:
                     second = min(second, int(sums[index]))
             gap = second - int(sums[best])
-            if own > most_cost or gap < margin:
+            if cost > max_cost or gap < margin:
                 continue
-            place = float(best)
+            position = float(best)
             before, here, after = float(sums[best - 1]), float(sums[best]), float(sums[best + 1])
             curve = before - 2.0 * here + after
             if curve > 0.0:
-                place += 0.5 * (before - after) / curve
-            depth[row, column] = 1.0 / (low + place * (high - low) / (depths - 1))
-            confidence[row, column] = (1.0 - own / 127.0) * min(gap / (4.0 * margin), 1.0)
+                position += 0.5 * (before - after) / curve
+            depth[row, column] = 1.0 / (low + position * (high - low) / (depths - 1))
+            confidence[row, column] = (1.0 - cost / 127.0) * min(gap / (4.0 * margin), 1.0)
     return depth, confidence

@@ -17,7 +17,7 @@ _WORK: Final = ".mvs"
 
 
 @dataclass(frozen=True)
-class Layers:
+class InitialisationLayers:
     """Layers of one source and version.
 
     Attributes:

@@ -12,15 +12,15 @@ import numpy as np
 import pyarrow as pa
 
 from hybridworldsim.mvs.estimator import DepthEstimator
-from hybridworldsim.mvs.fusion import Confirmed, PointCloud, PosedDepth, Voxels, cloud_of, confirm
-from hybridworldsim.mvs.ground import Ground, driven, fit_ground, wheel_places
-from hybridworldsim.mvs.methods import LEAST_CONFIDENCE
-from hybridworldsim.mvs.options import Options
-from hybridworldsim.mvs.pictures.pairs import choose_sources
-from hybridworldsim.mvs.pictures.shots import Pictures, PosedImage, shots_of
-from hybridworldsim.mvs.sky import sky_mask
+from hybridworldsim.mvs.fusion import ConfirmedDepth, PointCloud, PosedDepth, VoxelThinner, confirm, make_point_cloud
+from hybridworldsim.mvs.ground import Ground, compute_wheel_contacts, fit_ground, read_driven_poses
+from hybridworldsim.mvs.images.pairs import choose_sources
+from hybridworldsim.mvs.images.posed_images import PosedImage, StereoImageCache, list_posed_images
+from hybridworldsim.mvs.methods import MIN_CONFIDENCE
+from hybridworldsim.mvs.options import InitialisationOptions
+from hybridworldsim.mvs.sky import find_sky
 from hybridworldsim.mvs.sparse import triangulate
-from hybridworldsim.mvs.writing.layers import Layers
+from hybridworldsim.mvs.writing.layers import InitialisationLayers
 from mirror.arrays import AnyArray, Bool, Float32, Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.pictures.depth import decode_depth, encode_depth
@@ -35,7 +35,7 @@ _GROUND_M: Final = 0.2
 _BELOW_M: Final = 0.4
 
 
-class Scene:
+class SceneInitialisation:
     """One scene's shots, and the maps that are made of them.
 
     Args:
@@ -50,14 +50,19 @@ class Scene:
     """
 
     def __init__(
-        self, view: Dataset, layers: Layers, options: Options, withheld: Set[Picture], progress: ProgressReporter
+        self,
+        view: Dataset,
+        layers: InitialisationLayers,
+        options: InitialisationOptions,
+        withheld: Set[Picture],
+        progress: ProgressReporter,
     ) -> None:
         self._layers, self._options, self._progress = layers, options, progress
-        self._shots = shots_of(view, options.pixels, withheld, options.standing_m)
-        self._pictures = Pictures(self._shots, options.pixels)
+        self._shots = list_posed_images(view, options.pixels, withheld, options.standing_m)
+        self._pictures = StereoImageCache(self._shots, options.pixels)
         self._sources = choose_sources(self._shots, max(options.sources, options.held_against))
         self._held: OrderedDict[int, Float32] = OrderedDict()
-        self._driven = wheel_places(driven(view))
+        self._driven = compute_wheel_contacts(read_driven_poses(view))
         self._level = fit_ground(self._driven)
         self.counts: dict[str, int] = {}
 
@@ -85,7 +90,7 @@ class Scene:
             show what stands still.
         """
         self._progress.start("fusion", len(self._shots))
-        voxels = Voxels(self._options.voxel_m)
+        voxels = VoxelThinner(self._options.voxel_m)
         clouds: dict[str, PointCloud] = {}
         known, static = 0, 0
         for traversal_id, numbers in self._by_traversal():
@@ -98,7 +103,7 @@ class Scene:
         return clouds, (known, static)
 
     def _confirm_traversal(
-        self, traversal_id: str, numbers: Sequence[int], voxels: Voxels
+        self, traversal_id: str, numbers: Sequence[int], voxels: VoxelThinner
     ) -> tuple[PointCloud, tuple[int, int]]:
         depth, masks = self._layers.writer(traversal_id, "depth"), self._layers.writer(traversal_id, "masks")
         parts: list[PointCloud] = []
@@ -111,19 +116,19 @@ class Scene:
             agreed = found.views >= self._options.depth_views
             sure = np.where(agreed, found.depth_m, np.nan).astype(np.float32)
             known, static = known + int(agreed.sum()), static + int(picture.valid.sum())
-            cloud = cloud_of(found, picture.rgb, picture.K, shot.world_SE3_camera, self._options.point_views)
+            cloud = make_point_cloud(found, picture.rgb, picture.K, shot.world_SE3_camera, self._options.point_views)
             parts.append(voxels.thin(cloud))
             if depth is not None:
                 depth_rows.append({**_key(shot), **_lens(shot), **depth.file(_name(shot), encode_depth(sure))})
             if masks is not None:
-                mask = _as_recorded(sky_mask(picture, sure), shot)
+                mask = _as_recorded(find_sky(picture, sure), shot)
                 mask_rows.append({**_key(shot), "kind": "sky", **masks.file(_name(shot), _png(mask))})
             self._progress.advance(1)
         if depth is not None:
             depth.finish(DEPTH, depth_rows, self._layers.made_of)
         if masks is not None:
             masks.finish(MASKS, mask_rows, self._layers.made_of)
-        return PointCloud.together(parts), (known, static)
+        return PointCloud.concatenate(parts), (known, static)
 
     def triangulate(self) -> dict[str, PointCloud]:
         """Sparse points by the traversal that sees each first."""
@@ -135,7 +140,7 @@ class Scene:
 
     def write_points(self, clouds: Mapping[str, PointCloud]) -> Ground:
         """Fit the ground, and write the layers of points with their kinds."""
-        every = PointCloud.together(list(clouds.values()))
+        every = PointCloud.concatenate(list(clouds.values()))
         ground = fit_ground(self._driven, every.position_m)
         for traversal_id, cloud in clouds.items():
             kind = self._kinds(cloud.position_m, ground)
@@ -149,13 +154,13 @@ class Scene:
     @property
     def _least_confidence(self) -> float:
         own = self._options.least_confidence
-        return LEAST_CONFIDENCE.get(self._layers.source, 0.0) if own is None else own
+        return MIN_CONFIDENCE.get(self._layers.source, 0.0) if own is None else own
 
     def _by_traversal(self) -> Iterator[tuple[str, list[int]]]:
         for traversal_id in sorted({shot.traversal_id for shot in self._shots}):
             yield traversal_id, [n for n, shot in enumerate(self._shots) if shot.traversal_id == traversal_id]
 
-    def _confirmed(self, number: int) -> Confirmed:
+    def _confirmed(self, number: int) -> ConfirmedDepth:
         others = [self._posed(other) for other in self._sources[number][: self._options.held_against].tolist()]
         return confirm(self._above_ground(self._posed(number)), others, most_share=self._options.agree_share)
 

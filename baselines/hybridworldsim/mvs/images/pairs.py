@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hybridworldsim.mvs.pictures.shots import PosedImage
+from hybridworldsim.mvs.images.posed_images import PosedImage
 from mirror.arrays import Float64, Int64
 
 _DEPTHS_M: Final = (4.0, 8.0, 16.0, 32.0, 64.0)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from hybridworldsim.mvs.estimator import PosedPicture
+from hybridworldsim.mvs.estimator import StereoImage
 from hybridworldsim.mvs.learned.layers import fold_norms
 from mirror.geometry.poses import Poses
 
@@ -20,7 +20,7 @@ def posed(rgb, translation=(0.0, 0.0, 0.0), rotation=(1.0, 0.0, 0.0, 0.0), valid
     height, width = rgb.shape[:2]
     pose = Poses(np.array([rotation], float), np.array([translation], float))
     K = intrinsics(width, height) if K is None else K
-    return PosedPicture(rgb, K, pose, np.ones((height, width), bool) if valid is None else valid)
+    return StereoImage(rgb, K, pose, np.ones((height, width), bool) if valid is None else valid)
 
 
 def wall(width, height, translation=(0.0, 0.0, 0.0), normal=(0.2, -0.1, -1.0), distance_m=8.0, world=(0.0, 0.0, 0.0)):

@@ -10,7 +10,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from hybridworldsim.mvs.estimator import PosedPicture
+from hybridworldsim.mvs.estimator import StereoImage
 from hybridworldsim.stationary import STATIONARY_M, select_moving
 from mirror.arrays import Bool
 from mirror.dataset.dataset import Dataset
@@ -51,7 +51,7 @@ class PosedImage:
     world_SE3_camera: Poses
 
 
-def shots_of(
+def list_posed_images(
     dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset(), stationary_m: float = STATIONARY_M
 ) -> list[PosedImage]:
     """The pictures of a view, in order of traversal, camera and time, but for those of a standing vehicle.
@@ -93,7 +93,7 @@ def shots_of(
     return [shots[position] for position in select_moving(taken, stationary_m)]
 
 
-class Pictures:
+class StereoImageCache:
     """The shots as posed pictures, decoded when asked for; the last few are held.
 
     Args:
@@ -103,9 +103,9 @@ class Pictures:
 
     def __init__(self, shots: Sequence[PosedImage], pixels: Pixels) -> None:
         self._shots, self._pixels = shots, pixels
-        self._held: OrderedDict[int, PosedPicture] = OrderedDict()
+        self._held: OrderedDict[int, StereoImage] = OrderedDict()
 
-    def __getitem__(self, index: int) -> PosedPicture:
+    def __getitem__(self, index: int) -> StereoImage:
         """One picture.
 
         Raises:
@@ -118,9 +118,9 @@ class Pictures:
         self._held.move_to_end(index)
         return self._held[index]
 
-    def _posed(self, shot: PosedImage) -> PosedPicture:
+    def _posed(self, shot: PosedImage) -> StereoImage:
         rgb = raster_of(shot.image.camera_model, self._pixels).picture(shot.image.decode())
-        return PosedPicture(rgb, shot.lens.intrinsic_matrix(), shot.world_SE3_camera, static_pixels(shot, self._pixels))
+        return StereoImage(rgb, shot.lens.intrinsic_matrix(), shot.world_SE3_camera, static_pixels(shot, self._pixels))
 
 
 def static_pixels(shot: PosedImage, pixels: Pixels) -> Bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybridworldsim.mvs.estimator import PosedPicture
+from hybridworldsim.mvs.estimator import StereoImage
 from mirror.geometry.poses import Poses
 
 SIZE = (72, 48)
@@ -47,10 +47,10 @@ def depth_of(wall: Wall, x_m: float) -> np.ndarray:
 
 def seen(
     wall: Wall, x_m: float, *, gain: float = 1.0, shift: float = 0.0, valid: np.ndarray | None = None
-) -> PosedPicture:
+) -> StereoImage:
     point = rays() * depth_of(wall, x_m)[..., None] + np.array([x_m, 0.0, 0.0])
     grey = np.clip(128.0 + shift + gain * 320.0 * wall.grey(point), 0, 255)
     rgb = np.repeat(np.round(grey).astype(np.uint8)[..., None], 3, axis=2)
     pose = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[x_m, 0.0, 0.0]]))
     shown = np.ones(rgb.shape[:2], np.bool_) if valid is None else valid
-    return PosedPicture(rgb, intrinsics(), pose, shown)
+    return StereoImage(rgb, intrinsics(), pose, shown)

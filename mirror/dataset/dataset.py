@@ -164,6 +164,13 @@ class Dataset:
         Raises:
             UsageError: a value that the dataset does not know, or that cannot be.
             DatasetError: there is no such split.
+
+        Example:
+            >>> dataset = mirror.open("dataset")
+            >>> dataset.where(light=["dusk", "night"], camera="rear")
+            Dataset('dataset': 2 traversals, 8 images)
+            >>> len(dataset.where(split="novel", role="train").traversals())
+            2
         """
         more = Filters(
             scene=self._known("scene", scene, lambda: self._all("scenes", "scene_id")),
@@ -204,6 +211,11 @@ class Dataset:
 
         Raises:
             UsageError: no traversal of the dataset has such a layer, or there is no such stage.
+
+        Example:
+            >>> view = mirror.open("dataset").with_layers(boxes="petr@1", stage="factory")
+            >>> view.layers.boxes
+            'petr@1'
         """
         changes: dict[str, str] = {}
         layers = {layer for own in self._all("traversals", "layers") for layer in own}
@@ -229,6 +241,12 @@ class Dataset:
 
         Raises:
             UsageError: no such table or column.
+
+        Example:
+            >>> dataset = mirror.open("dataset")
+            >>> rows = dataset.table("traversals", ["drive_id", "light", "images"])
+            >>> rows.to_pylist()[0]
+            {'drive_id': 'd0', 'light': 'day', 'images': 8}
         """
         _check("table", name, TABLES)
         known = TABLES[name].schema.names
@@ -246,6 +264,10 @@ class Dataset:
 
         Raises:
             UsageError: no such table.
+
+        Example:
+            >>> mirror.open("dataset").count("boxes")
+            6
         """
         _check("table", name, TABLES)
         return count(self._catalog, self.filters, name)
@@ -264,7 +286,13 @@ class Dataset:
         return points_of(self._catalog, self.filters, self.layers.points)
 
     def frames(self) -> FrameSequence:
-        """The frames in the view: synchronised pictures of all its cameras, in order of traversal and time."""
+        """The frames in the view: synchronised images of all its cameras, in order of traversal and time.
+
+        Example:
+            >>> frames = mirror.open("dataset").frames()
+            >>> len(frames), frames[0].scene_id, list(frames[0].images)
+            (12, 'a', ['front_wide', 'rear'])
+        """
         from mirror.dataset.frames import FrameSequence
 
         return FrameSequence.of(self._catalog, self.filters, self.layers)
@@ -344,8 +372,15 @@ def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:
             a run writes a local dataset, its index is that of before the run, and so is all that is read.
 
     Raises:
-        DatasetError: no dataset there, no index, or an index that is older than the dataset.
-        SchemaError: a document is broken, or of a schema version that this toolkit does not read.
+        DatasetError: the folder has no dataset or no index, or the dataset has changed since the index was built.
+        SchemaError: a document is broken, or its schema version is one that this toolkit does not read.
+
+    Example:
+        >>> dataset = mirror.open("dataset")
+        >>> dataset
+        Dataset('dataset': 3 traversals, 24 images)
+        >>> dataset.cameras()
+        ['front_wide', 'rear']
     """
     return _open(path, check_stale=check_stale)
 

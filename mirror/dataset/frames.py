@@ -81,7 +81,13 @@ class Frame:
 
         Raises:
             UsageError: no such frame, no picture of that camera, or several box layers and none chosen.
-            DatasetError: the chosen poses or calibrations do not reach.
+            DatasetError: the chosen poses or calibrations do not cover the time.
+
+        Example:
+            >>> frame = mirror.open("dataset").frames()[0]
+            >>> boxes = frame.boxes("camera:front_wide")
+            >>> boxes.category, boxes.size_m.shape
+            (('van', 'car'), (2, 3))
         """
         boxes = self._traversal.boxes(self.timestamp_ns)
         if frame == "ego":
@@ -108,8 +114,13 @@ class Frame:
             verify: hold the bytes against their hashes.
 
         Raises:
-            UsageError: a camera has no picture in this frame, or the sizes differ.
-            DatasetError: a picture is missing or broken.
+            UsageError: a camera has no image in this frame, or the sizes differ.
+            DatasetError: an image is missing or broken.
+
+        Example:
+            >>> frame = mirror.open("dataset").frames()[0]
+            >>> frame.decode(["front_wide", "rear"]).shape
+            (2, 3, 64, 96)
         """
         images = self.images
         names = list(images) if cameras is None else list(cameras)

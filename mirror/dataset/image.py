@@ -121,10 +121,19 @@ class Image:
         return data
 
     def decode(self, *, verify: bool = False) -> UInt8:
-        """Pixels (height, width, 3), RGB.
+        """Decode the pixels (height, width, 3), uint8, RGB.
+
+        Args:
+            verify: compare the bytes with ``sha256`` first.
 
         Raises:
-            DatasetError: missing, broken, or of another size than its row says; file, camera and timestamp are named.
+            DatasetError: the image is missing or broken, or its size is not the one in its row; the error names file,
+                camera and timestamp.
+
+        Example:
+            >>> image = mirror.open("dataset").frames()[0].images["rear"]
+            >>> image.decode().shape
+            (64, 96, 3)
         """
         from mirror.dataset.pictures.still import decode_rgb
 
@@ -157,10 +166,15 @@ class Image:
 
     @property
     def world_SE3_camera(self) -> Poses:  # noqa: N802
-        """The camera's pose at mid-exposure, composed of the ego's and the mounting (one pose).
+        """The camera's pose at mid-exposure (one pose): the ego pose composed with the camera's mounting.
 
         Raises:
-            DatasetError: the chosen poses do not cover it, or no calibration holds.
+            DatasetError: the chosen poses do not cover the image's time, or no calibration is valid then.
+
+        Example:
+            >>> image = mirror.open("dataset").frames()[0].images["rear"]
+            >>> image.world_SE3_camera.translation.shape
+            (1, 3)
         """
         return self._traversal.world_SE3_ego(self.timestamp_ns) @ self.calibration.ego_SE3_camera
 

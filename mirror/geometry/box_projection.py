@@ -93,6 +93,13 @@ def project_boxes(
 
     Raises:
         UsageError: sizes do not fit, or ``near_m`` is not above 0.
+
+    Example:
+        >>> from mirror.geometry import Camera, Poses, project_boxes
+        >>> camera = Camera("pinhole", 200, 100, fx_px=100.0, fy_px=100.0, cx_px=100.0, cy_px=50.0)
+        >>> camera_SE3_box = Poses([[1.0, 0.0, 0.0, 0.0]], [[0.0, 0.0, 11.0]])
+        >>> project_boxes(camera, camera_SE3_box, [[2.0, 2.0, 2.0]]).bounds_px
+        array([[ 90.,  40., 110.,  60.]])
     """
     if not near_m > 0.0:
         raise UsageError(f"near plane at {near_m} m", expected="a distance above 0")

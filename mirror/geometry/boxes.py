@@ -46,6 +46,11 @@ def corners(poses: Poses, lwh_m: npt.ArrayLike) -> Float64:
 
     Raises:
         UsageError: there are not as many sizes as poses, or a size is negative or not finite; its row is named.
+
+    Example:
+        >>> from mirror.geometry import Poses, corners
+        >>> corners(Poses.identity(), [[4.0, 2.0, 1.6]])[0, 0]
+        array([2. , 1. , 0.8])
     """
     return poses.transform(0.5 * sizes(poses, lwh_m)[:, None] * CORNER_SIGNS)
 

@@ -32,6 +32,12 @@ def interpolate(
     Raises:
         UsageError: a time lies outside the recorded ones (and ``extrapolate`` is false); stamps are not integers, not
             increasing, or not as many as poses; there are no poses, or there is one and ``extrapolate`` needs two.
+
+    Example:
+        >>> from mirror.geometry import Poses, interpolate
+        >>> poses = Poses(np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)), [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+        >>> interpolate([0, 100], poses, [25]).translation
+        array([[1., 0., 0.]])
     """
     stamps = _stamps(timestamps_ns, "timestamps_ns")
     query = _stamps(query_ns, "query_ns")

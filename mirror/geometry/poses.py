@@ -162,6 +162,13 @@ class Poses:
 
         Raises:
             UsageError: the numbers of poses do not fit.
+
+        Example:
+            >>> from mirror.geometry import Poses
+            >>> world_SE3_ego = Poses([[1.0, 0.0, 0.0, 0.0]], [[10.0, 0.0, 0.0]])
+            >>> ego_SE3_camera = Poses([[1.0, 0.0, 0.0, 0.0]], [[1.5, 0.0, 1.6]])
+            >>> (world_SE3_ego @ ego_SE3_camera).translation
+            array([[11.5,  0. ,  1.6]])
         """
         self._require_matching(len(other), "poses")
         rotation = multiply_unit(self.rotation, other.rotation)

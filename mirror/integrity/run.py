@@ -61,22 +61,27 @@ def check(
     start: Callable[[int], object] = lambda scenes: None,
     advance: Callable[[int], object] = lambda scenes: None,
 ) -> CheckReport:
-    """Hold a dataset against the integrity rules. Nothing is written.
+    """Check a dataset against the integrity rules. Nothing is written.
 
-    Tables are read one scene at a time, so that memory does not grow with the number of scenes; pictures are opened
+    Tables are read one scene at a time, so that memory does not grow with the number of scenes. Each image is opened
     once for all rules.
 
     Args:
         root: the dataset's folder.
-        only: ids of rules, or letters of groups; these run whatever they cost. Empty: all up to ``cost``.
+        only: ids of rules, or letters of groups; these run whatever they cost. Empty: all rules up to ``cost``.
         skip: ids of rules, or letters of groups, that do not run.
-        cost: the dearest rules that run.
+        cost: the most expensive kind of rule that runs.
         start: called with the number of scenes.
         advance: called with the number of scenes done since the last call.
 
     Raises:
-        DatasetError: there is no dataset.
-        UsageError: there is no such rule.
+        DatasetError: the folder holds no dataset.
+        UsageError: a rule or group does not exist.
+
+    Example:
+        >>> report = mirror.check("dataset", only=["IMG001"])
+        >>> [rule.rule_id for rule in report.rules], report.counts()["error"]
+        (['IMG001'], 0)
     """
     layout = Layout(Path(root))
     require_dataset(layout)

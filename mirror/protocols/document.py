@@ -311,6 +311,11 @@ def load_protocol(name: str) -> Protocol:
     Raises:
         UsageError: there is none of that name, or the name is reserved.
         SchemaError: the file is wrong; the key is named.
+
+    Example:
+        >>> protocol = mirror.load_protocol("lane-shift")
+        >>> protocol.name
+        'lane-shift'
     """
     if name.endswith(".toml"):
         path = Path(name)

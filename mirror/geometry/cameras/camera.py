@@ -127,6 +127,12 @@ class Camera:
 
         Raises:
             UsageError: the last axis is not 3.
+
+        Example:
+            >>> from mirror.geometry import Camera
+            >>> camera = Camera("pinhole", 200, 100, fx_px=100.0, fy_px=100.0, cx_px=100.0, cy_px=50.0)
+            >>> camera.project([[1.0, 0.0, 5.0]]).uv_px
+            array([[120.,  50.]])
         """
         points = _vectors(points_camera, 3, "points")
         batch = points.shape[:-1]

@@ -1,54 +1,118 @@
-"""A verb's arguments from its words: a frozen dataclass, whose docstrings are the help.
+"""The arguments of a verb: a frozen dataclass, whose fields are the options and whose docstrings are the help.
 
-A field of type `Path` is a path on this machine; a URL given for it is refused here, for every verb. A field that also
+A field of type `Path` is a path on this machine: a URL in its place is refused here, for every verb. A field that also
 takes a URL is of type `str`.
 """
 
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import tyro
 
-from mirror.errors import UsageError
+from mirror.errors import ExitCode, UsageError
 
 _Arguments = TypeVar("_Arguments")
 
-# `Path` makes one slash of two, and a scheme is longer than the letter of a drive.
+# `Path` turns two slashes into one. A URL scheme has at least two letters, a drive letter is one.
 _URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/|.*::")
 
 
-def parsed(kind: type[_Arguments], words: Sequence[str], command: str) -> _Arguments:
-    """Arguments of a command; it says what is wrong, or helps, and exits, where there are none to return.
+class Subcommand(NamedTuple):
+    """A command within a verb, such as `new` of ``mirror submission new``.
+
+    Attributes:
+        summary: one line for the verb's help.
+        run: takes the words after the subcommand and returns the exit code.
+    """
+
+    summary: str
+    run: Callable[[Sequence[str]], int]
+
+
+def parse_arguments(
+    kind: type[_Arguments], words: Sequence[str], command: str, *, renamed: Mapping[str, str] | None = None
+) -> _Arguments:
+    """Parse the arguments of a command. For ``--help`` and for wrong arguments it prints a text and exits.
 
     Args:
-        kind: a dataclass.
-        words: after the command.
-        command: as it is typed.
+        kind: the dataclass of the arguments.
+        words: the words after the command.
+        command: the command as it is typed, such as ``mirror check``.
+        renamed: old options that are still accepted, with their new names; see `apply_new_names`.
 
     Raises:
         UsageError: a URL stands where a path is expected.
+        SystemExit: the help was printed (code 0), or the arguments are wrong (code 2).
     """
-    return _local(tyro.cli(kind, args=list(words), prog=command, config=(tyro.conf.PositionalMetavarFromFieldName,)))
+    words = apply_new_names(words, command, renamed or {})
+    return refuse_urls(tyro.cli(kind, args=words, prog=command, config=(tyro.conf.PositionalMetavarFromFieldName,)))
 
 
-def parsed_of(kinds: Mapping[str, Callable[..., _Arguments]], words: Sequence[str], command: str) -> _Arguments:
-    """As `parsed`, for a command that has commands of its own, by name."""
-    return _local(tyro.extras.subcommand_cli_from_dict(dict(kinds), args=list(words), prog=command))
+def run_subcommand(words: Sequence[str], command: str, subcommands: Mapping[str, Subcommand]) -> int:
+    """Run the subcommand that the first word names; without one, or for ``--help``, list the subcommands.
+
+    Args:
+        words: the words after the command.
+        command: the command as it is typed, such as ``mirror submission``.
+        subcommands: by name.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        UsageError: there is no subcommand of this name.
+    """
+    if words and words[0] in subcommands:
+        return subcommands[words[0]].run(words[1:])
+    if words and words[0] not in ("-h", "--help"):
+        listed = ", ".join(f"`{command} {name}`" for name in subcommands)
+        raise UsageError(f"`{command}` has no subcommand {words[0]!r}", expected=listed)
+    width = max(map(len, subcommands))
+    print(f"usage: {command} {'|'.join(subcommands)} [options]\n")
+    for name, subcommand in subcommands.items():
+        print(f"  {name:<{width}}  {subcommand.summary}")
+    print(f"\n`{command} {next(iter(subcommands))} --help` explains a subcommand.")
+    return ExitCode.DONE if words else ExitCode.COULD_NOT_RUN
+
+
+def apply_new_names(words: Sequence[str], command: str, renamed: Mapping[str, str]) -> list[str]:
+    """Replace old option names by the new ones, with a note on standard error for each.
+
+    Args:
+        words: the words after the command.
+        command: the command as it is typed, for the note.
+        renamed: new names by old names, such as ``{"--half": "--fp16"}``.
+    """
+    result = []
+    for word in words:
+        option, equals, value = word.partition("=")
+        # tyro takes underscores for hyphens, and `--no-` before a switch.
+        old = option.replace("_", "-")
+        negated = old.startswith("--no-") and f"--{old[5:]}" in renamed
+        new = renamed.get(f"--{old[5:]}" if negated else old)
+        if new is None:
+            result.append(word)
+            continue
+        new = f"--no-{new[2:]}" if negated else new
+        print(f"{command}: {old} is now called {new}", file=sys.stderr)
+        result.append(f"{new}{equals}{value}")
+    return result
 
 
 def local_path(path: Path, place: str | None = None) -> Path:
-    """A path from the command line, as it is.
+    """Return a path of the command line unchanged, or refuse it if it is a URL.
 
     Args:
         path: of a file or folder, whether or not it exists.
-        place: the option that it was given with.
+        place: the option that has this value.
 
     Raises:
-        UsageError: it is a URL: `Path` would take ``s3://bucket`` for a folder ``s3:``.
+        UsageError: it is a URL: `Path` would read ``s3://bucket`` as a folder ``s3:``.
     """
     if _URL.match(str(path)):
         raise UsageError(
@@ -62,9 +126,14 @@ def local_path(path: Path, place: str | None = None) -> Path:
     return path
 
 
-def _local(arguments: _Arguments) -> _Arguments:
+def refuse_urls(arguments: _Arguments) -> _Arguments:
+    """Return parsed arguments unchanged.
+
+    Raises:
+        UsageError: the value of a field of type `Path` is a URL.
+    """
     for value in vars(arguments).values():
-        for one in value if isinstance(value, tuple) else (value,):
-            if isinstance(one, Path):
-                local_path(one)
+        for item in value if isinstance(value, tuple) else (value,):
+            if isinstance(item, Path):
+                local_path(item)
     return arguments

@@ -10,7 +10,7 @@ from typing import Literal
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
 
@@ -35,7 +35,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror baseline")
+    arguments = parse_arguments(Arguments, argv, "mirror baseline")
 
     import mirror
     from mirror.evaluation.submission.writing import write_submission

@@ -10,7 +10,7 @@ from typing import Final
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import Subcommand, parse_arguments, run_subcommand
 from mirror.errors import ExitCode, UsageError
 from mirror_leaderboard.refused import RefusedError
 
@@ -52,21 +52,20 @@ class Add:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run one of the commands."""
-    commands = {"build": _build, "add": _add}
-    if not argv or argv[0] not in commands:
-        print("usage: mirror leaderboard build|add [options]\n\n  build  write the static site")
-        print("  add    put a result.json on the board\n\n`--help` after either explains it.")
-        return ExitCode.DONE if argv and argv[0] in ("-h", "--help") else ExitCode.COULD_NOT_RUN
+    """Run the verb."""
+    subcommands = {
+        "build": Subcommand("write the static site", _build),
+        "add": Subcommand("put a result.json on the board", _add),
+    }
     try:
-        return commands[argv[0]](argv[1:])
+        return run_subcommand(argv, "mirror leaderboard", subcommands)
     except RefusedError as error:
         print(f"mirror leaderboard {argv[0]}: refused: {error}", file=sys.stderr)
         return ExitCode.FINDINGS
 
 
 def _build(argv: Sequence[str]) -> int:
-    arguments = parsed(Build, argv, "mirror leaderboard build")
+    arguments = parse_arguments(Build, argv, "mirror leaderboard build")
     from mirror_leaderboard.site.page import build
 
     found = arguments.board is None and (BOARD / "entries").is_dir()
@@ -76,7 +75,7 @@ def _build(argv: Sequence[str]) -> int:
 
 
 def _add(argv: Sequence[str]) -> int:
-    arguments = parsed(Add, argv, "mirror leaderboard add")
+    arguments = parse_arguments(Add, argv, "mirror leaderboard add")
     from mirror_leaderboard.add import add_result
     from mirror_leaderboard.pictures import Shown
 

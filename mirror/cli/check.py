@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror check")
+    arguments = parse_arguments(Arguments, argv, "mirror check")
     if arguments.quick and arguments.full:
         raise UsageError("--quick and --full at once", expected="one of them, or neither")
 

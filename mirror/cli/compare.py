@@ -9,7 +9,7 @@ from pathlib import Path
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
 _UNBOUNDED = 1000
@@ -30,7 +30,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror compare")
+    arguments = parse_arguments(Arguments, argv, "mirror compare")
 
     from mirror.evaluation.compare import compare
 

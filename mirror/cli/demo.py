@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
 _FLOOR: Final = "nearest_frame"
@@ -43,7 +43,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror demo")
+    arguments = parse_arguments(Arguments, argv, "mirror demo")
 
     begin = time.monotonic()
     _clear(arguments.out)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.command_line import local_path, parsed
+from mirror.command_line import local_path, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror evaluate")
+    arguments = parse_arguments(Arguments, argv, "mirror evaluate")
 
     from mirror.cli.submission import asked_or_problems, say_report
     from mirror.evaluation.run import Options, evaluate

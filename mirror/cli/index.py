@@ -9,7 +9,7 @@ from pathlib import Path
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
 
@@ -29,7 +29,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror index")
+    arguments = parse_arguments(Arguments, argv, "mirror index")
 
     from mirror.dataset.index import build_index
     from mirror.dataset.layout import Layout, require_dataset

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mirror.cli.ingest import reader_options
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import DatasetError, ExitCode
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror info")
+    arguments = parse_arguments(Arguments, argv, "mirror info")
     path = arguments.path
     if not path.exists():
         raise DatasetError("there is nothing at this path", file=path, expected="a dataset or a recording")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode, MirrorError, UsageError
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror ingest")
+    arguments = parse_arguments(Arguments, argv, "mirror ingest")
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror ingest RECORDING... --rois FILE --out DATASET")
     if arguments.out is None and not arguments.dry_run:

@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    from mirror.cli.verbs import all_commands, find_command
+    from mirror.cli.verbs import RENAMED, all_commands, find_command
     from mirror.errors import ExitCode
     from mirror.version import __version__
 
@@ -42,7 +42,9 @@ def _run(words: list[str]) -> int:
     if words[0] in ("-V", "--version"):
         print(f"mirror {__version__}")
         return ExitCode.DONE
-    verb, rest = words[0], words[1:]
+    verb, rest = RENAMED.get(words[0], words[0]), words[1:]
+    if verb != words[0]:
+        print(f"mirror: the verb {words[0]} is now called {verb}", file=sys.stderr)
     command = find_command(verb)
     if command is None:
         import difflib

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -62,15 +62,15 @@ class Arguments:
     run.json of a block lists all."""
     threads: int | None = None
     """Default: as many as there are processors."""
-    half: bool = False
-    """Write the model in half precision."""
+    fp16: bool = False
+    """Write the model in half precision (16-bit floats)."""
     json: bool = False
     """Print what came of it as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror reconstruct")
+    arguments = parse_arguments(Arguments, argv, "mirror reconstruct", renamed={"--half": "--fp16"})
     for name, number, least in (
         ("--minutes", arguments.minutes, 0.0),
         ("--steps", arguments.steps, 0.0),
@@ -111,7 +111,7 @@ def main(argv: Sequence[str]) -> int:
         initialise=arguments.initialise,
         blocks=frozenset(filter(None, (arguments.blocks or "").split(","))),
         threads=arguments.threads,
-        half=arguments.half,
+        half=arguments.fp16,
         settings=_settings(arguments.set),
         withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
     )

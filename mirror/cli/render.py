@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror render")
+    arguments = parse_arguments(Arguments, argv, "mirror render")
     if (arguments.split is None) == (arguments.trajectory is None):
         raise UsageError("what shall be rendered?", expected="--split for a submission, or --trajectory, one of them")
     if arguments.width is not None and arguments.width < 1:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 
@@ -29,7 +29,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror report")
+    arguments = parse_arguments(Arguments, argv, "mirror report")
 
     folder = arguments.out.absolute().parent
     if not folder.is_dir():

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mirror.cli.ingest import Cleaning, Trigger, given, print_failures, reader_options
-from mirror.command_line import parsed
+from mirror.command_line import Subcommand, parse_arguments, run_subcommand
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -53,14 +53,12 @@ class Propose:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    words = list(argv)
-    if words[:1] != ["propose"]:
-        if words and words[0] not in ("-h", "--help"):
-            raise UsageError(f"no such command: {words[0]!r}", expected="mirror rois propose RECORDING...")
-        print("usage: mirror rois propose RECORDING...   (`mirror rois propose --help` explains it)")
-        return ExitCode.DONE if words else ExitCode.COULD_NOT_RUN
-    arguments = parsed(Propose, words[1:], "mirror rois propose")
+    summary = "propose regions of interest from recordings"
+    return run_subcommand(argv, "mirror rois", {"propose": Subcommand(summary, _propose)})
 
+
+def _propose(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Propose, argv, "mirror rois propose")
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror rois propose RECORDING...")
 

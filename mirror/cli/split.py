@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 class Arguments:
     """Divide the traversals of a dataset into roles, without a leak, and freeze the result in splits/NAME.json.
 
-    Methods: novel-traversal (per scene --train traversals and --held-out others; the paper's 4 and 1), by-scene (whole
-    scenes to train, val and test by shares) and by-condition (what fits --test-on is tested on, the rest of what fits
-    --train-on is trained on). A split that is there stays as it is, also when the dataset has grown.
+    Methods: novel-traversal holds out --held-out-traversals of each scene and trains on --train others (the paper: 1
+    and 4). by-scene divides whole scenes into train, val and test by shares. by-condition tests on the traversals that
+    match --test-on and trains on the others that match --train-on. An existing split stays unchanged, also when the
+    dataset has grown.
     """
 
     dataset: tyro.conf.Positional[Path]
@@ -35,7 +36,7 @@ class Arguments:
     """How to divide (novel-traversal)."""
     train: float | None = None
     """Traversals a scene to train on (4); by-scene: share of the scenes (0.7)."""
-    held_out: int | None = None
+    held_out_traversals: int | None = None
     """Traversals a scene to hold out (1)."""
     val: float | None = None
     """By-scene: share of the scenes (0.15)."""
@@ -61,16 +62,17 @@ class Arguments:
     """Print the report as JSON."""
 
 
-_OF_METHOD = {
-    "novel-traversal": ("train", "held_out"),
+_OPTIONS_BY_METHOD = {
+    "novel-traversal": ("train", "held_out_traversals"),
     "by-scene": ("train", "val", "test"),
     "by-condition": ("train_on", "test_on"),
 }
+_RENAMED = {"--held-out": "--held-out-traversals"}
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror split")
+    arguments = parse_arguments(Arguments, argv, "mirror split", renamed=_RENAMED)
 
     from mirror.dataset.splits import extend_split, make_split
 
@@ -96,7 +98,19 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _refuse_beside_extend(arguments: Arguments) -> None:
-    names = ("method", "train", "held_out", "val", "test", "train_on", "test_on", "seed", "scene", "require", "replace")
+    names = (
+        "method",
+        "train",
+        "held_out_traversals",
+        "val",
+        "test",
+        "train_on",
+        "test_on",
+        "seed",
+        "scene",
+        "require",
+        "replace",
+    )
     given = [name for name in names if getattr(arguments, name) not in (None, (), False)]
     if given:
         raise UsageError(
@@ -111,19 +125,23 @@ def _parameters(arguments: Arguments) -> SplitMethod:
     from mirror.schema.documents import ByCondition, ByScene, NovelTraversal
 
     method = arguments.method or "novel-traversal"
-    options = {name: getattr(arguments, name) for names in _OF_METHOD.values() for name in names}
+    options = {name: getattr(arguments, name) for names in _OPTIONS_BY_METHOD.values() for name in names}
     given = {name: value for name, value in options.items() if value not in (None, ())}
-    foreign = sorted(set(given) - set(_OF_METHOD[method]))
+    foreign = sorted(set(given) - set(_OPTIONS_BY_METHOD[method]))
     if foreign:
-        known = ", ".join(f"--{name.replace('_', '-')}" for name in _OF_METHOD[method])
+        known = ", ".join(f"--{name.replace('_', '-')}" for name in _OPTIONS_BY_METHOD[method])
         raise UsageError(f"--{foreign[0].replace('_', '-')} is not for --method {method}", expected=f"some of {known}")
     try:
         if method == "by-condition":
             return ByCondition(train=_conditions("train-on", arguments), test=_conditions("test-on", arguments))
-        return ByScene(**given) if method == "by-scene" else NovelTraversal(**given)
+        if method == "by-scene":
+            return ByScene(**given)
+        # The document's own name of the number.
+        return NovelTraversal(**{"held_out" if name == "held_out_traversals" else name: n for name, n in given.items()})
     except ValidationError as error:
         first = error.errors()[0]
-        place = "".join(f"--{str(part).replace('_', '-')}" for part in first["loc"][:1]) or None
+        options = (f"--{str(part).replace('_', '-')}" for part in first["loc"][:1])
+        place = "".join(_RENAMED.get(option, option) for option in options) or None
         raise UsageError(f"{first['msg']} (got {first['input']!r})", place=place) from error
 
 

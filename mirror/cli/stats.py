@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror stats")
+    arguments = parse_arguments(Arguments, argv, "mirror stats")
 
     from mirror.dataset import open as open_dataset
     from mirror.dataset.statistics import statistics

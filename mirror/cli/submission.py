@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tyro
 
-from mirror.command_line import parsed_of
-from mirror.errors import ExitCode, UsageError
+from mirror.command_line import Subcommand, parse_arguments, run_subcommand
+from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
     from mirror.evaluation.submission.check import CheckReport
@@ -81,17 +81,17 @@ class Hidden:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    words = list(argv)
-    verbs: dict[str, Callable[..., New | Check | Hidden]] = {"new": New, "check": Check, "hidden": Hidden}
-    if words and words[0] not in (*verbs, "-h", "--help"):
-        raise UsageError(f"no `mirror submission {words[0]}`", expected="`new`, `check` or `hidden`")
-    chosen = parsed_of(verbs, words, "mirror submission")
-    if isinstance(chosen, New):
-        return _new(chosen)
-    return _check(chosen) if isinstance(chosen, Check) else _hidden(chosen)
+    subcommands = {
+        "new": Subcommand("write the template of a submission", _new),
+        "check": Subcommand("check the files of a submission, without scoring them", _check),
+        "hidden": Subcommand("render the hidden truth of a synthetic street, for organisers", _hidden),
+    }
+    return run_subcommand(argv, "mirror submission", subcommands)
 
 
-def _new(arguments: New) -> int:
+def _new(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(New, argv, "mirror submission new")
+
     import mirror
     from mirror.evaluation.submission.template import write_template
     from mirror.progress import progress_bar
@@ -115,7 +115,9 @@ def _new(arguments: New) -> int:
     return ExitCode.DONE
 
 
-def _check(arguments: Check) -> int:
+def _check(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Check, argv, "mirror submission check")
+
     import mirror
     from mirror.evaluation.submission.check import check_submission
     from mirror.evaluation.submission.untrusted import open_untrusted
@@ -136,7 +138,9 @@ def _check(arguments: Check) -> int:
     return say_report(report, arguments.submission, as_json=arguments.json)
 
 
-def _hidden(arguments: Hidden) -> int:
+def _hidden(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Hidden, argv, "mirror submission hidden")
+
     import mirror
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol

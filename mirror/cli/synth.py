@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
 
@@ -48,7 +48,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror synth")
+    arguments = parse_arguments(Arguments, argv, "mirror synth")
 
     from mirror.progress import progress_bar
     from mirror.synth import Effects, Errors, write_recordings

@@ -25,11 +25,15 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "report": ("data", "write an HTML report of a dataset"),
     "reconstruct": ("reconstruction", "train a static model of a scene from its training traversals"),
     "render": ("reconstruction", "render a model: a submission, or a new trajectory as video"),
-    "bake": ("reconstruction", "write a model as the PLY of 3D Gaussian Splatting, for viewers"),
+    "export-ply": ("reconstruction", "write a model as the PLY of 3D Gaussian Splatting, for viewers"),
     "submission": ("benchmark", "write the template of a submission, or check one"),
     "evaluate": ("benchmark", "score a submission by a protocol"),
     "compare": ("benchmark", "compare results, with paired significance"),
 }
+
+
+RENAMED: Final = {"bake": "export-ply"}
+"""New names by old names of verbs; the old ones are still accepted."""
 
 
 def find_command(verb: str) -> Command | None:
@@ -46,7 +50,7 @@ def all_commands() -> dict[str, Command]:
 
 def _own(verb: str) -> Command:
     group, summary = _OWN[verb]
-    return Command(group, summary, f"mirror.cli.{verb}")
+    return Command(group, summary, f"mirror.cli.{verb.replace('-', '_')}")
 
 
 def _installed(name: str | None = None) -> dict[str, Command]:

@@ -146,7 +146,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     capsys.readouterr()
 
     ply = tmp_path / "street.ply"
-    baked = said(capsys, "bake", model, "--dataset", dataset.root, "--out", ply, "--degree", 1)
+    baked = said(capsys, "export-ply", model, "--dataset", dataset.root, "--out", ply, "--degree", 1)
     assert baked["bytes"] == ply.stat().st_size and baked["gaussians"] > 100 and baked["psnr_db"] > 30.0
 
     drawn = driven_as_documented(dataset, model)
@@ -389,7 +389,7 @@ def test_a_model_is_not_tested_by_what_it_was_trained_on(
         (splits / f"{split['name']}.json").write_text(json.dumps(split))
         assert message in said(capsys, *words, "--split", split["name"], code=ExitCode.COULD_NOT_RUN)["problem"]
     (splits / "novel.json").write_text(json.dumps({**anew, "name": "novel"}))
-    ply = ("bake", model, "--dataset", dataset.root, "--out", tmp_path / "street.ply")
+    ply = ("export-ply", model, "--dataset", dataset.root, "--out", tmp_path / "street.ply")
     shifted = ("render", model, "--dataset", dataset.root, "--trajectory", "forward:1", "--out", tmp_path / "out")
     for verb in (ply, shifted):
         assert "recorded anew" in said(capsys, *verb, code=ExitCode.COULD_NOT_RUN)["problem"]
@@ -427,7 +427,7 @@ def test_layers_that_were_chosen_stay_chosen_when_others_are_made(
     [
         (("--steps", 9), "a run of other settings began here: steps 3, now 9"),
         (("--steps", 3, "--seed", 5), "seed 0, now 5"),
-        (("--steps", 3, "--half"), "half False, now True"),
+        (("--steps", 3, "--fp16"), "half False, now True"),
         (("--steps", 3, "--width", 32), "width_px 48, now 32"),
     ],
 )

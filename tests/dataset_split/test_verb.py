@@ -47,7 +47,9 @@ def test_made_kept_and_extended(builder: Builder, capsys: pytest.CaptureFixture[
 
 
 def test_every_method(builder: Builder, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(builder, capsys, "n", "--train", "2", "--held-out", "2", "--seed", "3", "--scene", "a")[0] == 0
+    assert (
+        run(builder, capsys, "n", "--train", "2", "--held-out-traversals", "2", "--seed", "3", "--scene", "a")[0] == 0
+    )
     words = ["--method", "by-scene", "--train", "0.5", "--val", "0", "--test", "0.5"]
     assert run(builder, capsys, "bs", *words)[0] == 0
     code, said = run(

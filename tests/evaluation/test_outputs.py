@@ -32,7 +32,7 @@ FOLDERS = {
 }
 FILES = {
     "report": "report {data} --out {out}/page.html",
-    "bake": "bake {here}/model --dataset {data} --out {out}/model.ply",
+    "export-ply": "export-ply {here}/model --dataset {data} --out {out}/model.ply",
     "render a video": "render {here}/model --dataset {data} --trajectory lane-shift:2 --out {out}/video.mp4",
 }
 NEEDS = {"stats": "matplotlib", "reconstruct": "torch"}

@@ -11,6 +11,8 @@ import tyro
 from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.options import InitialisationOptions
 from mirror.command_line import parsed
+from hybridworldsim.mvs.options import Options
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
 
@@ -33,7 +35,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror depth")
+    arguments = parse_arguments(Arguments, argv, "mirror depth")
 
     import mirror
     from hybridworldsim.mvs.run import initialise

@@ -41,7 +41,7 @@ def write_parameters(path: Path, model: nn.Module, *, half: bool) -> int:
             if not bool(tensor.isfinite().all()):
                 raise DatasetError(
                     f"{name} does not fit half precision", file=path, expected="numbers below 65504",
-                    remedy="write it in single precision: leave --half out",
+                    remedy="write it in single precision: leave --fp16 out",
                 )  # fmt: skip
         tensors[name] = tensor
     data = save(tensors, {"format": FORMAT})

@@ -1,4 +1,4 @@
-"""``mirror bake MODEL --dataset DATASET --out STREET.ply``."""
+"""``mirror export-ply MODEL --dataset DATASET --out STREET.ply``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Literal
 
 import tyro
 
-from mirror.command_line import parsed
+from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 
@@ -46,7 +46,7 @@ class Arguments:
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parsed(Arguments, argv, "mirror bake")
+    arguments = parse_arguments(Arguments, argv, "mirror export-ply")
     if arguments.out.suffix != ".ply":
         raise UsageError(f"{arguments.out}", place="--out", expected="a name that ends in .ply")
     if not 0 <= arguments.degree <= 3:

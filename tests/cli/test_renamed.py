@@ -1,0 +1,68 @@
+"""Old names of verbs and options are accepted, with a note that names the new one."""
+
+from __future__ import annotations
+
+import pytest
+
+from mirror.cli.main import main
+from mirror.cli.verbs import RENAMED, all_commands
+from mirror.command_line import apply_new_names
+from mirror.errors import ExitCode
+
+MISSING = "no-such-folder"
+
+
+@pytest.mark.parametrize(
+    ("words", "note"),
+    [
+        (
+            ["split", MISSING, "novel", "--held-out", "2"],
+            "mirror split: --held-out is now called --held-out-traversals",
+        ),
+        (["split", MISSING, "novel", "--held_out=2"], "mirror split: --held-out is now called --held-out-traversals"),
+        (["reconstruct", MISSING, "--split", "s", "--out", "m", "--half"], "--half is now called --fp16"),
+        (["reconstruct", MISSING, "--split", "s", "--out", "m", "--no-half"], "--no-half is now called --no-fp16"),
+    ],
+)
+def test_an_old_option_is_accepted_with_a_note(words: list[str], note: str, capsys: pytest.CaptureFixture[str]) -> None:
+    # The folder is missing, which is noticed after the arguments were accepted.
+    assert main(words) == ExitCode.COULD_NOT_RUN
+    error = capsys.readouterr().err
+    assert note in error
+    assert MISSING in error.splitlines()[-1]
+
+
+def test_an_old_option_sets_the_new_field(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mirror.cli import split
+
+    given: list[object] = []
+    monkeypatch.setattr(split, "_refuse_beside_extend", given.append)
+    main(["split", MISSING, "novel", "--extend", "--held-out", "2"])
+    (arguments,) = given
+    assert isinstance(arguments, split.Arguments)
+    assert arguments.held_out_traversals == 2
+
+
+@pytest.mark.parametrize(("verb", "option"), [("split", "--held-out "), ("reconstruct", "--half")])
+def test_help_shows_the_new_name_alone(verb: str, option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([verb, "--help"])
+    assert option not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_an_old_verb_is_accepted_with_a_note(old: str, capsys: pytest.CaptureFixture[str]) -> None:
+    new = RENAMED[old]
+    assert old not in all_commands() and new in all_commands()
+    with pytest.raises(SystemExit) as ended:
+        main([old, "--help"])
+    assert ended.value.code == ExitCode.DONE
+    printed = capsys.readouterr()
+    assert printed.err == f"mirror: the verb {old} is now called {new}\n"
+    assert f"mirror {new}" in printed.out
+
+
+def test_values_are_not_renamed(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--name", "half", "-half", "--halfway", "--out=--half"]
+    assert apply_new_names(words, "mirror x", {"--half": "--fp16"}) == words
+    assert capsys.readouterr().err == ""

@@ -140,8 +140,8 @@ def _parameters(arguments: Arguments) -> SplitMethod:
         return NovelTraversal(**{"held_out" if name == "held_out_traversals" else name: n for name, n in given.items()})
     except ValidationError as error:
         first = error.errors()[0]
-        options = (f"--{str(part).replace('_', '-')}" for part in first["loc"][:1])
-        place = "".join(_RENAMED.get(option, option) for option in options) or None
+        flags = (f"--{str(part).replace('_', '-')}" for part in first["loc"][:1])
+        place = "".join(_RENAMED.get(option, option) for option in flags) or None
         raise UsageError(f"{first['msg']} (got {first['input']!r})", place=place) from error
 
 

@@ -10,8 +10,6 @@ import tyro
 
 from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.options import InitialisationOptions
-from mirror.command_line import parsed
-from hybridworldsim.mvs.options import Options
 from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 

@@ -14,6 +14,7 @@ the segment of the tests:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -40,36 +41,57 @@ _VEHICLES: Final = {"b0c9d2329ad1606b": "Toyota RAV4", "99c94dc769b5d96e": "Hond
 _CAMERA: Final = "front"
 _FOCAL_PX: Final = 910.0
 _RASTER_PX: Final = (1164, 874)
-_ARRAYS: Final = ("frame_gps_times", "frame_positions", "frame_orientations")
+# The arrays of a segment, with their columns.
+_ARRAYS: Final = {"frame_gps_times": 2, "frame_positions": 3, "frame_orientations": 4}
 # In the year 2171.
 _LAST_WEEK: Final = 10_000
 _POSITIONS: Final = "global_pose/frame_positions"
 
 
 class Comma2k19Reader:
-    """A route of comma2k19, or one of its segments."""
+    """Reads a route of comma2k19, or one of its segments."""
 
     name = "comma2k19"
     expects = "a route folder of numbered segments with global_pose/frame_positions, or one such segment"
 
     def recognises(self, path: Path) -> bool:
-        """By the pose arrays of a segment."""
-        return path.is_dir() and bool(_segments(path))
+        """Whether the folder is a segment with an array of positions, or holds one."""
+        return path.is_dir() and any(_has_positions(path, segment) for segment in _segments(path))
 
     def open(self, path: Path, options: Mapping[str, str]) -> Comma2k19Recording:
         """Open a route or a segment; there are no options."""
         refuse_options(options, (), path)
         segments = _segments(path) if path.is_dir() else []
-        if not segments:
+        if not any(_has_positions(path, segment) for segment in segments):
             raise RecordingError("no segment", file=path, expected=self.expects)
         return Comma2k19Recording(path, tuple(segments))
 
 
 def _segments(path: Path) -> list[Path]:
+    """The folder itself if it is a segment, else the numbered folders in it, damaged ones included."""
     if find_file(path, _POSITIONS) is not None:
         return [path]
-    names = [child.name for child in path.iterdir() if child.name.isdecimal()]
-    return [path / name for name in sorted(names, key=natural_key) if find_file(path, f"{name}/{_POSITIONS}")]
+    names = [child.name for child in path.iterdir() if child.name.isdecimal() and child.is_dir()]
+    return [path / name for name in sorted(names, key=natural_key)]
+
+
+def _has_positions(path: Path, segment: Path) -> bool:
+    return find_file(path, (segment.relative_to(path) / _POSITIONS).as_posix()) is not None
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """The poses of one segment.
+
+    Attributes:
+        arrays: by name, one row a frame; without rows where the segment is damaged.
+        error: why the segment cannot be used; None: it can.
+        lost_rows: number of rows of a damaged segment.
+    """
+
+    arrays: Mapping[str, Float64]
+    error: RecordingError | None = None
+    lost_rows: int = 0
 
 
 @dataclass(frozen=True)
@@ -109,14 +131,38 @@ class Comma2k19Recording:
         return {index: file for index, file in found.items() if file is not None}
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The pose arrays and videos; the car's bus and the raw GNSS are not read."""
-        found = [self._pose_file(segment, name) for segment in self.segments for name in _ARRAYS]
-        found += self._videos.values()
-        return sorted((file.relative_to(self.path).as_posix(), file) for file in found)
+        """The pose arrays and videos that exist; the car's bus and the raw GNSS are not read."""
+        names = [self._name(segment, f"global_pose/{name}") for segment in self.segments for name in _ARRAYS]
+        arrays = [file for name in names if (file := find_file(self.path, name)) is not None]
+        return sorted((file.relative_to(self.path).as_posix(), file) for file in (*arrays, *self._videos.values()))
 
     @cached_property
-    def _arrays(self) -> list[dict[str, Float64]]:
-        return [_load(segment, {name: self._pose_file(segment, name) for name in _ARRAYS}) for segment in self.segments]
+    def _loaded(self) -> list[_Segment]:
+        """The segments; a damaged one costs the drive its own rows.
+
+        Raises:
+            RecordingError: every segment is damaged: the error of the first.
+        """
+        loaded = [self._load(segment) for segment in self.segments]
+        errors = [segment.error for segment in loaded if segment.error is not None]
+        if len(errors) == len(loaded):
+            raise errors[0]
+        return loaded
+
+    def _load(self, folder: Path) -> _Segment:
+        try:
+            return _Segment(_load_arrays(folder, {name: self._pose_file(folder, name) for name in _ARRAYS}))
+        except RecordingError as error:
+            nothing = {name: np.empty((0, columns)) for name, columns in _ARRAYS.items()}
+            return _Segment(nothing, error, self._count_rows(folder))
+
+    def _count_rows(self, folder: Path) -> int:
+        """Number of rows of a damaged segment, by the longest array that can be read; 1 if none can."""
+        rows = 1
+        for name in _ARRAYS:
+            with suppress(RecordingError):
+                rows = max(rows, *read_array(self._pose_file(folder, name)).shape[:1], 1)
+        return rows
 
     def _name(self, segment: Path, name: str) -> str:
         return (segment.relative_to(self.path) / name).as_posix()
@@ -126,27 +172,39 @@ class Comma2k19Recording:
 
     @cached_property
     def _no_stamps(self) -> list[Bool]:
-        return [~_are_stamps(arrays["frame_gps_times"]) for arrays in self._arrays]
+        return [~_are_stamps(segment.arrays["frame_gps_times"]) for segment in self._loaded]
 
     @cached_property
     def _stamps(self) -> list[Int64]:
-        """Of each segment and row; of rows without a stamp, any."""
-        times = [np.where(bad[:, None], 0.0, a["frame_gps_times"]) for a, bad in zip(self._arrays, self._no_stamps)]
+        """Unix time of each row, by segment; any value in rows without a stamp."""
+        times = [
+            np.where(bad[:, None], 0.0, segment.arrays["frame_gps_times"])
+            for segment, bad in zip(self._loaded, self._no_stamps)
+        ]
         return [unix_from_gps_week(both[:, 0], both[:, 1]) for both in times]
 
     def track(self) -> Track:
-        """The camera's poses of all segments, turned to x forward, y left, z up."""
-        times, position, orientation = (np.concatenate([arrays[name] for arrays in self._arrays]) for name in _ARRAYS)
+        """The camera's poses of all segments, turned to x forward, y left, z up; without damaged segments."""
+        times, position, orientation = (np.concatenate([one.arrays[name] for one in self._loaded]) for name in _ARRAYS)
         bad = no_rotations(orientation)
-        faults = RowFaults(len(times))
-        faults.add(np.concatenate(self._no_stamps), "time", self._error(times, 0, "a GPS week and seconds"))
-        faults.add(bad, "rotation", self._error(orientation, 2, "a unit quaternion, scalar first"))
+        starts = np.cumsum([0, *(len(stamps) for stamps in self._stamps)])
+        torn = [
+            (int(start), segment.error)
+            for start, segment in zip(starts, self._loaded)
+            if segment.error is not None
+            for _ in range(segment.lost_rows)
+        ]
+        faults = RowFaults(len(times), torn, reason="file")
+        no_stamp = np.concatenate(self._no_stamps)
+        faults.add(no_stamp, "time", self._error(times, "frame_gps_times", "a GPS week and seconds"))
+        faults.add(bad, "rotation", self._error(orientation, "frame_orientations", "a unit quaternion, scalar first"))
         unit = quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), orientation))
         rotation = quaternion_multiply(unit, quaternion_inverse(FLU_FROM_FRD))
-        file = self.segments[0] / "global_pose" / _ARRAYS[1]
+        first = next(folder for folder, segment in zip(self.segments, self._loaded) if segment.error is None)
+        file = first / "global_pose" / "frame_positions"
         return faults.drop_from(track_from_ecef(np.concatenate(self._stamps), position, rotation, file=file))
 
-    def _error(self, values: Float64, array: int, expected: str) -> Callable[[int], RecordingError]:
+    def _error(self, values: Float64, array: str, expected: str) -> Callable[[int], RecordingError]:
         """The error of a row of all segments."""
         starts = np.concatenate([[0], np.cumsum([len(stamps) for stamps in self._stamps])])
 
@@ -154,7 +212,7 @@ class Comma2k19Recording:
             segment = int(np.searchsorted(starts, row, side="right")) - 1
             return RecordingError(
                 f"{values[row].tolist()} is not usable",
-                file=self.segments[segment] / "global_pose" / _ARRAYS[array],
+                file=self.segments[segment] / "global_pose" / array,
                 place=f"row {row - starts[segment]}",
                 expected=expected,
                 remedy="leave the segment out: move its folder elsewhere",
@@ -227,9 +285,9 @@ class _Segments:
             start = end
 
 
-def _load(segment: Path, files: Mapping[str, Path]) -> dict[str, Float64]:
+def _load_arrays(segment: Path, files: Mapping[str, Path]) -> dict[str, Float64]:
     arrays = {}
-    for name, columns in zip(_ARRAYS, (2, 3, 4)):
+    for name, columns in _ARRAYS.items():
         file = files[name]
         array = read_array(file)
         if array.ndim != 2 or array.shape[1] != columns or not len(array):

@@ -114,8 +114,9 @@ class CleaningReport(Document):
     Attributes:
         poses: fixes read.
         kept: fixes left.
-        bad_rows: rows that make no pose, by reason: `cells` (too few or too many in a line), `number` (a cell that is
-            none), `time` (no stamp), `rotation` (off unit length, or not finite), `sigma` (negative or infinite).
+        bad_rows: number of rows that make no pose, by reason: `cells` (a line with too few or too many cells),
+            `number` (a cell that is no number), `time` (no stamp), `rotation` (off unit length, or not finite), `sigma`
+            (negative or infinite), `file` (in a part of the drive that is missing or damaged).
         invalid: without a position, or with one that is not finite or off the globe.
         missing: those of the invalid ones that have no position at all.
         backward_time: fixes that were earlier than one before them (sorted).

@@ -10,8 +10,10 @@ import pytest
 
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import rotate
+from mirror.ingest.run import ingest
 from mirror.recordings.comma2k19 import Comma2k19Reader
 from mirror.recordings.registry import open_recording
+from mirror.schema.documents import Roi
 from tests.recordings.test_video import FRAMES, decode_all, write_video
 from tests.recordings.usable import usable_track
 
@@ -148,3 +150,41 @@ def test_no_segment(tmp_path: Path) -> None:
     assert not Comma2k19Reader().recognises(tmp_path)
     with pytest.raises(RecordingError, match="no segment"):
         Comma2k19Reader().open(tmp_path, {})
+
+
+@pytest.mark.parametrize("name", ["frame_positions", "frame_gps_times", None])
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_damaged_segment_is_counted_and_named(name: str | None, number: int, tmp_path: Path) -> None:
+    """It costs the drive its own rows: one if no array can be read."""
+    route = tmp_path / ROUTE
+    for segment in range(3):
+        write_segment(route / str(segment), 404_000.0 + 60 * segment)
+    damaged = route / str(number) / "global_pose"
+    for file in damaged.iterdir():
+        if name in (None, file.name):
+            file.unlink()
+    recording = open_recording(route)
+    track = recording.track()
+    assert len(track) == 10
+    start_ns = (315_964_800 + 2012 * 604_800 + 404_000 - 18) * 10**9
+    assert ((track.timestamp_ns[::5] - start_ns) // 10**9).tolist() == [60 * n for n in range(3) if n != number]
+    assert track.bad is not None
+    lost = 1 if name is None else 5
+    assert track.bad.counts() == {"file": lost}
+    assert track.bad.before.tolist() == [5 * number] * lost
+    assert track.bad.first.file == str(damaged / (name or "frame_gps_times"))
+    assert track.bad.first.problem == "missing"
+    assert len(recording.files()) == 9 - (3 if name is None else 1)
+
+
+def test_ingest_refuses_a_route_by_the_damaged_segment(tmp_path: Path) -> None:
+    route = tmp_path / ROUTE
+    for segment in range(3):
+        write_segment(route / str(segment), 404_000.0 + 60 * segment)
+    (route / "1" / "global_pose" / "frame_positions").write_bytes(b"")
+    report = ingest([route], [Roi(scene_id="s", longitude_deg=0.0, latitude_deg=0.0)], tmp_path / "d")
+    (path, error), *others = report.failures
+    assert path == route and not others
+    assert error.file == str(route / "1" / "global_pose" / "frame_positions")
+    assert "5 of 15 rows make no pose (file 5), more than 1.00%" in error.problem
+    assert error.remedy is not None and "--max-bad-rows 0.334" in error.remedy

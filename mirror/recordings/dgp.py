@@ -24,11 +24,11 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Int64
-from mirror.errors import RecordingError, UsageError
+from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
-from mirror.recordings.dgp_datum import Datum, read_datum, read_object, read_pose
+from mirror.recordings.dgp_datum import Datum, entry_errors, read_datum, read_object, read_pose, require_text
 from mirror.recordings.opening import require_file
 from mirror.recordings.paths import identifier, inside
 from mirror.recordings.placing import no_rotations
@@ -84,18 +84,34 @@ class DgpRecording:
 
     @cached_property
     def _all_data(self) -> list[Datum]:
-        try:
-            calibration = {
-                key: sample["calibration_key"] for sample in self._scene["samples"] for key in sample["datum_keys"]
-            }
-            data = [read_datum(entry, calibration) for entry in self._scene["data"]]
-        except (KeyError, TypeError, ValueError, UsageError) as error:
-            raise RecordingError(
-                f"not a DGP scene ({type(error).__name__}: {error})", file=self.scene_file, expected="samples and data"
-            ) from error
+        calibration: dict[str, str] = {}
+        for number, sample in enumerate(self._list("samples")):
+            with entry_errors(
+                self.scene_file, f"samples[{number}]", "a DGP sample with calibration_key and datum_keys"
+            ):
+                calibration |= dict.fromkeys(sample["datum_keys"], require_text(sample["calibration_key"]))
+        data = []
+        for number, entry in enumerate(self._list("data")):
+            with entry_errors(
+                self.scene_file, f"data[{number}]", "a DGP datum with key, id, and an image or point cloud"
+            ):
+                data.append(read_datum(entry, calibration))
         if not any(datum.kind == "image" and datum.timestamp_ns is not None for datum in data):
             raise RecordingError("no pictures", file=self.scene_file, expected="at least one image among the data")
         return data
+
+    def _list(self, key: str) -> list[Any]:
+        found = self._scene.get(key)
+        if not isinstance(found, list):
+            problem = "the key is missing" if found is None else f"{found!r:.80} is not a list"
+            raise RecordingError(
+                f"not a DGP scene: {problem}",
+                file=self.scene_file,
+                place=key,
+                expected="lists of samples and data",
+                remedy="copy the scene file again",
+            )
+        return found
 
     @cached_property
     def _data(self) -> list[Datum]:
@@ -112,15 +128,10 @@ class DgpRecording:
         found = {}
         for key, entry in self._calibration_files.items():
             for name, extrinsic in zip(entry["names"], entry["extrinsics"]):
-                try:
+                file = self.path / "calibration" / f"{key}.json"
+                expected = "a rotation qw qx qy qz and a translation x y z"
+                with entry_errors(file, f"extrinsics of {name}", expected):
                     found[key, name] = read_pose(extrinsic)
-                except (KeyError, TypeError, ValueError, UsageError) as error:
-                    raise RecordingError(
-                        f"no pose ({type(error).__name__}: {error})",
-                        file=self.path / "calibration" / f"{key}.json",
-                        place=f"extrinsics of {name}",
-                        expected="a rotation qw qx qy qz and a translation x y z",
-                    ) from error
         return found
 
     @cached_property
@@ -131,11 +142,10 @@ class DgpRecording:
             inside(self.path, f"calibration/{key}.json", file=self.scene_file, place="calibration_key")
             file = require_file(self.path, f"calibration/{key}.json")
             files[key] = read_object(file)
-            lengths = {len(files[key].get(name, ())) for name in ("names", "extrinsics", "intrinsics")}
-            if len(lengths) != 1 or lengths == {0}:
-                raise RecordingError(
-                    "not a DGP calibration", file=file, expected="names, extrinsics and intrinsics of one length"
-                )
+            with entry_errors(file, "the whole document", "lists of names, extrinsics and intrinsics of one length"):
+                lengths = {len(files[key][name]) for name in ("names", "extrinsics", "intrinsics")}
+                if len(lengths) != 1 or lengths == {0}:
+                    raise ValueError("lists of different lengths, or empty ones")
         return files
 
     @cached_property
@@ -261,7 +271,9 @@ class DgpRecording:
         mounting = self._extrinsic(key, camera)
         entry = self._calibration_files[key]
         file = self.path / "calibration" / f"{key}.json"
-        intrinsics = dict.fromkeys(_FOCAL, 0.0) | entry["intrinsics"][entry["names"].index(camera)]
+        with entry_errors(file, f"intrinsics of {camera}", "numbers by name: fx, fy, cx, cy and coefficients"):
+            given: Mapping[str, Any] = entry["intrinsics"][entry["names"].index(camera)]
+            intrinsics = dict.fromkeys(_FOCAL, 0.0) | {name: float(value) for name, value in given.items()}
         model, distortion = _camera_model(intrinsics, file, camera)
         return checked_calibration(
             file,
@@ -301,22 +313,29 @@ class DgpRecording:
 
     @property
     def _ontology_keys(self) -> list[str]:
-        key = self._scene.get("ontologies", {}).get(_BOXES_3D)
-        return [key] if key and self._box_files else []
+        with entry_errors(self.scene_file, "ontologies", "keys of ontologies by kind of annotation"):
+            key = (self._scene.get("ontologies") or {}).get(_BOXES_3D)
+            return [require_text(key)] if key and self._box_files else []
+
+    def _categories(self, file: Path) -> dict[Any, str]:
+        """Names of the classes of an ontology, by id."""
+        with entry_errors(file, "items", "a list of classes with id and name"):
+            return {item["id"]: require_text(item["name"]) for item in read_object(file)["items"]}
 
     def boxes(self) -> pa.Table | None:
         """The point clouds' boxes in the vehicle frame, or None where no point cloud has any."""
         if not self._box_files or not self._ontology_keys:
             return None
         ontology = self._ontology_keys[0]
-        items = read_object(self._required(f"ontology/{ontology}.json"))["items"]
-        categories = {item["id"]: item["name"] for item in items}
+        categories = self._categories(self._required(f"ontology/{ontology}.json"))
         rows: list[dict[str, Any]] = []
         for datum, name in self._box_files:
             vehicle_SE3_sensor = self._extrinsic(datum.calibration, datum.sensor)
             file = self._required(name)
-            for index, annotation in enumerate(read_object(file)["annotations"]):
-                try:
+            with entry_errors(file, "annotations", "a list of annotations"):
+                annotations = list(read_object(file)["annotations"])
+            for index, annotation in enumerate(annotations):
+                with entry_errors(file, f"annotations[{index}]", "a DGP 3D box of a class in the ontology"):
                     box = annotation["box"]
                     pose = vehicle_SE3_sensor @ read_pose(box["pose"])
                     rows.append(
@@ -325,18 +344,11 @@ class DgpRecording:
                             "track_id": str(annotation["instance_id"]),
                             "category": categories[annotation["class_id"]],
                             **{column: float(value[0]) for column, value in pose.to_columns().items()},
-                            **{f"{size}_m": box[size] for size in ("length", "width", "height")},
+                            **{f"{size}_m": float(box[size]) for size in ("length", "width", "height")},
                             "source": "dgp",
                             "source_version": ontology[:8],
                         }
                     )
-                except (KeyError, TypeError, ValueError, UsageError) as error:
-                    raise RecordingError(
-                        f"no box ({type(error).__name__}: {error})",
-                        file=file,
-                        place=f"annotation {index}",
-                        expected="a DGP 3D box",
-                    ) from error
         return pa.Table.from_pylist(rows, schema=BOXES.schema)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -10,13 +11,38 @@ from typing import Any, Final
 
 import numpy as np
 
-from mirror.errors import RecordingError
+from mirror.errors import RecordingError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.recordings.opening import read_json
 from mirror.recordings.placing import no_rotations
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_YEAR: Final = 2200
+
+
+@contextmanager
+def entry_errors(file: Path, place: str, expected: str) -> Iterator[None]:
+    """Turn what a malformed JSON entry raises into an error that names its place.
+
+    Args:
+        file: the JSON file.
+        place: where the entry is, for instance ``data[7]``.
+        expected: what a right entry is.
+
+    Raises:
+        RecordingError: a key is missing, or a value has another type or range.
+    """
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, UsageError) as error:
+        missing = isinstance(error, KeyError)
+        raise RecordingError(
+            f"the key {error} is missing" if missing else f"a value cannot be used ({error})",
+            file=file,
+            place=place,
+            expected=expected,
+            remedy="correct the entry, or take it out of the file",
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -45,29 +71,49 @@ class Datum:
 
 
 def read_datum(entry: Mapping[str, Any], calibration: Mapping[str, str]) -> Datum:
-    """One entry of a scene's data.
+    """Read one entry of a scene's data.
 
     Args:
         entry: the entry.
-        calibration: key of the calibration of each datum, by its key.
+        calibration: key of the calibration of each datum, by the key of the datum.
 
     Raises:
-        KeyError, TypeError, ValueError: it is none.
+        KeyError, TypeError, ValueError, AttributeError: the entry is malformed.
     """
-    kind, content = next(iter(entry["datum"].items()))
-    identity = entry["id"]
+    (kind, content), *others = entry["datum"].items()
+    if others:
+        raise ValueError(f"kinds {', '.join(entry['datum'])} in one datum")
+    identity, key = entry["id"], entry["key"]
+    if key not in calibration:
+        raise ValueError(f"no sample names the datum {key!r:.80}")
     rotation, translation = _components(content["pose"])
+    for name in dict(content.get("annotations") or {}).values():
+        require_text(name)
+    if kind == "image":
+        require_text(content["filename"])
+        _ = content["width"], content["height"]
     stamp = str(identity["timestamp"])
     return Datum(
-        sensor=identity["name"],
+        sensor=require_text(identity["name"]),
         kind=kind,
         stamp=stamp,
         timestamp_ns=_stamp_ns(stamp),
         rotation=rotation,
         translation=translation,
-        calibration=calibration[entry["key"]],
+        calibration=calibration[key],
         content=content,
     )
+
+
+def require_text(value: object) -> str:
+    """Return a value that must be a text.
+
+    Raises:
+        TypeError: it is none.
+    """
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r:.80} is not a text")
+    return value
 
 
 def read_pose(entry: Mapping[str, Any]) -> Poses:

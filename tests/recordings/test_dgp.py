@@ -249,6 +249,58 @@ def test_broken_scenes_are_refused(
 
 
 @pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "change", "place", "problem"),
+    [
+        ("scene", lambda d: d.pop("data"), "data", "the key is missing"),
+        (
+            "scene",
+            lambda d: d["samples"][0].pop("calibration_key"),
+            "samples[0]",
+            "the key 'calibration_key' is missing",
+        ),
+        ("scene", lambda d: d["data"][3].pop("id"), "data[3]", "the key 'id' is missing"),
+        ("scene", lambda d: d["data"][1]["datum"]["image"].pop("height"), "data[1]", "the key 'height' is missing"),
+        ("scene", lambda d: d["data"][1]["datum"]["image"].pop("pose"), "data[1]", "the key 'pose' is missing"),
+        ("scene", lambda d: d["data"][0].update(key="gone"), "data[0]", "no sample names the datum 'gone'"),
+        ("scene", lambda d: d["data"][1]["datum"]["image"].update(filename=7), "data[1]", "7 is not a text"),
+        ("scene", lambda d: d["ontologies"].update({"1": 5}), "ontologies", "5 is not a text"),
+        ("calibration", lambda d: d.pop("names"), "the whole document", "the key 'names' is missing"),
+        ("calibration", lambda d: d["intrinsics"][1].update(fx=None), "intrinsics of", "NoneType"),
+        ("calibration", lambda d: d["extrinsics"][1].pop("rotation"), "extrinsics of", "the key 'rotation' is missing"),
+        ("ontology", lambda d: d.pop("items"), "items", "the key 'items' is missing"),
+        (
+            "bounding_box_3d/LIDAR",
+            lambda d: d["annotations"][2].pop("box"),
+            "annotations[2]",
+            "the key 'box' is missing",
+        ),
+        ("bounding_box_3d/LIDAR", lambda d: d.pop("annotations"), "annotations", "the key 'annotations' is missing"),
+    ],
+)
+def test_a_malformed_entry_is_named_with_its_place(
+    copy: Callable[..., Path], name: str, change: Callable[[dict[str, Any]], Any], place: str, problem: str
+) -> None:
+    path = copy(lambda document: None)
+    file = min(path.glob("scene_*.json") if name == "scene" else (path / name).iterdir())
+    document = json.loads(file.read_text())
+    change(document)
+    file.write_text(json.dumps(document))
+    with pytest.raises(RecordingError) as caught:
+        recording = open_recording(path)
+        recording.files()
+        recording.track()
+        recording.calibrations()
+        recording.boxes()
+    error = caught.value
+    assert error.file == str(file)
+    assert error.place is not None and error.place.startswith(place)
+    assert problem in error.problem
+    assert error.expected is not None and error.remedy is not None
+    assert "Error" not in error.problem
+
+
+@pytest.mark.real_data
 def test_camera_models(copy: Callable[..., Path]) -> None:
     path = copy(lambda document: None)
     file = next((path / "calibration").iterdir())

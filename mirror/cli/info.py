@@ -116,7 +116,8 @@ def _recording_lines(found: RecordingSummary) -> list[tuple[str, str]]:
     for name, camera in found.cameras.items():
         rate = f" at {camera.rate_hz:.1f} Hz" if camera.rate_hz else ""
         stages = _counts(camera.calibrations)
-        lines.append((f"camera {name}", f"{camera.images:,} {camera.codec}{rate}; calibrations: {stages}"))
+        missing = f", {camera.missing:,} missing in pauses" if camera.missing else ""
+        lines.append((f"camera {name}", f"{camera.images:,} {camera.codec}{rate}{missing}; calibrations: {stages}"))
     lines.append(("boxes", f"{found.boxes:,}" if found.boxes else "none"))
     return lines
 

@@ -200,6 +200,7 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
         "bytes": report.bytes,
         "linked": report.linked,
         "images_without_pose": report.without_pose,
+        "images_missing": report.missing,
         "failures": [{"recording": str(path), **error.to_dict()} for path, error in report.failures],
     }
 
@@ -262,5 +263,10 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
         console.print(
             f"{report.without_pose:,} images were left out: they were taken in gaps of the poses over --max-gap,"
             " or where the track broke off"
+        )
+    if report.missing:
+        console.print(
+            f"{report.missing:,} images are missing: cameras pause for longer than one and a half of their periods;"
+            " `mirror info RECORDING` counts them by camera"
         )
     console.print(f"dataset: {out}")

@@ -119,6 +119,11 @@ class IngestReport:
         return sum(one.without_pose for one in self.traversals)
 
     @property
+    def missing(self) -> int:
+        """Images that the recordings lack within the traversals, by the pauses of their cameras."""
+        return sum(one.missing for one in self.traversals)
+
+    @property
     def bytes(self) -> int:
         """Their size."""
         return sum(one.bytes for one in self.traversals if not one.reused)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from mirror.ingest.tables import assign_frames, pose_table
 from mirror.ingest.trigger import Pass
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.calibration import require_covariance
+from mirror.recordings.pauses import count_missing_images
 from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.schema.documents import Pictures, Roi, is_identifier
 from mirror.schema.files import conform, encode_table, write_bytes
@@ -55,6 +56,7 @@ class Written:
         linked: pictures that are hard links.
         reused: it was complete already, and nothing was done.
         without_pose: images exposed within the pass that were left out, as they were taken in a gap of the poses.
+        missing: images that the recording lacks within the pass, by the pauses of its cameras.
     """
 
     traversal_id: str
@@ -63,6 +65,7 @@ class Written:
     linked: int
     reused: bool
     without_pose: int = 0
+    missing: int = 0
 
 
 def traversal_id(drive_id: str, one: Pass) -> str:
@@ -114,8 +117,8 @@ def write_traversal(
         if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
             pictures = manifest.pictures or Pictures(count=0, bytes=0)
             advance(pictures.count)
-            without_pose = images_without_pose(drive, number)
-            return Written(name, pictures.count, pictures.bytes, 0, reused=True, without_pose=without_pose)
+            written = Written(name, pictures.count, pictures.bytes, 0, reused=True)
+            return _with_lost_images(written, drive, number)
     with staging.attempt() as attempt:
         with reader_errors(drive.path):
             written = _write(attempt, name, drive, number, roi, derived_from, options, threads, advance)
@@ -185,7 +188,7 @@ def _write(
     total = sum(sum(one_camera.sizes) for one_camera in placed.values())
     seal(folder, files, derived_from=derived_from, pictures=Pictures(count=count, bytes=total))
     linked = sum(one_camera.linked for one_camera in placed.values())
-    return Written(name, count, total, linked, reused=False, without_pose=images_without_pose(drive, number))
+    return _with_lost_images(Written(name, count, total, linked, reused=False), drive, number)
 
 
 def selected_pictures(drive: DrivePasses, number: int) -> dict[str, tuple[ImageStream, Int64, Int64]]:
@@ -222,6 +225,13 @@ def images_without_pose(drive: DrivePasses, number: int) -> int:
     poses = drive.slices[number]
     exposed = _exposed_within(drive, drive.passes[number]).values()
     return sum(int(np.count_nonzero(~poses.poses_known(stamps))) for _, _, stamps in exposed)
+
+
+def _with_lost_images(written: Written, drive: DrivePasses, number: int) -> Written:
+    """Count the images that the pass lacks: without a pose, and missing from the recording."""
+    exposed = _exposed_within(drive, drive.passes[number]).values()
+    missing = sum(count_missing_images(stamps) for _, _, stamps in exposed)
+    return replace(written, without_pose=images_without_pose(drive, number), missing=missing)
 
 
 def _exposed_within(drive: DrivePasses, one: Pass) -> dict[str, tuple[ImageStream, Int64, Int64]]:

@@ -12,6 +12,8 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Float64
+from mirror.recordings.opening import unreadable
+from mirror.recordings.pauses import count_missing_images
 from mirror.recordings.protocol import DriveInfo, ImageStream, Recording
 
 
@@ -26,6 +28,7 @@ class CameraSummary:
         last_ns: of the last.
         rate_hz: pictures a second in the median; None: fewer than two.
         calibrations: rows by stage.
+        missing: images that are missing in the camera's pauses (`count_missing_images`).
     """
 
     images: int
@@ -34,6 +37,7 @@ class CameraSummary:
     last_ns: int | None
     rate_hz: float | None
     calibrations: Mapping[str, int]
+    missing: int = 0
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,7 @@ def summarise(recording: Recording) -> RecordingSummary:
     for name, values in columns.items():
         good &= np.isfinite(values) & (np.abs(values) <= limits.get(name, np.inf))
     stamps = track.timestamp_ns[good]
-    files = [Path(path).stat().st_size for _, path in recording.files()]
+    files = [_file_size(Path(path)) for _, path in recording.files()]
     boxes = recording.boxes()
     rig = recording.rig
     calibrations = recording.calibrations()
@@ -116,6 +120,13 @@ def summarise(recording: Recording) -> RecordingSummary:
     )
 
 
+def _file_size(file: Path) -> int:
+    try:
+        return file.stat().st_size
+    except OSError as error:
+        raise unreadable(file, error) from error
+
+
 def _camera(stream: ImageStream | None, calibrations: Mapping[str, int]) -> CameraSummary:
     if stream is None or not len(stream.exposure_start_ns):
         return CameraSummary(0, "" if stream is None else stream.codec, None, None, None, calibrations)
@@ -129,4 +140,5 @@ def _camera(stream: ImageStream | None, calibrations: Mapping[str, int]) -> Came
         last_ns=int(middle[-1]),
         rate_hz=1.0 / period_s if period_s > 0 else None,
         calibrations=calibrations,
+        missing=count_missing_images(middle),
     )

@@ -168,7 +168,7 @@ def test_texture_runs_along_the_street_in_metres():
 def test_places_off_the_ground_are_refused():
     scene = plan("rural")
     for x in (5000.0, np.nan, np.inf):
-        with pytest.raises(UsageError, match="no ground"):
+        with pytest.raises(UsageError, match="no triangle at this position"):
             scene.height_m(x, 0.0)
     assert scene.height_m(np.zeros((0,)), np.zeros((0,))).shape == (0,)
     assert scene.height_m(np.zeros((2, 3)), 1.0).shape == (2, 3)

@@ -16,10 +16,22 @@ if TYPE_CHECKING:
     from mirror.dataset.image import Image as Image
     from mirror.errors import MirrorError as MirrorError
     from mirror.evaluation.run import evaluate as evaluate
+    from mirror.ingest.run import ingest_recordings as ingest_recordings
     from mirror.integrity.run import check as check
     from mirror.protocols.document import load_protocol as load_protocol
 
-__all__ = ["Dataset", "Frame", "Image", "MirrorError", "__version__", "check", "evaluate", "load_protocol", "open"]
+__all__ = [
+    "Dataset",
+    "Frame",
+    "Image",
+    "MirrorError",
+    "__version__",
+    "check",
+    "evaluate",
+    "ingest_recordings",
+    "load_protocol",
+    "open",
+]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
@@ -31,6 +43,7 @@ __getattr__, __dir__ = lazy_names(
         "__version__": "mirror.version",
         "check": "mirror.integrity.run",
         "evaluate": "mirror.evaluation.run",
+        "ingest_recordings": "mirror.ingest.run",
         "load_protocol": "mirror.protocols.document",
         "open": "mirror.dataset.dataset",
     },

@@ -36,7 +36,7 @@ from mirror.arrays import Bool, Float64
 from mirror.geometry.geodesy import ecef_to_geodetic, geodetic_to_ecef, geodetic_to_utm, utm_to_geodetic
 from mirror.ingest.clean import CleanTrack, clean
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from mirror.ingest.trigger import Pass, Trigger
 from mirror.recordings.protocol import Track
@@ -215,7 +215,7 @@ def copy_rows(megabytes: int, folder: Path | None) -> Iterator[Row]:
             subprocess.run(["cp", "-r", source, copied], check=True)
 
         def ours(write: WriteOptions) -> None:
-            result = ingest([source], [roi], out, IngestOptions(write=write))
+            result = ingest_recordings([source], [roi], out, IngestOptions(write=write))
             if result.failures or result.images != len(pictures):
                 raise RuntimeError(f"{result.images} of {len(pictures)} pictures; {result.failures}")
 

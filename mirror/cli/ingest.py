@@ -120,7 +120,7 @@ def main(argv: Sequence[str]) -> int:
 
     from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import parse_roi, read_rois
-    from mirror.ingest.run import ingest
+    from mirror.ingest.run import ingest_recordings
     from mirror.ingest.traversal import WriteOptions
     from mirror.progress import progress_bar
     from mirror.recordings.found import find_recordings
@@ -147,7 +147,7 @@ def main(argv: Sequence[str]) -> int:
     )
     out = arguments.out or Path("dry-run")
     with progress_bar(quiet=arguments.json) as bar:
-        report = ingest(found.recordings, rois, out, options, bar)
+        report = ingest_recordings(found.recordings, rois, out, options, bar)
     if arguments.json:
         passed_over = [str(path) for path in found.passed_over]
         print(json.dumps({**_plain(report, out), "passed_over": passed_over}))

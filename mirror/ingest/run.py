@@ -48,29 +48,45 @@ class _StoppedError(BaseException):
     """Ends a job whose run has ended, past all that takes the errors of a recording."""
 
 
-def ingest(
+def ingest_recordings(
     recordings: Sequence[Path],
     rois: Sequence[Roi],
     out: Path,
     options: IngestOptions | None = None,
     progress: ProgressReporter | None = None,
 ) -> IngestReport:
-    """Ingest recordings into a dataset.
+    """Cut the passes of recorded drives through regions of interest (ROIs) into a dataset.
+
+    Each recording is one drive. Its poses are cleaned, and the ROI trigger finds its passes (docs/trigger.md). Each
+    accepted pass becomes a traversal with its images, poses and calibrations; the drive's ledger lists accepted and
+    refused passes with their figures. The dataset changes only at the end: every complete drive is moved into it, then
+    its index is built. Running the same call again after an interruption does what is missing. Drives that the dataset
+    has unchanged are skipped.
 
     Args:
-        recordings: one path a drive.
-        rois: scenes to cut out, added to those that the dataset has.
-        out: the dataset's folder, made if need be.
-        options: what and how.
-        progress: told of every step.
+        recordings: one path per drive, in any format that a recording reader recognises.
+        rois: scenes to cut out: circles with a centre (degrees, or metres in a local frame) and a radius in metres.
+            They are added to those of an existing dataset, which may make this list empty.
+        out: the dataset's folder; it is made if it does not exist.
+        options: reader, thresholds, workers and how files are written; None: the defaults.
+        progress: receives the number of drives and images done; None: nothing is reported.
 
     Returns:
-        What was done. Recordings that cannot be ingested are in its ``failures`` and leave no trace.
+        The drives, passes and traversals of this run. A recording that cannot be ingested is listed in ``failures``
+        with its error and adds nothing to the dataset.
 
     Raises:
-        UsageError: no ROI, or ROIs or options that cannot be meant, or the folder holds something else.
-        DatasetError: the dataset is locked, has other thresholds, or cannot be written.
-        MirrorError: with ``fail_fast``, whatever the first bad recording has; nothing is added then.
+        UsageError: there is no ROI, a ROI or an option is invalid, or the folder holds something other than a dataset.
+        DatasetError: another process writes the dataset, its thresholds differ, or it cannot be written.
+        MirrorError: the error of the first bad recording, with ``fail_fast``; the dataset is unchanged then.
+
+    Example::
+
+        import mirror
+        from mirror.ingest.rois import read_rois
+
+        report = mirror.ingest_recordings([Path("drive_1")], read_rois(Path("rois.geojson")), Path("dataset"))
+        print(len(report.traversals), "traversals,", len(report.failures), "recordings failed")
     """
     options, progress, layout = options or IngestOptions(), progress or NullProgress(), Layout(out)
     if options.workers < 1:

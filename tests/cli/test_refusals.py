@@ -11,7 +11,7 @@ from benchmarks.__main__ import main as benchmarks
 from mirror import progress
 from mirror.cli.main import main
 from mirror.ingest.rois import write_rois
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from tests.ingest.recordings import SCENE, write_recording
 
 
@@ -20,7 +20,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("fleet")
     write_recording(root, "there")
     write_rois(root / "rois.geojson", [SCENE])
-    assert not ingest([root / "there"], [SCENE], root / "dataset").failures
+    assert not ingest_recordings([root / "there"], [SCENE], root / "dataset").failures
     (root / "file").write_text("no folder")
     return root
 

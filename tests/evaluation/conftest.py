@@ -12,7 +12,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.splits import make_split
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import read_rois
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.schema.documents import NovelTraversal
 
 SPLIT = "novel"
@@ -22,7 +22,9 @@ SPLIT = "novel"
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("evaluation")
     recordings = mirror.synth.write_recordings(folder / "tiny", "tiny", 0).recordings
-    report = ingest(recordings, read_rois(folder / "tiny" / "rois.geojson"), folder / "dataset", IngestOptions())
+    report = ingest_recordings(
+        recordings, read_rois(folder / "tiny" / "rois.geojson"), folder / "dataset", IngestOptions()
+    )
     assert not report.failures
     make_split(folder / "dataset", SPLIT, NovelTraversal(train=1, held_out=1))
     return mirror.open(folder / "dataset")

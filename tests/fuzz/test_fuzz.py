@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from mirror.errors import MirrorError
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
 from tests.fuzz.bases import BASES, Base
@@ -43,12 +43,12 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = [f"{1_700_000_000 + second},{11.0 + 1e-4 * second},48.0" for second in range(30)]
     (root / "kept.csv").write_text("time,longitude,latitude\n" + "\n".join(rows) + "\n")
     scene = Roi(scene_id="kept", longitude_deg=11.0015, latitude_deg=48.0, radius_m=100.0)
-    assert len(ingest([root / "kept.csv"], [scene], root / "d").traversals) == 1
+    assert len(ingest_recordings([root / "kept.csv"], [scene], root / "d").traversals) == 1
     return root / "d"
 
 
 def reference_of(base: Base, kept: Path, folder: Path) -> Reference:
-    report = ingest([base.path], [base.roi], linked(kept, folder))
+    report = ingest_recordings([base.path], [base.roi], linked(kept, folder))
     assert not report.failures and len(report.traversals) == 1, report.failures
     rows = rows_of(folder, report.traversals[0].traversal_id)
     assert not faults_of_values(rows)

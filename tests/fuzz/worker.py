@@ -23,7 +23,7 @@ import numpy as np
 
 from mirror.errors import MirrorError
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.registry import open_recording
 from mirror.recordings.summary import summarise
@@ -56,7 +56,9 @@ def answer(request: Request) -> dict[str, Any]:
             summarise(open_recording(request.path, request.reader))
     except MirrorError:
         pass
-    report = ingest([request.path], [request.roi], request.out, IngestOptions(reader=request.reader, workers=1))
+    report = ingest_recordings(
+        [request.path], [request.roi], request.out, IngestOptions(reader=request.reader, workers=1)
+    )
     return {
         "failures": [error.to_dict() for _, error in report.failures],
         "traversals": [one.traversal_id for one in report.traversals],

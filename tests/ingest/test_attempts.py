@@ -18,7 +18,7 @@ from mirror.errors import DatasetError, RecordingError
 from mirror.ingest import traversal as traversal_module
 from mirror.ingest.judge import DrivePasses, fingerprint, judge_drive
 from mirror.ingest.pictures import place_pictures
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteOptions, Written, write_traversal
 from mirror.ingest.trigger import Trigger
@@ -95,7 +95,7 @@ def test_a_run_that_wakes_late_leaves_what_another_run_has_published(drive: Driv
     out = tmp_path / "d"
     late = Staging(Layout(out))
     attempt(late, drive)
-    assert not ingest([drive.path], [SCENE], out).failures
+    assert not ingest_recordings([drive.path], [SCENE], out).failures
     before = {name: digest for name, digest in tree(out).items() if not name.startswith(".staging")}
     late.forget("a")
     late.close(done=False)
@@ -148,7 +148,7 @@ def test_folders_of_other_machines_go_by_age(tmp_path: Path, monkeypatch: pytest
 
 def test_a_layer_that_two_attempts_write_is_the_first_ones(drive: DrivePasses, tmp_path: Path) -> None:
     out = tmp_path / "d"
-    name = ingest([drive.path], [SCENE], out).traversals[0].traversal_id
+    name = ingest_recordings([drive.path], [SCENE], out).traversals[0].traversal_id
     late = LayerWriter(Layout(out), name, "points", "made", "1")
     late.file("late.bin", b"late")
     first = LayerWriter(Layout(out), name, "points", "made", "1")

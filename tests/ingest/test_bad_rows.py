@@ -24,7 +24,7 @@ from mirror.errors import RecordingError
 from mirror.geometry.geodesy import ecef_R_enu, geodetic_to_ecef
 from mirror.geometry.quaternions import quaternion_from_matrix
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.ingest.usable import clean_usable
 from mirror.recordings.protocol import Recording, Track
 from mirror.recordings.registry import open_recording
@@ -310,14 +310,16 @@ def test_a_quaternion_without_its_qy_is_refused(real_data: Path, tmp_path: Path)
 def test_drive_json_says_what_was_dropped(tmp_path: Path) -> None:
     bad: dict[int, Spoil] = {10: put(0, "x"), 11: put(1, "x"), 12: put(3, "0.2")}
     roi = Roi(scene_id="yard", frame="yard", x_m=250.0, y_m=0.0, radius_m=150.0)
-    report = ingest([folder(tmp_path / "drive", bad)], [roi], tmp_path / "d")
+    report = ingest_recordings([folder(tmp_path / "drive", bad)], [roi], tmp_path / "d")
     assert not report.failures
     document = read_json(Layout(tmp_path / "d").drive("straight") / "drive.json", DriveDocument)
     assert document.cleaning.bad_rows == {"number": 1, "time": 1, "rotation": 1}
     assert document.cleaning.poses - document.cleaning.kept == 3
-    again = ingest([tmp_path / "drive"], [roi], tmp_path / "d")
+    again = ingest_recordings([tmp_path / "drive"], [roi], tmp_path / "d")
     assert again.unchanged == ["straight"]
-    strict = ingest([tmp_path / "drive"], [roi], tmp_path / "e", IngestOptions(cleaning={"max_bad_rows": 0.0}))
+    strict = ingest_recordings(
+        [tmp_path / "drive"], [roi], tmp_path / "e", IngestOptions(cleaning={"max_bad_rows": 0.0})
+    )
     assert "3 of 400 rows make no pose" in str(strict.failures[0][1])
 
 

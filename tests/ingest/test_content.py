@@ -18,7 +18,7 @@ from mirror.dataset.splits import make_split
 from mirror.errors import UsageError
 from mirror.ingest.judge import DriveContent
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.integrity import check
 from mirror.recordings import weather
 from mirror.recordings.registry import open_recording
@@ -57,7 +57,7 @@ def test_frames_of_a_video_are_decoded_only_inside_passes(
     streams = []
     images = DriveContent.images
     monkeypatch.setattr(DriveContent, "images", lambda self: streams.append(images(self)) or streams[-1])
-    report = ingest([drive], [SCENE], tmp_path / "d")
+    report = ingest_recordings([drive], [SCENE], tmp_path / "d")
     assert not report.failures
     rows = read_table(Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "images.parquet", IMAGES)
     rear = [row for row in rows.to_pylist() if row["camera"] == "rear"]
@@ -82,7 +82,7 @@ def test_boxes_of_the_recording_become_a_layer(drive: Path, tmp_path: Path) -> N
         values[name] = pa.array([text] * 5)
     values["timestamp_ns"] = pa.array(stamps, pa.int64())
     write_table(drive / "boxes.parquet", pa.table(values), BOXES)
-    report = ingest([drive], [SCENE], tmp_path / "d")
+    report = ingest_recordings([drive], [SCENE], tmp_path / "d")
     layout, name = Layout(tmp_path / "d"), report.traversals[0].traversal_id
     assert layout.layers(name) == [("boxes", "people", "1.2")]
     rows = read_table(layout.layer(name, "boxes", "people", "1.2") / "boxes.parquet", BOXES)
@@ -91,14 +91,14 @@ def test_boxes_of_the_recording_become_a_layer(drive: Path, tmp_path: Path) -> N
 
 
 def test_light_is_computed_from_the_sun_and_weather_is_as_stated(drive: Path, tmp_path: Path) -> None:
-    ingest([drive], [SCENE], tmp_path / "d")
+    ingest_recordings([drive], [SCENE], tmp_path / "d")
     row = mirror.open(tmp_path / "d").table("traversals").to_pylist()[0]
     # 2023-11-14 22:13:20 UTC in Munich.
     assert (row["light"], row["light_source"]) == ("night", "solar_elevation")
     assert (row["weather"], row["weather_source"]) == ("clear", "metadata")
     document = json.loads((drive / "recording.json").read_text())
     (drive / "recording.json").write_text(json.dumps({**document, "light": "dusk"}))
-    ingest([drive], [SCENE], tmp_path / "e")
+    ingest_recordings([drive], [SCENE], tmp_path / "e")
     row = mirror.open(tmp_path / "e").table("traversals").to_pylist()[0]
     assert (row["light"], row["light_source"]) == ("dusk", "metadata")
 
@@ -119,13 +119,13 @@ def test_weather_plugin_sees_pictures_of_drives_that_do_not_state_it(
             return lambda pictures: seen.extend(picture.shape for picture in pictures) or "rain"
 
     monkeypatch.setattr(weather, "entry_points", lambda **_: [Entry])
-    ingest([drive], [SCENE], tmp_path / "d", IngestOptions(weather_plugin="rainy"))
+    ingest_recordings([drive], [SCENE], tmp_path / "d", IngestOptions(weather_plugin="rainy"))
     row = mirror.open(tmp_path / "d").table("traversals").to_pylist()[0]
     assert (row["weather"], row["weather_source"]) == ("rain", "rainy")
     assert seen == [(48, 64, 3)] * 3
     monkeypatch.undo()
     with pytest.raises(UsageError, match="no weather plug-in is named"):
-        ingest([drive], [SCENE], tmp_path / "e", IngestOptions(weather_plugin="no_such"))
+        ingest_recordings([drive], [SCENE], tmp_path / "e", IngestOptions(weather_plugin="no_such"))
     assert not (tmp_path / "e").exists()
 
 
@@ -138,7 +138,7 @@ def test_the_hash_of_a_dataset_is_of_what_was_recorded_and_not_of_when(tmp_path:
             for number, drive in enumerate(("first", "second"))
         ]
         change(drives[0])
-        assert not ingest(drives, [SCENE], tmp_path / name / "dataset").failures
+        assert not ingest_recordings(drives, [SCENE], tmp_path / name / "dataset").failures
         split = make_split(tmp_path / name / "dataset", "s", NovelTraversal(train=1, held_out=1))
         return tmp_path / name / "dataset", split.document
 

@@ -15,7 +15,7 @@ import mirror
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.integrity import Cost, check
 from mirror.recordings import weather
 from mirror.schema.files import read_table
@@ -60,7 +60,7 @@ def ids_of(dataset: Path) -> set[str]:
 def test_they_are_referred_to_and_loaded_from_where_they_are(
     drive: Path, tmp_path: Path, bucket: fsspec.AbstractFileSystem
 ) -> None:
-    report = ingest([drive], [SCENE], tmp_path / "d")
+    report = ingest_recordings([drive], [SCENE], tmp_path / "d")
     assert not report.failures
     rows = rear_rows(tmp_path / "d", report.traversals[0].traversal_id)
     assert rows and all(str(row["uri"]).startswith("memory://fleet/rear/") for row in rows)
@@ -76,24 +76,24 @@ def test_none_is_opened_by_ingest_or_its_verification(
     drive: Path, tmp_path: Path, bucket: fsspec.AbstractFileSystem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(type(bucket), "cat_file", lambda *_, **__: pytest.fail("opened a picture"))
-    report = ingest([drive], [SCENE], tmp_path / "d")
+    report = ingest_recordings([drive], [SCENE], tmp_path / "d")
     assert not report.failures and len(report.traversals) == 1
-    again = ingest([drive], [SCENE], tmp_path / "d", IngestOptions(verify=True))
+    again = ingest_recordings([drive], [SCENE], tmp_path / "d", IngestOptions(verify=True))
     assert again.unchanged == ["there"] and not again.failures
 
 
 def test_truth_beside_a_recording_is_not_part_of_it(drive: Path, tmp_path: Path) -> None:
-    ingest([drive], [SCENE], tmp_path / "d")
+    ingest_recordings([drive], [SCENE], tmp_path / "d")
     (drive / "truth").mkdir()
     (drive / "truth" / "poses.parquet").write_bytes(b"exact")
-    assert ingest([drive], [SCENE], tmp_path / "d").unchanged == ["there"]
+    assert ingest_recordings([drive], [SCENE], tmp_path / "d").unchanged == ["there"]
 
 
 def test_check_finds_what_is_missing_or_short_there(
     drive: Path, tmp_path: Path, bucket: fsspec.AbstractFileSystem
 ) -> None:
     out = tmp_path / "d"
-    report = ingest([drive], [SCENE], out)
+    report = ingest_recordings([drive], [SCENE], out)
     rows = rear_rows(out, report.traversals[0].traversal_id)
     assert not {rule for rule in ids_of(out) if rule.startswith("IMG")} - {"IMG007", "IMG009"}
     first, second, third, fourth = (f"/fleet/rear/{row['timestamp_ns']}.jpg" for row in rows[:4])
@@ -107,7 +107,7 @@ def test_check_finds_what_is_missing_or_short_there(
 def test_a_uri_that_nothing_here_reads_is_named(drive: Path, tmp_path: Path) -> None:
     table = drive / "images" / "rear.csv"
     table.write_text(table.read_text().replace("memory://", "nowhere-known://"))
-    ingest([drive], [SCENE], tmp_path / "d")
+    ingest_recordings([drive], [SCENE], tmp_path / "d")
     image = mirror.open(tmp_path / "d").frames()[3].images["rear"]
     with pytest.raises(DatasetError, match="nowhere-known"):
         image.decode()
@@ -126,5 +126,5 @@ def test_weather_is_asked_of_pictures_elsewhere(drive: Path, tmp_path: Path, mon
     document = json.loads((drive / "recording.json").read_text())
     document |= {"reference_camera": "rear", "weather": None}
     (drive / "recording.json").write_text(json.dumps(document))
-    ingest([drive], [SCENE], tmp_path / "d", IngestOptions(weather_plugin="some"))
+    ingest_recordings([drive], [SCENE], tmp_path / "d", IngestOptions(weather_plugin="some"))
     assert mirror.open(tmp_path / "d").table("traversals").column("weather").to_pylist() == ["rain"]

@@ -17,7 +17,7 @@ from mirror.dataset.layout import Layout
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.ingest.request import IngestOptions, IngestReport
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.schema.documents import DriveDocument, Roi
 from mirror.schema.files import read_json, read_table
 from mirror.schema.tables import EGO_POSES, IMAGES
@@ -95,7 +95,7 @@ def in_gap(lost: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("wild", [False, True])
 def test_a_clip_has_no_images_in_its_gaps(wild: bool, tmp_path: Path) -> None:
     lost = (STAMPS > START_NS + 12_000_000_000) & (STAMPS < START_NS + 20_300_000_000)
-    report = ingest([record(tmp_path / "drive", lost, is_clip=True, wild=wild)], [YARD], tmp_path / "d")
+    report = ingest_recordings([record(tmp_path / "drive", lost, is_clip=True, wild=wild)], [YARD], tmp_path / "d")
     assert not report.failures
     stamps, worst = stored(tmp_path / "d", report)
     left_out = in_gap(lost)
@@ -112,9 +112,9 @@ def test_a_clip_has_no_images_in_its_gaps(wild: bool, tmp_path: Path) -> None:
 
 def test_a_gap_within_the_limit_is_driven_straight(tmp_path: Path) -> None:
     lost = (STAMPS > START_NS + 12_000_000_000) & (STAMPS < START_NS + 14_000_000_000)
-    report = ingest([record(tmp_path / "drive", lost, is_clip=True)], [YARD], tmp_path / "d")
+    report = ingest_recordings([record(tmp_path / "drive", lost, is_clip=True)], [YARD], tmp_path / "d")
     assert report.without_pose == 0
-    longer = ingest([tmp_path / "drive"], [YARD], tmp_path / "e", IngestOptions(trigger={"max_gap_s": 1.9}))
+    longer = ingest_recordings([tmp_path / "drive"], [YARD], tmp_path / "e", IngestOptions(trigger={"max_gap_s": 1.9}))
     # Between 12 s and 14 s.
     assert longer.without_pose == 8
 
@@ -130,7 +130,7 @@ def test_an_excursion_that_was_not_recorded_has_no_images(tmp_path: Path) -> Non
     gap_s = (STAMPS[first[-1]] - STAMPS[first[0]]) * 1e-9
     trigger = {"join_gap_s": gap_s + 1.0, "min_overlap": 0.3}
     path = record(tmp_path / "drive", lost, is_clip=False)
-    report = ingest([path], [BEYOND], tmp_path / "d", IngestOptions(trigger=trigger))
+    report = ingest_recordings([path], [BEYOND], tmp_path / "d", IngestOptions(trigger=trigger))
     stamps, worst = stored(tmp_path / "d", report)
     assert gap_s > 2.0
     assert report.without_pose == in_gap(lost).sum() > 0

@@ -13,7 +13,7 @@ import pytest
 
 from mirror.cli.main import main
 from mirror.ingest.rois import write_rois
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from tests.fuzz.bases import BASES
 from tests.fuzz.worker import Request, Worker
 from tests.ingest.recordings import SCENE, write_recording
@@ -170,5 +170,5 @@ def test_a_link_out_is_refused_without_ingesting(tmp_path: Path) -> None:
     base = BASES["boreas"](tmp_path / "fleet")
     (base.path / "camera_poses.csv").rename(tmp_path / "poses.csv")
     (base.path / "camera_poses.csv").symlink_to(tmp_path / "poses.csv")
-    report = ingest([base.path], [base.roi], tmp_path / "d")
+    report = ingest_recordings([base.path], [base.roi], tmp_path / "d")
     assert "leads out of the recording" in str(report.failures[0][1])

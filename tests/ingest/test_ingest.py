@@ -15,7 +15,7 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from mirror.schema.documents import DriveDocument
 from mirror.schema.files import read_json, read_table
@@ -46,7 +46,7 @@ def copied(drives: list[Path], tmp_path: Path) -> list[Path]:
 
 def test_passes_become_traversals_with_their_pictures(drives: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "dataset"
-    report = ingest(drives, [SCENE], out)
+    report = ingest_recordings(drives, [SCENE], out)
     assert not report.failures
     layout = Layout(out)
     assert layout.drive_ids() == ["back", "edge", "there"]
@@ -81,7 +81,7 @@ def test_passes_become_traversals_with_their_pictures(drives: list[Path], tmp_pa
 
 
 def test_world_is_east_north_up_at_the_roi(drives: list[Path], tmp_path: Path) -> None:
-    report = ingest(drives[:1], [SCENE.model_copy(update={"height_m": 500.0})], tmp_path / "d")
+    report = ingest_recordings(drives[:1], [SCENE.model_copy(update={"height_m": 500.0})], tmp_path / "d")
     table = read_table(
         Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "ego_poses.parquet", EGO_POSES
     )
@@ -96,7 +96,7 @@ def test_world_is_east_north_up_at_the_roi(drives: list[Path], tmp_path: Path) -
 
 
 def test_frames_take_the_nearest_picture(drives: list[Path], tmp_path: Path) -> None:
-    report = ingest(drives[:1], [SCENE], tmp_path / "d")
+    report = ingest_recordings(drives[:1], [SCENE], tmp_path / "d")
     table = read_table(Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "images.parquet", IMAGES)
     rows = table.to_pylist()
     front = {row["frame_index"]: row["timestamp_ns"] for row in rows if row["camera"] == "front_wide"}
@@ -106,7 +106,7 @@ def test_frames_take_the_nearest_picture(drives: list[Path], tmp_path: Path) -> 
 
 
 def test_copies_are_files_of_their_own_with_the_same_bytes(drives: list[Path], tmp_path: Path) -> None:
-    report = ingest(drives[:1], [SCENE], tmp_path / "d", IngestOptions(write=WriteOptions(transfer="copy")))
+    report = ingest_recordings(drives[:1], [SCENE], tmp_path / "d", IngestOptions(write=WriteOptions(transfer="copy")))
     assert report.linked == 0
     images = read_table(Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "images.parquet", IMAGES)
     for image in images.to_pylist():
@@ -118,33 +118,33 @@ def test_copies_are_files_of_their_own_with_the_same_bytes(drives: list[Path], t
 
 def test_second_run_does_nothing(drives: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
-    ingest(drives, [SCENE], out)
+    ingest_recordings(drives, [SCENE], out)
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
-    report = ingest(drives, [SCENE], out, IngestOptions(verify=True))
+    report = ingest_recordings(drives, [SCENE], out, IngestOptions(verify=True))
     assert report.unchanged == ["there", "back", "edge"]
     assert not report.drives
     assert before == {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
 
 
 def test_order_and_number_of_runs_and_workers_do_not_matter(drives: list[Path], tmp_path: Path) -> None:
-    ingest(drives, [SCENE], tmp_path / "a", IngestOptions(workers=4))
+    ingest_recordings(drives, [SCENE], tmp_path / "a", IngestOptions(workers=4))
     for drive in reversed(drives):
-        ingest([drive], [SCENE], tmp_path / "b", IngestOptions(workers=1))
+        ingest_recordings([drive], [SCENE], tmp_path / "b", IngestOptions(workers=1))
     assert tree(tmp_path / "a") == tree(tmp_path / "b")
 
 
 def test_new_roi_is_cut_out_of_the_drives_given_again(drives: list[Path], tmp_path: Path) -> None:
     west = SCENE.model_copy(update={"scene_id": "west", "longitude_deg": LON - 0.0008})
-    ingest(drives, [SCENE], tmp_path / "a")
-    ingest(drives, [west], tmp_path / "a")
-    ingest(drives, [SCENE, west], tmp_path / "b")
+    ingest_recordings(drives, [SCENE], tmp_path / "a")
+    ingest_recordings(drives, [west], tmp_path / "a")
+    ingest_recordings(drives, [SCENE, west], tmp_path / "b")
     assert tree(tmp_path / "a") == tree(tmp_path / "b")
     with pytest.raises(DatasetError, match="another centre"):
-        ingest(drives, [west.model_copy(update={"radius_m": 80.0})], tmp_path / "a")
+        ingest_recordings(drives, [west.model_copy(update={"radius_m": 80.0})], tmp_path / "a")
 
 
 def test_dry_run_judges_and_writes_nothing(drives: list[Path], tmp_path: Path) -> None:
-    report = ingest(drives, [SCENE], tmp_path / "d", IngestOptions(dry_run=True))
+    report = ingest_recordings(drives, [SCENE], tmp_path / "d", IngestOptions(dry_run=True))
     assert sum(one.accepted for drive in report.drives.values() for one in drive.passes) == 2
     assert not (tmp_path / "d").exists()
 
@@ -157,14 +157,14 @@ def test_no_picture_is_opened_for_a_refused_pass(copied: list[Path], tmp_path: P
     for path in (there / "images").rglob("*.jpg"):
         if not 7.4e9 <= int(path.stem) - START_NS <= 22.6e9:
             path.write_bytes(b"outside of every pass")
-    report = ingest([there, edge], [SCENE], tmp_path / "d")
+    report = ingest_recordings([there, edge], [SCENE], tmp_path / "d")
     assert not report.failures
     assert report.images > 80
 
 
 def test_poses_only_drives_make_traversals_without_pictures(tmp_path: Path) -> None:
     drive = write_recording(tmp_path, "blind", cameras=())
-    report = ingest([drive], [SCENE], tmp_path / "d")
+    report = ingest_recordings([drive], [SCENE], tmp_path / "d")
     assert [one.images for one in report.traversals] == [0]
     rows = mirror.open(tmp_path / "d").table("traversals", ["has_images"])
     assert rows.column("has_images").to_pylist() == [False]
@@ -172,12 +172,12 @@ def test_poses_only_drives_make_traversals_without_pictures(tmp_path: Path) -> N
 
 def test_other_thresholds_are_refused_and_the_datasets_own_are_the_default(drives: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
-    first = ingest(drives, [SCENE], out, IngestOptions(trigger={"min_duration_s": 5.0}))
+    first = ingest_recordings(drives, [SCENE], out, IngestOptions(trigger={"min_duration_s": 5.0}))
     assert {one.traversal_id.split(".")[1] for one in first.traversals} == {"there", "back"}
     with pytest.raises(DatasetError, match="min_duration_s") as caught:
-        ingest(drives, [SCENE], out, IngestOptions(trigger={"min_duration_s": 10.0}))
+        ingest_recordings(drives, [SCENE], out, IngestOptions(trigger={"min_duration_s": 10.0}))
     assert "new folder" in str(caught.value)
-    assert ingest(drives, [SCENE], out).unchanged == ["there", "back", "edge"]
+    assert ingest_recordings(drives, [SCENE], out).unchanged == ["there", "back", "edge"]
 
 
 def test_changed_recording_needs_replace_and_a_failed_replacement_harms_nothing(
@@ -185,22 +185,22 @@ def test_changed_recording_needs_replace_and_a_failed_replacement_harms_nothing(
 ) -> None:
     out = tmp_path / "d"
     there = copied[0]
-    ingest(copied, [SCENE], out)
+    ingest_recordings(copied, [SCENE], out)
     before = tree(out)
     pictures = sorted((there / "images" / "rear").glob("*.jpg"))
     whole = pictures[30].read_bytes()
     pictures[30].unlink()
     pictures[30].write_bytes(whole[:-20])
-    report = ingest(copied, [SCENE], out)
+    report = ingest_recordings(copied, [SCENE], out)
     assert "--replace" in str(report.failures[0][1])
     assert tree(out) == before
-    report = ingest(copied, [SCENE], out, IngestOptions(replace=True))
+    report = ingest_recordings(copied, [SCENE], out, IngestOptions(replace=True))
     assert "truncated" in str(report.failures[0][1])
     assert tree(out) == before
     pictures[30].unlink()
     pictures[30].write_bytes(cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1].tobytes())
-    assert not ingest(copied, [SCENE], out, IngestOptions(replace=True)).failures
-    ingest(copied, [SCENE], tmp_path / "fresh")
+    assert not ingest_recordings(copied, [SCENE], out, IngestOptions(replace=True)).failures
+    ingest_recordings(copied, [SCENE], tmp_path / "fresh")
     assert tree(out) == tree(tmp_path / "fresh")
 
 
@@ -208,16 +208,16 @@ def test_verify_notices_bytes_that_changed_behind_an_unchanged_size_and_time(
     copied: list[Path], tmp_path: Path
 ) -> None:
     out = tmp_path / "d"
-    ingest(copied[:1], [SCENE], out, IngestOptions(write=WriteOptions(transfer="copy")))
+    ingest_recordings(copied[:1], [SCENE], out, IngestOptions(write=WriteOptions(transfer="copy")))
     picture = sorted((copied[0] / "images" / "rear").glob("*.jpg"))[30]
     status, data = picture.stat(), bytearray(picture.read_bytes())
     data[len(data) // 2] ^= 1
     picture.write_bytes(data)
     os.utime(picture, ns=(status.st_atime_ns, status.st_mtime_ns))
     options = IngestOptions(write=WriteOptions(transfer="copy"))
-    assert ingest(copied[:1], [SCENE], out, options).unchanged == ["there"]
+    assert ingest_recordings(copied[:1], [SCENE], out, options).unchanged == ["there"]
     options = IngestOptions(write=WriteOptions(transfer="copy"), verify=True)
-    assert picture.name in str(ingest(copied[:1], [SCENE], out, options).failures[0][1])
+    assert picture.name in str(ingest_recordings(copied[:1], [SCENE], out, options).failures[0][1])
 
 
 def test_second_writer_is_refused_or_waits(drives: list[Path], tmp_path: Path) -> None:
@@ -225,10 +225,10 @@ def test_second_writer_is_refused_or_waits(drives: list[Path], tmp_path: Path) -
     release = threading.Timer(0.6, lambda: None)
     with writer_lock(Layout(out), wait=False):
         with pytest.raises(DatasetError, match="another run"):
-            ingest(drives[:1], [SCENE], out)
+            ingest_recordings(drives[:1], [SCENE], out)
         done = threading.Event()
         waiting = threading.Thread(
-            target=lambda: (ingest(drives[:1], [SCENE], out, IngestOptions(wait=True)), done.set())
+            target=lambda: (ingest_recordings(drives[:1], [SCENE], out, IngestOptions(wait=True)), done.set())
         )
         waiting.start()
         release.start()
@@ -305,23 +305,23 @@ def test_one_bad_drive_is_reported_and_stops_neither_the_others_nor_harms_the_da
     spoil, says = DAMAGE[damage]
     spoil(there)
     out = tmp_path / "d"
-    ingest([back], [SCENE], out)
+    ingest_recordings([back], [SCENE], out)
     before = tree(out)
-    report = ingest([there], [SCENE], out)
+    report = ingest_recordings([there], [SCENE], out)
     assert [path for path, _ in report.failures] == [there]
     assert says in str(report.failures[0][1])
     assert str(there) in str(report.failures[0][1])
     assert tree(out) == before
-    both = ingest([there, back], [SCENE], tmp_path / "e")
+    both = ingest_recordings([there, back], [SCENE], tmp_path / "e")
     assert (len(both.failures), sorted(both.drives)) == (1, ["back"])
     assert tree(tmp_path / "e") == before
     with pytest.raises(MirrorError):
-        ingest([there, back], [SCENE], tmp_path / "f", IngestOptions(fail_fast=True))
+        ingest_recordings([there, back], [SCENE], tmp_path / "f", IngestOptions(fail_fast=True))
 
 
 def test_nothing_is_left_where_every_drive_fails(copied: list[Path], tmp_path: Path) -> None:
     _truncate_picture(copied[0])
-    assert ingest(copied[:1], [SCENE], tmp_path / "d").failures
+    assert ingest_recordings(copied[:1], [SCENE], tmp_path / "d").failures
     assert tree(tmp_path / "d") == {}
 
 
@@ -329,7 +329,7 @@ def test_nan_fixes_are_cleaned_and_counted(copied: list[Path], tmp_path: Path) -
     _edit_poses(copied[0], 100, "{0},nan,nan,{3},{4}")
     _edit_poses(copied[0], 120, "{0},1555.0,{2},{3},{4}")
     _edit_poses(copied[0], 140, "{0},{1},48.2,{3},{4}")
-    ingest(copied[:1], [SCENE], tmp_path / "d")
+    ingest_recordings(copied[:1], [SCENE], tmp_path / "d")
     cleaning = read_json(Layout(tmp_path / "d").drive("there") / "drive.json", DriveDocument).cleaning
     assert (cleaning.invalid, cleaning.outliers, cleaning.poses - cleaning.kept) == (2, 1, 3)
 
@@ -338,50 +338,52 @@ def test_backward_time_is_sorted_or_refused(copied: list[Path], tmp_path: Path) 
     lines = (copied[0] / "poses.csv").read_text().splitlines()
     lines[50], lines[60] = lines[60], lines[50]
     (copied[0] / "poses.csv").write_text("\n".join(lines) + "\n")
-    report = ingest(copied[:1], [SCENE], tmp_path / "d")
+    report = ingest_recordings(copied[:1], [SCENE], tmp_path / "d")
     assert report.drives["there"].cleaning.backward_time == 10
-    refused = ingest(copied[:1], [SCENE], tmp_path / "e", IngestOptions(cleaning={"backward_time": "refuse"}))
+    refused = ingest_recordings(
+        copied[:1], [SCENE], tmp_path / "e", IngestOptions(cleaning={"backward_time": "refuse"})
+    )
     assert "time runs backward" in str(refused.failures[0][1])
 
 
 def test_two_drives_with_one_id(copied: list[Path], tmp_path: Path) -> None:
     _rewrite(copied[1], drive_id="there")
-    report = ingest(copied, [SCENE], tmp_path / "d")
+    report = ingest_recordings(copied, [SCENE], tmp_path / "d")
     assert len(report.failures) == 1
     assert "drive id 'there' is also that of" in str(report.failures[0][1])
     assert isinstance(report.failures[0][1], RecordingError)
-    later = ingest(copied[1:2], [SCENE], tmp_path / "d")
+    later = ingest_recordings(copied[1:2], [SCENE], tmp_path / "d")
     assert "is in the dataset already" in str(later.failures[0][1])
 
 
 def test_rig_with_other_cameras_is_refused(copied: list[Path], tmp_path: Path) -> None:
-    ingest(copied[:1], [SCENE], tmp_path / "d")
+    ingest_recordings(copied[:1], [SCENE], tmp_path / "d")
     _rewrite(copied[1], reference_camera="rear")
-    report = ingest(copied[1:2], [SCENE], tmp_path / "d")
+    report = ingest_recordings(copied[1:2], [SCENE], tmp_path / "d")
     assert "rig 'two'" in str(report.failures[0][1])
 
 
 def test_swapped_roi_is_recognised(drives: list[Path], tmp_path: Path) -> None:
     swapped = SCENE.model_copy(update={"longitude_deg": LAT, "latitude_deg": LON})
     with pytest.raises(UsageError, match="exchanged"):
-        ingest(drives, [swapped], tmp_path / "d")
+        ingest_recordings(drives, [swapped], tmp_path / "d")
     assert tree(tmp_path / "d") == {}
 
 
 def test_no_roi_is_an_error(drives: list[Path], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no ROI"):
-        ingest(drives, [], tmp_path / "d")
+        ingest_recordings(drives, [], tmp_path / "d")
 
 
 def test_a_date_that_is_none_and_a_truncated_video_leave_the_dataset_as_it_was(
     copied: list[Path], real_data: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "d"
-    ingest(copied[1:2], [SCENE], out)
+    ingest_recordings(copied[1:2], [SCENE], out)
     before = tree(out)
     table = tmp_path / "drive.csv"
     table.write_text(f"Date,Time,LAT,LON\n05/31/2021,10:00:00,{LAT},{LON}\n90/02/2032,10:00:01,{LAT},{LON}\n")
-    report = ingest([table], [SCENE], out, IngestOptions(reader_options={"tz": "UTC"}))
+    report = ingest_recordings([table], [SCENE], out, IngestOptions(reader_options={"tz": "UTC"}))
     said = str(report.failures[0][1])
     assert "90/02/2032" in said
     assert str(table) in said
@@ -396,17 +398,17 @@ def test_a_date_that_is_none_and_a_truncated_video_leave_the_dataset_as_it_was(
         "pts,exposure_start_ns,exposure_end_ns\n"
         + "".join(f"{512 * k},{START_NS + k * 140_000_000},{START_NS + k * 140_000_000}\n" for k in range(220))
     )
-    report = ingest(copied[:1], [SCENE], out)
+    report = ingest_recordings(copied[:1], [SCENE], out)
     assert "rear.mp4" in str(report.failures[0][1])
     assert tree(out) == before
 
 
 def test_a_dataset_of_another_schema_version_is_refused_and_untouched(copied: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
-    ingest(copied[:1], [SCENE], out)
+    ingest_recordings(copied[:1], [SCENE], out)
     document = json.loads((out / "dataset.json").read_text())
     (out / "dataset.json").write_text(json.dumps({**document, "schema_version": "2.0.0"}))
     before = tree(out)
     with pytest.raises(MirrorError, match=r"2\.0\.0 is newer.*pip install --upgrade"):
-        ingest(copied, [SCENE], out)
+        ingest_recordings(copied, [SCENE], out)
     assert tree(out) == before

@@ -13,7 +13,7 @@ import pytest
 
 from mirror.dataset.layout import Layout
 from mirror.ingest.rois import write_rois
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
 
 HOUR_NS = 3_600_000_000_000
@@ -41,7 +41,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def whole(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What comes of a run that nobody disturbs."""
     out = tmp_path_factory.mktemp("undisturbed") / "whole"
-    ingest(sorted(fleet.glob("drive_*")), SCENES, out)
+    ingest_recordings(sorted(fleet.glob("drive_*")), SCENES, out)
     return out
 
 
@@ -75,7 +75,7 @@ def _files(root: Path) -> int:
 def test_a_full_disk_is_an_error_with_a_remedy_and_the_next_run_goes_on(fleet: Path, tmp_path: Path) -> None:
     out = tmp_path / "d"
     first = sorted(fleet.glob("drive_*"))[:1]
-    ingest(first, SCENES, out)
+    ingest_recordings(first, SCENES, out)
     before = tree(out)
     limit = "import resource, runpy, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500));"
     # The signal that would end the process becomes the error that a full disk gives.
@@ -139,7 +139,7 @@ def test_a_failed_ingest_leaves_nothing_at_all(fleet: Path, tmp_path: Path) -> N
 
 
 def test_a_folder_that_is_something_else_is_left_alone(fleet: Path, tmp_path: Path) -> None:
-    ingest(sorted(fleet.glob("drive_*"))[:1], SCENES, tmp_path / "dataset")
+    ingest_recordings(sorted(fleet.glob("drive_*"))[:1], SCENES, tmp_path / "dataset")
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "main.tex").write_text("")
     before = tree(tmp_path), tree(fleet)

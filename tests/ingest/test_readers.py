@@ -21,7 +21,7 @@ import mirror
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
 
 HOUR_NS = 3_600_000_000_000
@@ -83,7 +83,7 @@ def fleet(tmp_path: Path) -> list[Path]:
 
 def test_readers_neither_fail_nor_read_mixed_data_while_drives_are_replaced(fleet: list[Path], tmp_path: Path) -> None:
     out, stop = tmp_path / "d", tmp_path / "stop"
-    assert not ingest(fleet, [SCENE], out).failures
+    assert not ingest_recordings(fleet, [SCENE], out).failures
     readers = [
         subprocess.Popen(
             [sys.executable, "-c", READER, str(out), str(stop)],
@@ -99,7 +99,7 @@ def test_readers_neither_fail_nor_read_mixed_data_while_drives_are_replaced(flee
     for state in (2, 3, 4, 2):
         for drive in fleet:
             shade(drive, state)
-        assert not ingest(fleet, [SCENE], out, IngestOptions(replace=True)).failures
+        assert not ingest_recordings(fleet, [SCENE], out, IngestOptions(replace=True)).failures
         time.sleep(0.3)
     stop.touch()
     for reader in readers:
@@ -108,15 +108,15 @@ def test_readers_neither_fail_nor_read_mixed_data_while_drives_are_replaced(flee
         opened, states = said.strip().split(" ", 1)
         assert int(opened) > 4
         assert {2, 3, 4} <= set(json.loads(states))
-    ingest(fleet, [SCENE], tmp_path / "fresh")
+    ingest_recordings(fleet, [SCENE], tmp_path / "fresh")
     # The readers have gone: the next run removes what they needed.
-    ingest(fleet, [SCENE], out)
+    ingest_recordings(fleet, [SCENE], out)
     assert tree(out) == tree(tmp_path / "fresh")
 
 
 def test_an_open_view_reads_what_it_was_opened_on(fleet: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
-    ingest(fleet, [SCENE], out)
+    ingest_recordings(fleet, [SCENE], out)
     view = mirror.open(out)
     poses = view.table("ego_poses")
     pictures = [frame.images["front_wide"].decode().mean() for frame in view.frames()]
@@ -124,7 +124,7 @@ def test_an_open_view_reads_what_it_was_opened_on(fleet: list[Path], tmp_path: P
     for state in (2, 3):
         for drive in fleet:
             shade(drive, state)
-        assert not ingest(fleet, [SCENE], out, IngestOptions(replace=True)).failures
+        assert not ingest_recordings(fleet, [SCENE], out, IngestOptions(replace=True)).failures
     assert view.where(drive="drive_1").table("ego_poses").num_rows * DRIVES == poses.num_rows
     assert [frame.images["front_wide"].decode().mean() for frame in view.frames()] == pictures
     # Also where nothing was read before the replacement, and in another process.
@@ -134,7 +134,7 @@ def test_an_open_view_reads_what_it_was_opened_on(fleet: list[Path], tmp_path: P
     assert {int(frame.images["front_wide"].decode().mean()) for frame in mirror.open(out).frames()} == {175}
     del view, untouched
     gc.collect()
-    ingest(fleet, [SCENE], out)
+    ingest_recordings(fleet, [SCENE], out)
     assert not (out / ".superseded").exists()
 
 
@@ -146,7 +146,7 @@ def test_a_replacement_that_fails_at_any_step_leaves_the_dataset_as_it_was(
     fleet: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "d"
-    ingest(fleet, [SCENE], out)
+    ingest_recordings(fleet, [SCENE], out)
     before = tree(out)
     for drive in fleet:
         shade(drive, 2)
@@ -164,7 +164,7 @@ def test_a_replacement_that_fails_at_any_step_leaves_the_dataset_as_it_was(
 
         monkeypatch.setattr(Path, "rename", rename)
         try:
-            ingest(fleet[:1], [SCENE], out, IngestOptions(replace=True))
+            ingest_recordings(fleet[:1], [SCENE], out, IngestOptions(replace=True))
         except DatasetError as error:
             assert "No space left" in str(error)
             monkeypatch.undo()
@@ -176,14 +176,14 @@ def test_a_replacement_that_fails_at_any_step_leaves_the_dataset_as_it_was(
             monkeypatch.undo()
             break
     assert step > 4
-    ingest(fleet, [SCENE], out, IngestOptions(replace=True))
-    ingest(fleet, [SCENE], tmp_path / "fresh")
+    ingest_recordings(fleet, [SCENE], out, IngestOptions(replace=True))
+    ingest_recordings(fleet, [SCENE], tmp_path / "fresh")
     assert tree(out) == tree(tmp_path / "fresh")
 
 
 def test_a_dataset_is_opened_as_it_was_while_a_long_run_appends(fleet: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
-    ingest(fleet[:1], [SCENE], out)
+    ingest_recordings(fleet[:1], [SCENE], out)
     hold, held = threading.Event(), threading.Event()
 
     class Progress:
@@ -195,7 +195,7 @@ def test_a_dataset_is_opened_as_it_was_while_a_long_run_appends(fleet: list[Path
             held.set()
             assert hold.wait(20)
 
-    running = threading.Thread(target=ingest, args=(fleet, [SCENE], out, IngestOptions(), Progress()))
+    running = threading.Thread(target=ingest_recordings, args=(fleet, [SCENE], out, IngestOptions(), Progress()))
     running.start()
     assert held.wait(20)
     assert mirror.open(out).drives() == ["drive_0"]

@@ -12,7 +12,7 @@ import pytest
 
 from mirror.dataset.layout import Layout
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from mirror.schema.files import read_table, write_table
 from mirror.schema.tables import BOXES, IMAGES
@@ -26,7 +26,7 @@ def base(tmp_path: Path) -> Base:
 
 def problem(base: Base, tmp_path: Path, write: WriteOptions | None = None) -> str:
     """Why the recording is refused; nothing is left of it in the dataset."""
-    report = ingest([base.path], [base.roi], tmp_path / "d", IngestOptions(write=write or WriteOptions()))
+    report = ingest_recordings([base.path], [base.roi], tmp_path / "d", IngestOptions(write=write or WriteOptions()))
     assert len(report.failures) == 1, report
     assert not list((tmp_path / "d").glob("traversals/*/recorded/manifest.json"))
     return str(report.failures[0][1])
@@ -55,7 +55,7 @@ def test_boxes_that_are_nowhere(base: Base, tmp_path: Path, column: str, value: 
 
 
 def test_whole_boxes_and_rasters_are_taken(base: Base, tmp_path: Path) -> None:
-    report = ingest([base.path], [base.roi], tmp_path / "d")
+    report = ingest_recordings([base.path], [base.roi], tmp_path / "d")
     assert not report.failures and report.images > 50
     rows = read_table(Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "images.parquet", IMAGES)
     assert set(zip(rows.column("width_px").to_pylist(), rows.column("height_px").to_pylist())) == {(64, 48)}
@@ -74,7 +74,7 @@ def test_without_a_calibration_every_image_has_its_own_size(base: Base, tmp_path
     (base.path / "calibrations" / "factory.json").unlink()
     file = sorted((base.path / "images" / "front_wide").iterdir())[20]
     file.write_bytes(image(".jpg", (48, 64)))
-    report = ingest([base.path], [base.roi], tmp_path / "d")
+    report = ingest_recordings([base.path], [base.roi], tmp_path / "d")
     assert not report.failures
     rows = read_table(Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "images.parquet", IMAGES)
     sizes = {row["timestamp_ns"]: (row["width_px"], row["height_px"]) for row in rows.to_pylist()}
@@ -98,7 +98,7 @@ def test_what_only_a_decoder_sees_is_found_on_request(base: Base, tmp_path: Path
     file.write_bytes(data)
     assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is None
     assert f"{file}: cannot be decoded" in problem(base, tmp_path, WriteOptions(decoding=True))
-    report = ingest([base.path], [base.roi], tmp_path / "e")
+    report = ingest_recordings([base.path], [base.roi], tmp_path / "e")
     assert not report.failures
 
 

@@ -14,7 +14,7 @@ from mirror.dataset.layout import Layout
 from mirror.errors import MirrorError, UsageError
 from mirror.ingest import drive as drive_module
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.recordings.folder import FolderRecording
 from mirror.schema.files import unwritable
 from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
@@ -47,20 +47,20 @@ DAMAGE = {
 @pytest.mark.parametrize("replace", [False, True])
 def test_the_same_command_mends_it(damage: str, replace: bool, drives: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
-    ingest(drives, [SCENE], out)
+    ingest_recordings(drives, [SCENE], out)
     before = tree(out)
     DAMAGE[damage](out)
-    report = ingest(drives, [SCENE], out, IngestOptions(replace=replace))
+    report = ingest_recordings(drives, [SCENE], out, IngestOptions(replace=replace))
     assert not report.failures
     assert tree(out) == before
 
 
 def test_a_lost_picture_comes_back_with_replace(drives: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
-    ingest(drives, [SCENE], out)
+    ingest_recordings(drives, [SCENE], out)
     before = tree(out)
     next(traversal(out, "a").rglob("*.jpg")).unlink()
-    ingest(drives[:1], [SCENE], out, IngestOptions(replace=True))
+    ingest_recordings(drives[:1], [SCENE], out, IngestOptions(replace=True))
     assert tree(out) == before
 
 
@@ -68,26 +68,26 @@ def test_a_full_disk_while_sealing_anew_loses_no_drive(
     drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "d"
-    ingest(drives, [SCENE], out)
+    ingest_recordings(drives, [SCENE], out)
 
     def full(path: Path, data: bytes) -> None:
         raise unwritable(path, OSError(28, "No space left on device"))
 
     monkeypatch.setattr(drive_module, "write_bytes", full)
     with pytest.raises(MirrorError, match="No space left"):
-        ingest(drives, [SCENE, WEST], out)
+        ingest_recordings(drives, [SCENE, WEST], out)
     monkeypatch.undo()
     assert Layout(out).drive_ids() == ["a", "b"]
     assert main(["index", str(out)]) == 0
     assert mirror.open(out).drives() == ["a", "b"]
-    ingest(drives, [SCENE, WEST], out)
-    ingest(drives, [SCENE, WEST], tmp_path / "e")
+    ingest_recordings(drives, [SCENE, WEST], out)
+    ingest_recordings(drives, [SCENE, WEST], tmp_path / "e")
     assert tree(out) == tree(tmp_path / "e")
 
 
 def test_a_replacement_that_was_killed_is_settled_by_the_index(drives: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
-    ingest(drives, [SCENE], out)
+    ingest_recordings(drives, [SCENE], out)
     before = tree(out)
     one = traversal(out, "a")
     supersede(Layout(out), out / "drives/a")
@@ -112,7 +112,7 @@ def test_a_reader_that_fails_stops_only_its_recording(
         return original(self)
 
     monkeypatch.setattr(FolderRecording, "track", broken)
-    report = ingest(drives, [SCENE], tmp_path / "d")
+    report = ingest_recordings(drives, [SCENE], tmp_path / "d")
     assert sorted(report.drives) == ["b"]
     assert "its reader failed (KeyError: 'speed')" in str(report.failures[0][1])
 
@@ -126,7 +126,7 @@ def test_margins_do_not_reach_across_a_jump(tmp_path: Path) -> None:
         stamp = int(last[0]) + step * 100_000_000
         rows.append(f"{stamp},{float(last[1]) + 0.04:.9f},{float(last[2]) + step * 1e-5:.9f},{last[3]},{last[4]}")
     (drive / "poses.csv").write_text("\n".join(rows) + "\n")
-    report = ingest([drive], [SCENE], tmp_path / "d")
+    report = ingest_recordings([drive], [SCENE], tmp_path / "d")
     assert report.drives["a"].cleaning.restarts == 1
     poses = mirror.open(tmp_path / "d").table("ego_poses", ["tx_m"]).column("tx_m").to_numpy()
     assert abs(poses).max() < 80.0
@@ -143,12 +143,12 @@ def test_margins_do_not_reach_across_a_jump(tmp_path: Path) -> None:
 )
 def test_thresholds_out_of_range_are_named(options: IngestOptions, drives: list[Path], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"min_overlap|max_gap_s|max_speed_mps|workers"):
-        ingest(drives, [SCENE], tmp_path / "d", options)
+        ingest_recordings(drives, [SCENE], tmp_path / "d", options)
     assert tree(tmp_path / "d") == {}
 
 
 def test_a_dataset_is_not_written_into_a_recording(drives: list[Path]) -> None:
     before = tree(drives[0])
     with pytest.raises(UsageError, match="inside a recording"):
-        ingest(drives, [SCENE], drives[0] / "dataset")
+        ingest_recordings(drives, [SCENE], drives[0] / "dataset")
     assert tree(drives[0]) == before

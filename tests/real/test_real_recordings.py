@@ -16,7 +16,7 @@ from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.poses import Poses
 from mirror.ingest.propose import propose_rois
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.schema.documents import DriveDocument, Roi
 from mirror.schema.files import read_json
 from tests.ingest.recordings import tree
@@ -53,7 +53,7 @@ def test_boreas_loops_meet_where_both_passed(real_data: Path, tmp_path: Path) ->
                 assert apart >= 400.0
     rois = [one.roi for one in proposals.ranked]
     options = IngestOptions(trigger={"trim_standstill_s": None, "join_gap_s": 0.0})
-    report = ingest(loops, rois, tmp_path / "d", options)
+    report = ingest_recordings(loops, rois, tmp_path / "d", options)
     for drive_id, drive in report.drives.items():
         for roi in rois:
             expected = boreas_visits(real_data / "boreas" / drive_id, roi)
@@ -74,7 +74,7 @@ def test_boreas_loops_meet_where_both_passed(real_data: Path, tmp_path: Path) ->
 def test_boreas_forward_axis_is_the_direction_of_travel(real_data: Path, tmp_path: Path) -> None:
     loop = sorted((real_data / "boreas").glob("boreas-*"))[0]
     proposals = propose_rois([loop], count=1)
-    ingest([loop], [proposals.ranked[0].roi], tmp_path / "d")
+    ingest_recordings([loop], [proposals.ranked[0].roi], tmp_path / "d")
     poses = mirror.open(tmp_path / "d").table("ego_poses")
     columns = {name: poses.column(name).to_numpy() for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")}
     world_SE3_ego = Poses.from_columns(columns)
@@ -93,7 +93,7 @@ def test_rsk_drives_are_cleaned_counted_and_pass_as_on_a_map(real_data: Path, tm
     assert len(drives) == 10
     # A point on the one road between the two ends of the route, far from both.
     roi = Roi(scene_id="corniche", longitude_deg=-6.7756, latitude_deg=33.9891)
-    report = ingest(drives, [roi], tmp_path / "d", RSK)
+    report = ingest_recordings(drives, [roi], tmp_path / "d", RSK)
     assert not report.failures
     for path in drives:
         with path.open() as file:
@@ -116,7 +116,7 @@ def test_rsk_without_a_larger_gap_has_only_fragments(real_data: Path, tmp_path: 
     drives = sorted((real_data / "rsk_twizy_t3").glob("*.csv"))
     roi = Roi(scene_id="corniche", longitude_deg=-6.7756, latitude_deg=33.9891)
     options = IngestOptions(reader_options=RSK.reader_options)
-    report = ingest(drives, [roi], tmp_path / "d", options)
+    report = ingest_recordings(drives, [roi], tmp_path / "d", options)
     assert not report.traversals
     assert {one.exit_kind for drive in report.drives.values() for one in drive.passes} <= {"gap", "crossing"}
 
@@ -127,7 +127,7 @@ def dgp(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> mirror.Dat
     options = IngestOptions(trigger={"min_duration_s": 0.1, "min_path_m": 1.0})
     local = propose_rois([scene], count=1, options=options).ranked[0].roi
     out = tmp_path_factory.mktemp("dgp") / "d"
-    report = ingest([scene], [local], out, options)
+    report = ingest_recordings([scene], [local], out, options)
     assert not report.failures
     assert report.images == 18
     return mirror.open(out)
@@ -181,7 +181,7 @@ def test_comma2k19_segment_from_ecef(real_data: Path, tmp_path: Path) -> None:
     positions = np.load(route / "40" / "global_pose" / "frame_positions")
     lon, lat, _ = pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*positions[600])
     roi = Roi(scene_id="highway", longitude_deg=lon, latitude_deg=lat)
-    report = ingest([route], [roi], tmp_path / "d")
+    report = ingest_recordings([route], [roi], tmp_path / "d")
     (drive,) = report.drives.values()
     (one,) = drive.passes
     ones = np.ones(len(positions))
@@ -199,6 +199,6 @@ def test_comma2k19_segment_from_ecef(real_data: Path, tmp_path: Path) -> None:
 def test_a_copy_of_real_recordings_ends_with_the_same_bytes(real_data: Path, tmp_path: Path) -> None:
     loops = sorted((real_data / "boreas").glob("boreas-*"))
     rois = [propose_rois(loops, count=1).ranked[0].roi]
-    ingest(loops, rois, tmp_path / "a")
-    ingest(loops[::-1], rois, tmp_path / "b", IngestOptions(workers=1))
+    ingest_recordings(loops, rois, tmp_path / "a")
+    ingest_recordings(loops[::-1], rois, tmp_path / "b", IngestOptions(workers=1))
     assert tree(tmp_path / "a") == tree(tmp_path / "b")

@@ -15,7 +15,7 @@ import mirror
 import mirror.synth
 from mirror.errors import DatasetError, UsageError
 from mirror.ingest.rois import read_rois
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.integrity import check
 from mirror.recordings.raster import TAIL_BYTES, has_end, raster_size, require_whole
 from mirror.synth.fleet import PRESETS
@@ -103,7 +103,7 @@ def test_recordings_refer_to_images_and_a_dataset_loads_them(tmp_path: Path, mon
     written = mirror.synth.write_recordings(tmp_path / "fleet", "referring", truth=("poses",))
     assert not list(tmp_path.rglob("*.jpg")) and not list(tmp_path.rglob("*.png"))[7:]
     assert written.images > 100 and written.boxes > 100
-    report = ingest(written.recordings, read_rois(tmp_path / "fleet" / "rois.geojson"), tmp_path / "d")
+    report = ingest_recordings(written.recordings, read_rois(tmp_path / "fleet" / "rois.geojson"), tmp_path / "d")
     assert not report.failures
     found = check(tmp_path / "d")
     assert not [

@@ -20,7 +20,7 @@ from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import read_rois
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.schema.documents import CANONICAL_CAMERAS, NovelTraversal
 from mirror.view.pictures import busiest_frame, category_colours, legend, rig_pictures, same_place
 from mirror.view.report import map_legend, write_report
@@ -67,7 +67,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.fixture(scope="module")
 def dataset(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     out = tmp_path_factory.mktemp("view") / "dataset"
-    report = ingest(recordings, read_rois(recordings[0].parent / "rois.geojson"), out, IngestOptions())
+    report = ingest_recordings(recordings, read_rois(recordings[0].parent / "rois.geojson"), out, IngestOptions())
     assert not report.failures
     make_split(out, "novel", NovelTraversal(train=1, held_out=1))
     return mirror.open(out)
@@ -167,7 +167,9 @@ def test_one_place_is_the_same_place(dataset: Dataset) -> None:
 
 
 def test_a_dataset_without_pictures_or_traversals_has_a_report_too(recordings: list[Path], tmp_path: Path) -> None:
-    ingest(recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions())
+    ingest_recordings(
+        recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions()
+    )
     write_report(mirror.open(tmp_path / "bare"), tmp_path / "bare.html")
     page = Page((tmp_path / "bare.html").read_text())
     assert page.open == []
@@ -177,7 +179,9 @@ def test_a_dataset_without_pictures_or_traversals_has_a_report_too(recordings: l
 
 
 def test_tiles_say_what_stats_says(dataset: Dataset, recordings: list[Path], tmp_path: Path) -> None:
-    ingest(recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions())
+    ingest_recordings(
+        recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions()
+    )
     for one in (dataset, mirror.open(tmp_path / "bare")):
         write_report(one, tmp_path / "page.html")
         html = (tmp_path / "page.html").read_text()

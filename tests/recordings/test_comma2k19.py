@@ -10,7 +10,7 @@ import pytest
 
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import rotate
-from mirror.ingest.run import ingest
+from mirror.ingest.run import ingest_recordings
 from mirror.recordings.comma2k19 import Comma2k19Reader
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
@@ -182,7 +182,7 @@ def test_ingest_refuses_a_route_by_the_damaged_segment(tmp_path: Path) -> None:
     for segment in range(3):
         write_segment(route / str(segment), 404_000.0 + 60 * segment)
     (route / "1" / "global_pose" / "frame_positions").write_bytes(b"")
-    report = ingest([route], [Roi(scene_id="s", longitude_deg=0.0, latitude_deg=0.0)], tmp_path / "d")
+    report = ingest_recordings([route], [Roi(scene_id="s", longitude_deg=0.0, latitude_deg=0.0)], tmp_path / "d")
     (path, error), *others = report.failures
     assert path == route and not others
     assert error.file == str(route / "1" / "global_pose" / "frame_positions")

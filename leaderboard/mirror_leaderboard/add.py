@@ -14,8 +14,8 @@ from mirror.evaluation.result import Figure as Scored
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
 from mirror.protocols.document import load_protocol, protocol_names
-from mirror.schema.files import unwritable, write_json
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.files import unwritable_error, write_json
+from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
 from mirror_leaderboard.entry import ALL, PICTURES, Figure, Link, Measured, identity, load_entries
 from mirror_leaderboard.measures import MEASURES
@@ -53,7 +53,7 @@ def add_result(
         DatasetError: the file cannot be read, or the entry cannot be written.
         SchemaError: an entry that is there already is broken.
     """
-    require_own_folder(board, Kind.BOARD, place="--board")
+    require_output_folder(board, FolderKind.BOARD, place="--board")
     result = read_result(path)
     entry = entry_of(result, dataset, file=path, setting=setting)
     require_counted(result, path)
@@ -64,7 +64,7 @@ def add_result(
         # First: an interrupted run leaves a board.
         (board / "entries").mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise unwritable(board / "entries", error) from error
+        raise unwritable_error(board / "entries", error) from error
     if shown is not None:
         pairs = copy_pairs(result, shown.submission, shown.truth, board / PICTURES)
         entry = entry.model_copy(update={"pairs": pairs}).sealed()

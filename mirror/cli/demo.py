@@ -183,9 +183,9 @@ def _clear(out: Path) -> None:
     Raises:
         UsageError: it holds something else.
     """
-    from mirror.schema.folders import Kind, require_own_folder
+    from mirror.schema.folders import FolderKind, require_output_folder
 
-    if require_own_folder(out, Kind.DEMO) is not None:
+    if require_output_folder(out, FolderKind.DEMO) is not None:
         print(f"{out}: what an earlier demo left there is removed", flush=True)
     out.mkdir(parents=True, exist_ok=True)
     # First, and not removed in between: an interrupted demo is known as one.

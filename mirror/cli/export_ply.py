@@ -62,9 +62,9 @@ def main(argv: Sequence[str]) -> int:
     from mirror.methods.ply_export import BakeOptions, baking_method
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views.trajectories import recorded, views_along
-    from mirror.schema.folders import require_own_file
+    from mirror.schema.folders import require_output_file
 
-    require_own_file(arguments.out)
+    require_output_file(arguments.out)
     document = read_reconstruction(arguments.model)
     whole = mirror.open(arguments.dataset)
     require_same_street(whole, document.split, document)

@@ -123,7 +123,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.ingest.run import ingest_recordings
     from mirror.ingest.traversal import WriteOptions
     from mirror.progress import progress_bar
-    from mirror.recordings.found import find_recordings
+    from mirror.recordings.discovery import find_recordings
 
     found = find_recordings(arguments.recordings, arguments.reader)
     rois = read_rois(arguments.rois) if arguments.rois else []

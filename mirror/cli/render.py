@@ -82,12 +82,12 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError("no model", place="MODEL", expected="a folder that `mirror reconstruct` wrote")
 
     import mirror
-    from mirror.schema.folders import Kind, require_own_file, require_own_folder
+    from mirror.schema.folders import FolderKind, require_output_file, require_output_folder
 
     if arguments.trajectory is not None and _is_film(arguments.out):
-        require_own_file(arguments.out)
+        require_output_file(arguments.out)
     else:
-        require_own_folder(arguments.out, Kind.SUBMISSION)
+        require_output_folder(arguments.out, FolderKind.SUBMISSION)
     dataset = mirror.open(arguments.dataset)
     return _trajectory(arguments, dataset) if arguments.trajectory is not None else _submission(arguments, dataset)
 
@@ -222,7 +222,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views.trajectories import named, views_along
-    from mirror.schema.begun import begin_folder
+    from mirror.schema.render_folder import start_render_folder
 
     pixels = load_protocol(arguments.protocol).pixels
     if arguments.width is not None:
@@ -257,7 +257,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
             rendered = len(views)
         else:
             of = (_hash(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)
-            begin_folder(arguments.out, of)
+            start_render_folder(arguments.out, of)
             rendered = _pictures(arguments.out, views, render, bar.advance)
     speed = rendered / (time.perf_counter() - begin)
     said = {"out": str(arguments.out), "pictures": len(views), "method": name, "frames_per_second": speed}
@@ -288,8 +288,8 @@ def _pictures(
 ) -> int:
     """Render what is not there yet; how many that was."""
     from mirror.protocols.png import encode_png
-    from mirror.schema.begun import finish_folder
     from mirror.schema.files import write_bytes
+    from mirror.schema.render_folder import finish_render_folder
 
     files = [(view, out / view.camera / f"{view.frame_index:05d}.png") for view in views]
     missing = [(view, file) for view, file in files if not file.is_file()]
@@ -297,5 +297,5 @@ def _pictures(
     for view, file in missing:
         write_bytes(file, encode_png(render(view)))
         advance(1)
-    finish_folder(out)
+    finish_render_folder(out)
     return len(missing)

@@ -36,10 +36,10 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError("no such folder", file=folder, place="--out", remedy="make it first, or name another one")
 
     import mirror
-    from mirror.schema.folders import require_own_file
+    from mirror.schema.folders import require_output_file
     from mirror.view.report import write_report
 
-    require_own_file(arguments.out)
+    require_output_file(arguments.out)
     write_report(mirror.open(arguments.dataset), arguments.out, arguments.title)
     print(json.dumps({"report": str(arguments.out)}) if arguments.json else f"report: {arguments.out}")
     return ExitCode.DONE

@@ -66,11 +66,11 @@ def _propose(argv: Sequence[str]) -> int:
     from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import write_rois
     from mirror.progress import progress_bar
-    from mirror.recordings.found import find_recordings
-    from mirror.schema.folders import require_own_file
+    from mirror.recordings.discovery import find_recordings
+    from mirror.schema.folders import require_output_file
 
     if arguments.out is not None:
-        require_own_file(arguments.out)
+        require_output_file(arguments.out)
     recordings = find_recordings(arguments.recordings, arguments.reader)
     options = IngestOptions(
         reader=arguments.reader,

@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
-from mirror.schema.files import TEMPORARY, sha256_bytes, unmovable
+from mirror.schema.files import TEMPORARY, sha256_bytes, unmovable_error
 
 FOLDER: Final = ".superseded"
 UNLOCKABLE_AGE_S: Final = 24 * 3600
@@ -141,7 +141,7 @@ def supersede(layout: Layout, path: Path) -> None:
             kept.parent.mkdir(parents=True, exist_ok=True)
             path.rename(kept)
         except OSError as error:
-            raise unmovable(path, error) from error
+            raise unmovable_error(path, error) from error
 
 
 def settle(layout: Layout) -> None:
@@ -174,7 +174,7 @@ def settle(layout: Layout) -> None:
             with suppress(OSError):
                 (layout.root / FOLDER).rmdir()
     except OSError as error:
-        raise unmovable(layout.root, error) from error
+        raise unmovable_error(layout.root, error) from error
 
 
 def release(layout: Layout) -> None:

@@ -17,7 +17,7 @@ from mirror.dataset.layout import MANIFEST, Layout, seal
 from mirror.dataset.owned import OwnedFolder, left_overs
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import Manifest
-from mirror.schema.files import encode_table, read_json, unwritable, write_bytes
+from mirror.schema.files import encode_table, read_json, unwritable_error, write_bytes
 from mirror.schema.tables import Table
 
 
@@ -108,7 +108,7 @@ class LayerWriter:
             if (self.folder / MANIFEST).is_file():
                 raise self._taken() from error
             if not self.folder.exists():
-                raise unwritable(self.folder, error) from error
+                raise unwritable_error(self.folder, error) from error
             # Without its manifest it does not exist.
             supersede(self.layout, self.folder)
             self._take_place()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mirror.errors import DatasetError, SchemaError
-from mirror.schema.documents import FileEntry, Manifest, Pictures
+from mirror.schema.documents import FileEntry, ImageTotals, Manifest
 from mirror.schema.files import read_json, write_json
 
 MANIFEST = "manifest.json"
@@ -107,7 +107,7 @@ def seal(
     files: Mapping[str, bytes],
     *,
     derived_from: Mapping[str, str],
-    pictures: Pictures | None = None,
+    pictures: ImageTotals | None = None,
 ) -> None:
     """Complete a folder: write its manifest, last.
 

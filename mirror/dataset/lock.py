@@ -14,7 +14,7 @@ from typing import IO, Final
 
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
-from mirror.schema.files import unwritable
+from mirror.schema.files import unwritable_error
 
 _PAUSES_S: Final = (0.001, 0.01, 0.03, 0.06)
 
@@ -64,7 +64,7 @@ def _acquired(layout: Layout, *, wait: bool) -> IO[str]:
             # Another run removed the folder that it had made.
             continue
         except OSError as error:
-            raise unwritable(layout.lock, error) from error
+            raise unwritable_error(layout.lock, error) from error
         try:
             _lock(handle, wait=wait)
             if _is_the_lock(layout, handle):

@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from mirror.schema.files import unwritable
+from mirror.schema.files import unwritable_error
 
 LEFT_OVER_AGE_S: Final = 24 * 3600
 """What an attempt on another machine left is removed after a day without a change."""
@@ -52,7 +52,7 @@ class OwnedFolder:
             except FileNotFoundError:
                 continue
             except OSError as error:
-                raise unwritable(self.path, error) from error
+                raise unwritable_error(self.path, error) from error
             # Until it was locked it looked as if its owner were dead: another run may have removed it.
             if _lock(handle) is not False and self.path.exists():
                 self._close = weakref.finalize(self, os.close, handle)

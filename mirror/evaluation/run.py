@@ -32,7 +32,7 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.truth.hidden import require_hidden
 from mirror.protocols.views import Plan, plan_views
 from mirror.schema.files import write_bytes, write_json
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import WeightResolver
@@ -119,9 +119,9 @@ def evaluate(
     options, progress = options or Options(), progress or NullProgress()
     if options.workers < 1:
         raise UsageError(f"{options.workers} workers", expected="at least one")
-    require_own_folder(out, Kind.RESULTS)
+    require_output_folder(out, FolderKind.RESULTS)
     if options.features is not None:
-        require_own_folder(options.features, Kind.OTHER, place="--features")
+        require_output_folder(options.features, FolderKind.OTHER, place="--features")
     dataset = mirror.open(truth)
     plan = plan_views(dataset, protocol, split)
     _require_fitting(plan, options)

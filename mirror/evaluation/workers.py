@@ -18,7 +18,7 @@ from mirror.evaluation.scorers import scorer_of
 from mirror.evaluation.scorers.inputs import Inputs
 from mirror.evaluation.scorers.scorer import Job, Scored, Values
 from mirror.pools import process_pool
-from mirror.schema.files import unwritable
+from mirror.schema.files import unwritable_error
 from mirror.version import __version__
 
 _CHUNK: Final = 8
@@ -80,7 +80,7 @@ class Log:
                 # Begun anew if the last line was cut.
                 file.write(line.encode() if _ends_whole(self._path) else b"\n" + line.encode())
         except OSError as error:
-            raise unwritable(self._path, error) from error
+            raise unwritable_error(self._path, error) from error
 
 
 def score_jobs(

@@ -15,10 +15,10 @@ import numpy as np
 from mirror.arrays import Int64
 from mirror.dataset.pictures.still import decode_rgb
 from mirror.errors import RecordingError
-from mirror.recordings.opening import read_plain, read_start, unreadable
+from mirror.recordings.opening import read_file, read_file_start, unreadable_error
 from mirror.recordings.protocol import ImageStream, ReferencedStream
-from mirror.recordings.raster import raster_size, require_whole
-from mirror.schema.files import unwritable
+from mirror.recordings.raster import read_raster_size, require_complete_image
+from mirror.schema.files import unwritable_error
 
 Transfer = Literal["link", "copy"]
 _SUFFIX = {"jpeg": "jpg", "png": "png"}
@@ -103,7 +103,7 @@ def place_pictures(
         folder.mkdir(parents=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError as error:
-        raise unwritable(folder, error) from error
+        raise unwritable_error(folder, error) from error
     try:
         inspection = _Inspection(codec, hashing, decoding)
         return _place(stream, indices, names, _Target(folder, descriptor), transfer, inspection, advance)
@@ -144,7 +144,7 @@ class _Inspection:
 
     def bytes_of(self, data: bytes, file: str | Path) -> _Image:
         """Inspect an image's bytes."""
-        width, height = require_whole(data, file)
+        width, height = require_complete_image(data, file)
         if self.decoding:
             pixels = decode_rgb(data, self.codec)
             if pixels is None or pixels.shape[:2] != (height, width):
@@ -210,15 +210,15 @@ def _transfer(
             # With a descriptor, the file that a symbolic link stands for is linked, and not the symbolic link.
             os.link(source, name, dst_dir_fd=target.descriptor)
         except FileNotFoundError as error:
-            raise unreadable(Path(source), error) from error
+            raise unreadable_error(Path(source), error) from error
         except OSError as error:
             if error.errno not in _NOT_LINKABLE:
-                raise unwritable(target.path / name, error) from error
+                raise unwritable_error(target.path / name, error) from error
         else:
             if inspection.headers_only:
                 return _header(source), True
-            return inspection.bytes_of(read_plain(source), source), True
-    data = read_plain(source)
+            return inspection.bytes_of(read_file(source), source), True
+    data = read_file(source)
     image = inspection.bytes_of(data, source)
     _write(target, name, data)
     return image, False
@@ -226,11 +226,11 @@ def _transfer(
 
 def _header(source: str | Path) -> _Image:
     """An image of which its header alone is read, or what comes before it if that is long."""
-    data, size = read_start(source, _HEADER_BYTES)
+    data, size = read_file_start(source, _HEADER_BYTES)
     try:
-        width, height = raster_size(data, source)
+        width, height = read_raster_size(data, source)
     except RecordingError:
-        width, height = raster_size(read_plain(source), source)
+        width, height = read_raster_size(read_file(source), source)
     return _Image(size, None, width, height)
 
 
@@ -244,4 +244,4 @@ def _write(target: _Target, name: str, data: bytes) -> None:
         finally:
             os.close(descriptor)
     except OSError as error:
-        raise unwritable(target.path / name, error) from error
+        raise unwritable_error(target.path / name, error) from error

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
-from mirror.recordings.placing import no_rotations
+from mirror.recordings.coordinates import is_invalid_rotation
 
 _SIZE = ("length_m", "width_m", "height_m")
 _CENTRE = ("tx_m", "ty_m", "tz_m")
@@ -38,7 +38,7 @@ def refuse_boxes(boxes: pa.Table, file: Path) -> None:
     faults: tuple[tuple[str, npt.ArrayLike, Float64, str], ...] = (
         ("size", ~((size > 0) & (size <= _FARTHEST_M)).all(axis=1), size, "length, width and height above 0 m"),
         ("centre", ~(np.abs(centre) <= _FARTHEST_M).all(axis=1), centre, "metres in the ego frame"),
-        ("quaternion", no_rotations(rotation), rotation, "a unit quaternion, scalar first"),
+        ("quaternion", is_invalid_rotation(rotation), rotation, "a unit quaternion, scalar first"),
         ("velocity", (known[:, :3] & ~np.isfinite(velocity)).any(axis=1), velocity, "metres a second, or null"),
         ("score", known[:, 3] & ~((score >= 0) & (score <= 1))[:, 0], score, "0 to 1, or null"),
     )

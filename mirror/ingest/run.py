@@ -35,8 +35,8 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.weather import weather_plugins
 from mirror.schema.documents import Rig, Roi
-from mirror.schema.files import unwritable, write_json
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.files import unwritable_error, write_json
+from mirror.schema.folders import FolderKind, require_output_folder
 
 Result = TypeVar("Result")
 
@@ -102,7 +102,7 @@ def ingest_recordings(
         run.work(recordings)
         return run.report
     _refuse_recording_as_dataset(recordings, out)
-    require_own_folder(out, Kind.DATASET)
+    require_output_folder(out, FolderKind.DATASET)
     if not rois and not layout.document.exists():
         raise no_roi()
     with writer_lock(layout, wait=options.wait):
@@ -112,7 +112,7 @@ def ingest_recordings(
             _write(run, recordings)
         except OSError as error:
             # Files are written through functions that say so themselves; what is left are folders.
-            raise unwritable(Path(error.filename or out), error) from error
+            raise unwritable_error(Path(error.filename or out), error) from error
         finally:
             settle(layout)
         if layout.document.exists():

@@ -16,7 +16,7 @@ from typing import Final
 from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
 from mirror.dataset.owned import OwnedFolder, left_overs
-from mirror.schema.files import unmovable
+from mirror.schema.files import unmovable_error
 
 FOLDER: Final = ".staging"
 _RUN: Final = "run"
@@ -87,7 +87,7 @@ class Staging:
             except OSError as error:
                 if target.exists():
                     continue
-                raise unmovable(target, error) from error
+                raise unmovable_error(target, error) from error
             return
 
     def recorded(self, traversal_id: str) -> Path:
@@ -152,4 +152,4 @@ def _rename(path: Path, target: Path) -> None:
         target.parent.mkdir(exist_ok=True)
         path.rename(target)
     except OSError as error:
-        raise unmovable(target, error) from error
+        raise unmovable_error(target, error) from error

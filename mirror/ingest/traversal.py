@@ -25,7 +25,7 @@ from mirror.recordings.boundary import reader_errors
 from mirror.recordings.calibration import require_covariance
 from mirror.recordings.pauses import count_missing_images
 from mirror.recordings.protocol import ImageStream, ReferencedStream
-from mirror.schema.documents import Pictures, Roi, is_identifier
+from mirror.schema.documents import ImageTotals, Roi, is_identifier
 from mirror.schema.files import conform, encode_table, write_bytes
 from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, Table
 
@@ -115,7 +115,7 @@ def write_traversal(
         folder = layout.recorded(name)
         manifest = complete_manifest(folder)
         if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
-            pictures = manifest.pictures or Pictures(count=0, bytes=0)
+            pictures = manifest.pictures or ImageTotals(count=0, bytes=0)
             advance(pictures.count)
             written = Written(name, pictures.count, pictures.bytes, 0, reused=True)
             return _with_lost_images(written, drive, number)
@@ -186,7 +186,7 @@ def _write(
         write_bytes(folder / f"{table.name}.parquet", files[f"{table.name}.parquet"])
     count = sum(len(one_camera.names) for one_camera in placed.values())
     total = sum(sum(one_camera.sizes) for one_camera in placed.values())
-    seal(folder, files, derived_from=derived_from, pictures=Pictures(count=count, bytes=total))
+    seal(folder, files, derived_from=derived_from, pictures=ImageTotals(count=count, bytes=total))
     linked = sum(one_camera.linked for one_camera in placed.values())
     return _with_lost_images(Written(name, count, total, linked, reused=False), drive, number)
 

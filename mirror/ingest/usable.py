@@ -10,7 +10,7 @@ import numpy as np
 from mirror.arrays import Bool
 from mirror.errors import RecordingError
 from mirror.ingest.clean import LOCAL_LIMIT_M, CleanTrack, clean
-from mirror.recordings.placing import no_rotations
+from mirror.recordings.coordinates import is_invalid_rotation
 from mirror.recordings.protocol import Track
 from mirror.recordings.row_faults import RowFaults
 from mirror.schema.documents import CleaningOptions, CleaningReport, TriggerOptions
@@ -72,7 +72,7 @@ def _without_bad_values(track: Track) -> Track:
     rotation, sigma = track.rotation, track.sigma_m
     if rotation is not None:
         faults.add(
-            no_rotations(rotation),
+            is_invalid_rotation(rotation),
             "rotation",
             lambda row: error(f"{rotation[row].tolist()} is no rotation", row, "a unit quaternion, scalar first"),
         )

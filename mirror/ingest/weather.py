@@ -12,7 +12,7 @@ from mirror.dataset.store import Store
 from mirror.errors import RecordingError
 from mirror.ingest.judge import DrivePasses
 from mirror.ingest.staging import Staging
-from mirror.recordings.weather import weather_from_pictures
+from mirror.recordings.weather import classify_weather
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES
 
@@ -44,7 +44,7 @@ def weather_from_traversals(
         found = [(row["uri"], row["byte_length"]) for row in rows if row["camera"] == rig.reference_camera]
         if found:
             chosen = sorted({round(index) for index in np.linspace(0, len(found) - 1, _PICTURES)})
-            labels[number] = weather_from_pictures(plugin, [_decode(store, *found[index]) for index in chosen])
+            labels[number] = classify_weather(plugin, [_decode(store, *found[index]) for index in chosen])
     return labels
 
 

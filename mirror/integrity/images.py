@@ -18,7 +18,7 @@ from mirror.dataset.store import Store
 from mirror.errors import MirrorError
 from mirror.integrity.rows import Rows
 from mirror.pools import thread_pool
-from mirror.recordings.raster import TAIL_BYTES, has_end
+from mirror.recordings.raster import TAIL_BYTES, has_end_marker
 
 MISSING: Final = -1
 LEADS_OUT: Final = -2
@@ -116,7 +116,7 @@ class PictureReader:
             if self._codec[row] == "video" or not self._whole(row, size):
                 return size, True
             tail = min(int(self._length[row]), TAIL_BYTES)
-            return size, has_end(self._store.read_range(uri, end_of_bytes - tail, tail), self._codec[row])
+            return size, has_end_marker(self._store.read_range(uri, end_of_bytes - tail, tail), self._codec[row])
         except (OSError, MirrorError):
             return MISSING, True
 

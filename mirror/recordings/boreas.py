@@ -27,13 +27,13 @@ import pyarrow as pa
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_exp, quaternion_inverse, quaternion_multiply
-from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
-from mirror.recordings.opening import find_file, unreadable
+from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
+from mirror.recordings.coordinates import FLU_FROM_CAMERA, track_from_utm
+from mirror.recordings.opening import find_file, unreadable_error
 from mirror.recordings.paths import list_folder
-from mirror.recordings.placing import FLU_FROM_CAMERA, track_from_utm
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
-from mirror.recordings.tabular import Rows, read_rows
+from mirror.recordings.tabular import RecordingRows, read_rows
 
 _NAME: Final = re.compile(r"boreas-\d{4}-\d{2}-\d{2}-\d{2}-\d{2}")
 _POSES: Final = ("camera_poses.csv", "applanix/camera_poses.csv")
@@ -75,7 +75,7 @@ class BoreasRecording:
     poses: Path
 
     @cached_property
-    def _rows(self) -> Rows:
+    def _rows(self) -> RecordingRows:
         types = {"GPSTime": pa.string(), **{name: pa.float64() for name in _COLUMNS[1:]}}
         return read_rows([self.poses], types=types, columns=_COLUMNS, tolerant=True)
 
@@ -151,12 +151,12 @@ class BoreasRecording:
             try:
                 projection = np.loadtxt(file)
             except (ValueError, OSError) as error:
-                raise unreadable(file, error) from error
+                raise unreadable_error(file, error) from error
             if projection.shape not in ((3, 4), (4, 4)):
                 raise RecordingError(
                     f"a matrix of shape {projection.shape}", file=file, expected="3 or 4 rows of 4 numbers"
                 )
-            calibration = checked_calibration(
+            calibration = make_calibration(
                 file,
                 _CAMERA,
                 model="pinhole",
@@ -171,7 +171,7 @@ class BoreasRecording:
                 method="P_camera.txt of the rectified pictures",
             )
             found.append(("factory", calibration))
-        return calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+        return to_calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     @cached_property
     def _pictures(self) -> dict[int, Path]:

@@ -14,7 +14,7 @@ from mirror.arrays import Float64
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.quaternions import quaternion_normalise
-from mirror.recordings.placing import UNIT_TOLERANCE
+from mirror.recordings.coordinates import UNIT_TOLERANCE
 from mirror.schema.documents import Document
 from mirror.schema.tables import CALIBRATIONS
 
@@ -124,7 +124,7 @@ def require_covariance(covariance: Float64) -> None:
         raise ValueError(f"the covariance is not positive semi-definite: its correlations have eigenvalue {least:.4g}")
 
 
-def checked_calibration(file: Path, camera: str, **values: Any) -> Calibration:
+def make_calibration(file: Path, camera: str, **values: Any) -> Calibration:
     """A calibration of a format's own file.
 
     Args:
@@ -148,7 +148,9 @@ def checked_calibration(file: Path, camera: str, **values: Any) -> Calibration:
         ) from error
 
 
-def calibration_table(calibrations: Sequence[tuple[Stage, Calibration]], *, vehicle_id: str, drive_id: str) -> pa.Table:
+def to_calibration_table(
+    calibrations: Sequence[tuple[Stage, Calibration]], *, vehicle_id: str, drive_id: str
+) -> pa.Table:
     """Rows of the `calibrations` table, in the order given.
 
     Args:

@@ -26,10 +26,10 @@ import pyarrow as pa
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, quaternion_normalise
-from mirror.recordings.calibration import Calibration, Stage, calibration_table
+from mirror.recordings.calibration import Calibration, Stage, to_calibration_table
+from mirror.recordings.coordinates import FLU_FROM_CAMERA, FLU_FROM_FRD, is_invalid_rotation, track_from_ecef
 from mirror.recordings.opening import find_file, read_array, require_file
-from mirror.recordings.paths import identifier, natural_key
-from mirror.recordings.placing import FLU_FROM_CAMERA, FLU_FROM_FRD, no_rotations, track_from_ecef
+from mirror.recordings.paths import natural_key, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
@@ -109,8 +109,8 @@ class Comma2k19Recording:
         route = here.parent.name if alone else here.name
         dongle = route.replace("_", "|").partition("|")[0]
         return DriveInfo(
-            drive_id=identifier(f"{route}_{here.name}" if alone else route),
-            vehicle_id=identifier(dongle),
+            drive_id=to_identifier(f"{route}_{here.name}" if alone else route),
+            vehicle_id=to_identifier(dongle),
             vehicle_type=_VEHICLES.get(dongle, "unknown"),
             time_base="GPS week and seconds",
             body_frame="camera",
@@ -186,7 +186,7 @@ class Comma2k19Recording:
     def track(self) -> Track:
         """The camera's poses of all segments, turned to x forward, y left, z up; without damaged segments."""
         times, position, orientation = (np.concatenate([one.arrays[name] for one in self._loaded]) for name in _ARRAYS)
-        bad = no_rotations(orientation)
+        bad = is_invalid_rotation(orientation)
         starts = np.cumsum([0, *(len(stamps) for stamps in self._stamps)])
         torn = [
             (int(start), segment.error)
@@ -238,7 +238,7 @@ class Comma2k19Recording:
                 method="nominal focal length of the device",
             )
             found.append(("factory", calibration))
-        return calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+        return to_calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
         """The videos of all segments as one stream; a frame's stamp is taken as the middle of its exposure."""

@@ -27,11 +27,11 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_normalise
-from mirror.recordings.calibration import Calibration, Stage, calibration_table, checked_calibration
+from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
+from mirror.recordings.coordinates import is_invalid_rotation
 from mirror.recordings.dgp_datum import Datum, entry_errors, read_datum, read_object, read_pose, require_text
 from mirror.recordings.opening import require_file
-from mirror.recordings.paths import identifier, inside
-from mirror.recordings.placing import no_rotations
+from mirror.recordings.paths import require_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
@@ -139,7 +139,7 @@ class DgpRecording:
         keys = sorted({datum.calibration for datum in self._data})
         files = {}
         for key in keys:
-            inside(self.path, f"calibration/{key}.json", file=self.scene_file, place="calibration_key")
+            require_inside(self.path, f"calibration/{key}.json", file=self.scene_file, place="calibration_key")
             file = require_file(self.path, f"calibration/{key}.json")
             files[key] = read_object(file)
             with entry_errors(file, "the whole document", "lists of names, extrinsics and intrinsics of one length"):
@@ -151,10 +151,10 @@ class DgpRecording:
     @cached_property
     def info(self) -> DriveInfo:
         """The folder's name and the scene's hash make the id, which also names the scene's local frame."""
-        drive_id = identifier(f"{self.path.resolve().name}_{self.scene_file.stem.removeprefix('scene_')[:8]}")
+        drive_id = to_identifier(f"{self.path.resolve().name}_{self.scene_file.stem.removeprefix('scene_')[:8]}")
         return DriveInfo(
             drive_id=drive_id,
-            vehicle_id=identifier(f"dgp_{self._scene.get('log') or drive_id}"),
+            vehicle_id=to_identifier(f"dgp_{self._scene.get('log') or drive_id}"),
             vehicle_type="unknown",
             time_base="UTC (ISO 8601)",
             frame=drive_id,
@@ -177,7 +177,7 @@ class DgpRecording:
         return [(name, self._inside(name)) for name in sorted(set(names))]
 
     def _inside(self, name: str) -> Path:
-        return inside(self.path, name, file=self.scene_file, place=name)
+        return require_inside(self.path, name, file=self.scene_file, place=name)
 
     def _required(self, name: str) -> Path:
         self._inside(name)
@@ -200,7 +200,7 @@ class DgpRecording:
         """
         used = [datum for datum in self._data if self._is_used(datum)]
         quaternion = np.array([datum.rotation for datum in used])
-        bad = no_rotations(quaternion)
+        bad = is_invalid_rotation(quaternion)
         torn = [
             (0, self._error(f"datum {number}", f"{datum.stamp!r} is no date and time", "ISO 8601"))
             for number, datum in enumerate(self._all_data)
@@ -263,7 +263,7 @@ class DgpRecording:
                 stamps = [datum.timestamp_ns for datum in data if datum.calibration == key]
                 span = (stamps[0], stamps[-1]) if len(self._calibration_files) > 1 else (None, None)
                 found.append(("factory", self._calibration(name, key, data[0].content, span)))
-        return calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+        return to_calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def _calibration(
         self, camera: str, key: str, content: Mapping[str, Any], span: tuple[int | None, int | None]
@@ -275,7 +275,7 @@ class DgpRecording:
             given: Mapping[str, Any] = entry["intrinsics"][entry["names"].index(camera)]
             intrinsics = dict.fromkeys(_FOCAL, 0.0) | {name: float(value) for name, value in given.items()}
         model, distortion = _camera_model(intrinsics, file, camera)
-        return checked_calibration(
+        return make_calibration(
             file,
             camera,
             model=model,

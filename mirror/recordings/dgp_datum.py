@@ -13,8 +13,8 @@ import numpy as np
 
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry.poses import Poses
+from mirror.recordings.coordinates import is_invalid_rotation
 from mirror.recordings.opening import read_json
-from mirror.recordings.placing import no_rotations
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_YEAR: Final = 2200
@@ -124,7 +124,7 @@ def read_pose(entry: Mapping[str, Any]) -> Poses:
         ValueError: its quaternion is off unit length: a component that is not zero may be missing.
     """
     rotation, translation = (np.array([values]) for values in _components(entry))
-    if no_rotations(rotation)[0]:
+    if is_invalid_rotation(rotation)[0]:
         raise ValueError(f"{rotation[0].tolist()} is no rotation")
     return Poses(rotation, translation)
 

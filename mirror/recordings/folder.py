@@ -15,15 +15,21 @@ from mirror.arrays import Float64, UInt8
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_from_heading_pitch_roll
-from mirror.recordings.calibration import STAGES, Calibration, Stage, calibration_table
-from mirror.recordings.folder_document import NAME, FolderDocument, read_calibrations, read_document, recording_errors
-from mirror.recordings.folder_pictures import picture_stream
-from mirror.recordings.opening import find_file, read_plain, require_file
-from mirror.recordings.paths import inside, list_folder, natural_key, walk
-from mirror.recordings.placing import checked_quaternions, ego_track, track_from_ecef, track_from_utm
+from mirror.recordings.calibration import STAGES, Calibration, Stage, to_calibration_table
+from mirror.recordings.coordinates import normalise_rotations, to_ego_track, track_from_ecef, track_from_utm
+from mirror.recordings.folder_document import (
+    DOCUMENT_NAME,
+    FolderDocument,
+    read_calibrations,
+    read_document,
+    recording_errors,
+)
+from mirror.recordings.folder_images import image_stream
+from mirror.recordings.opening import find_file, read_file, require_file
+from mirror.recordings.paths import list_files, list_folder, natural_key, require_inside
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.registry import refuse_options
-from mirror.recordings.tabular import Rows, read_rows
+from mirror.recordings.tabular import RecordingRows, read_rows
 from mirror.recordings.time import TIME_BASES
 from mirror.schema.files import conform
 from mirror.schema.tables import BOXES
@@ -48,12 +54,12 @@ class FolderReader:
 
     def recognises(self, path: Path) -> bool:
         """By ``recording.json``."""
-        return find_file(path, NAME) is not None
+        return find_file(path, DOCUMENT_NAME) is not None
 
     def open(self, path: Path, options: Mapping[str, str]) -> FolderRecording:
         """Open a recording; there are no options, ``recording.json`` says everything."""
         refuse_options(options, (), path)
-        return FolderRecording(path, read_document(require_file(path, NAME)))
+        return FolderRecording(path, read_document(require_file(path, DOCUMENT_NAME)))
 
 
 @dataclass(frozen=True)
@@ -98,9 +104,9 @@ class FolderRecording:
             return None
         import cv2
 
-        inside(self.path, name, file=self.path / NAME, place=f"cameras.{camera}.static_mask")
+        require_inside(self.path, name, file=self.path / DOCUMENT_NAME, place=f"cameras.{camera}.static_mask")
         file = find_file(self.path, name)
-        data = np.frombuffer(read_plain(file), np.uint8) if file is not None else np.empty(0, np.uint8)
+        data = np.frombuffer(read_file(file), np.uint8) if file is not None else np.empty(0, np.uint8)
         mask = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
         if mask is None:
             raise RecordingError(
@@ -114,7 +120,7 @@ class FolderRecording:
 
     def files(self) -> Sequence[tuple[str, str]]:
         """Everything in the folder but hidden files, and ``truth/``, which is none of a fleet's."""
-        return [file for file in walk(self.path) if not file[0].startswith("truth/")]
+        return [file for file in list_files(self.path) if not file[0].startswith("truth/")]
 
     @cached_property
     def _pose_files(self) -> list[Path]:
@@ -135,7 +141,7 @@ class FolderRecording:
         return found or parts
 
     @cached_property
-    def _poses(self) -> Rows:
+    def _poses(self) -> RecordingRows:
         types = {name: pa.float64() for name in _NUMBERS}
         types |= {"timestamp": pa.string(), "timestamp_ns": pa.string()}
         return read_rows(self._pose_files, types=types, tolerant=True)
@@ -145,7 +151,7 @@ class FolderRecording:
         track = self._ego_track(self._poses)
         return self._poses.without_bad(track)
 
-    def _ego_track(self, rows: Rows) -> Track:
+    def _ego_track(self, rows: RecordingRows) -> Track:
         """One pose for each row, bad ones included."""
         document = self.document
         if "timestamp_ns" in rows:
@@ -182,13 +188,13 @@ class FolderRecording:
         if document.ego_SE3_body is None:
             return track
         offset = document.ego_SE3_body
-        return ego_track(track, Poses(np.array([offset[:4]]), np.array([offset[4:]])))
+        return to_ego_track(track, Poses(np.array([offset[:4]]), np.array([offset[4:]])))
 
-    def _orientation(self, rows: Rows) -> tuple[Float64 | None, bool]:
+    def _orientation(self, rows: RecordingRows) -> tuple[Float64 | None, bool]:
         """The rotations as read (None: there are none), and whether they are angles to the horizon and north."""
         if any(name in rows for name in _QUATERNION):
             quaternion = np.stack([rows.floats(name) for name in _QUATERNION], axis=1)
-            return checked_quaternions(quaternion, rows, "qw"), False
+            return normalise_rotations(quaternion, rows, "qw"), False
         if not any(name in rows for name in _ANGLES):
             return None, False
         angles = []
@@ -222,11 +228,11 @@ class FolderRecording:
                         expected=f"one of {', '.join(self.document.cameras)}",
                     )
                 found.append((stage, calibration))
-        return calibration_table(found, vehicle_id=self.document.vehicle_id, drive_id=self.document.drive_id)
+        return to_calibration_table(found, vehicle_id=self.document.vehicle_id, drive_id=self.document.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
         """One stream a camera."""
-        return {name: picture_stream(self.path, name, entry) for name, entry in self.document.cameras.items()}
+        return {name: image_stream(self.path, name, entry) for name, entry in self.document.cameras.items()}
 
     def boxes(self) -> pa.Table | None:
         """``boxes.parquet``, held against the `boxes` table."""

@@ -15,10 +15,10 @@ from mirror.recordings.opening import read_json
 from mirror.recordings.time import TIME_BASES
 from mirror.schema.documents import Document, Identifier
 
-NAME: Final = "recording.json"
+DOCUMENT_NAME: Final = "recording.json"
 
 
-class Frame(Document):
+class PositionFrame(Document):
     """What the positions are counted in.
 
     Attributes:
@@ -34,7 +34,7 @@ class Frame(Document):
     name: Identifier | None = None
 
     @model_validator(mode="after")
-    def _complete(self) -> Frame:
+    def _complete(self) -> PositionFrame:
         utm = self.zone is not None and self.hemisphere is not None
         if (self.kind == "utm") != utm or (self.kind == "local") != (self.name is not None):
             raise ValueError("utm takes zone and hemisphere, local takes name, the others nothing")
@@ -65,7 +65,7 @@ class FolderDocument(Document):
     vehicle_type: str
     rig_id: Identifier | None = None
     time_base: str
-    frame: Frame
+    frame: PositionFrame
     body_frame: str = "ego"
     ego_SE3_body: SE3 | None = None
     is_clip: bool = False

@@ -19,13 +19,13 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
-from mirror.recordings.calibration import calibration_table
+from mirror.recordings.calibration import to_calibration_table
 from mirror.recordings.opening import require_file
-from mirror.recordings.paths import identifier, list_folder, natural_key
+from mirror.recordings.paths import list_folder, natural_key, to_identifier
 from mirror.recordings.protocol import DriveInfo, ImageStream, Track
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.stamps import has_offset, parse_stamps, require_zone
-from mirror.recordings.tabular import Rows, header, read_rows
+from mirror.recordings.tabular import RecordingRows, read_header, read_rows
 from mirror.recordings.time import TIME_BASES
 from mirror.recordings.weather import weather_label
 from mirror.schema.documents import is_identifier
@@ -83,7 +83,7 @@ class CsvReader:
         others = [child for child in children if child not in tables and child.suffix.lower() not in _NOTES]
         if not tables or others or any(child.is_dir() for child in children):
             return False
-        usual = _usual_columns(header(require_file(path, tables[0].name))[0])
+        usual = _usual_columns(read_header(require_file(path, tables[0].name))[0])
         return "time" in usual and any({*axes[:2]} <= usual.keys() for axes in (_GEODETIC, _LOCAL))
 
     def open(self, path: Path, options: Mapping[str, str]) -> CsvRecording:
@@ -123,7 +123,7 @@ class CsvRecording:
     @cached_property
     def _columns(self) -> dict[str, tuple[str, ...]]:
         """Column names by role; ``time`` may be several, joined by a blank."""
-        names, _ = header(self.tables[0], self.options.get("delimiter"))
+        names, _ = read_header(self.tables[0], self.options.get("delimiter"))
         columns = _usual_columns(names)
         columns |= _stated_columns(self.options.get("columns", ""), names, self.tables[0])
         missing = [role for role in ("time", *self._axes[:2]) if role not in columns]
@@ -146,8 +146,8 @@ class CsvRecording:
         return columns
 
     @cached_property
-    def _rows(self) -> Rows:
-        _, delimiter = header(self.tables[0], self.options.get("delimiter"))
+    def _rows(self) -> RecordingRows:
+        _, delimiter = read_header(self.tables[0], self.options.get("delimiter"))
         roles = {"time", *self._axes, "sigma", "weather", "vehicle"}
         columns = {role: names for role, names in self._columns.items() if role in roles}
         numbers = {columns[role][0]: pa.float64() for role in (*self._axes, "sigma") if role in columns}
@@ -229,8 +229,8 @@ class CsvRecording:
         path = self.path.resolve()
         name = path.stem if path.is_file() else path.name
         return DriveInfo(
-            drive_id=identifier(self.options.get("drive_id", name)),
-            vehicle_id=identifier(self.options.get("vehicle_id") or self._vehicle()),
+            drive_id=to_identifier(self.options.get("drive_id", name)),
+            vehicle_id=to_identifier(self.options.get("vehicle_id") or self._vehicle()),
             vehicle_type=self.options.get("vehicle_type", "unknown"),
             time_base=self._stamps[1],
             frame=self.options.get("frame"),
@@ -282,7 +282,7 @@ class CsvRecording:
 
     def calibrations(self) -> pa.Table:
         """None, as a table without rows."""
-        return calibration_table([], vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+        return to_calibration_table([], vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
         """None."""

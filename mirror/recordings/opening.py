@@ -16,7 +16,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import RecordingError
-from mirror.recordings.paths import inside, not_plain
+from mirror.recordings.paths import not_a_file_error, require_inside
 from mirror.schema.strict_json import JsonError, decode_json
 
 # What NumPy raises on the header of a damaged ``.npy`` file.
@@ -42,17 +42,17 @@ def find_file(root: Path, name: str) -> Path | None:
     Raises:
         RecordingError: it is a link that leads out or to nothing, or no plain file (a folder, pipe or device).
     """
-    path = inside(root, name, file=root / name, place="link")
+    path = require_inside(root, name, file=root / name, place="link")
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError) as error:
         if path.is_symlink():
-            raise unreadable(path, error) from error
+            raise unreadable_error(path, error) from error
         return None
     except OSError as error:
-        raise unreadable(path, error) from error
+        raise unreadable_error(path, error) from error
     if not stat.S_ISREG(mode):
-        raise not_plain(path)
+        raise not_a_file_error(path)
     return path
 
 
@@ -64,21 +64,21 @@ def require_file(root: Path, name: str) -> Path:
     """
     path = find_file(root, name)
     if path is None:
-        raise unreadable(root / name, FileNotFoundError())
+        raise unreadable_error(root / name, FileNotFoundError())
     return path
 
 
-def read_plain(file: str | Path) -> bytes:
+def read_file(file: str | Path) -> bytes:
     """All bytes of a plain file; a pipe is not waited for, and a device is not read.
 
     Raises:
         RecordingError: it is missing, unreadable or no plain file.
     """
-    return read_start(file, sys.maxsize)[0]
+    return read_file_start(file, sys.maxsize)[0]
 
 
-def read_start(file: str | Path, count: int) -> tuple[bytes, int]:
-    """The first bytes of a plain file, and its size; see `read_plain`.
+def read_file_start(file: str | Path, count: int) -> tuple[bytes, int]:
+    """The first bytes of a plain file, and its size; see `read_file`.
 
     Args:
         file: the file.
@@ -90,18 +90,18 @@ def read_start(file: str | Path, count: int) -> tuple[bytes, int]:
     try:
         descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
-        raise unreadable(Path(file), error) from error
+        raise unreadable_error(Path(file), error) from error
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            raise not_plain(Path(file))
+            raise not_a_file_error(Path(file))
         wanted = min(count, status.st_size)
         data = os.read(descriptor, wanted)
         while len(data) < wanted and (more := os.read(descriptor, wanted - len(data))):
             data += more
         return data, status.st_size
     except OSError as error:
-        raise unreadable(Path(file), error) from error
+        raise unreadable_error(Path(file), error) from error
     finally:
         os.close(descriptor)
 
@@ -112,7 +112,7 @@ def read_json(file: Path) -> Any:
     Raises:
         RecordingError: it is missing or no JSON: line and column, or the key, are named.
     """
-    data = read_plain(file)
+    data = read_file(file)
     try:
         return decode_json(data)
     except JsonError as error:
@@ -134,14 +134,14 @@ def read_array(file: Path) -> Float64:
         # A mapping is refused where the header claims more than there is, before memory is asked for.
         array = np.load(file, mmap_mode="r", allow_pickle=False)
     except _BROKEN_ARRAY as error:
-        raise unreadable(file, error) from error
+        raise unreadable_error(file, error) from error
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
         kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
         raise RecordingError(f"an array of {kind}", file=file, expected="a NumPy file of real numbers")
     return np.array(array, np.float64)
 
 
-def unreadable(file: Path, error: Exception) -> RecordingError:
+def unreadable_error(file: Path, error: Exception) -> RecordingError:
     """The error for a file that is missing, truncated or of another kind."""
     kind = "a complete Parquet file" if file.suffix == ".parquet" else "a readable, complete file"
     reason = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -18,7 +18,7 @@ _LOCAL = frozenset((
 # fmt: on
 
 
-def inside(root: Path, name: str, *, file: Path, place: str) -> Path:
+def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
     """The file that a recording names, if it lies inside the recording.
 
     Args:
@@ -62,7 +62,7 @@ def _outside(name: str, file: Path, place: str) -> RecordingError:
     )
 
 
-def not_plain(path: Path) -> RecordingError:
+def not_a_file_error(path: Path) -> RecordingError:
     """The error for a folder, pipe, socket or device where a file belongs."""
     return RecordingError(
         "is no plain file: a folder, pipe or device, or a link to nothing",
@@ -72,7 +72,7 @@ def not_plain(path: Path) -> RecordingError:
     )
 
 
-def is_elsewhere(uri: str) -> bool:
+def is_remote_uri(uri: str) -> bool:
     """Whether a uri is absolute and leads away from this machine's files: no path climbs, no chain hides one."""
     return (
         _SCHEME.match(uri) is not None
@@ -83,11 +83,11 @@ def is_elsewhere(uri: str) -> bool:
 
 
 def list_folder(root: Path, folder: Path) -> dict[str, Path]:
-    """The plain files of one folder by name; see `list_names`."""
-    return {name: folder / name for name in list_names(root, folder)}
+    """The plain files of one folder by name; see `list_file_names`."""
+    return {name: folder / name for name in list_file_names(root, folder)}
 
 
-def list_names(root: Path, folder: Path) -> list[str]:
+def list_file_names(root: Path, folder: Path) -> list[str]:
     """Names of the plain files of one folder, hidden ones left out; links are followed only inside the recording.
 
     Args:
@@ -99,7 +99,7 @@ def list_names(root: Path, folder: Path) -> list[str]:
             device or a link to nothing.
     """
     if folder != root:
-        inside(root, folder.relative_to(root).as_posix(), file=folder, place="folder")
+        require_inside(root, folder.relative_to(root).as_posix(), file=folder, place="folder")
     found = []
     with os.scandir(folder) as entries:
         for entry in entries:
@@ -108,15 +108,15 @@ def list_names(root: Path, folder: Path) -> list[str]:
                 continue
             if entry.is_symlink():
                 path = folder / name
-                inside(root, path.relative_to(root).as_posix(), file=path, place="link")
+                require_inside(root, path.relative_to(root).as_posix(), file=path, place="link")
             if entry.is_file():
                 found.append(name)
             elif not entry.is_dir():
-                raise not_plain(folder / name)
+                raise not_a_file_error(folder / name)
     return found
 
 
-def walk(root: Path) -> list[tuple[str, str]]:
+def list_files(root: Path) -> list[tuple[str, str]]:
     """Every file under a folder, hidden ones left out, as ``(path relative to it, path)``, in the order of the former.
 
     Plain strings: of a recording's hundred thousand pictures, most are never opened.
@@ -137,14 +137,14 @@ def walk(root: Path) -> list[tuple[str, str]]:
                 if entry.name.startswith("."):
                     continue
                 if entry.is_symlink():
-                    inside(root, relative, file=Path(path), place="link")
+                    require_inside(root, relative, file=Path(path), place="link")
                 # The folder that a link stands for lies inside and is met under its own name.
                 if entry.is_dir(follow_symlinks=False):
                     open_folders.append((relative + "/", path))
                 elif entry.is_file():
                     found.append((relative, path))
                 elif not entry.is_dir():
-                    raise not_plain(Path(path))
+                    raise not_a_file_error(Path(path))
     return sorted(found)
 
 
@@ -153,7 +153,7 @@ def natural_key(name: str) -> tuple[str | int, ...]:
     return tuple(int(part) if index % 2 else part for index, part in enumerate(_DIGITS.split(name)))
 
 
-def identifier(text: str) -> str:
+def to_identifier(text: str) -> str:
     """A valid id made of any text: other characters become ``_``; at most 120 characters.
 
     Raises:

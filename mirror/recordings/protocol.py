@@ -19,7 +19,7 @@ import pyarrow as pa
 from mirror.arrays import Float64, Int64, UInt8
 from mirror.errors import RecordingError
 from mirror.recordings.bad_rows import BadRows
-from mirror.recordings.opening import read_plain
+from mirror.recordings.opening import read_file
 
 ENTRY_POINT_GROUP = "mirror.recordings"
 
@@ -170,7 +170,7 @@ class FileStream:
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield each file's bytes."""
         for index in indices:
-            yield index, read_plain(self.paths[index])
+            yield index, read_file(self.paths[index])
 
 
 @dataclass(frozen=True)

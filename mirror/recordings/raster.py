@@ -41,7 +41,7 @@ class _BrokenError(Exception):
     """The bytes are not what they should be."""
 
 
-def raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
+def read_raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
     """Width and height in pixels, from the header; what lies behind it may be missing.
 
     Raises:
@@ -50,7 +50,7 @@ def raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
     return _walk(data, file, whole=False)
 
 
-def require_whole(data: bytes, file: str | PurePath) -> tuple[int, int]:
+def require_complete_image(data: bytes, file: str | PurePath) -> tuple[int, int]:
     """Width and height in pixels of an image whose structure is whole from its start to its end marker.
 
     Raises:
@@ -59,7 +59,7 @@ def require_whole(data: bytes, file: str | PurePath) -> tuple[int, int]:
     return _walk(data, file, whole=True)
 
 
-def has_end(data: bytes, codec: str) -> bool:
+def has_end_marker(data: bytes, codec: str) -> bool:
     """Whether a picture's bytes, or the last `TAIL_BYTES` of them, have its end marker; True for other codecs.
 
     Args:
@@ -76,7 +76,7 @@ def _walk(data: bytes, file: str | PurePath, *, whole: bool) -> tuple[int, int]:
         if codec is None:
             raise _BrokenError("neither a JPEG nor a PNG")
         size = _walk_jpeg(data, whole=whole) if codec == "jpeg" else _walk_png(data, whole=whole)
-        if whole and not has_end(data, codec):
+        if whole and not has_end_marker(data, codec):
             raise _BrokenError(f"no end marker in its last {TAIL_BYTES} bytes")
     except (_CutError, _BrokenError) as problem:
         cut = f"truncated: {len(data)} bytes and no end marker" if whole else "cut off in its header"

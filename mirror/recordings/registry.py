@@ -7,11 +7,11 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from mirror.errors import RecordingError
-from mirror.recordings.paths import not_plain
+from mirror.recordings.paths import not_a_file_error
 from mirror.recordings.protocol import ENTRY_POINT_GROUP, Reader, Recording
 
 
-def readers(name: str | None = None) -> dict[str, Reader]:
+def load_readers(name: str | None = None) -> dict[str, Reader]:
     """Readers by name, in the order of the names: ours and those of other installed packages.
 
     Args:
@@ -70,11 +70,11 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
     if not path.exists():
         raise RecordingError("there is nothing at this path", file=path, expected="a recording")
     if not (path.is_file() or path.is_dir()):
-        raise not_plain(path)
-    known = readers(reader)
+        raise not_a_file_error(path)
+    known = load_readers(reader)
     if reader is not None:
         if reader not in known:
-            raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(readers())}")
+            raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(load_readers())}")
         return known[reader].open(path, options or {})
     fitting = [name for name, candidate in known.items() if candidate.recognises(path)]
     if len(fitting) != 1:

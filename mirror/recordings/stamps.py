@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
-from mirror.recordings.tabular import Rows
+from mirror.recordings.tabular import RecordingRows
 from mirror.recordings.time import SECOND_NS
 
 FORMATS: Final = ("YYYY-MM-DD", "MM/DD/YYYY", "DD/MM/YYYY")
@@ -27,7 +27,9 @@ _ORDERS: Final = {"the day first": ("c", "b", "a"), "the month first": ("c", "a"
 _EXPECTED: Final = "a date and time such as 2021-08-05T17:34:46.438+00:00, 08/05/2021 17:34:46 or 05/08/2021 17:34:46"
 
 
-def parse_stamps(rows: Rows, column: str, text: pa.ChunkedArray, *, tz: str | None, date_format: str | None) -> Int64:
+def parse_stamps(
+    rows: RecordingRows, column: str, text: pa.ChunkedArray, *, tz: str | None, date_format: str | None
+) -> Int64:
     """Unix nanoseconds of dates and times.
 
     A stamp with an offset (``Z``, ``+02:00``) says its own zone; one without is local time in ``tz``. Whether ``04/05``
@@ -109,7 +111,12 @@ def _order_given(date_format: str) -> tuple[str, str, str]:
 
 
 def _order(
-    rows: Rows, column: str, text: pa.ChunkedArray, parts: dict[str, pa.Array], date: dict[str, Int64], good: Bool
+    rows: RecordingRows,
+    column: str,
+    text: pa.ChunkedArray,
+    parts: dict[str, pa.Array],
+    date: dict[str, Int64],
+    good: Bool,
 ) -> tuple[tuple[str, str, str], Bool, Callable[[str], str]]:
     """The order of the ``good`` rows' dates, the rows that are of another, and what is wrong with such a one."""
 
@@ -151,7 +158,7 @@ def _order(
 
 
 def _to_utc(
-    rows: Rows, column: str, text: pa.ChunkedArray, local_ns: Int64, zone: pa.Array, tz: str | None, good: Bool
+    rows: RecordingRows, column: str, text: pa.ChunkedArray, local_ns: Int64, zone: pa.Array, tz: str | None, good: Bool
 ) -> Int64:
     if tz is not None:
         require_zone(tz)

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Float64
-from mirror.recordings.opening import unreadable
+from mirror.recordings.opening import unreadable_error
 from mirror.recordings.pauses import count_missing_images
 from mirror.recordings.protocol import DriveInfo, ImageStream, Recording
 
@@ -124,7 +124,7 @@ def _file_size(file: Path) -> int:
     try:
         return file.stat().st_size
     except OSError as error:
-        raise unreadable(file, error) from error
+        raise unreadable_error(file, error) from error
 
 
 def _camera(stream: ImageStream | None, calibrations: Mapping[str, int]) -> CameraSummary:

@@ -16,14 +16,14 @@ import pyarrow.compute as pc
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.recordings.bad_rows import Reason
-from mirror.recordings.opening import unreadable
+from mirror.recordings.opening import unreadable_error
 from mirror.recordings.protocol import Track
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import StampError, to_unix_ns
 
 
 @dataclass(frozen=True)
-class Rows:
+class RecordingRows:
     """A table that was read from files in sequence.
 
     Attributes:
@@ -195,7 +195,7 @@ def read_rows(
     columns: Sequence[str] | None = None,
     delimiter: str = ",",
     tolerant: bool = False,
-) -> Rows:
+) -> RecordingRows:
     """Read files of one kind as one table.
 
     Args:
@@ -233,7 +233,7 @@ def read_rows(
     table = pa.concat_tables(tables, promote_options="permissive")
     faults = None
     if tolerant:
-        width = len(header(files[0], delimiter)[0]) if files[0].suffix != ".parquet" else 0
+        width = len(read_header(files[0], delimiter)[0]) if files[0].suffix != ".parquet" else 0
         faults = RowFaults(
             table.num_rows,
             [
@@ -242,7 +242,7 @@ def read_rows(
                 for number, (line, cells) in enumerate(sorted(lines.items()))
             ],
         )
-    return Rows(table, tuple(files), tuple(starts), tuple(tuple(sorted(lines)) for lines in torn), faults)
+    return RecordingRows(table, tuple(files), tuple(starts), tuple(tuple(sorted(lines)) for lines in torn), faults)
 
 
 def _as_text(table: pa.Table, columns: Sequence[int]) -> pa.Table:
@@ -269,7 +269,7 @@ def _number(cell: str | None) -> float:
         return np.nan
 
 
-def header(file: Path, delimiter: str | None = None) -> tuple[list[str], str]:
+def read_header(file: Path, delimiter: str | None = None) -> tuple[list[str], str]:
     """The column names of a CSV file and its delimiter: the given one, or that of ``, ; tab |`` which splits it most.
 
     Raises:
@@ -279,7 +279,7 @@ def header(file: Path, delimiter: str | None = None) -> tuple[list[str], str]:
         with file.open(encoding="utf-8-sig", errors="replace") as lines:
             first = lines.readline().rstrip("\r\n")
     except OSError as error:
-        raise unreadable(file, error) from error
+        raise unreadable_error(file, error) from error
     if not first:
         raise RecordingError("empty", file=file, expected="a header line with the names of the columns")
     used = delimiter or max(",;\t|", key=first.count)
@@ -301,7 +301,7 @@ def _read(
         else:
             table = _read_csv(file, types, delimiter, torn)
     except (pa.ArrowInvalid, OSError) as error:
-        raise unreadable(file, error) from error
+        raise unreadable_error(file, error) from error
     repeated = [name for name, count in Counter(table.column_names).items() if count > 1]
     if repeated:
         raise RecordingError(
@@ -327,7 +327,7 @@ def _read(
 def _read_csv(file: Path, types: Mapping[str, pa.DataType], delimiter: str, torn: dict[int, int] | None) -> pa.Table:
     from pyarrow import csv
 
-    names = [name.strip() for name in header(file, delimiter)[0]]
+    names = [name.strip() for name in read_header(file, delimiter)[0]]
 
     def read(
         source: Path | pa.BufferReader, types: Mapping[str, pa.DataType], *, threads: bool = False, **parsing: Any

@@ -114,7 +114,7 @@ class VideoStream:
         )
 
 
-def video_stamps(file: Path) -> tuple[Int64, Fraction]:
+def read_video_stamps(file: Path) -> tuple[Int64, Fraction]:
     """The presentation time stamps of all frames, read from the packets without decoding one.
 
     Args:
@@ -142,7 +142,7 @@ def video_stamps(file: Path) -> tuple[Int64, Fraction]:
     return np.sort(np.array(stamps, np.int64)), Fraction(time_base)
 
 
-def stamps_ns(pts: Int64, time_base: Fraction, start_ns: int) -> Int64:
+def to_unix_stamps(pts: Int64, time_base: Fraction, start_ns: int) -> Int64:
     """Unix nanoseconds of presentation time stamps, exact to the nanosecond.
 
     Args:

@@ -51,7 +51,7 @@ def weather_plugins() -> list[str]:
     return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
 
 
-def weather_from_pictures(plugin: str, pictures: Sequence[UInt8]) -> str:
+def classify_weather(plugin: str, pictures: Sequence[UInt8]) -> str:
     """Ask a plug-in.
 
     Args:

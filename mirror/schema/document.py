@@ -31,7 +31,7 @@ _DOCUMENTS: Sequence[type[BaseModel]] = (
     documents.Condition,
     documents.Manifest,
     documents.FileEntry,
-    documents.Pictures,
+    documents.ImageTotals,
 )
 
 

@@ -266,7 +266,7 @@ class FileEntry(Document):
     sha256: str
 
 
-class Pictures(Document):
+class ImageTotals(Document):
     """The pictures of a folder in sum; each one's size and hash stand in the images table."""
 
     count: int
@@ -286,7 +286,7 @@ class Manifest(Document):
     schema_version: str = SCHEMA_VERSION
     derived_from: dict[str, str] = Field(default_factory=dict)
     files: dict[str, FileEntry] = Field(default_factory=dict)
-    pictures: Pictures | None = None
+    pictures: ImageTotals | None = None
 
     @property
     def content(self) -> str:

@@ -44,17 +44,17 @@ def write_bytes(path: Path, data: bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise unwritable(path, error) from error
+        raise unwritable_error(path, error) from error
     try:
         temporary.write_bytes(data)
         temporary.replace(path)
     except OSError as error:
-        raise unwritable(path, error) from error
+        raise unwritable_error(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def unwritable(path: Path, error: OSError) -> DatasetError:
+def unwritable_error(path: Path, error: OSError) -> DatasetError:
     """The error for a file that could not be written: what is in its place, or the system's reason."""
     blocked = next((folder for folder in path.parents if folder.exists() and not folder.is_dir()), None)
     if blocked is not None or path.is_dir():
@@ -72,7 +72,7 @@ def unwritable(path: Path, error: OSError) -> DatasetError:
     )
 
 
-def unmovable(folder: Path, error: OSError) -> DatasetError:
+def unmovable_error(folder: Path, error: OSError) -> DatasetError:
     """The error for a folder that could not be moved to its place, or out of it."""
     return DatasetError(
         f"cannot be moved: {error.strerror or error}",
@@ -182,7 +182,7 @@ class TableWriter:
                 data_page_version="1.0",
             )
         except OSError as error:
-            raise unwritable(path, error) from error
+            raise unwritable_error(path, error) from error
 
     def write(self, data: pa.Table) -> None:
         """Append a row group.
@@ -195,7 +195,7 @@ class TableWriter:
         try:
             self._writer.write_table(rows, row_group_size=max(rows.num_rows, 1))
         except OSError as error:
-            raise unwritable(self.path, error) from error
+            raise unwritable_error(self.path, error) from error
 
     def finish(self) -> Path:
         """Complete the file, and give its temporary name.
@@ -206,7 +206,7 @@ class TableWriter:
         try:
             self._writer.close()
         except OSError as error:
-            raise unwritable(self.path, error) from error
+            raise unwritable_error(self.path, error) from error
         return self._temporary
 
     def abandon(self) -> None:

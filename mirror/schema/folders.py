@@ -2,10 +2,10 @@
 
 Every verb that takes ``--out`` calls one of two functions before it writes anything:
 
-- `require_own_folder(out, Kind.RESULTS)`: ``out`` is a folder, and becomes a folder of that kind. It may be absent,
+- `require_output_folder(out, FolderKind.RESULTS)`: ``out`` is a folder, and becomes a folder of that kind. It may be absent,
   empty, or of that kind already (then the verb decides whether it goes on, adds to it or refuses). With no kind it must
   be absent or empty. The kind of what is there is returned; None: nothing.
-- `require_own_file(out)`: ``out`` is one file, such as a page or a video.
+- `require_output_file(out)`: ``out`` is one file, such as a page or a video.
 
 Both refuse a path inside a dataset, a recording, a submission or hidden truth: their content is hashed or immutable. A
 folder that an interrupted run left is of its kind too; what says so is listed with the kind (`_KINDS`). A verb whose
@@ -30,7 +30,7 @@ _DATASET_NAMES: Final = frozenset(
 )
 
 
-class Kind(Enum):
+class FolderKind(Enum):
     """What a folder is, in words for messages."""
 
     DATASET = "a dataset"
@@ -62,24 +62,24 @@ class _Signs:
     sealed: bool = False
 
 
-_KINDS: Final[Mapping[Kind, _Signs]] = {
-    Kind.DATASET: _Signs({"dataset.json": "mirror"}, sealed=True),
-    Kind.RECORDING: _Signs({"recording.json": "mirror-folder"}, sealed=True),
-    Kind.RECORDINGS: _Signs({"synth.json": "mirror-synth"}),
-    Kind.SUBMISSION: _Signs(
+_KINDS: Final[Mapping[FolderKind, _Signs]] = {
+    FolderKind.DATASET: _Signs({"dataset.json": "mirror"}, sealed=True),
+    FolderKind.RECORDING: _Signs({"recording.json": "mirror-folder"}, sealed=True),
+    FolderKind.RECORDINGS: _Signs({"synth.json": "mirror-synth"}),
+    FolderKind.SUBMISSION: _Signs(
         {"manifest.json": "mirror-submission", "views.json": "mirror-views"}, marks=(".rendering",), sealed=True
     ),
-    Kind.HIDDEN: _Signs({"hidden.json": "mirror-hidden-truth"}, sealed=True),
-    Kind.MODEL: _Signs({"reconstruction.json": "mirror-reconstruction"}),
-    Kind.RUN: _Signs({"run.json": "mirror-run"}),
-    Kind.RESULTS: _Signs({"result.json": "mirror-result"}, marks=("work/scored.jsonl", "work/features")),
-    Kind.DEMO: _Signs(marks=(".made-by-mirror-demo",)),
-    Kind.BOARD: _Signs(marks=("entries",)),
-    Kind.SITE: _Signs(marks=(".made-by-mirror-leaderboard",)),
+    FolderKind.HIDDEN: _Signs({"hidden.json": "mirror-hidden-truth"}, sealed=True),
+    FolderKind.MODEL: _Signs({"reconstruction.json": "mirror-reconstruction"}),
+    FolderKind.RUN: _Signs({"run.json": "mirror-run"}),
+    FolderKind.RESULTS: _Signs({"result.json": "mirror-result"}, marks=("work/scored.jsonl", "work/features")),
+    FolderKind.DEMO: _Signs(marks=(".made-by-mirror-demo",)),
+    FolderKind.BOARD: _Signs(marks=("entries",)),
+    FolderKind.SITE: _Signs(marks=(".made-by-mirror-leaderboard",)),
 }
 
 
-def kind_of(folder: Path) -> Kind | None:
+def find_kind(folder: Path) -> FolderKind | None:
     """What a folder is; None: it does not exist or is empty (but for what a killed process left of one file).
 
     A document that is broken still says what the folder is if its name alone does: reading it then names what is wrong.
@@ -99,13 +99,13 @@ def kind_of(folder: Path) -> Kind | None:
         return found
     if names <= _DATASET_NAMES and names & {"traversals", ".lock", ".staging"}:
         # What an interrupted first ingest left: dataset.json is written with the first complete drive.
-        return Kind.DATASET
+        return FolderKind.DATASET
     if any((one / "recording.json").is_file() for one in folder.iterdir()):
-        return Kind.RECORDINGS
-    return Kind.OTHER
+        return FolderKind.RECORDINGS
+    return FolderKind.OTHER
 
 
-def require_own_folder(out: Path, *kinds: Kind, place: str = "--out") -> Kind | None:
+def require_output_folder(out: Path, *kinds: FolderKind, place: str = "--out") -> FolderKind | None:
     """Refuse an output folder that is something else.
 
     Args:
@@ -120,7 +120,7 @@ def require_own_folder(out: Path, *kinds: Kind, place: str = "--out") -> Kind | 
         UsageError: it is a file, holds something else, or lies inside a folder that nothing may be added to.
     """
     _refuse_inside(out, place)
-    found = kind_of(out)
+    found = find_kind(out)
     if found is None or found in kinds:
         return found
     own = ", or ".join(["a new or an empty folder", *(kind.value for kind in kinds)])
@@ -133,7 +133,7 @@ def require_own_folder(out: Path, *kinds: Kind, place: str = "--out") -> Kind | 
     )
 
 
-def require_own_file(out: Path, *, place: str = "--out") -> None:
+def require_output_file(out: Path, *, place: str = "--out") -> None:
     """Refuse an output file that would lie inside something else, or in place of a folder.
 
     Raises:

@@ -20,9 +20,9 @@ from mirror.protocols.truth.raster import raster_of
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan, require_group
 from mirror.protocols.views.view import RenderView
-from mirror.schema.begun import begin_folder, finish_folder
 from mirror.schema.files import write_bytes, write_json
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.folders import FolderKind, require_output_folder
+from mirror.schema.render_folder import finish_render_folder, start_render_folder
 
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
@@ -67,7 +67,7 @@ def write_hidden_truth(
     """
     if any(group.vehicle_shift_m is not None or group.without_vehicles for group in plan.protocol.groups):
         raise UsageError(f"protocol {plan.protocol.name} edits vehicles", expected="one that only moves cameras")
-    require_own_folder(out, Kind.SUBMISSION)
+    require_output_folder(out, FolderKind.SUBMISSION)
     table = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
     drives = {row["traversal_id"]: row["drive_id"] for row in table}
     truth = GroundTruth(dataset, plan.protocol, plan.layers)
@@ -75,7 +75,7 @@ def write_hidden_truth(
     ordered = sorted(plan.views, key=lambda one: (one.traversal_id, one.timestamp_ns, one.group))
     for view in {one.traversal_id: one for one in reversed(ordered)}.values():
         _require_recorded(view, truth, preset, seed, drives[view.traversal_id])
-    begin_folder(out, ("hidden truth", plan.hash, preset, str(seed)), last=HIDDEN)
+    start_render_folder(out, ("hidden truth", plan.hash, preset, str(seed)), last=HIDDEN)
     missing = [view for view in ordered if not (out / view.path).is_file()]
     advance(len(ordered) - len(missing))
     for view in missing:
@@ -86,7 +86,7 @@ def write_hidden_truth(
         write_bytes(out / view.path, encode_png(pixels))
         advance(1)
     write_json(out / HIDDEN, hidden_document(plan, preset, seed))
-    finish_folder(out)
+    finish_render_folder(out)
     return len(plan.views)
 
 

@@ -14,7 +14,7 @@ from mirror.dataset.statistics import SceneRow, Speed, Statistics
 from mirror.errors import UsageError
 from mirror.installation import install_command
 from mirror.schema.files import write_bytes
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.folders import FolderKind, require_output_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +60,7 @@ def write_plots(statistics: Statistics, folder: Path) -> list[Path]:
 
 
 def _require_own(folder: Path) -> None:
-    if require_own_folder(folder, Kind.OTHER, place="--plots") is not None:
+    if require_output_folder(folder, FolderKind.OTHER, place="--plots") is not None:
         others = sorted({path.name for path in folder.iterdir()} - {f"{name}.png" for name in _NAMES})
         if others:
             raise UsageError(

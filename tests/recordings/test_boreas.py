@@ -14,8 +14,8 @@ from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.quaternions import rotate
 from mirror.recordings.boreas import BoreasReader
 from mirror.recordings.registry import open_recording
+from tests.recordings.clean_track import clean_track
 from tests.recordings.layout import write_picture
-from tests.recordings.usable import usable_track
 
 SEQUENCES = ("boreas-2021-08-05-13-34", "boreas-2021-09-02-11-42")
 HEADER = "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,angvel_z,angvel_y,angvel_x\n"
@@ -137,7 +137,7 @@ def test_later_releases_have_a_local_frame(tmp_path: Path) -> None:
 )
 def test_broken_rows_are_named(tmp_path: Path, rows: str, place: str) -> None:
     with pytest.raises(RecordingError) as caught:
-        usable_track(open_recording(write_sequence(tmp_path, rows)))
+        clean_track(open_recording(write_sequence(tmp_path, rows)))
     assert caught.value.place == place
     assert caught.value.file is not None and caught.value.file.endswith("camera_poses.csv")
 

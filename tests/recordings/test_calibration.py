@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mirror.errors import RecordingError
-from mirror.recordings.calibration import Calibration, calibration_table, checked_calibration
+from mirror.recordings.calibration import Calibration, make_calibration, to_calibration_table
 from mirror.schema.files import conform
 from mirror.schema.tables import CALIBRATIONS
 
@@ -25,14 +25,14 @@ VALUES = {
 
 
 def made(**values: object) -> Calibration:
-    return checked_calibration(Path("calibration.json"), "front", **(VALUES | values))
+    return make_calibration(Path("calibration.json"), "front", **(VALUES | values))
 
 
 def test_a_row_holds_what_the_calibration_says() -> None:
     covariance = tuple(float(value) for value in np.eye(6).ravel())
     calibration = made(covariance=covariance, valid_from_ns=5, valid_to_ns=5, time_offset_ns=-7, readout_ns=9)
     table = conform(
-        calibration_table([("online", calibration)], vehicle_id="car", drive_id="d"), CALIBRATIONS, file="rows"
+        to_calibration_table([("online", calibration)], vehicle_id="car", drive_id="d"), CALIBRATIONS, file="rows"
     )
     row = table.to_pylist()[0]
     pose = [row[name] for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")]
@@ -47,7 +47,7 @@ def test_a_row_holds_what_the_calibration_says() -> None:
 
 def test_a_quaternion_of_nearly_unit_length_is_made_unit() -> None:
     pose = (0.5004, -0.5004, 0.5004, -0.5004, 0.0, 0.0, 0.0)
-    row = calibration_table([("factory", made(ego_SE3_camera=pose))], vehicle_id="v", drive_id="d").to_pylist()[0]
+    row = to_calibration_table([("factory", made(ego_SE3_camera=pose))], vehicle_id="v", drive_id="d").to_pylist()[0]
     assert [row[name] for name in ("qw", "qx", "qy", "qz")] == pytest.approx([0.5, -0.5, 0.5, -0.5], abs=1e-15)
 
 

@@ -14,8 +14,8 @@ from mirror.ingest.run import ingest_recordings
 from mirror.recordings.comma2k19 import Comma2k19Reader
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
+from tests.recordings.clean_track import clean_track
 from tests.recordings.test_video import FRAMES, decode_all, write_video
-from tests.recordings.usable import usable_track
 
 ROUTE = "b0c9d2329ad1606b|2018-08-02--08-34-47"
 # San Francisco in ECEF, level and heading along -x; forward, right, down axes.
@@ -121,7 +121,7 @@ def test_broken_arrays_are_named(tmp_path: Path) -> None:
             with file.open("wb") as out:
                 np.save(out, data, allow_pickle=True)
         with pytest.raises(RecordingError) as caught:
-            usable_track(Comma2k19Reader().open(route, {}))
+            clean_track(Comma2k19Reader().open(route, {}))
         return caught.value
 
     whole = (write_segment(tmp_path / "whole" / "0", 0.0) / "global_pose" / "frame_positions").read_bytes()

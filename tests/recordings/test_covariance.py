@@ -17,7 +17,7 @@ from mirror.ingest.judge import fingerprint, judge_drive
 from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteOptions, write_traversal
 from mirror.ingest.trigger import Trigger
-from mirror.recordings.calibration import Calibration, calibration_table, require_covariance
+from mirror.recordings.calibration import Calibration, require_covariance, to_calibration_table
 from mirror.recordings.folder import FolderRecording
 from mirror.recordings.folder_document import read_document
 from mirror.recordings.registry import open_recording
@@ -101,7 +101,7 @@ def test_values_that_are_not_finite_are_refused(value: float) -> None:
 
 def test_a_calibration_keeps_its_covariance() -> None:
     calibration = Calibration.model_validate(CALIBRATION | {"covariance": np.diag(SIGMA**2).ravel().tolist()})
-    table = calibration_table([("factory", calibration)], vehicle_id="car", drive_id="drive")
+    table = to_calibration_table([("factory", calibration)], vehicle_id="car", drive_id="drive")
     assert isinstance(table, pa.Table)
     np.testing.assert_array_equal(np.reshape(table.column("covariance")[0].as_py(), (6, 6)), np.diag(SIGMA**2))
 

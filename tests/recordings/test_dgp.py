@@ -21,7 +21,7 @@ from mirror.recordings.dgp import DgpReader
 from mirror.recordings.registry import open_recording
 from mirror.schema.files import conform
 from mirror.schema.tables import BOXES, CALIBRATIONS
-from tests.recordings.usable import usable_track
+from tests.recordings.clean_track import clean_track
 
 CAMERAS = ("CAMERA_01", "CAMERA_05", "CAMERA_06", "CAMERA_07", "CAMERA_08", "CAMERA_09")
 COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
@@ -242,7 +242,7 @@ def test_broken_scenes_are_refused(
     recording = open_recording(copy(change))
     with pytest.raises(RecordingError, match=problem) as caught:
         recording.files()
-        usable_track(recording)
+        clean_track(recording)
         recording.images()
         recording.calibrations()
     assert caught.value.file is not None

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mirror.geometry.quaternions import heading_deg
-from mirror.recordings.registry import open_recording, readers
+from mirror.recordings.registry import load_readers, open_recording
 from mirror.recordings.time import TIME_BASES
 from tests.conftest import ROOT
 from tests.recordings.layout import write_picture
@@ -57,7 +57,7 @@ def test_the_example_is_a_recording(example: Path) -> None:
 
 
 def test_every_built_in_reader_and_time_base_is_described() -> None:
-    ours = [name for name, reader in readers().items() if type(reader).__module__.startswith("mirror.")]
+    ours = [name for name, reader in load_readers().items() if type(reader).__module__.startswith("mirror.")]
     assert [name for name in ours if f"## `{name}`" not in TEXT] == []
     assert [name for name in TIME_BASES if f"`{name}`" not in TEXT] == []
 

@@ -13,8 +13,8 @@ from mirror.errors import RecordingError
 from mirror.recordings.gps_csv import CsvReader, CsvRecording
 from mirror.recordings.protocol import Recording
 from mirror.recordings.registry import open_recording
+from tests.recordings.clean_track import clean_track
 from tests.recordings.layout import POSES, POSES_ONLY, START_NS, write_recording
-from tests.recordings.usable import usable_track
 
 PLAIN = "timestamp,lat,lon\n1628184886,43.78,-79.46\n1628184887,43.79,-79.45\n"
 LOCAL = "Date,Time,LAT,LON,ALT,Weather\n"
@@ -29,7 +29,7 @@ def write(file: Path, text: str) -> Path:
 def refusal(path: Path, options: Mapping[str, str] | None = None) -> RecordingError:
     with pytest.raises(RecordingError) as caught:
         recording = CsvReader().open(path, options or {})
-        usable_track(recording)
+        clean_track(recording)
     return caught.value
 
 
@@ -268,5 +268,5 @@ def test_a_stamp_of_another_size_is_a_bad_row(tmp_path: Path) -> None:
     lines = [f"{1628184886 + row},43.78,{-79.46 + row * 1e-4}" for row in range(200)]
     lines[0] = "0" + lines[0][10:]
     recording = open_recording(write(tmp_path / "drive.csv", "timestamp,lat,lon\n" + "\n".join(lines) + "\n"))
-    track = usable_track(recording)
+    track = clean_track(recording)
     assert (len(track), track.timestamp_ns[0]) == (199, 1_628_184_887_000_000_000)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mirror.errors import RecordingError
-from mirror.recordings.paths import identifier, inside, list_folder, natural_key, walk
+from mirror.recordings.paths import list_files, list_folder, natural_key, require_inside, to_identifier
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["masks/front.png", "masks//front.png", "./masks/front.png", "not there yet.png"])
 def test_names_inside_are_found(root: Path, name: str) -> None:
-    assert inside(root, name, file=root, place="here") == root / name
+    assert require_inside(root, name, file=root, place="here") == root / name
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_names_inside_are_found(root: Path, name: str) -> None:
 )
 def test_names_that_lead_out_are_refused(root: Path, name: str) -> None:
     with pytest.raises(RecordingError, match="leads out of the recording") as caught:
-        inside(root, name, file=root / "recording.json", place="cameras.front.static_mask")
+        require_inside(root, name, file=root / "recording.json", place="cameras.front.static_mask")
     assert caught.value.place == "cameras.front.static_mask"
 
 
@@ -51,11 +51,11 @@ def test_links_that_lead_out_are_refused(root: Path) -> None:
     (root / "masks" / "link.png").symlink_to(root.parent / "outside" / "secret.png")
     (root / "away").symlink_to(root.parent / "outside")
     for attempt in (
-        lambda: inside(root, "masks/link.png", file=root, place="here"),
-        lambda: inside(root, "away/secret.png", file=root, place="here"),
+        lambda: require_inside(root, "masks/link.png", file=root, place="here"),
+        lambda: require_inside(root, "away/secret.png", file=root, place="here"),
         lambda: list_folder(root, root / "masks"),
         lambda: list_folder(root, root / "away"),
-        lambda: walk(root),
+        lambda: list_files(root),
     ):
         with pytest.raises(RecordingError, match="leads out of the recording"):
             attempt()
@@ -66,7 +66,7 @@ def test_links_within_are_followed(root: Path) -> None:
     (root / "again").symlink_to(root)
     (root / ".hidden").write_text("")
     assert set(list_folder(root, root / "masks")) == {"front.png", "same.png"}
-    assert [name for name, _ in walk(root)] == ["masks/front.png", "masks/same.png"]
+    assert [name for name, _ in list_files(root)] == ["masks/front.png", "masks/same.png"]
 
 
 def test_numbers_count_by_value() -> None:
@@ -84,9 +84,9 @@ def test_numbers_count_by_value() -> None:
     [("b0c9|2018-08-02--08", "b0c9_2018-08-02--08"), ("_drive 1", "drive_1"), ("x" * 200, "x" * 120)],
 )
 def test_identifiers(text: str, expected: str) -> None:
-    assert identifier(text) == expected
+    assert to_identifier(text) == expected
 
 
 def test_nothing_makes_no_identifier() -> None:
     with pytest.raises(RecordingError, match="no letter or digit"):
-        identifier("|||")
+        to_identifier("|||")

@@ -10,7 +10,7 @@ import pytest
 
 from mirror.dataset.pictures.still import decode_rgb
 from mirror.errors import RecordingError
-from mirror.recordings.raster import TAIL_BYTES, has_end, raster_size, require_whole
+from mirror.recordings.raster import TAIL_BYTES, has_end_marker, read_raster_size, require_complete_image
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
 PICTURES = {"jpeg": cv2.imencode(".jpg", PIXELS)[1].tobytes(), "png": cv2.imencode(".png", PIXELS)[1].tobytes()}
@@ -22,41 +22,45 @@ def test_padding_is_accepted_up_to_the_tail(codec: str) -> None:
     room = TAIL_BYTES - MARKER_BYTES[codec]
     for padding in (0, 1, 2000, room):
         data = PICTURES[codec] + bytes(padding)
-        assert has_end(data, codec) and has_end(data[-TAIL_BYTES:], codec)
-        require_whole(data, "p")
+        assert has_end_marker(data, codec) and has_end_marker(data[-TAIL_BYTES:], codec)
+        require_complete_image(data, "p")
         assert decode_rgb(data, codec) is not None
     data = PICTURES[codec] + bytes(room + 1)
-    assert not has_end(data, codec) and decode_rgb(data, codec) is None
+    assert not has_end_marker(data, codec) and decode_rgb(data, codec) is None
     with pytest.raises(RecordingError, match="no end marker"):
-        require_whole(data, "p")
+        require_complete_image(data, "p")
 
 
 @pytest.mark.parametrize("codec", ["jpeg", "png"])
 def test_a_picture_that_is_cut_short_is_refused_by_all(codec: str) -> None:
     data = PICTURES[codec][:-3]
-    assert not has_end(data, codec) and decode_rgb(data, codec) is None
+    assert not has_end_marker(data, codec) and decode_rgb(data, codec) is None
     with pytest.raises(RecordingError, match="truncated"):
-        require_whole(data, "p")
+        require_complete_image(data, "p")
 
 
 def test_other_codecs_have_no_marker() -> None:
-    assert has_end(b"", "video")
-    assert not has_end(b"", "png")
+    assert has_end_marker(b"", "video")
+    assert not has_end_marker(b"", "png")
     with pytest.raises(RecordingError, match="neither a JPEG nor a PNG"):
-        require_whole(b"", "p")
+        require_complete_image(b"", "p")
 
 
 def test_every_byte_of_the_structure_counts() -> None:
     """Of a JPEG's markers and a PNG's chunks no byte can be lost or changed unnoticed."""
     for codec, data in PICTURES.items():
-        assert require_whole(data, "p") == (32, 24) == raster_size(data[:200] if codec == "png" else data, "p")
+        assert (
+            require_complete_image(data, "p")
+            == (32, 24)
+            == read_raster_size(data[:200] if codec == "png" else data, "p")
+        )
         for length in range(len(data)):
             with pytest.raises(RecordingError):
-                require_whole(data[:length], "p")
+                require_complete_image(data[:length], "p")
     data = PICTURES["png"]
     for position in range(len(data)):
         with pytest.raises(RecordingError):
-            require_whole(data[:position] + bytes([data[position] ^ 1]) + data[position + 1 :], "p")
+            require_complete_image(data[:position] + bytes([data[position] ^ 1]) + data[position + 1 :], "p")
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
@@ -73,7 +77,7 @@ def test_every_byte_of_the_structure_counts() -> None:
 def test_what_encoders_write_is_whole(suffix: str, options: list[int]) -> None:
     for pixels in (PIXELS, PIXELS[..., 0], np.zeros((70, 90, 3), np.uint8)):
         data = cv2.imencode(suffix, pixels, options if suffix == ".jpg" else [])[1].tobytes()
-        assert require_whole(data, "p") == pixels.shape[1::-1]
+        assert require_complete_image(data, "p") == pixels.shape[1::-1]
 
 
 @pytest.mark.parametrize("quality", [50, 95])
@@ -97,14 +101,14 @@ def test_pillow_writes_whole_images(quality: int) -> None:
     for made, options in written:
         sink = io.BytesIO()
         made.save(sink, **options)
-        assert require_whole(sink.getvalue(), "p") == (32, 24)
+        assert require_complete_image(sink.getvalue(), "p") == (32, 24)
 
 
 def test_foreign_bytes_in_the_image_data_show() -> None:
     data = cv2.imencode(".jpg", np.random.default_rng(1).integers(0, 255, (240, 320, 3), np.uint8))[1].tobytes()
     garbage = np.random.default_rng(2).bytes(4096)
     with pytest.raises(RecordingError, match="broken JPEG"):
-        require_whole(data[:9000] + garbage + data[9000 + 4096 :], "p")
+        require_complete_image(data[:9000] + garbage + data[9000 + 4096 :], "p")
 
 
 @pytest.mark.real_data
@@ -113,4 +117,4 @@ def test_photos_of_real_cameras_are_whole(real_data: Path) -> None:
     assert len(photos) > 40
     for file in photos:
         height, width = cv2.imread(str(file), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION).shape[:2]
-        assert require_whole(file.read_bytes(), file) == (width, height)
+        assert require_complete_image(file.read_bytes(), file) == (width, height)

@@ -40,7 +40,7 @@ def entry(name: str, value: str) -> EntryPoint:
 
 
 def test_the_built_in_readers_are_installed() -> None:
-    assert {"boreas", "comma2k19", "csv", "dgp", "folder"} <= set(registry.readers())
+    assert {"boreas", "comma2k19", "csv", "dgp", "folder"} <= set(registry.load_readers())
 
 
 def test_a_path_finds_its_reader(tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_another_package_adds_a_reader(monkeypatch: pytest.MonkeyPatch, tmp_path
 
 def test_a_reader_declared_twice_by_one_package_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, entry("folder", "mirror.recordings.folder:FolderReader"))
-    assert list(registry.readers()) == ["csv", "folder"]
+    assert list(registry.load_readers()) == ["csv", "folder"]
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_a_reader_declared_twice_by_one_package_counts_once(monkeypatch: pytest.
 def test_bad_entry_points_are_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str, problem: str) -> None:
     install(monkeypatch, entry(name, value))
     with pytest.raises(RecordingError, match=problem):
-        registry.readers()
+        registry.load_readers()
 
 
 def test_a_path_that_nobody_knows_lists_the_readers(tmp_path: Path) -> None:

@@ -15,14 +15,14 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.stamps import parse_stamps
-from mirror.recordings.tabular import Rows
+from mirror.recordings.tabular import RecordingRows
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def parse(*text: str, tz: str | None = "UTC", date_format: str | None = None) -> Int64:
     table = pa.table({"when": list(text)})
-    rows = Rows(table, (Path("drive.csv"),), (0,))
+    rows = RecordingRows(table, (Path("drive.csv"),), (0,))
     return parse_stamps(rows, "when", table.column("when"), tz=tz, date_format=date_format)
 
 
@@ -75,7 +75,7 @@ def test_a_date_that_no_order_reads_decides_nothing() -> None:
     for wrong in ("90/02/2032 00:00:00", "30/00/2001 00:00:00", "03/00/2000 00:00:00", "02/00/2090 00:00:00"):
         table = pa.table({"when": ["04/05/2021 00:00:00", wrong, "04/22/2021 00:00:00"]})
         faults = RowFaults(3)
-        rows = Rows(table, (Path("drive.csv"),), (0,), (), faults)
+        rows = RecordingRows(table, (Path("drive.csv"),), (0,), (), faults)
         stamps = parse_stamps(rows, "when", table.column("when"), tz="UTC", date_format=None)
         assert faults.good.tolist() == [True, False, True]
         assert stamps[[0, 2]].tolist() == parse("2021-04-05T00:00:00Z", "2021-04-22T00:00:00Z").tolist()

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.protocol import ImageStream
-from mirror.recordings.video import JPEG_QUALITY, VideoStream, stamps_ns, video_stamps
+from mirror.recordings.video import JPEG_QUALITY, VideoStream, read_video_stamps, to_unix_stamps
 
 GROUP, FRAMES = 10, 60
 
@@ -63,7 +63,7 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_any_frame_is_the_frame_of_sequential_decoding(tmp_path: Path, name: str, b_frames: int) -> None:
     file = write_video(tmp_path / f"front.{name}", b_frames=b_frames)
     reference = dict(decode_all(file))
-    pts, _ = video_stamps(file)
+    pts, _ = read_video_stamps(file)
     assert sorted(reference) == pts.tolist()
     stream = open_stream(file, pts)
     assert isinstance(stream, ImageStream)
@@ -76,14 +76,14 @@ def test_any_frame_is_the_frame_of_sequential_decoding(tmp_path: Path, name: str
 def test_open_groups_of_pictures_are_entered_early_enough(tmp_path: Path) -> None:
     file = write_video(tmp_path / "front.mp4", codec="libx265", b_frames=3)
     reference = dict(decode_all(file))
-    pts, _ = video_stamps(file)
+    pts, _ = read_video_stamps(file)
     stream = open_stream(file, pts)
     for index in range(FRAMES):
         assert list(stream.read([index])) == [(index, reference[int(pts[index])])]
 
 
 def test_only_the_wanted_groups_are_decoded(video: Path) -> None:
-    pts, _ = video_stamps(video)
+    pts, _ = read_video_stamps(video)
     stream = open_stream(video, pts)
     assert stream.path(3) is None
     list(stream.read([]))
@@ -102,13 +102,13 @@ def test_a_raw_stream_counts_its_frames(tmp_path: Path) -> None:
     assert dict(stream.read([12, 13, 47])) == {index: reference[index][1] for index in (12, 13, 47)}
     assert stream.decoded <= 2 * GROUP
     with pytest.raises(RecordingError, match="no time stamps"):
-        video_stamps(file)
+        read_video_stamps(file)
     with pytest.raises(RecordingError, match="no such frame"):
         list(open_stream(file, np.arange(FRAMES + 1)).read([FRAMES]))
 
 
 def test_a_truncated_video_names_file_and_stamp(video: Path, tmp_path: Path) -> None:
-    pts, _ = video_stamps(video)
+    pts, _ = read_video_stamps(video)
     data = video.read_bytes()
     for share in (0, 20, data.index(b"mdat") + 100, data.index(b"moov") + 100):
         cut = tmp_path / f"cut{share}.mp4"
@@ -121,7 +121,7 @@ def test_a_truncated_video_names_file_and_stamp(video: Path, tmp_path: Path) -> 
 
 def test_a_video_with_its_index_in_front_still_lacks_its_end(tmp_path: Path) -> None:
     file = write_video(tmp_path / "front.mkv")
-    pts, _ = video_stamps(file)
+    pts, _ = read_video_stamps(file)
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     stream = open_stream(file, pts)
     assert len(list(stream.read([0, 1]))) == 2
@@ -148,13 +148,13 @@ def test_no_video_at_all(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("no video")
     for file in (tmp_path / "text.mp4", tmp_path / "gone.mp4"):
         with pytest.raises(RecordingError, match="cannot be read"):
-            video_stamps(file)
+            read_video_stamps(file)
 
 
 @given(st.integers(1, 1_000_000), st.integers(1, 1_001), st.integers(0, 10**6))
 def test_stamps_are_exact_to_the_nanosecond(denominator: int, numerator: int, units: int) -> None:
     time_base = Fraction(numerator, denominator)
-    found = stamps_ns(np.array([7, 7 + units]), time_base, 10**18)
+    found = to_unix_stamps(np.array([7, 7 + units]), time_base, 10**18)
     assert abs(int(found[1]) - 10**18 - units * time_base * 10**9) <= Fraction(1, 2)
     assert found[0] == 10**18
 
@@ -166,7 +166,7 @@ def test_stamps_are_exact_to_the_nanosecond(denominator: int, numerator: int, un
 )
 def test_real_videos(real_data: Path, name: str, wanted: list[int], decoded: int) -> None:
     file = real_data / "video" / name
-    pts, _ = video_stamps(file)
+    pts, _ = read_video_stamps(file)
     stream = open_stream(file, pts)
     found = dict(stream.read(wanted))
     assert stream.decoded <= decoded

@@ -46,16 +46,16 @@ def test_every_own_word_is_known() -> None:
 @pytest.mark.usefixtures("plugins")
 def test_a_plugin_looks_at_pictures() -> None:
     assert weather.weather_plugins() == ["darkness"]
-    assert weather.weather_from_pictures("darkness", [np.zeros((2, 2, 3), np.uint8)]) == "rain"
+    assert weather.classify_weather("darkness", [np.zeros((2, 2, 3), np.uint8)]) == "rain"
 
 
 @pytest.mark.usefixtures("plugins")
 def test_an_answer_outside_the_words_is_refused() -> None:
     with pytest.raises(UsageError, match="answered 'bright'"):
-        weather.weather_from_pictures("darkness", [np.full((2, 2, 3), 255, np.uint8)])
+        weather.classify_weather("darkness", [np.full((2, 2, 3), 255, np.uint8)])
 
 
 @pytest.mark.usefixtures("plugins")
 def test_an_unknown_plugin_lists_those_there_are() -> None:
     with pytest.raises(UsageError, match="expected one of darkness"):
-        weather.weather_from_pictures("clairvoyance", [])
+        weather.classify_weather("clairvoyance", [])

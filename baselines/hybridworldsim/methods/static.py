@@ -41,7 +41,7 @@ from mirror.protocols.document import Group
 from mirror.protocols.views import Plan, plan_views
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_json
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.folders import FolderKind, require_output_folder
 
 _PREVIEWS: Final = 2
 
@@ -307,7 +307,7 @@ def _chosen(names: Sequence[str], asked: frozenset[str]) -> frozenset[str]:
 
 def _require_own(out: Path, document: Reconstruction) -> None:
     """See that a folder is a new one, or of the same task."""
-    if require_own_folder(out, Kind.MODEL) is None:
+    if require_output_folder(out, FolderKind.MODEL) is None:
         return
     before = read_reconstruction(out)
     if before.model_copy(update={"done": None}) != document:

@@ -15,7 +15,7 @@ from mirror.errors import DatasetError
 from mirror.html import style_sheet
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
 from mirror_leaderboard.boards import Board, boards_of
 from mirror_leaderboard.entry import PICTURES, Entry, Measured, identity, load_entries
@@ -51,7 +51,7 @@ def build_site(entries: Sequence[Entry], pictures: Sequence[Path], out: Path) ->
         UsageError: the folder is something else.
         DatasetError: a picture is missing, or the folder cannot be written.
     """
-    require_own_folder(out, Kind.SITE)
+    require_output_folder(out, FolderKind.SITE)
     write_bytes(out / _MARK, b"`mirror leaderboard build` writes this folder.\n")
     boards = boards_of(entries)
     _copy_pictures(picture_files(boards), pictures, out / PICTURES)

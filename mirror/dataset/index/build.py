@@ -26,7 +26,7 @@ from mirror.dataset.layout import MANIFEST, Layout, read_manifest
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DatasetDocument, FileEntry, Manifest
-from mirror.schema.files import read_json, read_table, sha256_bytes, unwritable, write_bytes, write_json
+from mirror.schema.files import read_json, read_table, sha256_bytes, unwritable_error, write_bytes, write_json
 from mirror.schema.tables import INDEX_BY_SCENE, ROW_GROUPS, TRAVERSALS
 
 Progress = Callable[[int, int], None]
@@ -189,7 +189,7 @@ def _publish(layout: Layout, name: str, file: Path, entries: dict[str, FileEntry
         file.rename(layout.index / name)
     except OSError as error:
         file.unlink(missing_ok=True)
-        raise unwritable(layout.index / name, error) from error
+        raise unwritable_error(layout.index / name, error) from error
 
 
 def _scene_of(name: str) -> str | None:

@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 
 from mirror.arrays import UInt8
-from mirror.recordings.raster import has_end
+from mirror.recordings.raster import has_end_marker
 
 
 def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
     """Pixels (H, W, 3) of a JPEG or PNG as stored, whatever its EXIF orientation says; None: broken or cut short."""
-    if not data or not has_end(data, codec):
+    if not data or not has_end_marker(data, codec):
         return None
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

@@ -14,8 +14,8 @@ from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
-from mirror.schema.begun import begin_folder, finish_folder
 from mirror.schema.files import write_bytes, write_json
+from mirror.schema.render_folder import finish_render_folder, start_render_folder
 
 VIEWS: Final = "views.json"
 README: Final = "README.md"
@@ -75,7 +75,7 @@ def write_template(
         UsageError: the folder holds something else than a template of the same that was interrupted.
         DatasetError: a mask is missing, or the folder cannot be written.
     """
-    begin_folder(out, ("template", plan.hash, str(blind)), last=MANIFEST)
+    start_render_folder(out, ("template", plan.hash, str(blind)), last=MANIFEST)
     expected = expected_files(plan)
     rows = []
     for view in plan.views:
@@ -90,7 +90,7 @@ def write_template(
     appearance = {"policy": "", "description": "", "held_out_pixels": []}
     manifest = {"format": "mirror-submission", "version": "1.0", **_answered(plan)}
     write_json(out / MANIFEST, {**manifest, "method": blank, "appearance": appearance, "runtime": None, "notes": ""})
-    finish_folder(out)
+    finish_render_folder(out)
     return len(expected)
 
 

@@ -18,8 +18,8 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.png import encode_png
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
-from mirror.schema.begun import BEGUN, begin_folder, finish_folder
 from mirror.schema.files import write_bytes
+from mirror.schema.render_folder import UNFINISHED_MARK, finish_render_folder, start_render_folder
 
 Render: TypeAlias = tuple[Sequence[RenderView], UInt8]
 """A picture (H, W, 3), RGB, and the views that it is the render of."""
@@ -66,7 +66,7 @@ def write_submission(
     expected = expected_files(plan)
     if not expected or None in expected.values():
         raise UsageError(f"protocol {plan.protocol.name} asks for no renders", expected="a protocol that does")
-    begin_folder(out, None if of is None else (plan.hash, repr(method), repr(appearance), of), last=MANIFEST)
+    start_render_folder(out, None if of is None else (plan.hash, repr(method), repr(appearance), of), last=MANIFEST)
     progress = progress or NullProgress()
     progress.start("rendering", len(plan.views))
     missing = tuple(view for view in plan.views if not (out / view.path).is_file())
@@ -91,7 +91,7 @@ def write_submission(
     if timed:
         runtime = runtime.model_copy(update={"frames_per_second": timed / max(taken, 1e-9)})
     write_manifest(out, manifest_for(plan, method, appearance, runtime))
-    finish_folder(out)
+    finish_render_folder(out)
     return len(expected)
 
 
@@ -101,8 +101,8 @@ def _nothing_left_behind(renders: Iterable[Render], out: Path) -> Iterator[Rende
     try:
         first = next(coming, None)
     except MirrorError:
-        if out.is_dir() and [path.name for path in out.iterdir()] == [BEGUN]:
-            finish_folder(out)
+        if out.is_dir() and [path.name for path in out.iterdir()] == [UNFINISHED_MARK]:
+            finish_render_folder(out)
             out.rmdir()
         raise
     if first is not None:

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import Document
-from mirror.schema.files import TEMPORARY, read_json, unwritable, write_json
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.files import TEMPORARY, read_json, unwritable_error, write_json
+from mirror.schema.folders import FolderKind, require_output_folder
 
 SYNTH: Final = "synth.json"
 
@@ -87,7 +87,7 @@ def journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
         UsageError: the folder holds other files, or recordings of other arguments.
         DatasetError: another run is writing to the folder, or the folder cannot be written.
     """
-    there = require_own_folder(out, Kind.RECORDINGS)
+    there = require_output_folder(out, FolderKind.RECORDINGS)
     if there is not None and not (out / SYNTH).is_file():
         raise UsageError(
             "it holds recordings that `mirror synth` did not write: nothing was written",
@@ -99,7 +99,7 @@ def journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise unwritable(out / SYNTH, error) from error
+        raise unwritable_error(out / SYNTH, error) from error
     with _lock(out):
         document = read_json(out / SYNTH, SynthDocument) if (out / SYNTH).is_file() else None
         if document is not None and document.arguments != arguments:

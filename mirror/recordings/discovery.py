@@ -8,11 +8,11 @@ from pathlib import Path
 
 from mirror.errors import RecordingError
 from mirror.recordings.boundary import reader_errors
-from mirror.recordings.registry import readers
+from mirror.recordings.registry import load_readers
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundRecordings:
     """What was found at some paths.
 
     Attributes:
@@ -24,7 +24,7 @@ class Found:
     passed_over: tuple[Path, ...]
 
 
-def find_recordings(paths: Sequence[Path], reader: str | None = None) -> Found:
+def find_recordings(paths: Sequence[Path], reader: str | None = None) -> FoundRecordings:
     """Replace every folder of recordings by the recordings that lie directly in it.
 
     A path that a reader recognises is a recording, whatever lies in it; so is one in which there is no recording, for
@@ -46,7 +46,7 @@ def find_recordings(paths: Sequence[Path], reader: str | None = None) -> Found:
             continue
         recordings.update(dict.fromkeys(one for one, yes in own.items() if yes))
         passed_over.update(dict.fromkeys(one for one, yes in own.items() if not yes))
-    return Found(tuple(recordings), tuple(passed_over))
+    return FoundRecordings(tuple(recordings), tuple(passed_over))
 
 
 def _is_recording(path: Path, reader: str | None) -> bool:
@@ -54,7 +54,7 @@ def _is_recording(path: Path, reader: str | None) -> bool:
         return False
     try:
         with reader_errors(path):
-            return any(candidate.recognises(path) for candidate in readers(reader).values())
+            return any(candidate.recognises(path) for candidate in load_readers(reader).values())
     except RecordingError:
         # Opening it names the fault.
         return True

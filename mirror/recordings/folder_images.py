@@ -13,10 +13,10 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.folder_document import FolderCamera
 from mirror.recordings.opening import find_file
-from mirror.recordings.paths import is_elsewhere, list_folder, list_names
+from mirror.recordings.paths import is_remote_uri, list_file_names, list_folder
 from mirror.recordings.protocol import FileStream, ImageStream, ReferencedStream
-from mirror.recordings.tabular import Rows, read_rows
-from mirror.recordings.video import VideoStream, stamps_ns, video_stamps
+from mirror.recordings.tabular import RecordingRows, read_rows
+from mirror.recordings.video import VideoStream, read_video_stamps, to_unix_stamps
 
 _CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi", ".h264", ".hevc", ".h265")
@@ -25,7 +25,7 @@ _SIZES: Final = ("byte_length", "width_px", "height_px")
 _LARGEST: Final = 2**31 - 1
 
 
-def picture_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
+def image_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
     """The pictures of one camera in the order of their exposures.
 
     Args:
@@ -57,7 +57,7 @@ def picture_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
 
 
 def _files(root: Path, camera: str, folder: Path, table: Path | None) -> FileStream:
-    pictures = list_names(root, folder)
+    pictures = list_file_names(root, folder)
     if not pictures:
         raise RecordingError(f"camera {camera} has no pictures", file=folder, expected="<timestamp_ns>.jpg or .png")
     if table is not None:
@@ -76,7 +76,7 @@ def _referenced(camera: str, table: Path) -> ReferencedStream:
     texts = dict.fromkeys(("uri", *_EXPOSURES), pa.string())
     rows = read_rows([table], types={**texts, **dict.fromkeys(_SIZES, pa.int64())}, columns=columns)
     uris = rows.column("uri").to_pylist()
-    wrong = np.array([uri is None or not is_elsewhere(uri) for uri in uris])
+    wrong = np.array([uri is None or not is_remote_uri(uri) for uri in uris])
     rows.refuse(
         wrong,
         "uri",
@@ -164,7 +164,7 @@ def _listed(table: Path, pictures: set[str]) -> tuple[Int64, Int64, list[str]]:
     return start, end, names
 
 
-def _exposures(rows: Rows) -> tuple[Int64, Int64]:
+def _exposures(rows: RecordingRows) -> tuple[Int64, Int64]:
     start, end = (rows.stamps(name, "unix_ns") for name in _EXPOSURES)
     rows.refuse(
         end < start,
@@ -191,6 +191,6 @@ def _video(root: Path, camera: str, entry: FolderCamera, video: Path) -> VideoSt
             file=video,
             expected=f"videos/{camera}.csv with pts,{','.join(_EXPOSURES)}, or video_start_ns in recording.json",
         )
-    pts, time_base = video_stamps(video)
-    stamps = stamps_ns(pts, time_base, entry.video_start_ns)
+    pts, time_base = read_video_stamps(video)
+    stamps = to_unix_stamps(pts, time_base, entry.video_start_ns)
     return VideoStream(camera, stamps, stamps, video, pts)

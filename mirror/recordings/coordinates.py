@@ -26,7 +26,7 @@ from mirror.geometry.quaternions import (
     rotate,
 )
 from mirror.recordings.protocol import Track
-from mirror.recordings.tabular import Rows
+from mirror.recordings.tabular import RecordingRows
 
 # flu_SE3_frd and flu_SE3_camera: bodies whose axes are forward-right-down, or a camera's right-down-forward.
 FLU_FROM_FRD = np.array([0.0, 1.0, 0.0, 0.0])
@@ -36,13 +36,13 @@ FLU_FROM_CAMERA = np.array([0.5, -0.5, 0.5, -0.5])
 UNIT_TOLERANCE = 1e-2
 
 
-def no_rotations(quaternion: Float64) -> Bool:
+def is_invalid_rotation(quaternion: Float64) -> Bool:
     """Which (N,) of (N, 4) quaternions are NaN, zero, or off unit length by over `UNIT_TOLERANCE`."""
     squared = np.einsum("ij,ij->i", quaternion, quaternion)
     return ~((squared >= (1.0 - UNIT_TOLERANCE) ** 2) & (squared <= (1.0 + UNIT_TOLERANCE) ** 2))
 
 
-def checked_quaternions(quaternion: Float64, rows: Rows, column: str) -> Float64:
+def normalise_rotations(quaternion: Float64, rows: RecordingRows, column: str) -> Float64:
     """Unit quaternions of a table, canonical; the identity in rows that are marked as bad.
 
     Args:
@@ -53,7 +53,7 @@ def checked_quaternions(quaternion: Float64, rows: Rows, column: str) -> Float64
     Raises:
         RecordingError: one is NaN, zero, or off unit length by over 1 %, and bad rows are not marked; its row is named.
     """
-    bad = no_rotations(quaternion)
+    bad = is_invalid_rotation(quaternion)
     rows.refuse(
         bad,
         column,
@@ -131,7 +131,7 @@ def track_from_ecef(
     )
 
 
-def ego_track(body: Track, ego_SE3_body: Poses) -> Track:
+def to_ego_track(body: Track, ego_SE3_body: Poses) -> Track:
     """The ego's track of a body's, whose place in the ego frame is known.
 
     Args:

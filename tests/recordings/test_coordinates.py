@@ -14,16 +14,16 @@ from mirror.errors import RecordingError
 from mirror.geometry.geodesy import ecef_R_enu, geodetic_to_ecef, geodetic_to_utm
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import heading_deg, quaternion_from_heading_pitch_roll, quaternion_from_matrix, rotate
-from mirror.recordings.placing import (
+from mirror.recordings.coordinates import (
     FLU_FROM_CAMERA,
     FLU_FROM_FRD,
-    checked_quaternions,
-    ego_track,
+    normalise_rotations,
+    to_ego_track,
     track_from_ecef,
     track_from_utm,
 )
 from mirror.recordings.protocol import Track
-from mirror.recordings.tabular import Rows, read_rows
+from mirror.recordings.tabular import RecordingRows, read_rows
 
 STAMP = np.array([0], np.int64)
 
@@ -82,7 +82,7 @@ def test_a_roof_antenna_is_brought_to_the_rear_axle(height: np.ndarray | None) -
     """2 m ahead and 1.5 m above the axle, heading east: the axle is 2 m west of it."""
     heading = quaternion_from_heading_pitch_roll(np.array([90.0]))
     body = Track(STAMP, np.array([13.4]), np.array([52.5]), height_m=height, rotation=heading)
-    ego = ego_track(body, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[2.0, 0.0, 1.5]])))
+    ego = to_ego_track(body, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[2.0, 0.0, 1.5]])))
     assert ego.longitude_deg is not None and ego.latitude_deg is not None
     azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(13.4, 52.5, ego.longitude_deg[0], ego.latitude_deg[0])
     assert abs(distance - 2.0) < 1e-3
@@ -99,7 +99,7 @@ def test_an_offset_in_a_local_frame_is_a_product_of_poses() -> None:
     body = world_SE3_ego @ ego_SE3_body
     x, y, z = body.translation.T
     track = Track(np.arange(20), x_m=x, y_m=y, height_m=z, rotation=body.rotation)
-    found = ego_track(track, ego_SE3_body)
+    found = to_ego_track(track, ego_SE3_body)
     np.testing.assert_allclose(
         np.stack([found.x_m, found.y_m, found.height_m], 1), world_SE3_ego.translation, atol=1e-8
     )
@@ -109,22 +109,22 @@ def test_an_offset_in_a_local_frame_is_a_product_of_poses() -> None:
 def test_an_offset_needs_an_orientation() -> None:
     body = Track(STAMP, np.array([13.4]), np.array([52.5]))
     identity = np.array([[1.0, 0, 0, 0]])
-    assert ego_track(body, Poses(identity, np.zeros((1, 3)))) is body
+    assert to_ego_track(body, Poses(identity, np.zeros((1, 3)))) is body
     with pytest.raises(RecordingError, match="no orientation"):
-        ego_track(body, Poses(identity, np.ones((1, 3))))
+        to_ego_track(body, Poses(identity, np.ones((1, 3))))
 
 
 @pytest.mark.parametrize("bad", ["0,0,0,0", "nan,0,0,0", ",0,0,0", "0.5,0,0,0", "1e300,0,0,0"])
 def test_what_is_no_rotation_is_named_by_its_line(tmp_path: Path, bad: str) -> None:
-    def quaternions(text: str) -> tuple[Rows, np.ndarray]:
+    def quaternions(text: str) -> tuple[RecordingRows, np.ndarray]:
         (tmp_path / "poses.csv").write_text(f"qw,qx,qy,qz\n{text}")
         rows = read_rows([tmp_path / "poses.csv"], types={})
         return rows, np.stack([rows.floats(name) for name in ("qw", "qx", "qy", "qz")], axis=1)
 
     rows, good = quaternions("1,0,0,0\n0.7071068,0.7071068,0,0\n-1,0,0,0\n")
-    np.testing.assert_allclose(np.linalg.norm(checked_quaternions(good, rows, "qw"), axis=1), 1.0, atol=1e-15)
-    assert (checked_quaternions(good, rows, "qw")[:, 0] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(normalise_rotations(good, rows, "qw"), axis=1), 1.0, atol=1e-15)
+    assert (normalise_rotations(good, rows, "qw")[:, 0] >= 0).all()
     rows, wrong = quaternions(f"1,0,0,0\n{bad}\n")
     with pytest.raises(RecordingError, match="no rotation") as caught:
-        checked_quaternions(wrong, rows, "qw")
+        normalise_rotations(wrong, rows, "qw")
     assert caught.value.place == "line 3, column qw"

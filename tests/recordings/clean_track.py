@@ -7,7 +7,7 @@ from mirror.recordings.protocol import Recording, Track
 from mirror.schema.documents import CleaningOptions, TriggerOptions
 
 
-def usable_track(recording: Recording) -> Track:
+def clean_track(recording: Recording) -> Track:
     """The track without bad rows, of which there are few."""
     info = recording.info
     return clean_usable(recording.track(), CleaningOptions(), TriggerOptions(), is_clip=info.is_clip)[0]

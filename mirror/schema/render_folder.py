@@ -10,13 +10,13 @@ from typing import Final
 
 from mirror.errors import UsageError
 from mirror.schema.files import write_bytes
-from mirror.schema.folders import Kind, require_own_folder
+from mirror.schema.folders import FolderKind, require_output_folder
 
-BEGUN: Final = ".rendering"
+UNFINISHED_MARK: Final = ".rendering"
 """In a folder whose files are not all there yet: a hash of what they are of."""
 
 
-def begin_folder(out: Path, of: Sequence[str] | None, *, last: str | None = None) -> None:
+def start_render_folder(out: Path, of: Sequence[str] | None, *, last: str | None = None) -> None:
     """See that a folder is new or empty, or that the same work was interrupted in it.
 
     Args:
@@ -29,8 +29,8 @@ def begin_folder(out: Path, of: Sequence[str] | None, *, last: str | None = None
         DatasetError: it cannot be written.
     """
     mark = hashlib.sha256(json.dumps(of).encode()).hexdigest()
-    begun = out / BEGUN
-    if require_own_folder(out, Kind.SUBMISSION) is None:
+    begun = out / UNFINISHED_MARK
+    if require_output_folder(out, FolderKind.SUBMISSION) is None:
         if of is not None:
             write_bytes(begun, mark.encode())
         return
@@ -46,6 +46,6 @@ def begin_folder(out: Path, of: Sequence[str] | None, *, last: str | None = None
         )
 
 
-def finish_folder(out: Path) -> None:
+def finish_render_folder(out: Path) -> None:
     """Note that all files of a folder are there."""
-    (out / BEGUN).unlink(missing_ok=True)
+    (out / UNFINISHED_MARK).unlink(missing_ok=True)

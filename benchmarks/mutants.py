@@ -191,7 +191,7 @@ class _Run:
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir()
         environment = os.environ | {
-            "PYTHONPATH": f"{tree}:{tree}/baselines",
+            "PYTHONPATH": f"{tree}:{tree}/baselines:{tree}/leaderboard",
             "MIRROR_MUTANTS": str(file),
             "MIRROR_REAL_DATA": str(tree / "real_data"),
             "TMPDIR": str(temporary),

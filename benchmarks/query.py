@@ -1,7 +1,7 @@
 """Opening, querying and decoding: time, exactness and memory, against reading everything with pandas.
 
 ``python -m benchmarks query [--rows N ...] [--keep FOLDER]`` generates an index (10 scenes, 7 cameras, 400 frames a
-traversal; no pictures), and one traversal of real JPEGs. Rows: ``name, size, ms, error, peer``; the error of a query is
+traversal; no images), and one traversal of real JPEGs. Rows: ``name, size, ms, error, peer``; the error of a query is
 the number of rows that differ from brute force over all rows with PROJ's exact geodesic.
 
 The peers: pandas reading the same Parquet files and filtering; for py123d 0.7.0 the figures that were measured on a
@@ -67,7 +67,7 @@ def centre(scene: int) -> tuple[float, float]:
 
 
 def generate(root: Path, rows: int) -> Path:
-    """A dataset of about as many image rows, without pictures, and its index."""
+    """A dataset of about as many image rows, without images, and its index."""
     builder = Builder(root, cameras=SEVEN, size=CAMERA_SIZE)
     for scene in range(SCENES):
         builder.scene(f"s{scene}", *centre(scene))
@@ -87,7 +87,7 @@ def generate(root: Path, rows: int) -> Path:
 
 
 def street(seed: int) -> UInt8:
-    """A picture with smooth parts, edges and noise, that compresses as a photograph does."""
+    """An image with smooth parts, edges and noise, that compresses as a photograph does."""
     import cv2
 
     rng = np.random.default_rng(seed)

@@ -1,6 +1,6 @@
-"""Pictures of the synthetic street: time on one core against the error to 64 rays a pixel.
+"""Images of the synthetic street: time on one core against the error to 64 rays a pixel.
 
-``python -m benchmarks synth [--views N]``. The error of a picture is the root mean square difference, in 8-bit steps,
+``python -m benchmarks synth [--views N]``. The error of an image is the root mean square difference, in 8-bit steps,
 to the mean of 64 rays a pixel, each with its own shading and textures averaged over an eighth of the pixel, developed
 alike and without noise: 2.55 steps are 40 dB. Times are medians over views along the main street, warm; what compiling
 costs is a row of its own. Other numbers of rays a pixel stand beside the renderer's own as peers, and the figures of
@@ -55,7 +55,7 @@ import benchmarks.synth as bench
 imported = time.perf_counter()
 shot = next(bench.shots(bench.city(), "day", "clear", 1, 960))
 world = time.perf_counter()
-bench.picture(shot)
+bench.image(shot)
 print(imported - start, world - imported, time.perf_counter() - world)
 """
 
@@ -134,12 +134,12 @@ def light_of(shot: Shot, offsets: Float32, footprint_px: float) -> Float32:
 
 
 def developed(shot: Shot, light: Float32) -> UInt8:
-    """A picture of radiance, as the renderer develops it."""
+    """An image of radiance, as the renderer develops it."""
     return develop(light, shot.scene.light.record, CameraResponse(), shot.scene.condition.effects, 0)
 
 
 def reference(shot: Shot) -> UInt8:
-    """The picture of 64 rays a pixel."""
+    """The image of 64 rays a pixel."""
     total = np.zeros((*shot.lens.rays.shape[:2], 3))
     for row in range(FINE):
         for column in range(FINE):
@@ -191,7 +191,7 @@ def pictures(world: World, views: int) -> Iterator[Row]:
 
 
 def truths(world: World, views: int) -> Iterator[Row]:
-    """What depth, normals, classes and instances cost beside a picture."""
+    """What depth, normals, classes and instances cost beside an image."""
     alone, beside = [], []
     for shot in shots(world, "day", "clear", views, 960):
         view = shot.scene.render(shot.instant, shot.lens, shot.pose).view
@@ -207,7 +207,7 @@ def truths(world: World, views: int) -> Iterator[Row]:
         beside.append(_median_ms(truth) - _median_ms(seen))
         counts = view.counts
     share = 100.0 * float(np.median(beside)) / float(np.median(alone))
-    yield Row("truth beside a picture, % of its time", "960x540", share, bar=30.0)
+    yield Row("truth beside an image, % of its time", "960x540", share, bar=30.0)
     yield Row(
         "pairs of tile and surface tried, % of all", f"{counts['surfaces']} surfaces",
         100.0 * counts["tried"] / (counts["tiles"] * counts["surfaces"]),
@@ -231,7 +231,7 @@ def preparations(world: World) -> Iterator[Row]:
     scene = Scene(world, condition, world.parked, Model.empty())
     yield Row("an instant", f"{len(scene.road_users)} users", _median_ms(lambda: scene.around(1.0, np.zeros(3))))
     with tempfile.TemporaryDirectory() as cache:
-        for name in ("first picture, compiling", "first picture, compiled before"):
+        for name in ("first image, compiling", "first image, compiled before"):
             took = _child(cache)
             yield Row(name, "960x540", 1e3 * took[2])
 
@@ -246,7 +246,7 @@ def _within(world: World, radius: float) -> int:
 
 
 def _child(cache: str) -> list[float]:
-    """Seconds for imports, world and first picture in a process of its own."""
+    """Seconds for imports, world and first image in a process of its own."""
     done = subprocess.run(
         [sys.executable, "-c", _CHILD], capture_output=True, text=True, check=True,
         env=dict(os.environ, NUMBA_CACHE_DIR=cache),

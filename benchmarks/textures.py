@@ -1,8 +1,8 @@
 """Means of textures over pixels: time and error, against means of 64 samples; and how long the atlas takes.
 
-``python -m benchmarks textures`` reads grains and pictures over pixels of 0.7 to 12 texels' width, turned at random, up
+``python -m benchmarks textures`` reads grains and images over pixels of 0.7 to 12 texels' width, turned at random, up
 to eight times as long as wide. The error is the root mean square against 40 x 40 bilinear samples in float64, of 1:
-what it does to a picture is that times the reflectance (asphalt 0.1, grass 0.15, brick 0.3).
+what it does to an image is that times the reflectance (asphalt 0.1, grass 0.15, brick 0.3).
 Rows: ``name, size, ms, error, peer``; ms are for a million pixels, so that the same number is nanoseconds a pixel.
 The peer takes 8 x 8 bilinear samples of the finest level.
 """
@@ -128,7 +128,7 @@ def _built() -> Iterator[Row]:
     full = building.build_atlas()
     ms = (time.perf_counter() - start) * 1e3
     size = (full.grains.nbytes + full.images.nbytes) / 2**20
-    yield Row("atlas drawn", f"{len(full.image_index)} pictures, {len(Grain)} grains, {size:.0f} MB", ms)
+    yield Row("atlas drawn", f"{len(full.image_index)} images, {len(Grain)} grains, {size:.0f} MB", ms)
 
 
 def main(argv: Sequence[str]) -> int:

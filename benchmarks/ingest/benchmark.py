@@ -7,7 +7,7 @@
   where the radial speed is at least 1 m/s, against bisection; passes that differ from the plain reference of the tests.
   The peer, numpy over all poses and ROIs on a sphere, neither cleans nor interpolates.
 - copy: a generated recording of seven cameras, against ``cp -r`` of the same bytes, in turns, each from a quiet disk;
-  the error is the number of pictures whose bytes differ.
+  the error is the number of images whose bytes differ.
 - memory: the peak of an ingest and its index in a process of its own, of drives of an hour at 10 Hz; for "error" stands
   how many MB more it is than of a tenth of the drives, at most 50. With few or all poses of a drive inside the ROI.
 - startup: fresh processes.
@@ -217,7 +217,7 @@ def copy_rows(megabytes: int, folder: Path | None) -> Iterator[Row]:
         def ours(write: WriteOptions) -> None:
             result = ingest_recordings([source], [roi], out, IngestOptions(write=write))
             if result.failures or result.images != len(pictures):
-                raise RuntimeError(f"{result.images} of {len(pictures)} pictures; {result.failures}")
+                raise RuntimeError(f"{result.images} of {len(pictures)} images; {result.failures}")
 
         def differing() -> int:
             there = {path.name + path.parent.name: path for path in out.glob("traversals/*/recorded/*/*.jpg")}
@@ -317,7 +317,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("sections", nargs="*", choices=[[], *SECTIONS], help="default: all")
     parser.add_argument("--poses", type=int, default=10_000_000)
     parser.add_argument("--rois", type=int, default=100)
-    parser.add_argument("--megabytes", type=int, default=1500, help="of generated pictures")
+    parser.add_argument("--megabytes", type=int, default=1500, help="of generated images")
     parser.add_argument("--drives", type=int, default=100, help="whose peak memory is measured")
     parser.add_argument("--folder", type=Path, help="where the recording is generated; default: the temporary folder")
     options = parser.parse_args(argv)

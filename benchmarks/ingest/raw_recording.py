@@ -21,11 +21,11 @@ _END = b"\xff\xd9"
 
 
 def raw_recording(folder: Path, megabytes: int, seed: int = 0) -> Roi:
-    """Write a recording whose every picture lies within one accepted pass.
+    """Write a recording whose every image lies within one accepted pass.
 
     Args:
         folder: made here.
-        megabytes: of all pictures; 150 to 300 kB each, less where they would be too few for a pass.
+        megabytes: of all images; 150 to 300 kB each, less where they would be too few for a pass.
         seed: of sizes and bytes.
 
     Returns:

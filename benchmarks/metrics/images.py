@@ -2,7 +2,7 @@
 
 Times are the least of the main thread's own, so that other work on the machine does not count. Errors: of PSNR in dB
 to integers or to numpy's float64 least squares; of SSIM the largest of the map, to long double. All start from the same
-uint8 pictures.
+uint8 images.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 ``python -m benchmarks mvs [--dataset D --recordings R --split S --preset P]``. Without a dataset a street is made,
 ingested and split first. Layers that a dataset already has are measured as they are. Truth needs recordings that were
-made with ``--truth depth,semantic``. Times are of the processor, over all its cores, a picture.
+made with ``--truth depth,semantic``. Times are of the processor, over all its cores, an image.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from mirror.synth.truth import Truth
 _EDGES_M: Final = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0)
 _FROM_LINE_M: Final = (0.0, 1.0, 3.0, 6.0, 12.0, 30.0)
 _SIZES: Final = ((240, 135, 64), (240, 135, 128), (480, 270, 128))
-# 400 pictures in two minutes on two cores.
+# 400 images in two minutes on two cores.
 _MS_64: Final = 600.0
 _EVERY: Final = 3
 
@@ -116,7 +116,7 @@ def _noise(width: int, height: int, x_m: float) -> StereoImage:
 
 
 class _Measured:
-    """Every third picture of the training traversals against its truth."""
+    """Every third image of the training traversals against its truth."""
 
     def __init__(self, dataset: Dataset, recordings: Path, layer: str) -> None:
         self._dataset, self._recordings, self._layer = dataset, recordings, layer

@@ -13,7 +13,7 @@ from mirror.synth.truth import Truth
 
 @dataclass(frozen=True, eq=False)
 class TruePicture:
-    """The truth of a picture in an undistorted raster.
+    """The truth of an image in an undistorted raster.
 
     Attributes:
         depth_m: (H, W) camera z; infinite in the sky, NaN where the lens sees nothing.
@@ -25,7 +25,7 @@ class TruePicture:
 
 
 def true_picture(truth: Truth, camera: str, timestamp_ns: int, recorded: Camera, lens: Camera) -> TruePicture:
-    """The truth of one picture, looked up where each pixel's centre looks.
+    """The truth of one image, looked up where each pixel's centre looks.
 
     Args:
         truth: of its recording, with depth and semantic.

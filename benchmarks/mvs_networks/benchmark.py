@@ -1,7 +1,7 @@
-"""Depth by PatchmatchNet and by plane sweeps: error by distance and time, on the synthetic street and real pictures.
+"""Depth by PatchmatchNet and by plane sweeps: error by distance and time, on the synthetic street and real images.
 
-``python -m benchmarks mvs_networks --weights FILE``. Times are of the processor, over all its cores, a picture. Real
-pictures are taken from ``MIRROR_REAL_DATA``.
+``python -m benchmarks mvs_networks --weights FILE``. Times are of the processor, over all its cores, an image. Real
+images are taken from ``MIRROR_REAL_DATA``.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _rows(
             error, text = figures[ours]
             yield Row(
                 f"{low:g}-{high:g} m{', confident' if sure else ''}",
-                f"{len(taken)} pictures, {text}",
+                f"{len(taken)} images, {text}",
                 milliseconds[ours],
                 error,
                 tuple(Peer(f"{name} ({figures[name][1]})", milliseconds[name], figures[name][0]) for name in others),

@@ -1,4 +1,4 @@
-"""Posed pictures with known depth: of the synthetic street, exactly, and real ones with LiDAR."""
+"""Posed images with known depth: of the synthetic street, exactly, and real ones with LiDAR."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _HIDDEN_SHARE: Final = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A picture, its neighbours, and its depth.
+    """An image, its neighbours, and its depth.
 
     Attributes:
         name: what is seen.
-        reference: the picture.
+        reference: the image.
         sources: its neighbours, best first.
         depth_m: (H, W) true depth along z, NaN where it is not known or infinite.
     """
@@ -45,7 +45,7 @@ class Case:
 
 
 def street_cases(width_px: int, height_px: int, count: int = 3) -> Iterator[Case]:
-    """Pictures along a drive through the synthetic street, ahead and to the left; sources 1 and 2 m before and behind.
+    """Images along a drive through the synthetic street, ahead and to the left; sources 1 and 2 m before and behind.
 
     Args:
         width_px: of a pinhole that sees 80 degrees.
@@ -76,11 +76,11 @@ def street_cases(width_px: int, height_px: int, count: int = 3) -> Iterator[Case
 
 
 def dgp_cases(folder: Path, width_px: int) -> Iterator[Case]:
-    """The middle pictures of six real cameras, the ones before and after as sources, LiDAR as truth.
+    """The middle images of six real cameras, the ones before and after as sources, LiDAR as truth.
 
     Args:
         folder: of the recording.
-        width_px: to which pictures are scaled.
+        width_px: to which images are scaled.
     """
     recording = DgpReader().open(folder, {})
     lenses = {row["camera"]: camera_from_row(row) for row in recording.calibrations().to_pylist()}

@@ -1,1 +1,1 @@
-"""Rasterizing Gaussians on the CPU: time against error, for pictures and their gradients."""
+"""Rasterizing Gaussians on the CPU: time against error, for images and their gradients."""

@@ -1,4 +1,4 @@
-"""Rasterizing Gaussians on the CPU: time against error, for pictures and their gradients.
+"""Rasterizing Gaussians on the CPU: time against error, for images and their gradients.
 
 ``python -m benchmarks rasterizer [--quick] [--only GROUP ...] [--repeats N]``. Scenes are seeded and hashed
 (`benchmarks/rasterizer/scenes.py`): random and needle-shaped Gaussians in the view, a street block of 100 m, and the
@@ -52,7 +52,7 @@ _REAL_DATA: Final = Path(__file__).parents[3] / "shared" / "data"
 def main(argv: list[str]) -> int:
     """Run the groups that are asked for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks rasterizer", description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="100 k and 300 k Gaussians, small pictures for errors")
+    parser.add_argument("--quick", action="store_true", help="100 k and 300 k Gaussians, small images for errors")
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="what to measure")
     parser.add_argument("--repeats", type=int, default=7, help="timed calls of which the median counts")
     parser.add_argument("--threads", type=int, default=2, help="of all rows but those that name another number")
@@ -65,7 +65,7 @@ def main(argv: list[str]) -> int:
 
 
 def forward_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """A picture, nothing kept for gradients."""
+    """An image, nothing kept for gradients."""
     for name, count, width, height in timed_views(quick):
         view = View(_scene(name, count), width, height)
         bar = FORWARD_BARS.get((name, count)) if width == 960 else None
@@ -73,7 +73,7 @@ def forward_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def backward_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Gradients to all inputs of colours, depth and alpha; the bar is a multiple of the same picture without them."""
+    """Gradients to all inputs of colours, depth and alpha; the bar is a multiple of the same image without them."""
     for name, count, width, height in timed_views(quick):
         if count > 1_000_000:
             continue
@@ -173,11 +173,11 @@ def garden_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def process_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """First pictures of a process, and memory beyond inputs and code."""
+    """First images of a process, and memory beyond inputs and code."""
     del repeats
     first = starts()
-    yield Row("first picture and gradients, compiling (s)", "100 64x48", first.compiled, bar=COMPILE_S)
-    yield Row("first picture and gradients, cached (s)", "100 64x48", first.cached, bar=CACHED_S)
+    yield Row("first image and gradients, compiling (s)", "100 64x48", first.compiled, bar=COMPILE_S)
+    yield Row("first image and gradients, cached (s)", "100 64x48", first.cached, bar=CACHED_S)
     few, many = 100_000, 300_000 if quick else 1_000_000
     for name in ("random", "street"):
         for backward in (False, True):
@@ -190,7 +190,7 @@ def process_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def timed_views(quick: bool) -> Iterator[tuple[str, int, int, int]]:
-    """Scene, number of Gaussians, size of the picture."""
+    """Scene, number of Gaussians, size of the image."""
     for name in SCENES:
         if quick:
             counts = [100_000] if name == "needles" else [100_000, 300_000]

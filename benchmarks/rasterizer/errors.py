@@ -25,7 +25,7 @@ class Truth:
     """A view by the reference.
 
     Attributes:
-        picture: (H, W, channels) colours, float64.
+        image: (H, W, channels) colours, float64.
         depth: (H, W) metres, float64.
         alpha: (H, W) float64.
         marks: where rounding may decide.

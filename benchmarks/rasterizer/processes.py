@@ -1,4 +1,4 @@
-"""What only a process of its own can tell: how long the first picture takes, and how much memory the largest one."""
+"""What only a process of its own can tell: how long the first image takes, and how much memory the largest one."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ torch.autograd.backward([one * 1], [torch.ones(1)])  # torch's own first one imp
 start = time.perf_counter()
 view = View(scenes.random(100), 64, 48)
 tensors = view.tensors(gradients=True)
-picture, alphas, _ = view.render(tensors)
-torch.autograd.backward([picture, alphas], list(view.weights))
+image, alphas, _ = view.render(tensors)
+torch.autograd.backward([image, alphas], list(view.weights))
 print(time.perf_counter() - start)
 """
 
@@ -45,9 +45,9 @@ def status(field):
 
 def both(view, tensors, backward):
     with torch.set_grad_enabled(backward):
-        picture, alphas, _ = view.render(tensors)
+        image, alphas, _ = view.render(tensors)
     if backward:
-        torch.autograd.backward([picture, alphas], list(view.weights))
+        torch.autograd.backward([image, alphas], list(view.weights))
 
 file, width, height, backward = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4] == "backward"
 small = View(scenes.random(100), 64, 48)
@@ -65,7 +65,7 @@ print(status("VmHWM") - before)
 
 @dataclass(frozen=True)
 class Starts:
-    """Seconds until the first small picture and its gradients.
+    """Seconds until the first small image and its gradients.
 
     Attributes:
         compiled: with nothing compiled before.
@@ -84,7 +84,7 @@ def starts() -> Starts:
 
 
 def peak_bytes(scene: Splats, width: int, height: int, *, backward: bool) -> int:
-    """How far a picture, with or without its gradients, raises the process's memory above inputs and code."""
+    """How far an image, with or without its gradients, raises the process's memory above inputs and code."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.npz"
         arrays = {name: getattr(scene, name) for name in ("means", "quats", "scales", "opacities", "colors", "viewmat")}

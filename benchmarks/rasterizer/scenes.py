@@ -48,7 +48,7 @@ class Splats:
         return len(self.means)
 
     def camera_matrix(self, width: int, height: int) -> Float64:
-        """Intrinsics (3, 3) of a picture of this size; the principal point is its middle."""
+        """Intrinsics (3, 3) of an image of this size; the principal point is its middle."""
         fx, fy = self.focal
         return np.array([[fx * width, 0.0, width / 2], [0.0, fy * height, height / 2], [0.0, 0.0, 1.0]])
 

@@ -52,7 +52,7 @@ class View:
 
     @cached_property
     def weights(self) -> tuple[Tensor, Tensor]:
-        """Gradients of picture and alphas that backward begins with, seeded; a metre weighs a hundredth of a colour."""
+        """Gradients of image and alphas that backward begins with, seeded; a metre weighs a hundredth of a colour."""
         random = torch.Generator().manual_seed(0)
         picture = torch.rand(1, self.height, self.width, self.channels + 1, generator=random)
         picture[..., -1] *= 0.01
@@ -85,7 +85,7 @@ class View:
 
 
 def forward_ms(view: View, repeats: int) -> float:
-    """Median time of a picture, warm, nothing kept for gradients."""
+    """Median time of an image, warm, nothing kept for gradients."""
     tensors = view.tensors()
     times = []
     with torch.no_grad():
@@ -97,7 +97,7 @@ def forward_ms(view: View, repeats: int) -> float:
 
 
 def both_ms(view: View, repeats: int) -> tuple[float, float]:
-    """Median times, warm, of a picture that keeps what gradients need, and of its gradients to all inputs."""
+    """Median times, warm, of an image that keeps what gradients need, and of its gradients to all inputs."""
     tensors, weights = view.tensors(gradients=True), view.weights
     times = []
     for _ in range(repeats + 1):

@@ -79,7 +79,7 @@ def round_views(street: Street, count: int = 24) -> list[Viewpoint]:
 
 
 def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
-    """Times and errors of a street's pictures.
+    """Times and errors of a street's images.
 
     Args:
         street: as it was trained.
@@ -106,10 +106,10 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
     peers = (Peer("paper, quoted", PAPER_MS),)
     threads = torch.get_num_threads()
     return [
-        Row(f"{name}: picture", size, wall_ms, float(torch.stack(errors).max()), peers, "of 1", FRAME_MS, _ONE_LEVEL),
+        Row(f"{name}: image", size, wall_ms, float(torch.stack(errors).max()), peers, "of 1", FRAME_MS, _ONE_LEVEL),
         Row(f"{name}: decode alone", size, decode_ms),
-        Row(f"{name}: picture, processor time of all threads", size, core_ms),
-        Row(f"{name}: pictures a second, {threads} threads", size, 1000.0 / wall_ms),
+        Row(f"{name}: image, processor time of all threads", size, core_ms),
+        Row(f"{name}: images a second, {threads} threads", size, 1000.0 / wall_ms),
     ]
 
 

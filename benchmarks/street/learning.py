@@ -16,7 +16,7 @@ from hybridworldsim.model.ssim_loss import ssim
 
 WIDTH, HEIGHT = 480, 270
 _KNOWN, _PATCH = 0.06, 6
-"""Of a training picture's pixels stereo knows about so many, in patches of so many pixels a side."""
+"""Of a training image's pixels stereo knows about so many, in patches of so many pixels a side."""
 _ROWS, _COLUMNS, _SEEN, _STEPS = 36_000, 32, 0.1, 30
 _RATE = 2e-2
 

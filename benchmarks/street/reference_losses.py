@@ -1,4 +1,4 @@
-"""Losses in plain torch, on whole pictures of any precision: what the fast ones are held against."""
+"""Losses in plain torch, on whole images of any precision: what the fast ones are held against."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _neighbours(known: Tensor) -> Tensor:
 
 
 def similarity(x: Tensor, y: Tensor) -> Tensor:
-    """(H, W) structural similarity of pictures (H, W, 3), mean of the channels, black beyond the border.
+    """(H, W) structural similarity of images (H, W, 3), mean of the channels, black beyond the border.
 
     Source: Wang et al. 2004, windows of 11 x 11, sigma 1.5.
     """

@@ -71,7 +71,7 @@ def plain_image(street: Street, drawn: RenderOutput, view: Viewpoint, latent: Te
     Args:
         street: of `exact`.
         drawn: the same view of the street as it is: which rows are seen.
-        view: whence.
+        view: the camera.
         latent: appearance.
     """
     eye, latent = view.centre.double(), latent.double()

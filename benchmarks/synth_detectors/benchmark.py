@@ -69,7 +69,7 @@ def _recalls(name: str, found: Found, edges_px: Sequence[float]) -> Iterator[Row
 def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks synth_detectors")
     parser.add_argument("--pictures", type=int, default=40, help="of each condition")
-    parser.add_argument("--width", type=int, default=960, help="of a picture")
+    parser.add_argument("--width", type=int, default=960, help="of an image")
     parser.add_argument("--faces", type=Path, default=face_weights(), help="yunet_n_dynamic.onnx")
     parser.add_argument("--plates", type=Path, default=os.environ.get("MIRROR_PLATES"), help="clp_det.onnx")
     options = parser.parse_args(argv)

@@ -1,4 +1,4 @@
-"""Pictures of people and cars close by in the synthetic street, and where exactly their faces and plates are."""
+"""Images of people and cars close by in the synthetic street, and where exactly their faces and plates are."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _EYE_M: Final = 1.6
 _CLEAR_M: Final = 22.0
 _PEOPLE: Final = (8, 1)
 _CARS: Final = (1, 6)
-"""So many in every second picture, and in the others."""
+"""So many in every second image, and in the others."""
 _TRIALS: Final = 20
 _EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _BROW_AND_CHIN: Final = (0.55, -0.95)
@@ -42,7 +42,7 @@ class Target:
 
     Attributes:
         box_px: (4,) ``u_min v_min u_max v_max`` of all of it.
-        seen: share of it that the picture shows; what is turned away is not shown.
+        seen: share of it that the image shows; what is turned away is not shown.
     """
 
     box_px: Float64
@@ -56,7 +56,7 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Crowded:
-    """One picture.
+    """One image.
 
     Attributes:
         bgr: (H, W, 3).
@@ -79,13 +79,13 @@ def street() -> World:
 
 
 def crowded(world: World, condition: Condition, count: int, width_px: int, seed: int) -> Iterator[Crowded]:
-    """Pictures along the street: people in one, cars in the next, turned towards the camera, cars also away from it.
+    """Images along the street: people in one, cars in the next, turned towards the camera, cars also away from it.
 
     Args:
         world: the street.
         condition: light and weather.
-        count: of pictures.
-        width_px: of a picture.
+        count: of images.
+        width_px: of an image.
         seed: of who stands where.
     """
     height = width_px * 9 // 16

@@ -28,7 +28,7 @@ class Detector(Protocol):
     """Finds one kind of thing."""
 
     def boxes(self, bgr: UInt8) -> Float64:
-        """Boxes (N, 4) ``u_min v_min u_max v_max`` in a picture (H, W, 3)."""
+        """Boxes (N, 4) ``u_min v_min u_max v_max`` in an image (H, W, 3)."""
         ...
 
 
@@ -105,7 +105,7 @@ def anchors(high: int, wide: int) -> tuple[Float64, Float64]:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a detector made of pictures.
+    """What a detector made of images.
 
     Attributes:
         size_px: (N,) of the targets that it was asked for.
@@ -124,7 +124,7 @@ def judged(pictures: Sequence[tuple[Float64, Sequence[Target]]], axis: int, leas
     """Hold boxes against targets: one is found by a box that overlaps it by 0.3 (intersection over union).
 
     Args:
-        pictures: boxes (N, 4) and targets of each.
+        images: boxes (N, 4) and targets of each.
         axis: of a target's size that counts: 0 width, 1 height.
         least_seen: targets of which less is seen are not asked for.
     """

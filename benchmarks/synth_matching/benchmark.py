@@ -2,7 +2,7 @@
 
 ``python -m benchmarks synth_matching [--width W] [--frames N] [--draws N]``. SIFT features, two-view geometries and
 triangulation are pycolmap's (the ``calibration`` extra). Inliers are matches that fit one relative pose; their error is
-the distance to where the second picture truly shows the first one's point. The rig, seven cameras through a turn, is
+the distance to where the second image truly shows the first one's point. The rig, seven cameras through a turn, is
 adjusted from what is recorded of it: poses with a receiver's errors, a calibration with errors of mountings and lenses,
 clocks that are off; what remains is measured after one rigid alignment of all camera poses.
 """
@@ -57,14 +57,14 @@ _FEWEST: Final = 15
 
 @dataclass(frozen=True, eq=False)
 class Ride:
-    """Pictures of a rig on its way, and what matches in them.
+    """Images of a rig on its way, and what matches in them.
 
     Attributes:
         drive: of which they are.
         instants_ns: (F,) true times of the frames.
-        shots: the pictures.
+        shots: the images.
         features: of them.
-        matches: verified pairs (M, 2) of features of two pictures.
+        matches: verified pairs (M, 2) of features of two images.
     """
 
     drive: SynthDrive
@@ -74,7 +74,7 @@ class Ride:
     matches: Mapping[tuple[Key, Key], Int64]
 
     def errors_px(self, one: Key, other: Key) -> Float64:
-        """How far the matches of two pictures are off."""
+        """How far the matches of two images are off."""
         pairs = self.matches[one, other]
         return errors_px(pairs, self.features[one], self.shots[one], self.features[other], self.shots[other])
 
@@ -100,7 +100,7 @@ def ride_through_turn(frames: int, width_px: int) -> Ride:
 
 
 def neighbour_rows(ride: Ride) -> Iterator[Row]:
-    """How much of neighbouring pictures matches, and how exactly."""
+    """How much of neighbouring images matches, and how exactly."""
     few, count = 0, 0
     for name in ride.drive.vehicle.cameras:
         pairs = [(one, other) for one, other in ride.matches if one[1] == other[1] == name and other[0] == one[0] + 1]
@@ -119,7 +119,7 @@ def neighbour_rows(ride: Ride) -> Iterator[Row]:
 
 
 def visit_rows(width_px: int) -> Iterator[Row]:
-    """How much of pictures matches that two traversals take at nearly the same place with the wide front camera."""
+    """How much of images matches that two traversals take at nearly the same place with the wide front camera."""
     camera = CANONICAL_CAMERAS[0]
     base = urban_drive("along", width_px=width_px)
     seconds, places = _track(base)
@@ -198,7 +198,7 @@ def off(rig: Rig, true: Rig) -> tuple[Float64, Float64]:
 
 
 def adjustment_rows(ride: Ride, draws: int) -> Iterator[Row]:
-    """How far the rig is off, as recorded and as adjusted: at most and by median, of all pictures and draws."""
+    """How far the rig is off, as recorded and as adjusted: at most and by median, of all images and draws."""
     errors, true = ride.drive.preset.errors, true_rig(ride)
     before, after, times = [], [], []
     for draw in range(draws):
@@ -252,7 +252,7 @@ def _about_the_bend(drive: SynthDrive, frames: int) -> Int64:
 
 def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks synth_matching")
-    parser.add_argument("--width", type=int, default=1280, help="of a picture")
+    parser.add_argument("--width", type=int, default=1280, help="of an image")
     parser.add_argument("--frames", type=int, default=20, help="of the rig")
     parser.add_argument("--draws", type=int, default=3, help="of recorded errors")
     options = parser.parse_args(argv)

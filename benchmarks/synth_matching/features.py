@@ -1,4 +1,4 @@
-"""SIFT features of pictures as pycolmap finds them, and their matches; how far off the truth they are."""
+"""SIFT features of images as pycolmap finds them, and their matches; how far off the truth they are."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _GREY: Final = np.array([0.114, 0.587, 0.299])
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features of one picture.
+    """Features of one image.
 
     Attributes:
         uv_px: (N, 2).
@@ -71,7 +71,7 @@ def features(shot: Shot, most: int = 4000) -> Features:
     """SIFT features of what stands still.
 
     Args:
-        shot: the picture.
+        shot: the image.
         most: how many at most; the larger ones are kept.
     """
     pycolmap = colmap()
@@ -111,9 +111,9 @@ def verified(
 
 
 def errors_px(pairs: Int64, one: Features, first: Shot, other: Features, second: Shot) -> Float64:
-    """How far (M,) matches are off: from where the second picture shows the first's point to the matched feature.
+    """How far (M,) matches are off: from where the second image shows the first's point to the matched feature.
 
-    Infinite where the second picture cannot show that.
+    Infinite where the second image cannot show that.
     """
     there = second.image_of(first.points(one.uv_px[pairs[:, 0]]))
     return np.nan_to_num(np.linalg.norm(there - other.uv_px[pairs[:, 1]], axis=1), nan=np.inf)

@@ -1,4 +1,4 @@
-"""Pictures of the synthetic street with their truth: what feature matching and bundle adjustment are measured on."""
+"""Images of the synthetic street with their truth: what feature matching and bundle adjustment are measured on."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SKY_M: Final = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One picture with its truth.
+    """One image with its truth.
 
     Attributes:
         bgr: (H, W, 3).
@@ -51,17 +51,17 @@ class Shot:
         return self.world_SE3_camera.translation[0]
 
     def pixels(self, uv_px: Float64) -> tuple[Int64, Int64]:
-        """Rows and columns (N,) of the pixels in which points (N, 2) of the picture lie."""
+        """Rows and columns (N,) of the pixels in which points (N, 2) of the image lie."""
         column = np.clip(np.floor(uv_px[:, 0]), 0, self.camera.width_px - 1).astype(np.int64)
         row = np.clip(np.floor(uv_px[:, 1]), 0, self.camera.height_px - 1).astype(np.int64)
         return row, column
 
     def rays(self, uv_px: Float64) -> Float64:
-        """Unit directions (N, 3) of points of the picture, world."""
+        """Unit directions (N, 3) of points of the image, world."""
         return self.camera.unproject(uv_px).direction @ matrix_from_quaternion(self.world_SE3_camera.rotation)[0].T
 
     def points(self, uv_px: Float64) -> Float64:
-        """World points (N, 3) that points (N, 2) of the picture show: of the surface at the pixel's centre."""
+        """World points (N, 3) that points (N, 2) of the image show: of the surface at the pixel's centre."""
         row, column = self.pixels(uv_px)
         centre = self.rays(np.stack([column, row], axis=1).astype(np.float64) + 0.5)
         own, normal = self.rays(uv_px), self.normal[row, column].astype(np.float64)
@@ -93,7 +93,7 @@ def urban_drive(
         weather: of the drive.
         date: of the drive.
         vehicle: its type; one and the same vehicle of that type.
-        width_px: of a picture with share 1.
+        width_px: of an image with share 1.
         visit: other traffic, leaves and billboards in each.
     """
     preset, drives = make_drives("benchmark", 0, scenes=1)
@@ -112,7 +112,7 @@ def urban_drive(
 
 
 def taken(drive: SynthDrive, instants_ns: Int64, cameras: Sequence[str]) -> list[dict[str, Shot]]:
-    """Pictures of a drive: of some cameras at some instants."""
+    """Images of a drive: of some cameras at some instants."""
     drive.prepare()
     moving = [number for number, user in enumerate(drive.road_users) if isinstance(user.motion, TraceMotion)]
 

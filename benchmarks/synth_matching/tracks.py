@@ -34,7 +34,7 @@ class Rig:
     world_SE3_ego: Poses
 
     def world_SE3_cameras(self) -> Poses:  # noqa: N802
-        """The poses (F * C,) of all pictures, frame by frame."""
+        """The poses (F * C,) of all images, frame by frame."""
         frames, count = len(self.world_SE3_ego), len(self.cameras)
         frame, camera = np.repeat(np.arange(frames), count), np.tile(np.arange(count), frames)
         return self.world_SE3_ego[frame] @ self.ego_SE3_camera[camera]
@@ -42,7 +42,7 @@ class Rig:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """What several pictures see of the same points.
+    """What several images see of the same points.
 
     Attributes:
         points: (P, 3) world.
@@ -66,8 +66,8 @@ def triangulated(rig: Rig, features: Mapping[Key, Features], matches: Mapping[tu
 
     Args:
         rig: as it is believed to be.
-        features: of all pictures.
-        matches: pairs (M, 2) of features of two pictures.
+        features: of all images.
+        matches: pairs (M, 2) of features of two images.
     """
     pycolmap = colmap()
     names = list(rig.cameras)
@@ -106,7 +106,7 @@ def triangulated(rig: Rig, features: Mapping[Key, Features], matches: Mapping[tu
 
 
 def _believed(rig: Rig, features: Mapping[Key, Features], ids: Mapping[Key, int]) -> Any:
-    """The rig as pycolmap has it: every picture a frame of its own."""
+    """The rig as pycolmap has it: every image a frame of its own."""
     pycolmap = colmap()
     names, poses = list(rig.cameras), rig.world_SE3_cameras().inverse()
     there = pycolmap.Reconstruction()

@@ -1,4 +1,4 @@
-"""From a baseline to the board: rendered, scored, added with pictures, shown."""
+"""From a baseline to the board: rendered, scored, added with images, shown."""
 
 from __future__ import annotations
 

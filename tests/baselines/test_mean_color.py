@@ -1,4 +1,4 @@
-"""The mean colour of a camera's training pictures."""
+"""The mean colour of a camera's training images."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.baselines.conftest import CAMERAS, DRIVES, FRAMES
 
 
 class Still:
-    """A picture of noise."""
+    """An image of noise."""
 
     opened = 0
 
@@ -55,7 +55,7 @@ def test_of_many_pictures_some_are_opened() -> None:
 
 def test_views_are_one_colour(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:
     plan = plan_views(dataset, protocol, "novel")
-    # Every training drive has as many pictures that are not asked for.
+    # Every training drive has as many images that are not asked for.
     expected = np.mean([colour for _, _, _, colour, role in DRIVES if role == "train"], axis=0)
     for _, image in render(dataset, plan):
         assert (image == image[0, 0]).all()
@@ -78,5 +78,5 @@ def test_a_camera_without_training_pictures_is_named(dataset: Dataset, protocol:
     # All frames are asked for: none is left.
     plain["frames"]["every"] = 1
     plan = plan_views(dataset, Protocol.model_validate(plain), "novel")
-    with pytest.raises(DatasetError, match=r"camera front_wide has no training picture in scene street \(2 such"):
+    with pytest.raises(DatasetError, match=r"camera front_wide has no training image in scene street \(2 such"):
         training_pictures(dataset, plan)

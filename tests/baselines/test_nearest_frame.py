@@ -1,4 +1,4 @@
-"""The nearest pose, and the picture that was taken there."""
+"""The nearest pose, and the image that was taken there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small street: points on a wall, a ground and a sky, cameras before it, and pictures made of its own Gaussians."""
+"""A small street: points on a wall, a ground and a sky, cameras before it, and images made of its own Gaussians."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wherein the rivals differ: harmonics of a traversal, exposures, embeddings, the cube of sky."""
+"""Wherein the baselines differ: harmonics of a traversal, exposures, embeddings, the cube of sky."""
 
 from __future__ import annotations
 

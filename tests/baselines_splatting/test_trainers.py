@@ -1,4 +1,4 @@
-"""What all three rivals do: learn, stop at the cap, go on after a checkpoint as if nothing had happened."""
+"""What all three baselines do: learn, stop at the cap, go on after a checkpoint as if nothing had happened."""
 
 from __future__ import annotations
 

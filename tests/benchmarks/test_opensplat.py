@@ -15,10 +15,10 @@ import sys
 import numpy as np
 given = np.fromfile(sys.argv[1], np.float32)
 count, width, height = given[:3].view(np.int32)
-picture = given[-width * height * 3:]
+image = given[-width * height * 3:]
 arrays = given[3 + 4 + 16 : -width * height * 3]
 assert len(arrays) == count * (3 + 4 + 3 + 1 + 3)
-np.concatenate([picture * given[3], arrays]).tofile(sys.argv[2])
+np.concatenate([image * given[3], arrays]).tofile(sys.argv[2])
 print(1.5, 2.0, float(sys.argv[3]), float(sys.argv[4]))
 """
 

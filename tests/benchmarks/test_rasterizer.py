@@ -1,4 +1,4 @@
-"""What the rasterizer's benchmark measures, on tiny pictures."""
+"""What the rasterizer's benchmark measures, on tiny images."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ def test_dgp_has_six_synchronised_cameras(dgp: mirror.Dataset) -> None:
 
 
 def test_dgp_boxes_project_onto_the_cars(dgp: mirror.Dataset, real_data: Path) -> None:
-    """The source's own 2D boxes on the pictures are the judge of the 3D boxes that we project."""
+    """The source's own 2D boxes on the images are the judge of the 3D boxes that we project."""
     overlaps = []
     for number, frame in enumerate(dgp.frames()):
         for camera, image in frame.images.items():

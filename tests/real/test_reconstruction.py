@@ -128,7 +128,7 @@ def test_photos_of_one_walk_are_held_out_rendered_and_scored(
     words = ("--dataset", street.dataset, "--split", "all", "--protocol", street.protocol, "--out", submission)
     assert street(capsys, "render", tmp_path / "model", *words)["views"] == 2
     manifest = json.loads((submission / "manifest.json").read_text())
-    assert manifest["method"]["trained_on"].endswith("without 2 of their pictures")
+    assert manifest["method"]["trained_on"].endswith("without 2 of their images")
     scores = tmp_path / "scores"
     scored = (submission, "--truth", street.dataset, "--protocol", street.protocol, "--out", scores)
     street(capsys, "evaluate", *scored)
@@ -157,7 +157,7 @@ def test_the_middle_frame_of_six_cameras_is_held_out_rendered_and_scored(
     ):
         assert main([str(word) for word in words]) == ExitCode.DONE
     psnr = mirror_psnr(scores)
-    # A picture in one grey has 11 to 13 dB.
+    # An image in one grey has 11 to 13 dB.
     assert len(psnr) == 6 and np.mean(psnr) > 14.0
 
 

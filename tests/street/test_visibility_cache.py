@@ -1,4 +1,4 @@
-"""What is left out of a training picture: only what it does not show."""
+"""What is left out of a training image: only what it does not show."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A tiny street for the tests of training: a wall and a road, seen by two traversals, of pictures made by formula."""
+"""A tiny street for the tests of training: a wall and a road, seen by two traversals, of images made by formula."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ Edit = Callable[[TrainingImage], TrainingImage]
 
 @dataclass
 class Painted:
-    """Opens pictures as `hybridworldsim.training.data_loader.TrainingImageCache` does, without a dataset."""
+    """Opens images as `hybridworldsim.training.data_loader.TrainingImageCache` does, without a dataset."""
 
     edit: Edit = lambda image: image
     opened: int = 0

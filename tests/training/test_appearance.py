@@ -1,4 +1,4 @@
-"""Whose look a picture gets: each policy against a street of parallel lines."""
+"""Whose look an image gets: each policy against a street of parallel lines."""
 
 from __future__ import annotations
 

@@ -195,7 +195,7 @@ class Stuck(Painted):
         if self.opened == 120:
             time.sleep(600)  # To be killed within.
         return super().__call__(one)
-run(Path(sys.argv[1]), 160, pictures=Stuck(), options=Options(checkpoint_s=0.1))
+run(Path(sys.argv[1]), 160, images=Stuck(), options=Options(checkpoint_s=0.1))
 """
 
 
@@ -339,12 +339,12 @@ def black(image: TrainingImage) -> TrainingImage:
     ("pictures", "chosen"),
     [
         pytest.param(Painted(black), views(), id="a black traversal"),
-        pytest.param(edited(rgb=lambda p: torch.full_like(p.rgb, 0.5)), views(), id="constant pictures"),
-        pytest.param(edited(rgb=lambda p: torch.ones_like(p.rgb)), views(), id="saturated pictures"),
+        pytest.param(edited(rgb=lambda p: torch.full_like(p.rgb, 0.5)), views(), id="constant images"),
+        pytest.param(edited(rgb=lambda p: torch.ones_like(p.rgb)), views(), id="saturated images"),
         pytest.param(edited(depth_m=lambda p: None), views(), id="no depth"),
         pytest.param(edited(depth_m=lambda p: torch.zeros_like(p.depth_m)), views(), id="unknown depth"),
-        pytest.param(Painted(), [view("s.day.0", 1)], id="one picture"),
-        pytest.param(Painted(), [view("s.day.0", 1)] * 8, id="duplicated pictures"),
+        pytest.param(Painted(), [view("s.day.0", 1)], id="one image"),
+        pytest.param(Painted(), [view("s.day.0", 1)] * 8, id="duplicated images"),
         pytest.param(
             Painted(),
             [*views(traversals=("s.day.0",)), *(view("s.night.0", n, x_m=-500.0 * n) for n in range(6))],
@@ -402,7 +402,7 @@ def test_pictures_of_which_nothing_is_scored_are_counted_and_left_out(tmp_path: 
 
 
 def test_masks_over_everything_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="masks cover every training picture"):
+    with pytest.raises(DatasetError, match="masks cover every training image"):
         run(tmp_path / "run", pictures=edited(scored=lambda p: torch.zeros_like(p.scored)))
 
 

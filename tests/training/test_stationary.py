@@ -1,4 +1,4 @@
-"""Pictures of a standing vehicle."""
+"""Images of a standing vehicle."""
 
 from __future__ import annotations
 

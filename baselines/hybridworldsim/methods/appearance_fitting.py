@@ -1,4 +1,4 @@
-"""Looks that are fitted to a declared part of held-out pictures, which is not scored: their left half."""
+"""Looks that are fitted to a declared part of held-out images, which is not scored: their left half."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def fit_appearances(street: Street, block: Block, run: Run, appearance: Appearan
     """
     if appearance.truth is None:
         raise UsageError(
-            "there are no held-out pictures to fit to", place="--appearance fit", expected="--split and --protocol"
+            "there are no held-out images to fit to", place="--appearance fit", expected="--split and --protocol"
         )
     dataset, plan = appearance.truth
     # What was recorded is not what a camera sees that was moved.

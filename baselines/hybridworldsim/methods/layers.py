@@ -98,7 +98,7 @@ def _training(dataset: Dataset, task: ReconstructionTask) -> Dataset:
 
 
 def _version(task: ReconstructionTask) -> str:
-    """Of other training pictures or another width they are other layers."""
+    """Of other training images or another width they are other layers."""
     return f"{task.split}-{task.protocol.pixels.max_width_px}{_without(task.withheld)}"
 
 
@@ -115,7 +115,7 @@ def _there(dataset: Dataset, task: ReconstructionTask, kind: str) -> set[str]:
 
 
 def _brought(dataset: Dataset, task: ReconstructionTask, kind: str) -> set[str]:
-    """Layers that no estimator of ours made: those may know the pictures that another split holds out."""
+    """Layers that no estimator of ours made: those may know the images that another split holds out."""
     return {name for name in _there(dataset, task, kind) if name.partition("@")[0] not in get_args(Method)}
 
 

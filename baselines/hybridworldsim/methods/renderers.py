@@ -66,7 +66,7 @@ class NearestBlockRenderer:
 
     Args:
         blocks: at least one.
-        appearance: how pictures look that were not trained on. Methods without latents know the looks that were trained
+        appearance: how images look that were not trained on. Methods without latents know the looks that were trained
             on and nothing between them.
 
     Raises:

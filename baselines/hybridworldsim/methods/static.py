@@ -52,7 +52,7 @@ class StaticMethod:
 
     Attributes:
         name: of the entry point.
-        make: a learner that has seen no picture yet, of what is known of a block and of settings.
+        make: a learner that has seen no image yet, of what is known of a block and of settings.
         settings: a dataclass, of a seed.
         block_m: edge of a block.
         sky: whether the method learns from masks of the sky.
@@ -102,7 +102,7 @@ class StaticMethod:
             if bare := layers.lacking(kind, own.traversals()):
                 watch.message(f"without {kind}: {', '.join(bare)}")
         if training.stationary_count:
-            watch.message(f"{training.stationary_count} pictures of a standing vehicle are left out")
+            watch.message(f"{training.stationary_count} images of a standing vehicle are left out")
         if not (out / DOCUMENT).exists():
             write_json(out / DOCUMENT, about)
         held_out = _held_out(layers.dataset, task, watch)
@@ -120,14 +120,14 @@ class StaticMethod:
                 continue
             initial = block_geometry(known, block, _sources(seen))
             points = len(initial.points_m)
-            watch.message(f"{block.name}, {place + 1} of {len(blocks)}: {len(seen)} pictures, {points} points")
+            watch.message(f"{block.name}, {place + 1} of {len(blocks)}: {len(seen)} images, {points} points")
             one = _Block(block, seen, initial, layers, training, held_out)
             try:
                 found[block.name] = self._train(one, task, folder, watch)
             except NoSupervisionError as error:
                 barren = error
                 # A corner of a street of which road users or the vehicle itself hide all: the rest can do without.
-                watch.message(f"{block.name} is left out: masks cover every one of its pictures")
+                watch.message(f"{block.name} is left out: masks cover every one of its images")
         outcomes = [outcome for outcome in found.values() if outcome is not None]
         if barren is not None and not outcomes:
             raise barren
@@ -244,11 +244,11 @@ class _Block:
     held_out: Plan | None
 
     def previews(self, run: Run, watch: ProgressReporter) -> list[Preview]:
-        """A few training and held-out pictures of the block; of what is held out, those that can be had."""
+        """A few training and held-out images of the block; of what is held out, those that can be had."""
         shown = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
             shown.append(("held-out", self.held_out, views_of(self.block, self.held_out.views)))
-        # Training pictures have looks of their own.
+        # Training images have looks of their own.
         looks = AppearanceSelector(run.sources, "nearest", () if self.held_out is None else self.held_out.views)
         found = []
         for name, plan, views in shown:
@@ -285,7 +285,7 @@ def block_folders(model: Path) -> list[Path]:
 
 
 def _pictured_m(driven: Float64, views: Sequence[RenderView]) -> Float64:
-    """Driven places (N, 3) at which pictures were taken: poses go on before the first and after the last of them."""
+    """Driven places (N, 3) at which images were taken: poses go on before the first and after the last of them."""
     cameras = np.array([view.pose.translation[0] for view in views])
     _, nearest = cKDTree(driven[:, :2]).query(cameras[:, :2])
     return driven[np.unique(nearest)]
@@ -335,7 +335,7 @@ def _held_out(dataset: Dataset, task: ReconstructionTask, watch: ProgressReporte
         return plan_views(own, task.protocol.model_copy(update={"groups": groups}), task.split) if groups else None
     except DatasetError as error:
         # Training can do without.
-        watch.message(f"held-out pictures are not shown: {error}")
+        watch.message(f"held-out images are not shown: {error}")
         return None
 
 

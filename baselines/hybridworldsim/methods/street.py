@@ -81,7 +81,7 @@ class StreetRenderer:
 
     Args:
         blocks: at least one.
-        appearance: how pictures look that were not trained on.
+        appearance: how images look that were not trained on.
 
     Raises:
         UsageError: nothing that was trained on matches the policy of the looks, or there is nothing to fit, or to fit
@@ -133,7 +133,7 @@ def blend_latents(appearance: AppearanceLatents, blend: Blend) -> Tensor:
 
 
 def make(initial: InitialGeometry, settings: Any) -> StreetTrainer:
-    """A street that has seen no picture yet."""
+    """A street that has seen no image yet."""
     return StreetTrainer(initial_street(initial, settings), settings)
 
 

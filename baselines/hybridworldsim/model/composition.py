@@ -50,7 +50,7 @@ class Composition:
             looks: the appearance that each block is drawn with.
 
         Returns:
-            The picture, and counts: of blocks, nodes and Gaussians held, decoded and drawn.
+            The image, and counts: of blocks, nodes and Gaussians held, decoded and drawn.
 
         Raises:
             UsageError: the view's lens is not a pinhole.

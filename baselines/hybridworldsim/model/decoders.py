@@ -10,7 +10,7 @@ from torch.autograd.function import once_differentiable
 
 
 class ModulatedMLP(nn.Module):
-    """A network of one hidden layer that an appearance conditions: what a picture pays for once, not for each row.
+    """A network of one hidden layer that an appearance conditions: what an image pays for once, not for each row.
 
     The appearance adds to the hidden layer's bias and, where the network is bent, to the matrix that reads the codes:
     each appearance then has a network of its own, of as many degrees of freedom as its latent has.

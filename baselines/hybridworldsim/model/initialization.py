@@ -36,7 +36,7 @@ class InitialGeometry:
         driven_m: (L, 3) where vehicles drove, on the ground.
         ground: height and unit normal of the ground at (N, 2) places: (N,), (N, 3).
         radius_m: of the block.
-        sources: whose pictures it is trained on.
+        sources: whose images it is trained on.
         points_rgb: (P, 3) colours of the background's points, where they are known. A street reads colours from codes
             and has no use for them; explicit Gaussians begin with them.
     """
@@ -51,7 +51,7 @@ class InitialGeometry:
 
 
 def initial_street(initial: InitialGeometry, settings: Settings) -> Street:
-    """A street that has seen no picture yet; the same for the same input and seed.
+    """A street that has seen no image yet; the same for the same input and seed.
 
     Args:
         initial: what is known.

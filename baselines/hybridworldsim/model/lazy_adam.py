@@ -16,7 +16,7 @@ from mirror.arrays import AnyArray
 
 BETA1: Final = 0.9
 BETA2: Final = 0.99
-"""A hundred steps of memory, not Adam's thousand: a picture in ten shows a Gaussian, and few of them the same side."""
+"""A hundred steps of memory, not Adam's thousand: an image in ten shows a Gaussian, and few of them the same side."""
 EPS: Final = 1e-15
 _SETTLED: Final = 4096
 """After so many steps Adam's corrections of its first steps are 1 to the last digit."""

@@ -1,6 +1,6 @@
 """The loss of normals, where stereo knows a surface: compiled, since that is a pixel in a hundred.
 
-In torch, on whole pictures, it is the dearest of the losses by far.
+In torch, on whole images, it is the dearest of the losses by far.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def bake(
     Opacities, scales and rotations are means over the views, taken before the networks' last functions; colours
     are harmonics, by least squares with a small penalty on all but the constant, since directions from a road all lie
     near a plane. Views weigh by the inverse square of the distance, and little where the Gaussian is not in the
-    picture.
+    image.
 
     Args:
         blocks: with the street of each.
@@ -118,7 +118,7 @@ def bake(
 def psnr_to_model_db(
     baked: ExportedGaussians, blocks: Sequence[tuple[Block, Street]], views: Sequence[RenderView], looks: LatentSelector
 ) -> float:
-    """What baking loses: PSNR of the baked street's pictures against the model's, over all pixels of some views."""
+    """What baking loses: PSNR of the baked street's images against the model's, over all pixels of some views."""
     street = Composition(blocks)
     errors = []
     for view in views:

@@ -54,8 +54,8 @@ def read_scene_geometry(dataset: Dataset) -> SceneGeometry:
         raise DatasetError(
             f"no points in the {dataset.count('traversals')} training traversals", file=dataset.root,
             place=f"scene {', '.join(dataset.scenes())}", expected="a layer of points",
-            remedy=f"{made} found nothing to match: look at pictures, masks and poses, or try another --initialise"
-            if made else "make one of the pictures: --initialise plane-sweep",
+            remedy=f"{made} found nothing to match: look at images, masks and poses, or try another --initialise"
+            if made else "make one of the images: --initialise plane-sweep",
         )  # fmt: skip
     if wrong := int((~np.isfinite(points.position_m)).any(axis=1).sum()):
         raise DatasetError(
@@ -74,7 +74,7 @@ def block_geometry(known: SceneGeometry, block: Block, sources: Sequence[Source]
     Args:
         known: of the scene.
         block: of it.
-        sources: whose pictures the block is trained on.
+        sources: whose images the block is trained on.
 
     Returns:
         All in the block's frame: points in it, points beyond it, driven places, the ground.

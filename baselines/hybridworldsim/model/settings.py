@@ -50,7 +50,7 @@ class Refinement:
         begin: progress.
         end: progress.
         times: how often in between.
-        least_steps: but not before so many pictures told something since the last time.
+        least_steps: but not before so many images told something since the last time.
         max_anchors: largest number of anchors in a block; those that it begins with stay, see `Settings.first_anchors`.
             Its key in ``run.json``, and in the hash of the settings, is ``most``.
         most_ground: Code-Gaussians on the ground, at most.
@@ -58,7 +58,7 @@ class Refinement:
         cells_m: sizes of cells in which new anchors stand, coarse to fine.
         least_cell: a cell is no smaller than this share of the distance from which it is seen at nearest.
         least_opacity: mean sum of an anchor's opacities below which it goes.
-        least_share: an offset counts that so large a share of the pictures since the last time drew.
+        least_share: an offset counts that so large a share of the images since the last time drew.
     """
 
     begin: float = 0.05

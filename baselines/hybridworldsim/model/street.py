@@ -25,7 +25,7 @@ class NodeRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RenderOutput:
-    """A picture with what the optimiser reads.
+    """An image with what the optimiser reads.
 
     Attributes:
         rgb: (H, W, 3).
@@ -86,11 +86,11 @@ class Street(nn.Module):
         """Draw a viewpoint.
 
         Args:
-            viewpoint: whence.
+            viewpoint: the camera.
             latent: appearance of the colours.
             content: appearance of what is there; default: the same.
             rows: of what; default: of all that the viewpoint may see.
-            track_gradients: the backward pass is to tell how strongly the picture pulls at its Gaussians.
+            track_gradients: the backward pass is to tell how strongly the image pulls at its Gaussians.
         """
         parts = self.decode(viewpoint, latent, latent if content is None else content, rows)
         return render(viewpoint, parts, track_gradients=track_gradients)

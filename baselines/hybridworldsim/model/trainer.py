@@ -54,7 +54,7 @@ class StreetTrainer:
         return self.street
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
-        """Learn from one picture; see `TrainableMethod`."""
+        """Learn from one image; see `TrainableMethod`."""
         settings, street, viewpoint = self.settings, self.street, image.viewpoint
         self._progress = progress
         for group in self._adam.param_groups:
@@ -126,7 +126,7 @@ class StreetTrainer:
         )
 
     def _note(self, drawn: RenderOutput, viewpoint: Viewpoint) -> None:
-        """Keep what the picture shows: of what it does not, all gradients are zero."""
+        """Keep what the image shows: of what it does not, all gradients are zero."""
         shown = [
             part.rows[:0] if part.opacities.grad is None else part.rows[part.opacities.grad != 0.0]
             for part in drawn.parts
@@ -157,7 +157,7 @@ class StreetTrainer:
         return losses
 
     def _refine(self, drawn: RenderOutput, viewpoint: Viewpoint, progress: float) -> None:
-        """Keep what the picture tells, and act on it when it is time."""
+        """Keep what the image tells, and act on it when it is time."""
         refinement = self.settings.refinement
         (rows, pull), *others = image_gradients(drawn, viewpoint)
         self._anchors.accumulate(drawn.parts[0], rows, pull, viewpoint)
@@ -200,7 +200,7 @@ class StreetTrainer:
 
 
 def _shared(street: Street) -> list[dict[str, Any]]:
-    """What all that a picture shows has in common: networks and appearances."""
+    """What all that an image shows has in common: networks and appearances."""
     networks = [street.background.geometry, *(node.colour for node in street.nodes)]
     return [
         {"params": [own for network in networks for own in network.parameters()], "rate": "networks", "factor": 1.0},

@@ -1,4 +1,4 @@
-"""What each training picture showed when all of it was last decoded: what was hidden is left out for a while."""
+"""What each training image showed when all of it was last decoded: what was hidden is left out for a while."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _DIGEST: Final = 16
 
 @dataclass
 class _Visited:
-    """Of a picture: how often it was visited, and of each node a bit for each row of then, set where it was shown."""
+    """Of an image: how often it was visited, and of each node a bit for each row of then, set where it was shown."""
 
     visits: int = 0
     shown: list[UInt8] = field(default_factory=list)
 
 
 class VisibilityCache:
-    """Which rows of the nodes each training picture shows.
+    """Which rows of the nodes each training image shows.
 
     Half of what a street's viewpoint may see is hidden by something: its gradients are zero, and cost what others do.
-    Rows that a picture did not show are left out at its next three visits; rows that are new since are not. A row costs
-    a bit a picture, in all no more than 64 MiB: pictures beyond are decoded in full.
+    Rows that an image did not show are left out at its next three visits; rows that are new since are not. A row costs
+    a bit an image, in all no more than 64 MiB: images beyond are decoded in full.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class VisibilityCache:
         """Of what a viewpoint may see that which is worth decoding.
 
         Args:
-            viewpoint: of the picture.
+            viewpoint: of the image.
             seen: of each node rows (M,).
             numbers: of each node those of all its rows (N,), see `LazyAdam.numbers`.
         """
@@ -57,10 +57,10 @@ class VisibilityCache:
         ]
 
     def record(self, viewpoint: Viewpoint, shown: Sequence[Tensor], numbers: Sequence[Tensor]) -> None:
-        """A picture was visited.
+        """An image was visited.
 
         Args:
-            viewpoint: of the picture.
+            viewpoint: of the image.
             shown: of each node the rows (M,) that it shows.
             numbers: of each node those of all its rows.
         """
@@ -114,6 +114,6 @@ def _worth(bits: UInt8, numbers: Int64) -> Bool:
 
 
 def _key(viewpoint: Viewpoint) -> bytes:
-    """What tells a picture from others: who took it, and from where."""
+    """What tells an image from others: who took it, and from where."""
     network_inputs = repr(tuple(viewpoint.source)).encode() + viewpoint.viewmat.numpy().tobytes()
     return hashlib.blake2b(network_inputs, digest_size=_DIGEST).digest()

@@ -21,7 +21,7 @@ def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tens
     """Points whose sphere the view's pyramid may meet.
 
     Args:
-        viewpoint: whence.
+        viewpoint: the camera.
         means: (N, 3) in the block's frame.
         reach_m: (N,) radius of what belongs to each.
 

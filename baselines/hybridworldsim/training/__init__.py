@@ -1,1 +1,1 @@
-"""What every method of static reconstruction shares: pictures, budget, loop, checkpoints, run folder."""
+"""What every method of static reconstruction shares: images, budget, loop, checkpoints, run folder."""

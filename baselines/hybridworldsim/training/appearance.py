@@ -1,4 +1,4 @@
-"""Whose look a picture gets that was not trained on: policies, each by name.
+"""Whose look an image gets that was not trained on: policies, each by name.
 
 ``nearest``: of the training traversal that drove the most similar line. ``mean``: of all. A traversal's id, or a word
 of light or weather (``night``, ``rain``): given. ``sweep:A:B``: from one to the other along the trajectory. Of a
@@ -33,7 +33,7 @@ _MOST_PLACES: Final = 48
 
 @dataclass(frozen=True)
 class AppearanceChoice:
-    """How one picture looks.
+    """How one image looks.
 
     Attributes:
         colours: of what.
@@ -68,11 +68,11 @@ def trained_cameras(views: Sequence[RenderView]) -> tuple[TrainedCamera, ...]:
 
 @dataclass(frozen=True)
 class AppearanceSelector:
-    """The looks of pictures that shall be rendered.
+    """The looks of images that shall be rendered.
 
     Attributes:
         seen: what was trained on, at least one.
-        policy: one of the names above; ``fit`` is not among them: it looks at pictures.
+        policy: one of the names above; ``fit`` is not among them: it looks at images.
         views: all that will be rendered.
         everywhere: the policy holds for traversals that were trained on too: to edit the light of one.
         lines: of what all blocks of a street were trained on, so that they agree on a look, and of these views; None:
@@ -90,7 +90,7 @@ class AppearanceSelector:
             self._matching(word)
 
     def select(self, view: RenderView) -> AppearanceChoice:
-        """The look of one picture.
+        """The look of one image.
 
         Raises:
             UsageError: nothing that was trained on matches the policy.
@@ -105,7 +105,7 @@ class AppearanceSelector:
             return AppearanceChoice(tuple((source, 1.0 / len(alike)) for source in alike), content)
         ends = [self._of_camera(self._traversal(view, word), view) for word in self._words]
         if len(ends) == 1:
-            # A held-out picture that is given a look gets all of it; a light that is edited moves nothing.
+            # A held-out image that is given a look gets all of it; a light that is edited moves nothing.
             return AppearanceChoice(((ends[0], 1.0),), content if self.everywhere else ends[0])
         share = self._share(view)
         return AppearanceChoice(((ends[0], 1.0 - share), (ends[1], share)), content)
@@ -140,7 +140,7 @@ class AppearanceSelector:
 
     def _share(self, view: RenderView) -> float:
         if view.frame_index not in self._order:
-            raise UsageError("a sweep needs all pictures that shall be rendered", expected="a trajectory")
+            raise UsageError("a sweep needs all images that shall be rendered", expected="a trajectory")
         return self._order[view.frame_index]
 
     def _matching(self, word: str) -> list[str]:

@@ -16,7 +16,7 @@ class Budget:
     """One of two; schedules run from progress 0 to 1 under either.
 
     Attributes:
-        steps: pictures trained on. Repeats exactly at the same number of threads.
+        steps: images trained on. Repeats exactly at the same number of threads.
         core_minutes: processor time of all threads of the process, of training alone: reading ahead counts; rendering
             for reports does not, nor compiling kernels, which happens once a machine. With it, methods are compared at
             equal cost on a machine that does other work too.

@@ -1,4 +1,4 @@
-"""Training pictures from the dataset, one after the other: decoded ahead by a thread, memory bounded."""
+"""Training images from the dataset, one after the other: decoded ahead by a thread, memory bounded."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _AHEAD: Final = 3
 
 
 class TrainingImageCache:
-    """Opens training pictures of views; those opened last are held, up to a number of bytes.
+    """Opens training images of views; those opened last are held, up to a number of bytes.
 
     Args:
         dataset: where they lie.
@@ -36,11 +36,11 @@ class TrainingImageCache:
         origin_m: (3,) of the block, in the world.
         depth_of: traversals whose depth maps are read, of the chosen layer; others have none.
         sky: read masks of the sky too, for a method that learns from them.
-        cache_bytes: held at most; memory does not grow with the number of pictures beyond it.
+        cache_bytes: held at most; memory does not grow with the number of images beyond it.
 
     Attributes:
-        held_bytes: of pictures that are held now.
-        opened: pictures that were opened so far, those that were opened again among them.
+        held_bytes: of images that are held now.
+        opened: images that were opened so far, those that were opened again among them.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class TrainingImageCache:
         self.opened = 0
 
     def __call__(self, view: RenderView) -> TrainingImage:
-        """The picture of a view.
+        """The image of a view.
 
         Raises:
             DatasetError: a file is missing or broken, or it has several masks of the sky.
@@ -80,7 +80,7 @@ class TrainingImageCache:
         return replace(recorded, rgb=recorded.rgb.to(torch.float32).div_(255.0))
 
     def _open(self, view: RenderView) -> TrainingImage:
-        """The picture of a view, its colours as they were recorded: uint8."""
+        """The image of a view, its colours as they were recorded: uint8."""
         rgb = self._source.picture(view)
         _, image = self._source.recorded(view)
         depth = image.depth() if view.traversal_id in self._depth_of else None
@@ -121,7 +121,7 @@ def resample_depth(view: RenderView, lens: Camera, depth_m: Float32) -> Float32:
 
 
 def _sky(image: Image, depth: DepthImage | None) -> Mask | None:
-    """The picture's mask of the sky; of several that which was made with the depth map."""
+    """The image's mask of the sky; of several that which was made with the depth map."""
     masks = [mask for mask in image.masks() if mask.kind == "sky"]
     if len(masks) > 1 and depth is not None:
         made = depth.source, depth.source_version
@@ -135,11 +135,11 @@ def _sky(image: Image, depth: DepthImage | None) -> Mask | None:
 
 
 def order(seed: int, count: int, first: int) -> Iterator[int]:
-    """Every picture once in each round, every round in another order, which depends on the seed and the round alone.
+    """Every image once in each round, every round in another order, which depends on the seed and the round alone.
 
     Args:
         seed: of the orders.
-        count: how many pictures.
+        count: how many images.
         first: how many have been shown already.
     """
     epoch, place = divmod(first, count)
@@ -150,16 +150,16 @@ def order(seed: int, count: int, first: int) -> Iterator[int]:
 
 
 class NoSupervisionError(DatasetError):
-    """Not one picture has a pixel to learn from."""
+    """Not one image has a pixel to learn from."""
 
 
 def stream(
     images: TrainingImageCache, views: Sequence[RenderView], seed: int, first: int
 ) -> Generator[TrainingImage, None, None]:
-    """Training pictures without end, in the order of `order`; a thread opens the next ones meanwhile.
+    """Training images without end, in the order of `order`; a thread opens the next ones meanwhile.
 
     Raises:
-        NoSupervisionError: not one picture has a pixel to learn from.
+        NoSupervisionError: not one image has a pixel to learn from.
         DatasetError: a file is missing or broken.
     """
     barren: set[int] = set()
@@ -177,7 +177,7 @@ def stream(
                     barren.add(place)
                     if len(barren) == len(views):
                         raise NoSupervisionError(
-                            "masks cover every training picture", expected="pixels of the static street",
+                            "masks cover every training image", expected="pixels of the static street",
                             remedy="look at the masks: road users, the vehicle itself, and what the lens does not see",
                         )  # fmt: skip
                 yield image

@@ -1,4 +1,4 @@
-"""The loop that trains every method: pictures in, checkpoints, curves and a model out."""
+"""The loop that trains every method: images in, checkpoints, curves and a model out."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _PICTURES_EVERY: Final = 10
 _THOUSAND: Final = 1000
 _LIVE: Final = 0.02
 _LEAST_MSE: Final = 1e-10
-_DIVERGED: Final = "look at the poses, masks and depth of the pictures; the last checkpoint stays as it is"
+_DIVERGED: Final = "look at the poses, masks and depth of the images; the last checkpoint stays as it is"
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Options:
 
     Attributes:
         checkpoint_s: a checkpoint is written at the first step after so many seconds.
-        specimens: pictures that are rendered as training goes on.
+        specimens: images that are rendered as training goes on.
         title: of the chart.
     """
 
@@ -74,12 +74,12 @@ def train(
         budget: how long.
         folder: that the run began in.
         write: writes what was learnt to a path, and says how many bytes it has.
-        seed: of the order of the pictures.
+        seed: of the order of the images.
         options: see `Options`.
         watch: told how it goes.
 
     Raises:
-        DatasetError: a picture is missing or broken, masks cover every one of them, or training came to numbers that
+        DatasetError: an image is missing or broken, masks cover every one of them, or training came to numbers that
             are none; the last checkpoint stays.
         KeyboardInterrupt: after Ctrl-C, once a checkpoint is written.
     """
@@ -151,7 +151,7 @@ def _report(
     options: Options,
     watch: ProgressReporter,
 ) -> Position:
-    """Write a row of the curves, and pictures at every so many-th."""
+    """Write a row of the curves, and images at every so many-th."""
     _require_sound(trainer, position)
     sums = position.sums
     losses = {name: total / count for name, (total, count) in sums.losses.items()}
@@ -206,7 +206,7 @@ def _require_numbers(image: TrainingImage) -> None:
         if tensor is not None and not bool(tensor.sum().isfinite()):
             raise DatasetError(
                 f"{what} that are no finite numbers", place=image.name or str(image.viewpoint.source),
-                expected="a picture of finite numbers", remedy="leave the picture out, or correct its pose and depth",
+                expected="an image of finite numbers", remedy="leave the image out, or correct its pose and depth",
             )  # fmt: skip
 
 

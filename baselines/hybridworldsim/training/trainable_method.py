@@ -14,7 +14,7 @@ from hybridworldsim.training.viewpoint import Viewpoint
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """A picture that a model renders.
+    """An image that a model renders.
 
     Attributes:
         rgb: (H, W, 3) float32.
@@ -56,7 +56,7 @@ class TrainableMethod(Protocol):
         ...
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
-        """Learn from one picture.
+        """Learn from one image.
 
         Args:
             image: what was taken.

@@ -1,4 +1,4 @@
-"""One training picture as a method gets it."""
+"""One training image as a method gets it."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from mirror.protocols.views.view import RenderView
 
 
 class Source(NamedTuple):
-    """Who took a picture: what its appearance depends on.
+    """Who took an image: what its appearance depends on.
 
     Attributes:
         traversal_id: one drive's pass through the scene.
@@ -28,11 +28,11 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """Where a picture is seen from.
+    """Where an image is seen from.
 
     Attributes:
-        width_px: of the picture.
-        height_px: of the picture.
+        width_px: of the image.
+        height_px: of the image.
         K: (3, 3) float32 intrinsics, pixels; the centre of the first pixel is at 0.5.
         viewmat: (4, 4) float32 ``camera_SE3_block``.
         source: whose appearance it has.

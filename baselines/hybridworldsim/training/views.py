@@ -1,4 +1,4 @@
-"""Which pictures a block is trained on: those of the training traversals that see it, not one of a standing vehicle."""
+"""Which images a block is trained on: those of the training traversals that see it, not one of a standing vehicle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mirror.protocols.views.view import RenderView
 
 @dataclass(frozen=True)
 class TrainingViews:
-    """Training pictures as views: raster, lens and pose of each, none of them opened.
+    """Training images as views: raster, lens and pose of each, none of them opened.
 
     Attributes:
         plan: of all training frames; its protocol says the raster and the masks.
@@ -40,19 +40,19 @@ def training_views(
     withheld: Set[Picture] = frozenset(),
     stationary_m: float = STATIONARY_M,
 ) -> TrainingViews:
-    """The training pictures of a scene, in the raster and with the masks of a protocol.
+    """The training images of a scene, in the raster and with the masks of a protocol.
 
     Args:
         dataset: where they lie.
         protocol: what the method will be scored by; its groups and its choice of frames do not matter.
         split: whose training traversals are meant.
         scene: which scene.
-        withheld: pictures that are left out.
-        stationary_m: a picture is left out where its camera is nearer than this to the last one kept.
+        withheld: images that are left out.
+        stationary_m: an image is left out where its camera is nearer than this to the last one kept.
 
     Raises:
         UsageError: a lens is not a pinhole in the protocol's raster.
-        DatasetError: no such split, or no training traversal with pictures in the scene.
+        DatasetError: no such split, or no training traversal with images in the scene.
     """
     every = protocol.model_copy(
         update={
@@ -64,8 +64,8 @@ def training_views(
     own = [view for view in plan.views if (view.traversal_id, view.camera, view.timestamp_ns) not in withheld]
     if not own:
         raise DatasetError(
-            f"scene {scene} has no training picture", file=dataset.root, place=f"split {split}",
-            expected=f"training traversals with pictures, besides the {len(withheld)} that are held out",
+            f"scene {scene} has no training image", file=dataset.root, place=f"split {split}",
+            expected=f"training traversals with images, besides the {len(withheld)} that are held out",
             remedy="choose another scene or split, or a protocol that asks for fewer",
         )  # fmt: skip
     for view in own:

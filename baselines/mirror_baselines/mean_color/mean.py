@@ -1,4 +1,4 @@
-"""The mean colour of the training pictures of each camera, and pictures that show nothing else."""
+"""The mean colour of the training images of each camera, and images that show nothing else."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from mirror.methods.training_images import training_pictures
 from mirror.protocols.views import Plan, RenderView
 
 MAX_IMAGES: Final = 200
-"""So many pictures of a camera, evenly through all of them, are opened at most: the mean hardly changes with more."""
+"""So many images of a camera, evenly through all of them, are opened at most: the mean hardly changes with more."""
 
 
 def mean_colour(images: Sequence[Image]) -> Float64:
-    """The mean colour (3,), RGB, 0 to 255, of at most `MAX_IMAGES` of some pictures.
+    """The mean colour (3,), RGB, 0 to 255, of at most `MAX_IMAGES` of some images.
 
     It is the mean of 8-bit sRGB values, which the squared error that PSNR is made of asks for, not of light.
 
@@ -28,7 +28,7 @@ def mean_colour(images: Sequence[Image]) -> Float64:
         images: (N,) N >= 1.
 
     Raises:
-        DatasetError: a picture is missing or broken.
+        DatasetError: an image is missing or broken.
     """
     places = np.linspace(0, len(images) - 1, min(len(images), MAX_IMAGES)).round().astype(int)
     colours = [cv2.mean(images[place].decode())[:3] for place in places.tolist()]
@@ -36,7 +36,7 @@ def mean_colour(images: Sequence[Image]) -> Float64:
 
 
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
-    """One picture a camera, scene and size; see `mirror.evaluation.submission.writing.Renderer`."""
+    """One image a camera, scene and size; see `mirror.evaluation.submission.writing.Renderer`."""
     colours = {key: mean_colour(own.images) for key, own in training_pictures(dataset, plan).items()}
     alike: dict[tuple[str, str, int, int], list[RenderView]] = {}
     for view in plan.views:

@@ -1,4 +1,4 @@
-"""Colours of MTGS: a traversal has its own higher bands, and a training picture its exposure."""
+"""Colours of MTGS: a traversal has its own higher bands, and a training image its exposure."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class TraversalAppearance(AppearanceModel):
 
     Args:
         sh_degree: of colours.
-        sources: whose pictures are trained on.
+        sources: whose images are trained on.
         adapters: whether traversals differ in the constant band too.
-        exposure: learning rate of each training picture's 3 x 4 matrix; None: there are none.
+        exposure: learning rate of each training image's 3 x 4 matrix; None: there are none.
     """
 
     def __init__(self, sh_degree: int, sources: Sequence[Source], *, adapters: bool, exposure: Rate | None) -> None:

@@ -16,7 +16,7 @@ class MtgsStyle(Splatting):
     """Those of all methods of explicit Gaussians, and MTGS's own.
 
     Attributes:
-        exposure: learning rate of each training picture's matrix; None: there are none.
+        exposure: learning rate of each training image's matrix; None: there are none.
     """
 
     exposure: Rate | None = None

@@ -11,7 +11,7 @@ from mirror_baselines.splatting.trainer import SplattingTrainer
 
 
 def make(initial: InitialGeometry, settings: MtgsStyle) -> SplattingTrainer:
-    """A model that has seen no picture yet.
+    """A model that has seen no image yet.
 
     Args:
         initial: what is known of the block; its sources say which traversals there are.

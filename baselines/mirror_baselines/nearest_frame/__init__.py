@@ -1,4 +1,4 @@
-"""The floor of every benchmark: each view is shown the nearest training picture of its camera, as it was taken."""
+"""The floor of every benchmark: each view is shown the nearest training image of its camera, as it was taken."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Finds the nearest pose and shows its picture; only chosen pictures are opened, and each of them once."""
+"""Finds the nearest pose and shows its image; only chosen images are opened, and each of them once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mirror.protocols.truth.raster import raster_of
 from mirror.protocols.views import Plan, RenderView
 
 METRES_PER_RADIAN: Final = 10.0
-"""What a turn counts as: what is this far away moves by as much in the picture when the camera moves by it."""
+"""What a turn counts as: what is this far away moves by as much in the image when the camera moves by it."""
 
 PAIRS_AT_ONCE: Final = 4_000_000
 
@@ -46,7 +46,7 @@ def find_nearest(wanted: Poses, there: Poses) -> Int64:
 
 
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
-    """The picture of each view, those that share one together; see `mirror.evaluation.submission.writing.Renderer`."""
+    """The image of each view, those that share one together; see `mirror.evaluation.submission.writing.Renderer`."""
     images = training_pictures(dataset, plan)
     views: dict[tuple[str, str], list[RenderView]] = {}
     for view in plan.views:
@@ -76,7 +76,7 @@ def _poses(views: list[RenderView]) -> Poses:
 
 
 def _shown(image: Image, views: list[RenderView], pixels: Pixels) -> Iterator[Render]:
-    """One recorded picture in the raster of its own camera, scaled where a view's has another size."""
+    """One recorded image in the raster of its own camera, scaled where a view's has another size."""
     picture = raster_of(image.camera_model, pixels).picture(image.decode())
     sizes: dict[tuple[int, int], list[RenderView]] = {}
     for view in views:

@@ -1,6 +1,6 @@
-"""Gaussian splatting of one traversal after OmniRe (Chen et al. 2025): a cube of sky, an affine map a picture.
+"""Gaussian splatting of one traversal after OmniRe (Chen et al. 2025): a cube of sky, an affine map an image.
 
-OmniRe knows no traversals: all its pictures share their colours but for an affine map. It is meant for the pictures of
+OmniRe knows no traversals: all its images share their colours but for an affine map. It is meant for the images of
 one traversal, the nearest to the one that is to be rendered; who trains it chooses them, and it runs on several too.
 """
 

@@ -1,4 +1,4 @@
-"""Colours of OmniRe: a cube of sky behind the Gaussians, and an affine map of colours for each picture."""
+"""Colours of OmniRe: a cube of sky behind the Gaussians, and an affine map of colours for each image."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _IDENTITY: Final = torch.eye(3, 4)
 
 
 class AffineAppearance(AppearanceModel):
-    """Spherical harmonics before a sky, through a map of colours that a picture's embedding gives.
+    """Spherical harmonics before a sky, through a map of colours that an image's embedding gives.
 
-    A picture that was not trained on has the mean of all embeddings, as in OmniRe.
+    An image that was not trained on has the mean of all embeddings, as in OmniRe.
 
     Args:
-        sources: whose pictures are trained on.
+        sources: whose images are trained on.
         settings: sizes and rates.
     """
 

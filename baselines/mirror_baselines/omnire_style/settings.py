@@ -16,7 +16,7 @@ class OmnireStyle(Splatting):
     """Those of all methods of explicit Gaussians, and OmniRe's own.
 
     Attributes:
-        embedding: numbers a picture.
+        embedding: numbers an image.
         hidden: width of the network that reads its colours' affine map from them.
         affine: learning rate of both.
         sky_px: width of a face of the cube of sky.
@@ -40,7 +40,7 @@ RELEASED: Final = OmnireStyle(
     near_m=0.1,
 )
 """Of drivestudio's configs/omnire.yaml (commit e59bda4f); counts and schedules as shares of 30,000 steps. Its faces of
-sky are 1024 pixels wide for pictures of 1600; these are for 240."""
+sky are 1024 pixels wide for images of 1600; these are for 240."""
 
 BY_HAND: Final = OmnireStyle(
     seeding=replace(tuned.SEEDING, sky_count=0),

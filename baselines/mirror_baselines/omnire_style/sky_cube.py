@@ -1,4 +1,4 @@
-"""Sky as a cube of pictures at infinity."""
+"""Sky as a cube of images at infinity."""
 
 from __future__ import annotations
 

@@ -13,10 +13,10 @@ from mirror_baselines.splatting.trainer import SplattingTrainer
 
 
 def make(initial: InitialGeometry, settings: OmnireStyle) -> SplattingTrainer:
-    """A model that has seen no picture yet; the same for the same input and seed.
+    """A model that has seen no image yet; the same for the same input and seed.
 
     Args:
-        initial: what is known of the block; its sources say whose pictures are trained on.
+        initial: what is known of the block; its sources say whose images are trained on.
         settings: `RELEASED`, `TUNED` or others.
     """
     with torch.random.fork_rng(devices=[]):

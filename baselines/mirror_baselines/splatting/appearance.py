@@ -1,4 +1,4 @@
-"""How Gaussians get colours, and what is done to a picture of them: the part in which the methods differ."""
+"""How Gaussians get colours, and what is done to an image of them: the part in which the methods differ."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hybridworldsim.training.viewpoint import Source, Viewpoint
 
 @dataclass(frozen=True, eq=False)
 class FinishedImage:
-    """A picture as it is compared.
+    """An image as it is compared.
 
     Attributes:
         rgb: (H, W, 3).
@@ -26,7 +26,7 @@ class FinishedImage:
 
 
 class AppearanceModel(nn.Module):
-    """Spherical harmonics, the same in all pictures: vanilla 3DGS.
+    """Spherical harmonics, the same in all images: vanilla 3DGS.
 
     Its parameters are those that belong to no Gaussian; tables with a row a Gaussian are held by the learner, for
     densification.
@@ -61,15 +61,15 @@ class AppearanceModel(nn.Module):
         """Take a step with the gradients of these parameters, which then are none."""
 
     def prepare(self, viewpoint: Viewpoint, progress: float) -> None:
-        """A picture from here is about to be learnt from; learning rates are to be those of progress, from 0 to 1."""
+        """An image from here is about to be learnt from; learning rates are to be those of progress, from 0 to 1."""
 
     def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> FinishedImage:
-        """What the picture becomes.
+        """What the image becomes.
 
         Args:
             rgb: (H, W, 3) as rasterized, over black.
             alpha: (H, W).
-            viewpoint: whence.
+            viewpoint: the camera.
         """
         return FinishedImage(rgb, rgb)
 

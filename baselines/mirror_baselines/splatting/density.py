@@ -49,7 +49,7 @@ class DensityControl:
 
     @property
     def is_active(self) -> bool:
-        """Whether gradients in the picture are still asked for."""
+        """Whether gradients in the image are still asked for."""
         return self._round < self.settings.rounds
 
     def before_backward(self, meta: dict[str, Any]) -> None:
@@ -118,7 +118,7 @@ class DensityControl:
 
 
 def _unseen(meta: dict[str, Any]) -> dict[str, Any]:
-    """What the rasterizer tells of a picture that shows nothing."""
+    """What the rasterizer tells of an image that shows nothing."""
     means2d = torch.zeros(0, 2)
     means2d.grad = torch.zeros(0, 2)
     vars(means2d)["absgrad"] = torch.zeros(0, 2)

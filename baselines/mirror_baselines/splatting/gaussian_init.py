@@ -1,4 +1,4 @@
-"""Gaussians before any picture: points of the background, the ground and the sky, where the street has them too."""
+"""Gaussians before any image: points of the background, the ground and the sky, where the street has them too."""
 
 from __future__ import annotations
 

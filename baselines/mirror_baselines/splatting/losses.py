@@ -1,4 +1,4 @@
-"""Losses of a picture that Gaussians drew."""
+"""Losses of an image that Gaussians drew."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers that belong to one training picture: a picture is known by its source and its pose."""
+"""Numbers that belong to one training image: an image is known by its source and its pose."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _KEY = 17
 
 
 class PerImageTable(nn.Module):
-    """A table with a row a picture, which grows as pictures are met.
+    """A table with a row an image, which grows as images are met.
 
     Args:
-        sources: whose pictures there are.
-        size: numbers a picture.
+        sources: whose images there are.
+        size: numbers an image.
     """
 
     def __init__(self, sources: Sequence[Source], size: int) -> None:
@@ -31,17 +31,17 @@ class PerImageTable(nn.Module):
         self.adam = RowAdam(self.table)
 
     def row(self, viewpoint: Viewpoint) -> int | None:
-        """That of a picture; None: it was not trained on."""
+        """That of an image; None: it was not trained on."""
         if len(self._rows) != len(self.keys):
             self._rows = {key.tobytes(): row for row, key in enumerate(self.keys.numpy())}
         key = self._key(viewpoint)
         return None if key is None else self._rows.get(key.numpy().tobytes())
 
     def add_image(self, viewpoint: Viewpoint, first: Tensor) -> None:
-        """Give a picture a row unless it has one.
+        """Give an image a row unless it has one.
 
         Args:
-            viewpoint: of the picture.
+            viewpoint: of the image.
             first: (size,) what its row is to be.
         """
         key = self._key(viewpoint)
@@ -60,7 +60,7 @@ class PerImageTable(nn.Module):
         self.keys = nn.Parameter(torch.cat([self.keys, key[None]]), requires_grad=False)
 
     def update(self, viewpoint: Viewpoint) -> None:
-        """Take a step on a picture's row."""
+        """Take a step on an image's row."""
         row = self.row(viewpoint)
         if row is not None and self.table.grad is not None:
             self.adam.update(torch.tensor([row]), self.table.grad[row][None])

@@ -77,7 +77,7 @@ class Densification:
         rounds: in between.
         resets: of opacities, in between; each `rounds / resets` rounds but for the last.
         most: Gaussians in the end, at most; it rises to this evenly.
-        gradient: grow where the mean gradient in the picture, in half widths of it, exceeds this.
+        gradient: grow where the mean gradient in the image, in half widths of it, exceeds this.
         split_m: those larger are split, others doubled.
         least_opacity: below it, a Gaussian goes.
         largest_m: above it, a Gaussian goes, once opacities have been reset; None: never.

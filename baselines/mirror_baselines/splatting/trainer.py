@@ -1,4 +1,4 @@
-"""Explicit Gaussians that learn from pictures; a `hybridworldsim.training.trainable_method.TrainableMethod`."""
+"""Explicit Gaussians that learn from images; a `hybridworldsim.training.trainable_method.TrainableMethod`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mirror_baselines.splatting.settings import Splatting
 
 @dataclass(frozen=True, eq=False)
 class RenderOutput:
-    """A picture with what the optimiser reads.
+    """An image with what the optimiser reads.
 
     Attributes:
         finished: colours.
@@ -61,7 +61,7 @@ class SplattingTrainer:
         self._steps = 0
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
-        """Learn from one picture; see `TrainableMethod`."""
+        """Learn from one image; see `TrainableMethod`."""
         settings, look = self.settings, self.model.look
         self.model.sh_degree.fill_(min(int(progress / settings.sh_step), settings.sh_degree))
         for name, adam in self._adams.items():

@@ -1,6 +1,6 @@
 """What small budgets want of all methods of explicit Gaussians: found by trials of one and two core-minutes.
 
-Trials were on one block with 525 pictures of 240 x 135 of four traversals, a held-out fifth beside them. Against the
+Trials were on one block with 525 images of 240 x 135 of four traversals, a held-out fifth beside them. Against the
 released values: rates of colours eight times as high, of places and sizes twice as high, all falling to a tenth or
 less; fewer Gaussians, half opaque from the beginning and never reset; as many grown as the cap lets in, in the order of
 their gradients, which are summed without signs. Square errors with a tenth of a loss of structure ended 0.2 to 0.8 dB

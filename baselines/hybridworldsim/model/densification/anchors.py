@@ -1,4 +1,4 @@
-"""Anchors are added where pictures pull, in empty cells, and removed where nothing is seen of them."""
+"""Anchors are added where images pull, in empty cells, and removed where nothing is seen of them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SPREAD = 0.5
 
 
 class AnchorRefiner:
-    """Keeps what pictures tell of anchors, and acts on it; after Scaffold-GS, with a budget in place of thresholds.
+    """Keeps what images tell of anchors, and acts on it; after Scaffold-GS, with a budget in place of thresholds.
 
     Args:
         node: the anchors, whose tables are replaced.
@@ -35,13 +35,13 @@ class AnchorRefiner:
         self._clear()
 
     def accumulate(self, part: Splats, rows: Tensor, pull: Tensor, viewpoint: Viewpoint) -> None:
-        """Take one picture into account.
+        """Take one image into account.
 
         Args:
             part: what was decoded.
-            rows: (M,) of it, that the picture shows.
+            rows: (M,) of it, that the image shows.
             pull: (M,) of each.
-            viewpoint: whence.
+            viewpoint: the camera.
         """
         offsets = part.rows[rows]
         self._pull.view(-1).index_add_(0, offsets, pull)

@@ -1,4 +1,4 @@
-"""Code-Gaussians are split where pictures pull, and removed where they have become transparent."""
+"""Code-Gaussians are split where images pull, and removed where they have become transparent."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TRANSPARENT = 0.005
 
 
 class CodeRefiner:
-    """Keeps what pictures tell of Code-Gaussians, and acts on it.
+    """Keeps what images tell of Code-Gaussians, and acts on it.
 
     Args:
         node: whose tables are replaced.
@@ -36,7 +36,7 @@ class CodeRefiner:
         self._clear()
 
     def accumulate(self, part: Splats, rows: Tensor, pull: Tensor) -> None:
-        """Take one picture into account; see `AnchorRefiner.note`."""
+        """Take one image into account; see `AnchorRefiner.note`."""
         own = part.rows[rows]
         self._pull.index_add_(0, own, pull)
         self._drawn.index_add_(0, own, torch.ones_like(pull))

@@ -92,7 +92,7 @@ class Anchors(nn.Module):
         """Gaussians of anchors.
 
         Args:
-            viewpoint: whence.
+            viewpoint: the camera.
             latent: appearance, of the colours.
             content: appearance, of what is there at all (leaves, billboards). It is the same vector but for edits of
                 the light, which must not move anything.

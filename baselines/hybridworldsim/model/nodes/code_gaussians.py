@@ -94,7 +94,7 @@ class CodeGaussians(nn.Module):
         """Gaussians with their colours.
 
         Args:
-            viewpoint: whence.
+            viewpoint: the camera.
             latent: appearance.
             rows: which; None: all that the viewpoint may see.
         """

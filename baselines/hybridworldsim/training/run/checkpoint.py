@@ -37,7 +37,7 @@ class Position:
     """How far a run is.
 
     Attributes:
-        steps: pictures that were learnt from.
+        steps: images that were learnt from.
         shown: with those of which nothing is scored.
         spent_s: processor time of training.
         wall_s: time on the wall, of training.

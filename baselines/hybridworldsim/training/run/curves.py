@@ -44,7 +44,7 @@ def write_chart(path: Path, rows: Sequence[Row], title: str) -> None:
     drawn = "".join(
         _line(minutes, [row[name] for row in rows], colour, place, label)
         for name, colour, place, label in (
-            ("psnr_db", _COLOURS[0], 0, "PSNR of training pictures, dB"),
+            ("psnr_db", _COLOURS[0], 0, "PSNR of training images, dB"),
             ("gaussians", _COLOURS[1], 1, "Gaussians"),
         )
     )

@@ -1,4 +1,4 @@
-"""A run folder: what the run is, its checkpoint, its curves, its pictures, its model."""
+"""A run folder: what the run is, its checkpoint, its curves, its images, its model."""
 
 from __future__ import annotations
 
@@ -57,18 +57,18 @@ class Run(Document):
         block: name within the scene.
         origin_m: of the block's frame, in the scene's world frame.
         radius_m: of the block.
-        width_px: pictures are no wider.
+        width_px: images are no wider.
         half: the model is written in half precision.
         dataset_hash: of what the split was made of.
-        plan_hash: of the training pictures, their raster and the layers of masks.
+        plan_hash: of the training images, their raster and the layers of masks.
         settings_hash: of the method's settings.
         depth: ``source@version`` of the layers of depth maps that were read, or None.
         points: ``source@version`` of the layers of points that were read, or None.
         poses: layer of poses.
         calibrations: layer of calibrations.
         stage: of calibration, or None for the best of each traversal.
-        pictures: how many are trained on.
-        withheld: ``traversal/camera/timestamp_ns`` of training traversals' pictures that are not looked at.
+        images: how many are trained on.
+        withheld: ``traversal/camera/timestamp_ns`` of training traversals' images that are not looked at.
         sources: traversals and cameras that are trained on.
     """
 
@@ -104,11 +104,11 @@ class TrainingOutcome(Document):
     """``outcome.json``: what came of it, once it is done.
 
     Attributes:
-        steps: pictures that were learnt from.
-        skipped: pictures of which nothing is scored.
+        steps: images that were learnt from.
+        skipped: images of which nothing is scored.
         core_s: processor time of training.
         wall_s: time on the wall, of training.
-        psnr_db: of the last pictures that were trained on; their scored pixels.
+        psnr_db: of the last images that were trained on; their scored pixels.
         gaussians: held.
         model_bytes: of ``model.safetensors``.
     """

@@ -1,4 +1,4 @@
-"""Pictures of a run: a few views as they are rendered, beside the truth and the depth, at every report."""
+"""Images of a run: a few views as they are rendered, beside the truth and the depth, at every report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _QUALITY: Final = 90
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """One picture that is looked at again and again.
+    """One image that is looked at again and again.
 
     Attributes:
         name: of its files.

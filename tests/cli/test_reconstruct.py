@@ -20,7 +20,7 @@ import torch
 import mirror
 from hybridworldsim.methods.layers import Layers, layers_for, method_of
 from hybridworldsim.methods.street import StreetRenderer
-from hybridworldsim.model.blocks import Block, divide, views_of
+from hybridworldsim.model.blocks import Block, divide, select_views
 from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.training_image import TrainingImage
@@ -675,7 +675,7 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     origin = np.array(gone["origin_m"])
     everything = training_views(dataset, load_protocol("static-reconstruction"), "novel", "street").views
     block = Block((0, 0), tuple(origin.tolist()), 16.0, 4.0)
-    masked.update(one.path for one in views_of(block, everything))
+    masked.update(one.path for one in select_views(block, everything))
     monkeypatch.setattr(TrainingImageCache, "__call__", covered)
     removed: list[str] = []
 
@@ -699,7 +699,7 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     # It stays left out: nothing is tried again.
     masked.clear()
     assert said(capsys, *reconstruct(dataset, model, "--steps", 2))["blocks"] == first[1:]
-    masked.update(one.path for one in views_of(block, everything))
+    masked.update(one.path for one in select_views(block, everything))
     alone = reconstruct(dataset, tmp_path / "alone", "--steps", 2, "--blocks", first[0])
     assert said(capsys, *alone, code=ExitCode.COULD_NOT_RUN)["problem"] == "masks cover every training picture"
     assert not (tmp_path / "alone" / first[0]).exists()

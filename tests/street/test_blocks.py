@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hybridworldsim.model.blocks import Block, divide, views_of
+from hybridworldsim.model.blocks import Block, divide, select_views
 from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView
 from tests.street.streets import view
@@ -67,8 +67,8 @@ def test_what_stands_an_overlap_beyond_the_edge_is_far() -> None:
 def test_views_are_those_in_the_block_and_those_that_look_into_it_from_near() -> None:
     block = Block((0, 0), (0.0, 0.0, 0.0))
     views = [view(0.0), view(-60.0), view(60.0), view(-80.0), view(-60.0, 45.0), view(-60.0, 90.0)]
-    assert views_of(block, views) == (views[0], views[1], views[4])
-    assert views_of(block, []) == ()
+    assert select_views(block, views) == (views[0], views[1], views[4])
+    assert select_views(block, []) == ()
 
 
 def turned(yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: float) -> RenderView:
@@ -93,7 +93,7 @@ def test_however_a_camera_is_turned_it_trains_what_it_sees(
     places = np.stack(np.meshgrid(grid, grid, [-1.0, 0.0, 3.0, 9.0]), axis=-1).reshape(-1, 3)
     near = np.linalg.norm(places[:, :2] - (x_m, y_m), axis=1) < 0.7 * 50.0
     if (one.lens.project(one.pose.inverse().transform(places)).valid & near).any():
-        assert views_of(block, [one], 50.0) == (one,)
+        assert select_views(block, [one], 50.0) == (one,)
 
 
 @pytest.mark.parametrize("driven", [np.empty((0, 3)), np.full((3, 3), np.nan), np.zeros((3, 2))])

@@ -9,7 +9,13 @@ import torch
 
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.ply_export import ExportedGaussians, bake, psnr_to_model_db, render_gaussians, write_ply
+from hybridworldsim.model.ply_export import (
+    ExportedGaussians,
+    export_gaussians,
+    psnr_to_model_db,
+    render_gaussians,
+    write_ply,
+)
 from mirror.errors import UsageError
 from tests.street.streets import SOURCES, shifted, street, view
 
@@ -39,8 +45,8 @@ def test_the_file_is_what_viewers_expect(tmp_path: Path) -> None:
     one = street()
     block = Block((0, 0), UTM)
     views = [view(UTM[0] + x, UTM[1], UTM[2] + 1.5) for x in (-20.0, 0.0, 20.0)]
-    baked = bake([(block, one)], views, looks)
-    size = write_ply(tmp_path / "street.ply", baked)
+    exported = export_gaussians([(block, one)], views, looks)
+    size = write_ply(tmp_path / "street.ply", exported)
     lines, columns = read_ply(tmp_path / "street.ply")
     assert size == (tmp_path / "street.ply").stat().st_size
     assert list(columns) == [
@@ -56,16 +62,16 @@ def test_the_file_is_what_viewers_expect(tmp_path: Path) -> None:
     assert columns["opacity"].min() < 0.0 and columns["opacity"].max() < 8.0
     assert columns["scale_0"].min() < 0.0 and np.exp(columns["scale_0"]).max() < 100.0
     # Above the constant all red harmonics stand before all green ones.
-    np.testing.assert_array_equal(columns["f_rest_0"], baked.harmonics[:, 1, 0].numpy())
-    np.testing.assert_array_equal(columns["f_rest_15"], baked.harmonics[:, 1, 1].numpy())
-    np.testing.assert_array_equal(columns["f_dc_2"], baked.harmonics[:, 0, 2].numpy())
+    np.testing.assert_array_equal(columns["f_rest_0"], exported.spherical_harmonics[:, 1, 0].numpy())
+    np.testing.assert_array_equal(columns["f_rest_15"], exported.spherical_harmonics[:, 1, 1].numpy())
+    np.testing.assert_array_equal(columns["f_dc_2"], exported.spherical_harmonics[:, 0, 2].numpy())
 
 
 def test_a_sky_that_is_pulled_in_stands_behind_the_whole_street() -> None:
     blocks = [(replace(A, origin_m=(100.0 * number, 0.0, 0.0), index=(number, 0)), street()) for number in range(5)]
     views = [view(100.0 * number, 0.5) for number in range(5)]
-    near = bake(blocks, views, looks, degree=0, sky="clip", reach_m=150.0)
-    whole = bake(blocks, views, looks, degree=0, sky="pull", reach_m=150.0)
+    near = export_gaussians(blocks, views, looks, degree=0, sky="clip", reach_m=150.0)
+    whole = export_gaussians(blocks, views, looks, degree=0, sky="pull", reach_m=150.0)
     street_ends, sky = (torch.linalg.norm(one.means[:, :2], dim=1).max() for one in (near, whole))
     assert street_ends > 200.0 and sky >= street_ends
     outer = torch.linalg.norm(whole.means, dim=1)
@@ -78,9 +84,9 @@ def test_what_does_not_depend_on_the_view_is_baked_exactly() -> None:
     for network in (one.background.geometry, one.background.colour, one.ground.colour, one.sky.colour):
         network.own.data[:, network.code : network.code + 3] = 0.0
     for degree in (0, 1, 3):
-        baked = bake([(A, one)], LINE, looks, degree=degree, sky="keep")
-        assert baked.harmonics.shape[1] == (degree + 1) ** 2
-        assert psnr_to_model_db(baked, [(A, one)], LINE[:4], looks) > 45.0
+        exported = export_gaussians([(A, one)], LINE, looks, degree=degree, sky="keep")
+        assert exported.spherical_harmonics.shape[1] == (degree + 1) ** 2
+        assert psnr_to_model_db(exported, [(A, one)], LINE[:4], looks) > 45.0
 
 
 def test_harmonics_follow_colours_that_change_with_the_view() -> None:
@@ -88,7 +94,9 @@ def test_harmonics_follow_colours_that_change_with_the_view() -> None:
     for network in (one.background.geometry,):
         network.own.data[:, network.code : network.code + 3] = 0.0
     plain, full = (
-        psnr_to_model_db(bake([(A, one)], LINE, looks, degree=degree, sky="keep"), [(A, one)], LINE[1::2], looks)
+        psnr_to_model_db(
+            export_gaussians([(A, one)], LINE, looks, degree=degree, sky="keep"), [(A, one)], LINE[1::2], looks
+        )
         for degree in (0, 3)
     )
     assert full > plain and full > 35.0
@@ -96,7 +104,7 @@ def test_harmonics_follow_colours_that_change_with_the_view() -> None:
 
 def test_a_sky_pulled_in_looks_as_before_from_the_middle_and_is_nearer() -> None:
     one = street()
-    kept, pulled, clipped = (bake([(A, one)], LINE, looks, sky=sky) for sky in ("keep", "pull", "clip"))
+    kept, pulled, clipped = (export_gaussians([(A, one)], LINE, looks, sky=sky) for sky in ("keep", "pull", "clip"))
     assert kept.means.norm(dim=1).max() > 290.0
     assert pulled.means.norm(dim=1).max() < 150.1 and len(pulled) == len(kept)
     assert clipped.means.norm(dim=1).max() < 150.1 and len(clipped) < len(kept)
@@ -111,18 +119,20 @@ def test_blocks_are_baked_as_one_street() -> None:
         for network in (node.background.geometry, node.background.colour, node.ground.colour, node.sky.colour):
             network.own.data[:, network.code : network.code + 3] = 0.0
     views = [view(x, 0.5) for x in (-20.0, -10.0, -5.0)]
-    assert psnr_to_model_db(bake(both, views, looks, sky="keep"), both, views, looks) > 40.0
+    assert psnr_to_model_db(export_gaussians(both, views, looks, sky="keep"), both, views, looks) > 40.0
 
 
 def test_nothing_to_bake_from_is_refused() -> None:
     for views, degree in (([], 3), (LINE, 4)):
         with pytest.raises(UsageError, match="degree"):
-            bake([(A, street())], views, looks, degree=degree)
+            export_gaussians([(A, street())], views, looks, degree=degree)
 
 
 def test_a_baked_frame_far_from_the_worlds_origin_draws_the_same() -> None:
     one = street()
-    near = bake([(A, one)], LINE, looks)
-    far = ExportedGaussians(near.means, near.quats, near.log_scales, near.logits, near.harmonics, np.array(UTM))
+    near = export_gaussians([(A, one)], LINE, looks)
+    far = ExportedGaussians(
+        near.means, near.quats, near.log_scales, near.logits, near.spherical_harmonics, np.array(UTM)
+    )
     there = view(UTM[0] - 10.0, UTM[1], UTM[2] + 1.5)
     torch.testing.assert_close(render_gaussians(near, view(-10.0)), render_gaussians(far, there), atol=1e-4, rtol=0.0)

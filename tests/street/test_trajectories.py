@@ -38,7 +38,7 @@ def test_any_rate_begins_at_the_first_pose_and_stays_on_the_way() -> None:
         share = (often.timestamps_ns - 7 * SECOND) / SECOND
         np.testing.assert_allclose(often.world_SE3_ego.translation[:, 0], 10.0 * share, atol=1e-9)
     for none in (0.0, -1.0, np.nan):
-        with pytest.raises(UsageError, match="images a second"):
+        with pytest.raises(UsageError, match=r"--hz: .* a second"):
             quarter_turn().at_rate(none)
 
 
@@ -58,7 +58,7 @@ def test_poses_of_a_file_are_those_that_were_written(tmp_path: Path, suffix: str
     table.drop(columns="timestamp_ns").to_csv(tmp_path / "even.csv", index=False)
     assert np.diff(given(tmp_path / "even.csv", hz=4.0).timestamps_ns).tolist() == [SECOND // 4]
     assert len(given(tmp_path / "even.csv", hz=30.0).at_rate(30.0)) == len(table)
-    with pytest.raises(UsageError, match="0 images a second"):
+    with pytest.raises(UsageError, match=r"--hz: 0 .* a second"):
         given(tmp_path / "even.csv", hz=0.0)
 
 

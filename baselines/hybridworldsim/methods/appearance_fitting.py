@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import torch
 
-from hybridworldsim.model.blocks import Block, views_of
+from hybridworldsim.model.blocks import Block, select_views
 from hybridworldsim.model.losses import colour_loss
 from hybridworldsim.model.street import Street
 from hybridworldsim.training.appearance import AppearanceSelector
@@ -52,7 +52,7 @@ def fit_appearances(street: Street, block: Block, run: Run, appearance: Appearan
     known = {Source(one.traversal_id, one.camera) for one in seen}
     looks = AppearanceSelector(seen, "nearest", appearance.views)
     by_source: dict[Source, list[RenderView]] = {}
-    for view in views_of(
+    for view in select_views(
         block, [view for view in plan.views if view.scene_id == run.scene and view.group not in moved]
     ):
         source = Source(view.traversal_id, view.camera)
@@ -79,8 +79,8 @@ def _fitted(street: Street, near: Source, images: TrainingImageCache, views: lis
         part &= image.scored
         if not part.any():
             continue
-        drawn = street(image.viewpoint, latent)
-        (gradient,) = torch.autograd.grad(colour_loss(drawn.rgb, image.rgb, part), latent)
+        output = street(image.viewpoint, latent)
+        (gradient,) = torch.autograd.grad(colour_loss(output.rgb, image.rgb, part), latent)
         latent.grad = gradient
         adam.param_groups[0]["lr"] = _RATE * (1.0 - step / _STEPS)
         adam.step()

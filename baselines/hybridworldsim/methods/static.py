@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from hybridworldsim.methods.layers import KINDS, Layers, layers_for
 from hybridworldsim.methods.overrides import override_settings, settings_document
 from hybridworldsim.methods.renderers import NearestBlockRenderer, Renderer, open_block
-from hybridworldsim.model.blocks import SIZE_M, Block, divide, views_of
+from hybridworldsim.model.blocks import SIZE_M, Block, divide, select_views
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.scene_geometry import block_geometry, driven_m, read_scene_geometry
 from hybridworldsim.training.appearance import AppearanceSelector, trained_cameras
@@ -90,7 +90,7 @@ class StaticMethod:
         views = training_views(dataset, task.protocol, task.split, task.scene, withheld=task.withheld).views
         driven = driven_m(dataset.where(split=task.split, role="train", scene=task.scene))
         there = divide(_pictured_m(driven, views), self.block_m).blocks
-        blocks = [(block, own_views) for block in there if (own_views := views_of(block, views))]
+        blocks = [(block, own_views) for block in there if (own_views := select_views(block, views))]
         chosen = _chosen([block.name for block, _ in blocks], task.blocks)
         layers = layers_for(dataset, task, watch)
         # The plan knows of the layers.
@@ -247,7 +247,7 @@ class _Block:
         """A few training and held-out images of the block; of what is held out, those that can be had."""
         shown = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
-            shown.append(("held-out", self.held_out, views_of(self.block, self.held_out.views)))
+            shown.append(("held-out", self.held_out, select_views(self.block, self.held_out.views)))
         # Training images have looks of their own.
         looks = AppearanceSelector(run.sources, "nearest", () if self.held_out is None else self.held_out.views)
         found = []

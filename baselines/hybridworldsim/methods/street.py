@@ -16,7 +16,7 @@ from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.initialization import InitialGeometry, initial_street
-from hybridworldsim.model.ply_export import bake, psnr_to_model_db, write_ply
+from hybridworldsim.model.ply_export import export_gaussians, psnr_to_model_db, write_ply
 from hybridworldsim.model.settings import Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import Street
@@ -54,7 +54,9 @@ class StreetMethod(StaticMethod):
         """See `mirror.methods.ply_export.BakingMethod`."""
         street = StreetRenderer([_open(folder) for folder in block_folders(model)], appearance)
         looks = street.latents(views[0])
-        baked = bake(street.blocks, views, looks, degree=options.degree, sky=options.sky, reach_m=options.reach_m)
+        baked = export_gaussians(
+            street.blocks, views, looks, degree=options.degree, sky=options.sky, reach_m=options.reach_m
+        )
         size = write_ply(out, baked)
         x, y, z = baked.origin_m.tolist()
         return Baking(len(baked), size, psnr_to_model_db(baked, street.blocks, views, looks), (x, y, z))
@@ -114,8 +116,8 @@ class StreetRenderer:
 
     def render(self, view: RenderView) -> Rendering:
         """A view with its depth."""
-        drawn, counts = self._composition.render(view, self.latents(view))
-        return Rendering(drawn.rgb, drawn.alpha, drawn.depth_m, counts)
+        output, counts = self._composition.render(view, self.latents(view))
+        return Rendering(output.rgb, output.alpha, output.depth_m, counts)
 
     def latents(self, view: RenderView) -> Callable[[AppearanceLatents], tuple[Tensor, Tensor]]:
         """Of a block's appearance, what a view's colours and content are drawn with."""

@@ -1,4 +1,4 @@
-"""Latent vectors of appearance: one for each traversal and camera that was trained on."""
+"""Latent vectors of appearance: one for each traversal and camera of the training images."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ _SPREAD = 0.1
 
 
 class AppearanceLatents(nn.Module):
-    """z(drive, sensor), supplement "Controllable Lighting Change": what a traversal looks like, and a camera in it.
+    """The latent z(drive, sensor) of each camera in each traversal (supplement, "Controllable Lighting Change").
 
-    A pair's latent is its traversal's and the pair's own, which begins at zero and learns slowly: a place that one
-    camera of a traversal never saw then looks there as it does to the others.
+    The latent of a pair is the sum of the traversal's latent and of the pair's own. The pair's own latent begins at
+    zero and learns slowly, so that a place that one camera of a traversal did not record is coloured as the other
+    cameras recorded it.
 
     Args:
-        sources: pairs that are trained on.
-        size: of a latent vector.
+        sources: training pairs of traversal and camera.
+        size: length of a latent vector.
     """
 
     def __init__(self, sources: Sequence[Source], size: int) -> None:
@@ -30,15 +31,15 @@ class AppearanceLatents(nn.Module):
         self._rows: dict[Source, int] = {}
         self._drives: dict[str, int] = {}
         for source in sources:
-            self._know(source)
+            self._add_row(source)
         self.drives = nn.Parameter(_SPREAD * torch.randn(len(self._drives), size))
         self.sensors = nn.Parameter(torch.zeros(len(self.sources), size))
 
     def forward(self, source: Source) -> Tensor:
-        """(size,) of a pair.
+        """Return the latent (size,) of a pair.
 
         Raises:
-            UsageError: it was not trained on; `policies` say what to take in its place.
+            UsageError: the pair was not trained on.
         """
         row = self._rows.get(source)
         if row is None:
@@ -50,16 +51,16 @@ class AppearanceLatents(nn.Module):
         return self.drives[self._drives[source.traversal_id]] + self.sensors[row]
 
     def add(self, source: Source, latent: Tensor) -> None:
-        """Know one more pair, by a latent (size,) that was fitted to it; a known pair gets another latent."""
+        """Add a pair with a latent (size,) that was fitted to it; the latent of a known pair is replaced."""
         with torch.no_grad():
-            self._know(source)
+            self._add_row(source)
             self.drives, self.sensors = (
                 nn.Parameter(torch.cat([table, table.new_zeros(count - len(table), table.shape[1])]))
                 for table, count in ((self.drives, len(self._drives)), (self.sensors, len(self.sources)))
             )
             self.sensors[self._rows[source]] = latent - self.drives[self._drives[source.traversal_id]]
 
-    def _know(self, source: Source) -> None:
+    def _add_row(self, source: Source) -> None:
         if source not in self._rows:
             self._rows[source] = len(self.sources)
             self.sources = (*self.sources, source)

@@ -1,4 +1,4 @@
-"""The small networks that decode Gaussians from codes, the appearance, the direction and the place."""
+"""The small networks that decode Gaussians from codes, the appearance, the viewing direction and the place."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from torch.autograd.function import once_differentiable
 
 
 class ModulatedMLP(nn.Module):
-    """A network of one hidden layer that an appearance conditions: what an image pays for once, not for each row.
+    """A network with one hidden layer that an appearance modulates once for an image, not for each row.
 
-    The appearance adds to the hidden layer's bias and, where the network is bent, to the matrix that reads the codes:
-    each appearance then has a network of its own, of as many degrees of freedom as its latent has.
+    The appearance adds to the bias of the hidden layer. If the network is modulated, it also adds to the matrix that
+    reads the codes, so that each appearance has its own network, with as many degrees of freedom as its latent.
 
     Args:
-        code: size of the codes, which are learnt.
-        beside: size of what stands beside a code and is given.
+        code: size of the codes, which are learned.
+        beside: number of other inputs beside a code: direction and place.
         latent: size of the appearance.
-        hidden: width.
+        hidden: width of the hidden layer.
         outputs: size of the output.
-        bent: whether the appearance bends the matrix of the codes.
+        modulated: whether the appearance changes the matrix that reads the codes.
     """
 
     def __init__(self, code: int, beside: int, latent: int, hidden: int, outputs: int, *, modulated: bool) -> None:
@@ -34,12 +34,12 @@ class ModulatedMLP(nn.Module):
         self.bend = nn.Parameter(torch.zeros(hidden * code, latent)) if modulated else None
         self.out = nn.Linear(hidden, outputs)
 
-    def first(self, latent: Tensor, width: int) -> Tensor:
-        """(hidden, width) the first layer under an appearance (latent,): matrix, bias, and as many zeros as are asked.
+    def first_layer(self, latent: Tensor, width: int) -> Tensor:
+        """(hidden, width) the first layer under an appearance: the matrix, the bias, and zeros up to the width.
 
         Args:
-            latent: the appearance.
-            width: of what the network is told.
+            latent: (latent,) the appearance.
+            width: number of columns of the network's input.
         """
         matrix: Tensor = self.own
         if self.bend is not None:
@@ -50,40 +50,42 @@ class ModulatedMLP(nn.Module):
 
 
 def run_mlps(network_inputs: Tensor, *networks: tuple[ModulatedMLP, Tensor]) -> tuple[Tensor, ...]:
-    """What networks make of the same rows, each under an appearance of its own.
+    """Apply several networks to the same rows, each under its own appearance.
 
     Args:
-        network_inputs: (N, code + beside + 1 or more) codes, what stands beside them, a one, zeros.
-        networks: each with an appearance (latent,).
+        network_inputs: (N, code + beside + 1 or more) codes, other inputs, a column of ones, columns of zeros.
+        networks: pairs of a network and an appearance (latent,).
 
     Returns:
-        Of each network (N, outputs).
+        The output (N, outputs) of each network.
     """
-    first = torch.cat([network.first(latent, network_inputs.shape[1]) for network, latent in networks])
-    lasts = [layer for network, _ in networks for layer in (network.out.weight, network.out.bias)]
-    found: tuple[Tensor, ...] = _Perceptrons.apply(network_inputs, first, *lasts)
-    return found
+    first_layer = torch.cat([network.first_layer(latent, network_inputs.shape[1]) for network, latent in networks])
+    output_layers = [layer for network, _ in networks for layer in (network.out.weight, network.out.bias)]
+    outputs: tuple[Tensor, ...] = _Perceptrons.apply(network_inputs, first_layer, *output_layers)
+    return outputs
 
 
 class _Perceptrons(torch.autograd.Function):
-    """``out(relu(first(inputs)))`` of several networks, in as few and as large products as there can be."""
+    """Several networks ``out(relu(first(inputs)))``, computed in few, large matrix products."""
 
     @staticmethod
-    def forward(ctx: Any, inputs: Tensor, first: Tensor, *lasts: Tensor) -> tuple[Tensor, ...]:
-        hidden = torch.mm(inputs, first.T).relu_()
-        weights = lasts[::2]
-        ctx.save_for_backward(inputs, hidden, first, *weights)
+    def forward(ctx: Any, inputs: Tensor, first_layer: Tensor, *output_layers: Tensor) -> tuple[Tensor, ...]:
+        hidden = torch.mm(inputs, first_layer.T).relu_()
+        weights = output_layers[::2]
+        ctx.save_for_backward(inputs, hidden, first_layer, *weights)
         parts = hidden.split([weight.shape[1] for weight in weights], dim=1)
-        return tuple(torch.addmm(bias, part, weight.T) for part, weight, bias in zip(parts, weights, lasts[1::2]))
+        return tuple(
+            torch.addmm(bias, part, weight.T) for part, weight, bias in zip(parts, weights, output_layers[1::2])
+        )
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        inputs, hidden, first, *weights = ctx.saved_tensors
-        sizes, to_hidden, to_lasts = [weight.shape[1] for weight in weights], torch.empty_like(hidden), []
-        spans = zip(gradients, weights, hidden.split(sizes, dim=1), to_hidden.split(sizes, dim=1))
+        inputs, hidden, first_layer, *weights = ctx.saved_tensors
+        sizes, hidden_gradient, output_gradients = [weight.shape[1] for weight in weights], torch.empty_like(hidden), []
+        spans = zip(gradients, weights, hidden.split(sizes, dim=1), hidden_gradient.split(sizes, dim=1))
         for gradient, weight, part, to_part in spans:
             torch.mm(gradient, weight, out=to_part)
-            to_lasts += [gradient.T @ part, gradient.sum(0)]
-        torch.ops.aten.threshold_backward.grad_input(to_hidden, hidden, 0.0, grad_input=to_hidden)
-        return to_hidden @ first, to_hidden.T @ inputs, *to_lasts
+            output_gradients += [gradient.T @ part, gradient.sum(0)]
+        torch.ops.aten.threshold_backward.grad_input(hidden_gradient, hidden, 0.0, grad_input=hidden_gradient)
+        return hidden_gradient @ first_layer, hidden_gradient.T @ inputs, *output_gradients

@@ -1,4 +1,4 @@
-"""What a block begins with, of a dataset's layers: points, driven lines, the ground through them."""
+"""Initial geometry of a block from a dataset's layers: points, driven lines, and the ground through them."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from mirror.errors import DatasetError
 
 
 def driven_m(dataset: Dataset) -> Float64:
-    """(N, 3) where vehicles drove in the traversals of a view, on the ground, in the world."""
+    """(N, 3) places of vehicles on the ground in the traversals of a dataset view, in the world."""
     return read_driven_poses(dataset).translation
 
 
 @dataclass(frozen=True, eq=False)
 class SceneGeometry:
-    """What is known of a scene before any of its blocks is trained, in the world.
+    """The geometry of a scene before training, in the world.
 
     Attributes:
-        points_m: (P, 3) that do not lie on the ground.
+        points_m: (P, 3) points that do not lie on the ground.
         points_rgb: (P, 3) their colours.
-        driven_m: (N, 3) where vehicles drove.
-        ground: through them and the points that lie on it.
+        driven_m: (N, 3) places of vehicles on the ground.
+        ground: surface through the driven places and the ground points.
     """
 
     points_m: Float64
@@ -39,65 +39,65 @@ class SceneGeometry:
 
 
 def read_scene_geometry(dataset: Dataset) -> SceneGeometry:
-    """What is known of a scene.
+    """Read the geometry of a scene.
 
     Args:
-        dataset: a view of the training traversals of one scene, and nothing else: no held-out one leaks in.
+        dataset: a view of the training traversals of one scene, without held-out ones.
 
     Raises:
-        DatasetError: the traversals have no points, or some that are no finite numbers.
-        UsageError: they have several layers of points, and none was chosen.
+        DatasetError: the traversals have no points, or points that are not finite.
+        UsageError: they have several layers of points and none was chosen.
     """
     points = dataset.points()
     if not len(points):
-        made = dataset.layers.points
+        layer = dataset.layers.points
         raise DatasetError(
             f"no points in the {dataset.count('traversals')} training traversals", file=dataset.root,
             place=f"scene {', '.join(dataset.scenes())}", expected="a layer of points",
-            remedy=f"{made} found nothing to match: look at images, masks and poses, or try another --initialise"
-            if made else "make one of the images: --initialise plane-sweep",
+            remedy=f"{layer} matched no point: check images, masks and poses, or try another --initialise"
+            if layer else "estimate one from the images: --initialise plane-sweep",
         )  # fmt: skip
-    if wrong := int((~np.isfinite(points.position_m)).any(axis=1).sum()):
+    if invalid_count := int((~np.isfinite(points.position_m)).any(axis=1).sum()):
         raise DatasetError(
-            f"{wrong} of {len(points)} points are no finite numbers", file=dataset.root,
+            f"{invalid_count} of {len(points)} points are not finite", file=dataset.root,
             place=f"scene {', '.join(dataset.scenes())}, layer of points {dataset.layers.points or 'that is there'}",
-            expected="metres in the scene's world", remedy="`mirror check` names the file; make the layer anew",
+            expected="metres in the scene's world", remedy="`mirror check` names the file; make the layer again",
         )  # fmt: skip
     on_ground = np.array(points.kind) == "ground"
     ground = fit_ground(compute_wheel_contacts(read_driven_poses(dataset)), points.position_m[on_ground])
     return SceneGeometry(points.position_m[~on_ground], points.rgb[~on_ground], driven_m(dataset), ground)
 
 
-def block_geometry(known: SceneGeometry, block: Block, sources: Sequence[Source]) -> InitialGeometry:
-    """What is known of a block before it is trained.
+def block_geometry(scene: SceneGeometry, block: Block, sources: Sequence[Source]) -> InitialGeometry:
+    """Select the geometry of a block from that of its scene.
 
     Args:
-        known: of the scene.
-        block: of it.
-        sources: whose images the block is trained on.
+        scene: geometry of the scene.
+        block: a block of the scene.
+        sources: traversals and cameras of the block's training images.
 
     Returns:
-        All in the block's frame: points in it, points beyond it, driven places, the ground.
+        Points inside and beyond the block, driven places and the ground, all in the block's frame.
     """
     origin = np.array(block.origin_m)
 
     def surface(places_m: Float64) -> tuple[Float64, Float64]:
         world = places_m + origin[:2]
-        return known.ground.height(world) - origin[2], known.ground.normal(world)
+        return scene.ground.height(world) - origin[2], scene.ground.normal(world)
 
-    far = block.far(known.points_m)
+    far = block.far(scene.points_m)
     return InitialGeometry(
-        block.local(known.points_m[~far]),
-        block.local(known.points_m[far]),
-        _within(block, block.local(known.driven_m)),
+        block.local(scene.points_m[~far]),
+        block.local(scene.points_m[far]),
+        _driven_inside(block, block.local(scene.driven_m)),
         surface,
         block.half_extent_m,
         sources,
-        known.points_rgb[~far],
+        scene.points_rgb[~far],
     )
 
 
-def _within(block: Block, driven: Float64) -> Float64:
-    """Driven places that a block holds geometry of; the nearest one, if it holds none."""
+def _driven_inside(block: Block, driven: Float64) -> Float64:
+    """Driven places within the block's geometry; the nearest place if there is none."""
     beyond = np.abs(driven[:, :2]).max(axis=1)
     return driven[beyond <= max(block.half_extent_m, float(beyond.min()))]

@@ -1,4 +1,4 @@
-"""Every number of the model and of its training that the paper leaves open, or that a small budget scales."""
+"""All numbers of the model and its training that the paper leaves open, or that a small budget scales."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Learning rates of Adam: about twice those of Scaffold-GS and of 3DGS, as small budgets want it."""
+    """Learning rates of Adam: about twice those of Scaffold-GS and 3DGS, for small budgets."""
 
     means: Rate = Rate(1e-2, 1e-4)
     quats: Rate = Rate(1e-3, 1e-4)
@@ -47,18 +47,18 @@ class Refinement:
     """When anchors are added and removed, and how many there may be.
 
     Attributes:
-        begin: progress.
-        end: progress.
-        times: how often in between.
-        least_steps: but not before so many images told something since the last time.
-        max_anchors: largest number of anchors in a block; those that it begins with stay, see `Settings.first_anchors`.
-            Its key in ``run.json``, and in the hash of the settings, is ``most``.
-        most_ground: Code-Gaussians on the ground, at most.
-        most_sky: and in the sky.
-        cells_m: sizes of cells in which new anchors stand, coarse to fine.
-        least_cell: a cell is no smaller than this share of the distance from which it is seen at nearest.
-        least_opacity: mean sum of an anchor's opacities below which it goes.
-        least_share: an offset counts that so large a share of the images since the last time drew.
+        begin: progress at which refinement begins.
+        end: progress at which it ends.
+        times: number of refinements in between.
+        least_steps: smallest number of steps between two refinements.
+        max_anchors: largest number of anchors in a block; the initial anchors stay, see `Settings.first_anchors`. Its
+            key in ``run.json``, and in the hash of the settings, is ``most``.
+        most_ground: largest number of Code-Gaussians on the ground.
+        most_sky: largest number of Code-Gaussians in the sky.
+        cells_m: sizes of cells for new anchors, coarse to fine.
+        least_cell: smallest cell, as a share of the smallest distance of a camera to the anchor.
+        least_opacity: an anchor whose opacities sum to less than this, on average over its visits, is removed.
+        least_share: an offset counts only if at least this share of the images since the last refinement shows it.
     """
 
     begin: float = 0.05
@@ -91,27 +91,27 @@ class Settings:
     """The model and its training.
 
     Attributes:
-        latent: size of an appearance; 0: all traversals look the same.
-        hybrid: the background is of anchors; False: of Code-Gaussians, as ground and sky are.
+        latent: size of an appearance latent; with 0 all traversals have the same appearance.
+        hybrid: the background is represented by anchors; False: by Code-Gaussians, as ground and sky are.
         code: size of an anchor's code.
-        offsets: Gaussians an anchor.
+        offsets: number of Gaussians of an anchor.
         hidden: width of the networks.
         plain_code: size of the codes of ground and sky.
-        first_anchors: the initial points are thinned to so many at most.
-        first_spacing_m: and to one a cell of this size.
-        first_share: but no closer than this share of the distance from where vehicles drive.
-        ground_spacing_m: of the grid on the ground.
-        ground_reach_m: how far from a driven line there is ground.
-        sky_count: Gaussians on the hemisphere.
-        sky_radius: of the hemisphere, in block radii.
-        far_count: of the points beyond the block, which the sky takes in, so many at most.
-        structure_weight: of the loss of structure, which the paper does not have.
-        depth_weight: of the depth loss.
-        normal_weight: of the normal loss.
-        normal_every: it is computed at each so many-th step, with so many times the weight.
+        first_anchors: largest number of initial points after thinning.
+        first_spacing_m: smallest cell that keeps one initial point.
+        first_share: a cell is at least this share of the distance to the nearest driven place.
+        ground_spacing_m: step of the grid on the ground.
+        ground_reach_m: largest distance of the ground from a driven line.
+        sky_count: number of Gaussians on the hemisphere.
+        sky_radius: radius of the hemisphere, in block radii.
+        far_count: largest number of points beyond the block; they belong to the sky node.
+        structure_weight: weight of the structure loss, which the paper does not have.
+        depth_weight: weight of the depth loss.
+        normal_weight: weight of the normal loss.
+        normal_every: the normal loss is computed every so many steps, with its weight times this number.
         rates: learning rates.
-        refinement: of the anchors.
-        seed: of everything that is left to chance.
+        refinement: schedule and limits of refinement.
+        seed: seed of all random numbers.
     """
 
     latent: int = 32
@@ -143,10 +143,10 @@ class Settings:
 
 
 def require(settings: object, under: str, names: Sequence[str], least: float) -> None:
-    """See that settings are not below the least that there can be.
+    """Require settings to be at least a number.
 
     Raises:
-        UsageError: one is.
+        UsageError: a setting is smaller.
     """
     for name in names:
         if not getattr(settings, name) >= least:
@@ -156,10 +156,10 @@ def require(settings: object, under: str, names: Sequence[str], least: float) ->
 
 
 def require_above(settings: object, under: str, names: Sequence[str], least: float = 0.0) -> None:
-    """See that settings, or all numbers of each, are above something.
+    """Require settings, or all numbers of each, to be larger than a number.
 
     Raises:
-        UsageError: one is not.
+        UsageError: a setting is not larger.
     """
     for name in names:
         value = getattr(settings, name)

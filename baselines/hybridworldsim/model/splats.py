@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """What a node shows of itself.
+    """The decoded Gaussians of a node.
 
     Attributes:
         means: (N, 3) in the block's frame, metres.
@@ -19,10 +19,10 @@ class Splats:
         scales: (N, 3) standard deviations, metres.
         opacities: (N,) in [0, 1].
         colours: (N, 3) in [0, 1].
-        rows: (N,) int64: which of the node's Gaussians these are.
-        stored_count: how many Gaussians the node has in all.
-        decoded_count: how many it decoded.
-        anchor_ids: (M,) int64: of a node of anchors, which of them were decoded.
+        rows: (N,) int64 indices among the node's Gaussians.
+        stored_count: number of Gaussians of the node.
+        decoded_count: number of Gaussians that were decoded.
+        anchor_ids: (M,) int64 decoded anchors, for a node of anchors.
     """
 
     means: Tensor
@@ -40,7 +40,7 @@ class Splats:
 
 
 def concatenate_splats(parts: Sequence[Splats]) -> Splats:
-    """Those of several nodes one after the other; `rows` counts through them all."""
+    """Concatenate the Gaussians of several nodes; `rows` counts through all of them."""
     return Splats(
         torch.cat([part.means for part in parts]),
         torch.cat([part.quats for part in parts]),

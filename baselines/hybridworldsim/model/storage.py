@@ -1,4 +1,4 @@
-"""A block on disk: one safetensors file, nothing in it that rendering does not need."""
+"""A block on disk: one safetensors file that holds only what rendering needs."""
 
 from __future__ import annotations
 
@@ -29,35 +29,35 @@ _TABLES: Final = ("offsets", "codes", "log_scales", "quats", "logits")
 def save_block(
     path: Path, block: Block, street: Street, *, half: bool = False, about: Mapping[str, Any] | None = None
 ) -> int:
-    """Write a block: of an anchor 50 numbers (place, k = 3 offsets, code of 32, 6 sizes), 200 bytes.
+    """Write a block. An anchor has 50 numbers (place, k = 3 offsets, code of 32, 6 sizes): 200 bytes.
 
-    In half precision positions stay float32, as do networks and latents, and an anchor takes 106 bytes.
+    In half precision, positions, networks and latents stay float32, and an anchor takes 106 bytes.
 
     Args:
-        path: of the file; written whole or not at all.
-        block: where it is.
+        path: the file; it is written completely or not at all.
+        block: place and size of the block.
         street: the model.
-        half: store what is not a position, a network or a latent as float16.
-        about: whatever else shall be known of it, as JSON: settings, hashes.
+        half: store the tables that are not positions as float16.
+        about: further JSON data: settings, hashes.
 
     Returns:
-        Bytes of the file.
+        Size of the file, bytes.
 
     Raises:
         DatasetError: a number is not finite, or too large for half precision.
     """
     from safetensors.torch import save
 
-    tables = {name: _stored(name, parameter, half, path) for name, parameter in street.named_parameters()}
-    said = {
+    tables = {name: _to_stored(name, parameter, half, path) for name, parameter in street.named_parameters()}
+    metadata = {
         "format": FORMAT,
         "block": json.dumps(asdict(block)),
         "radius_m": repr(street.background.radius_m),
         "sources": json.dumps([tuple(source) for source in street.appearance.sources]),
         "about": json.dumps(dict(about or {}), sort_keys=True),
     }
-    # One entry: safetensors writes several in any order, and equal models are to have equal bytes.
-    data = save(tables, {_ENTRY: json.dumps(said, sort_keys=True)})
+    # One entry, because safetensors writes several entries in any order, and equal models must have equal bytes.
+    data = save(tables, {_ENTRY: json.dumps(metadata, sort_keys=True)})
     write_bytes(path, data)
     return len(data)
 
@@ -66,29 +66,31 @@ def load_block(path: Path) -> tuple[Block, Street, dict[str, Any]]:
     """Read what `save_block` wrote.
 
     Returns:
-        The block, its street in float32, and what else was said about it.
+        The block, its street in float32, and the further data that was stored with it.
 
     Raises:
-        DatasetError: there is no such file, or it is of another format.
+        DatasetError: the file is missing, cannot be read, or has another format.
     """
     from safetensors import SafetensorError, safe_open
 
     try:
         with safe_open(path, "pt") as file:
-            said = json.loads((file.metadata() or {}).get(_ENTRY, "{}"))
-            if said.get("format") != FORMAT:
-                raise DatasetError(f"format {said.get('format')!r}", file=path, expected=FORMAT)
-            tables = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no mapping
+            metadata = json.loads((file.metadata() or {}).get(_ENTRY, "{}"))
+            if metadata.get("format") != FORMAT:
+                raise DatasetError(f"format {metadata.get('format')!r}", file=path, expected=FORMAT)
+            tables = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (OSError, SafetensorError) as error:
-        raise DatasetError(f"not to be read: {error}", file=path, expected=f"a block, {FORMAT}") from error
-    block = json.loads(said["block"])
+        raise DatasetError(f"cannot be read: {error}", file=path, expected=f"a block, {FORMAT}") from error
+    block = json.loads(metadata["block"])
     block = Block(tuple(block["index"]), tuple(block["origin_m"]), block["size_m"], block["overlap_m"])
-    street = _empty(tables, float(said["radius_m"]), [Source(*pair) for pair in json.loads(said["sources"])])
+    street = _empty_street(
+        tables, float(metadata["radius_m"]), [Source(*pair) for pair in json.loads(metadata["sources"])]
+    )
     load(street, {f"model.{name}": table for name, table in tables.items()})
-    return block, street, json.loads(said["about"])
+    return block, street, json.loads(metadata["about"])
 
 
-def _stored(name: str, parameter: Tensor, half: bool, path: Path) -> Tensor:
+def _to_stored(name: str, parameter: Tensor, half: bool, path: Path) -> Tensor:
     table = parameter.detach().contiguous()
     if half and name.rpartition(".")[2] in _TABLES:
         table = table.half()
@@ -100,13 +102,13 @@ def _stored(name: str, parameter: Tensor, half: bool, path: Path) -> Tensor:
     return table
 
 
-def _empty(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source]) -> Street:
-    """A street of the same sizes without rows."""
+def _empty_street(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source]) -> Street:
+    """A street of the stored sizes whose tables have no rows."""
     latent = tables["appearance.drives"].shape[1]
-    none = torch.empty(0, 3)
+    no_rows = torch.empty(0, 3)
     with torch.random.fork_rng(devices=[]):
         background = Anchors(
-            none,
+            no_rows,
             torch.empty(0),
             radius_m,
             offsets=tables["background.offsets"].shape[1],
@@ -116,7 +118,7 @@ def _empty(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source])
         )
         ground, sky = (
             CodeGaussians(
-                Seeds(none, torch.empty(0, 4), none, 0.5),
+                Seeds(no_rows, torch.empty(0, 4), no_rows, 0.5),
                 tables[f"{name}.codes"].shape[1],
                 latent,
                 tables[f"{name}.colour.out.weight"].shape[1],

@@ -1,4 +1,4 @@
-"""One block of a street: its nodes, its appearance, and how they are drawn."""
+"""One block of a street: its nodes, its appearance, and how they are rendered."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hybridworldsim.training.viewpoint import Viewpoint
 
 
 class NodeRows(NamedTuple):
-    """Some of what each node has."""
+    """Some rows of each node."""
 
     background: AnchorRows
     ground: CodeRows
@@ -25,14 +25,14 @@ class NodeRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RenderOutput:
-    """An image with what the optimiser reads.
+    """A rendered image, with what the optimiser reads.
 
     Attributes:
         rgb: (H, W, 3).
         alpha: (H, W).
-        depth_m: (H, W) expected.
-        parts: what each node decoded, in the nodes' order.
-        meta: of the rasterizer.
+        depth_m: (H, W) expected depth.
+        parts: decoded Gaussians of each node, in the order of the nodes.
+        meta: intermediate results of the rasterizer.
     """
 
     rgb: Tensor
@@ -46,9 +46,9 @@ class Street(nn.Module):
     """The static model of a block.
 
     Args:
-        background: its anchors.
-        ground: Code-Gaussians on the road and what lies beside it.
-        sky: Code-Gaussians round the block; what stands outside the block is among them.
+        background: anchors of the background.
+        ground: Code-Gaussians on the road and beside it.
+        sky: Code-Gaussians around the block; they also represent what stands outside the block.
         appearance: latent vectors.
     """
 
@@ -60,13 +60,13 @@ class Street(nn.Module):
 
     @property
     def nodes(self) -> tuple[Anchors, CodeGaussians, CodeGaussians]:
-        """Background, ground, sky: the order of all that is told of nodes."""
+        """Background, ground and sky, the order in which nodes are listed everywhere."""
         return self.background, self.ground, self.sky
 
     def decode(
         self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: NodeRows | None = None
     ) -> tuple[Splats, ...]:
-        """What each node shows a viewpoint; of `rows`, or of all that the viewpoint may see."""
+        """Decode each node for a viewpoint: the given rows, or all rows that the viewpoint may see."""
         anchors, ground, sky = rows or (None, None, None)
         return (
             self.background.decode(viewpoint, latent, content, anchors),
@@ -83,21 +83,21 @@ class Street(nn.Module):
         rows: NodeRows | None = None,
         track_gradients: bool = False,
     ) -> RenderOutput:
-        """Draw a viewpoint.
+        """Render a viewpoint.
 
         Args:
             viewpoint: the camera.
             latent: appearance of the colours.
-            content: appearance of what is there; default: the same.
-            rows: of what; default: of all that the viewpoint may see.
-            track_gradients: the backward pass is to tell how strongly the image pulls at its Gaussians.
+            content: appearance of the content; default: that of the colours.
+            rows: rows of each node; default: all that the viewpoint may see.
+            track_gradients: whether the backward pass computes the Gaussians' absolute image gradients.
         """
         parts = self.decode(viewpoint, latent, latent if content is None else content, rows)
         return render(viewpoint, parts, track_gradients=track_gradients)
 
 
 def render(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: bool = False) -> RenderOutput:
-    """Rasterize what nodes show; see `Street.forward`."""
+    """Rasterize the decoded Gaussians of nodes; see `Street.forward`."""
     splats = concatenate_splats(parts)
     images, alphas, meta = rasterization(
         splats.means,

@@ -1,4 +1,4 @@
-"""Training a block: losses, rates, and the growing and pruning of its anchors."""
+"""Training of a block: losses, learning rates, and the refinement of its Gaussians."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from hybridworldsim.training.trainable_method import Rendering, StepReport
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint
 
-_SENSORS = 0.1
-"""What tells a camera from the others of its traversal learns at this share of the traversal's rate."""
+_SENSOR_RATE_SHARE = 0.1
+"""Learning rate of a sensor's latent, as a share of the learning rate of its traversal's latent."""
 
 
 class StreetTrainer:
-    """A street that learns; a `hybridworldsim.training.trainable_method.TrainableMethod`.
+    """Trains a street; a `hybridworldsim.training.trainable_method.TrainableMethod`.
 
     Args:
         street: the model, changed in place.
-        settings: how.
+        settings: its settings.
     """
 
     def __init__(self, street: Street, settings: Settings) -> None:
         self.street, self.settings = street, settings
         self._generator = torch.Generator().manual_seed(settings.seed)
-        self._adam = torch.optim.Adam(_shared(street), lr=1e-3, betas=(BETA1, BETA2), eps=EPS, fused=True)
+        self._adam = torch.optim.Adam(_shared_parameters(street), lr=1e-3, betas=(BETA1, BETA2), eps=EPS, fused=True)
         self._tables = [LazyAdam(node, node.TABLES) for node in street.nodes]
         refinement = settings.refinement
         anchors, ground, sky = self._tables
@@ -54,15 +54,15 @@ class StreetTrainer:
         return self.street
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
-        """Learn from one image; see `TrainableMethod`."""
+        """Train on one image; see `TrainableMethod`."""
         settings, street, viewpoint = self.settings, self.street, image.viewpoint
         self._progress = progress
         for group in self._adam.param_groups:
             group["lr"] = self._rate(group["rate"], group["factor"])
         latent = street.appearance(viewpoint.source)
         growing = self._refined < settings.refinement.times
-        drawn = street(viewpoint, latent, rows=self.visible_rows(viewpoint), track_gradients=growing)
-        losses = self._losses(drawn, image)
+        output = street(viewpoint, latent, rows=self.visible_rows(viewpoint), track_gradients=growing)
+        losses = self._losses(output, image)
         weights = {
             "rgb": 1.0,
             "structure": settings.structure_weight,
@@ -71,19 +71,19 @@ class StreetTrainer:
         }
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
         self._adam.zero_grad(set_to_none=True)
-        for part in drawn.parts:
+        for part in output.parts:
             part.opacities.retain_grad()
         total.backward()
-        self._note(drawn, viewpoint)
+        self._record_visibility(output, viewpoint)
         self._adam.step()
         for tables in self._tables:
             tables.end_step()
         self._steps += 1
         if growing:
-            self._refine(drawn, viewpoint, progress)
+            self._refine(output, viewpoint, progress)
         return StepReport(
             {name: float(loss.detach()) for name, loss in losses.items()},
-            sum(part.stored_count for part in drawn.parts),
+            sum(part.stored_count for part in output.parts),
         )
 
     @property
@@ -95,73 +95,73 @@ class StreetTrainer:
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """See `TrainableMethod`."""
         self.catch_up()
-        drawn = self.street(viewpoint, self.street.appearance(viewpoint.source))
+        output = self.street(viewpoint, self.street.appearance(viewpoint.source))
         counts = {
-            "held": sum(part.stored_count for part in drawn.parts),
-            "decoded": sum(part.decoded_count for part in drawn.parts),
-            "drawn": sum(len(part) for part in drawn.parts),
+            "held": sum(part.stored_count for part in output.parts),
+            "decoded": sum(part.decoded_count for part in output.parts),
+            "drawn": sum(len(part) for part in output.parts),
         }
-        return Rendering(drawn.rgb, drawn.alpha, drawn.depth_m, counts)
+        return Rendering(output.rgb, output.alpha, output.depth_m, counts)
 
     def catch_up(self) -> None:
-        """Bring all of the street up to date: rows that were not seen of late are behind."""
+        """Bring all rows up to date; rows that no recent step used have missed updates."""
         for tables, rates in zip(self._tables, self._rates()):
             tables.catch_up(rates)
 
     def visible_rows(self, viewpoint: Viewpoint) -> NodeRows:
-        """What the viewpoint may see, to be learnt."""
+        """Begin a step of the optimisers with the rows that the viewpoint may see."""
         street = self.street
-        seen = [node.visible_ids(viewpoint) for node in street.nodes]
+        visible = [node.visible_ids(viewpoint) for node in street.nodes]
         anchors, ground, sky = self._visibility.select_rows(
-            viewpoint, seen, [tables.numbers for tables in self._tables]
+            viewpoint, visible, [tables.numbers for tables in self._tables]
         )
-        learnt = [
+        gathered = [
             tables.begin_step(ids, rates)
             for tables, ids, rates in zip(self._tables, (anchors, ground, sky), self._rates())
         ]
         return NodeRows(
-            street.background.rows(anchors, learnt[0]),
-            street.ground.rows(ground, learnt[1]),
-            street.sky.rows(sky, learnt[2]),
+            street.background.rows(anchors, gathered[0]),
+            street.ground.rows(ground, gathered[1]),
+            street.sky.rows(sky, gathered[2]),
         )
 
-    def _note(self, drawn: RenderOutput, viewpoint: Viewpoint) -> None:
-        """Keep what the image shows: of what it does not, all gradients are zero."""
-        shown = [
+    def _record_visibility(self, output: RenderOutput, viewpoint: Viewpoint) -> None:
+        """Record which rows the image shows: those with a gradient of the opacity."""
+        shown_rows = [
             part.rows[:0] if part.opacities.grad is None else part.rows[part.opacities.grad != 0.0]
-            for part in drawn.parts
+            for part in output.parts
         ]
-        shown[0] = shown[0] // self.street.background.k
-        self._visibility.record(viewpoint, shown, [tables.numbers for tables in self._tables])
+        shown_rows[0] = shown_rows[0] // self.street.background.k
+        self._visibility.record(viewpoint, shown_rows, [tables.numbers for tables in self._tables])
 
     def _rate(self, name: str, factor: float = 1.0) -> float:
         rate: Rate = getattr(self.settings.rates, name)
         return rate.at(self._progress) * factor
 
     def _rates(self) -> Iterator[dict[str, float]]:
-        """Of each node the rates of its tables: the sky is farther away than the rest, and moves in longer steps."""
-        for tables, far in zip(self._tables, (1.0, 1.0, self.settings.sky_radius)):
-            yield {name: self._rate(name, far if name == "means" else 1.0) for name in tables.names}
+        """The learning rates of each node's tables; the sky is more distant than the rest and moves in longer steps."""
+        for tables, means_factor in zip(self._tables, (1.0, 1.0, self.settings.sky_radius)):
+            yield {name: self._rate(name, means_factor if name == "means" else 1.0) for name in tables.names}
 
-    def _losses(self, drawn: RenderOutput, image: TrainingImage) -> dict[str, Tensor]:
+    def _losses(self, output: RenderOutput, image: TrainingImage) -> dict[str, Tensor]:
         settings = self.settings
-        losses = {"rgb": colour_loss(drawn.rgb, image.rgb, image.scored)}
+        losses = {"rgb": colour_loss(output.rgb, image.rgb, image.scored)}
         if settings.structure_weight:
-            losses["structure"] = structure_loss(drawn.rgb, image.rgb, image.scored)
+            losses["structure"] = structure_loss(output.rgb, image.rgb, image.scored)
         if image.depth_m is not None and self.reads_depth:
-            known = (image.depth_m > 0.0) & image.scored & (drawn.alpha.detach() > 0.5)
+            known = (image.depth_m > 0.0) & image.scored & (output.alpha.detach() > 0.5)
             if settings.depth_weight:
-                losses["depth"] = depth_loss(drawn.depth_m, image.depth_m, known)
+                losses["depth"] = depth_loss(output.depth_m, image.depth_m, known)
             if settings.normal_weight and self._steps % settings.normal_every == 0:
-                losses["normal"] = normal_loss(drawn.depth_m, image.depth_m, known, image.viewpoint.K)
+                losses["normal"] = normal_loss(output.depth_m, image.depth_m, known, image.viewpoint.K)
         return losses
 
-    def _refine(self, drawn: RenderOutput, viewpoint: Viewpoint, progress: float) -> None:
-        """Keep what the image tells, and act on it when it is time."""
+    def _refine(self, output: RenderOutput, viewpoint: Viewpoint, progress: float) -> None:
+        """Collect the statistics of the image, and refine when it is due."""
         refinement = self.settings.refinement
-        (rows, pull), *others = image_gradients(drawn, viewpoint)
-        self._anchors.accumulate(drawn.parts[0], rows, pull, viewpoint)
-        for refiner, part, (rows, pull) in zip((self._ground, self._sky), drawn.parts[1:], others):
+        (rows, pull), *others = image_gradients(output, viewpoint)
+        self._anchors.accumulate(output.parts[0], rows, pull, viewpoint)
+        for refiner, part, (rows, pull) in zip((self._ground, self._sky), output.parts[1:], others):
             refiner.accumulate(part, rows, pull)
         if due_refinements(refinement, progress) > self._refined and self._steps >= self._last + refinement.least_steps:
             self._refined, self._last = due_refinements(refinement, progress), self._steps
@@ -183,8 +183,10 @@ class StreetTrainer:
         """See `TrainableMethod`."""
         load(self.street, state, self._adam)
         for name, part in self._parts().items():
-            own = f"{name}."
-            part.restore({key.removeprefix(own): table for key, table in state.items() if key.startswith(own)})
+            parameter = f"{name}."
+            part.restore(
+                {key.removeprefix(parameter): table for key, table in state.items() if key.startswith(parameter)}
+            )
         self._generator.set_state(state["generator"])
         self._steps, self._refined, self._last = state["counters"].tolist()
         self._progress = float(state["progress"])
@@ -199,11 +201,15 @@ class StreetTrainer:
         }
 
 
-def _shared(street: Street) -> list[dict[str, Any]]:
-    """What all that an image shows has in common: networks and appearances."""
+def _shared_parameters(street: Street) -> list[dict[str, Any]]:
+    """Parameters that all images share: networks and latents."""
     networks = [street.background.geometry, *(node.colour for node in street.nodes)]
     return [
-        {"params": [own for network in networks for own in network.parameters()], "rate": "networks", "factor": 1.0},
+        {
+            "params": [parameter for network in networks for parameter in network.parameters()],
+            "rate": "networks",
+            "factor": 1.0,
+        },
         {"params": [street.appearance.drives], "rate": "latents", "factor": 1.0},
-        {"params": [street.appearance.sensors], "rate": "latents", "factor": _SENSORS},
+        {"params": [street.appearance.sensors], "rate": "latents", "factor": _SENSOR_RATE_SHARE},
     ]

@@ -1,4 +1,4 @@
-"""Which points a viewpoint may see, so that nothing else is decoded."""
+"""Selects the points that a viewpoint may see, so that only these are decoded."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ NEAREST_M: Final = 0.05
 
 
 def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
-    """Points whose sphere the view's pyramid may meet.
+    """Select points whose sphere may meet the view frustum.
 
     Args:
         viewpoint: the camera.
         means: (N, 3) in the block's frame.
-        reach_m: (N,) radius of what belongs to each.
+        reach_m: (N,) radius of the sphere around each.
 
     Returns:
         (M,) int64 rows, ascending.
     """
     points, radii = (np.ascontiguousarray(table.detach().numpy(), np.float32) for table in (means, reach_m))
-    view, rows = _pyramid(viewpoint), empty_aligned(len(points), np.int64)
+    view, rows = _frustum(viewpoint), empty_aligned(len(points), np.int64)
     edges = spans(len(points))
     counts = np.zeros(len(edges) - 1, np.int64)
 
@@ -40,8 +40,8 @@ def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tens
     return torch.from_numpy(np.concatenate([rows[begin : begin + count] for begin, count in zip(edges, counts)]))
 
 
-def _pyramid(viewpoint: Viewpoint) -> Float32:
-    """(21,) what `find_visible` asks of a viewpoint."""
+def _frustum(viewpoint: Viewpoint) -> Float32:
+    """(21,) float32 the numbers of a viewpoint that `find_visible` reads."""
     K, matrix = viewpoint.K.double().numpy(), viewpoint.viewmat.numpy()
     slopes = [
         slope
@@ -54,19 +54,19 @@ def _pyramid(viewpoint: Viewpoint) -> Float32:
 
 @kernel()
 def find_visible(begin: Any, end: Any, means: Any, reach: Any, view: Any, rows: Any) -> Any:
-    """Find the rows in a range whose sphere a view's pyramid may meet.
+    """Find the rows in a range whose sphere may meet a view frustum.
 
     Args:
         begin: first row.
-        end: past the last.
+        end: one past the last row.
         means: (N, 3) float32.
         reach: (N,) float32.
-        view: (21,) float32: rotation by rows, translation; nearest depth; of either axis the low and high slopes of its
-            planes and, of all four, the lengths of their normals follow.
-        rows: (N,) int64 gets them, from `begin` on.
+        view: (21,) float32: rotation by rows, translation, nearest depth, then for either axis the low and high slopes
+            of its planes, and the lengths of the normals of all four planes.
+        rows: (N,) int64 receives the rows, from `begin` on.
 
     Returns:
-        How many.
+        Number of rows.
     """
     count = 0
     for row in range(begin, end):

@@ -67,30 +67,30 @@ class SplattingTrainer:
         for name, adam in self._adams.items():
             adam.param_groups[0]["lr"] = getattr(settings.rates, name.split("_")[0]).at(progress)
         look.prepare(image.viewpoint, progress)
-        drawn = self._render(image.viewpoint, learning=True)
+        output = self._render(image.viewpoint, learning=True)
         weights = settings.weights
         losses = {
-            **image_losses(drawn.finished, image, weights),
+            **image_losses(output.finished, image, weights),
             **surface_losses(
-                drawn.depth_m, drawn.alpha, image, weights, normals=self._steps % weights.normal_every == 0
+                output.depth_m, output.alpha, image, weights, normals=self._steps % weights.normal_every == 0
             ),
-            **look.losses(drawn.alpha, image),
+            **look.losses(output.alpha, image),
         }
         total = torch.stack([weight * loss for weight, loss in losses.values() if weight]).sum()
-        self.density.before_backward(drawn.meta)
+        self.density.before_backward(output.meta)
         total.backward()
-        self._update(drawn, image)
-        self.density.after_backward(self.model.tables, self._adams, drawn.meta, progress)
+        self._update(output, image)
+        self.density.after_backward(self.model.tables, self._adams, output.meta, progress)
         self._steps += 1
         return StepReport({name: float(loss.detach()) for name, (_, loss) in losses.items()}, len(self.model))
 
-    def _update(self, drawn: RenderOutput, image: TrainingImage) -> None:
-        for name, leaf in drawn.geometry.items():
+    def _update(self, output: RenderOutput, image: TrainingImage) -> None:
+        for name, leaf in output.geometry.items():
             if leaf.grad is not None:
-                self._adams[name].update(drawn.rows, leaf.grad)
-        if drawn.harmonics.grad is not None:
+                self._adams[name].update(output.rows, leaf.grad)
+        if output.harmonics.grad is not None:
             for name, first, past in self.model.look.bands(image.viewpoint.source, int(self.model.sh_degree)):
-                self._adams[name].update(drawn.rows, drawn.harmonics.grad, 3 * first, 3 * (past - first))
+                self._adams[name].update(output.rows, output.harmonics.grad, 3 * first, 3 * (past - first))
         self.model.look.update(image.viewpoint)
 
     @property
@@ -101,9 +101,9 @@ class SplattingTrainer:
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """See `TrainableMethod`."""
-        drawn = self._render(viewpoint, learning=False)
-        counts = {"held": len(self.model), "decoded": len(drawn.rows), "drawn": len(drawn.meta["gaussian_ids"])}
-        return Rendering(drawn.finished.rgb, drawn.alpha, drawn.depth_m, counts)
+        output = self._render(viewpoint, learning=False)
+        counts = {"held": len(self.model), "decoded": len(output.rows), "drawn": len(output.meta["gaussian_ids"])}
+        return Rendering(output.finished.rgb, output.alpha, output.depth_m, counts)
 
     def _render(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
         model, settings = self.model, self.settings

@@ -1,1 +1,1 @@
-"""Where Gaussians are added and removed during training."""
+"""Where training adds and removes Gaussians."""

@@ -1,4 +1,4 @@
-"""Anchors are added where images pull, in empty cells, and removed where nothing is seen of them."""
+"""Anchors are added in empty cells where image gradients are large, and removed where they stay transparent."""
 
 from __future__ import annotations
 
@@ -15,70 +15,82 @@ from hybridworldsim.model.settings import Refinement
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.training.viewpoint import Viewpoint
 
-_SEEN = 10
-_DRAWN = 2.0
+_MIN_VISITS = 10
+_MIN_RENDERS = 2.0
 _SPREAD = 0.5
 
 
 class AnchorRefiner:
-    """Keeps what images tell of anchors, and acts on it; after Scaffold-GS, with a budget in place of thresholds.
+    """Collects statistics of anchors and refines them, as in Scaffold-GS, with a cap in place of thresholds.
 
     Args:
-        node: the anchors, whose tables are replaced.
-        tables: those, as they are learnt.
-        refinement: how many there may be, and where.
+        node: the anchors; their tables are replaced.
+        tables: optimiser of the tables.
+        refinement: how many anchors there may be, and in which cells.
     """
 
     def __init__(self, node: Anchors, tables: LazyAdam, refinement: Refinement) -> None:
-        self._node, self._tables, self._refinement, self._first = node, tables, refinement, len(node)
-        self._nearest = torch.full((len(node),), torch.inf)
+        self._node, self._tables, self._refinement, self._initial_count = node, tables, refinement, len(node)
+        self._nearest_m = torch.full((len(node),), torch.inf)
         self._clear()
 
-    def accumulate(self, part: Splats, rows: Tensor, pull: Tensor, viewpoint: Viewpoint) -> None:
-        """Take one image into account.
+    def accumulate(self, part: Splats, rows: Tensor, gradients: Tensor, viewpoint: Viewpoint) -> None:
+        """Add the statistics of one image.
 
         Args:
-            part: what was decoded.
-            rows: (M,) of it, that the image shows.
-            pull: (M,) of each.
-            viewpoint: the camera.
+            part: the decoded Gaussians.
+            rows: (M,) rows of the part that the image shows.
+            gradients: (M,) gradient length of each, see `image_gradients`.
+            viewpoint: camera of the image.
         """
         offsets = part.rows[rows]
-        self._pull.view(-1).index_add_(0, offsets, pull)
-        self._drawn.view(-1).index_add_(0, offsets, torch.ones_like(pull))
-        self._opacity.index_add_(0, part.rows // self._node.k, part.opacities.detach())
+        self._gradient_sum.view(-1).index_add_(0, offsets, gradients)
+        self._render_count.view(-1).index_add_(0, offsets, torch.ones_like(gradients))
+        self._opacity_sum.index_add_(0, part.rows // self._node.k, part.opacities.detach())
         if part.anchor_ids is not None:
-            self._seen[part.anchor_ids] += 1.0
+            self._visit_count[part.anchor_ids] += 1.0
             distance = (self._node.means[part.anchor_ids] - viewpoint.centre).norm(dim=1)
-            self._nearest[part.anchor_ids] = torch.minimum(self._nearest[part.anchor_ids], distance)
+            self._nearest_m[part.anchor_ids] = torch.minimum(self._nearest_m[part.anchor_ids], distance)
 
     @torch.no_grad()
-    def refine(self, done: int, generator: torch.Generator) -> None:
-        """Prune and grow.
+    def refine(self, refinement_number: int, generator: torch.Generator) -> None:
+        """Remove transparent anchors and add new ones.
 
         Args:
-            done: which refinement this is.
-            generator: for the offsets of new anchors.
+            refinement_number: number of this refinement, from 1.
+            generator: random generator for the offsets of new anchors.
         """
         refinement = self._refinement
-        gone = (self._seen >= _SEEN) & (self._opacity < refinement.least_opacity * self._seen)
-        keep = (~gone).nonzero().squeeze(1)
-        room = max(target_count(refinement, done, self._first, refinement.max_anchors) - len(keep), 0)
-        added, nearest = self._added(room, generator)
-        if gone.any() or len(nearest):
+        is_removed = (self._visit_count >= _MIN_VISITS) & (
+            self._opacity_sum < refinement.least_opacity * self._visit_count
+        )
+        keep = (~is_removed).nonzero().squeeze(1)
+        free_count = max(
+            target_count(refinement, refinement_number, self._initial_count, refinement.max_anchors) - len(keep), 0
+        )
+        added, nearest_m = self._grow(free_count, generator)
+        if is_removed.any() or len(nearest_m):
             self._tables.replace(keep, added)
-            self._nearest = torch.cat([self._nearest[keep], nearest])
+            self._nearest_m = torch.cat([self._nearest_m[keep], nearest_m])
         self._clear()
 
-    def _added(self, room: int, generator: torch.Generator) -> tuple[dict[str, Tensor], Tensor]:
+    def _grow(self, free_count: int, generator: torch.Generator) -> tuple[dict[str, Tensor], Tensor]:
         node, refinement = self._node, self._refinement
-        often = max(_DRAWN, refinement.least_share * float(self._seen.max())) if len(self._seen) else _DRAWN
-        mean = torch.where(self._drawn >= often, self._pull / self._drawn.clamp_min(1.0), 0.0).view(-1)
+        min_renders = (
+            max(_MIN_RENDERS, refinement.least_share * float(self._visit_count.max()))
+            if len(self._visit_count)
+            else _MIN_RENDERS
+        )
+        mean = torch.where(
+            self._render_count >= min_renders, self._gradient_sum / self._render_count.clamp_min(1.0), 0.0
+        ).view(-1)
         rows = mean.nonzero().squeeze(1)
         parents = rows // node.k
         points = node.means[parents] + node.offsets.view(-1, 3)[rows] * node.log_scales[parents, :3].exp()
-        least = refinement.least_cell * self._nearest[parents]
-        centres, sizes, chosen = grow_anchors(points, mean[rows], least, node.means, refinement.cells_m, room)
+        min_cell_m = refinement.least_cell * self._nearest_m[parents]
+        centres, sizes, chosen = grow_anchors(
+            points, mean[rows], min_cell_m, node.means, refinement.cells_m, free_count
+        )
         offsets = 2.0 * torch.rand(len(centres), node.k, 3, generator=generator) - 1.0
         tables = {
             "means": centres,
@@ -86,26 +98,26 @@ class AnchorRefiner:
             "codes": node.codes[parents[chosen]],
             "log_scales": sizes.log()[:, None].repeat(1, 6),
         }
-        return tables, self._nearest[parents[chosen]]
+        return tables, self._nearest_m[parents[chosen]]
 
     def _clear(self) -> None:
         count, k = len(self._node), self._node.k
-        self._pull, self._drawn = torch.zeros(count, k), torch.zeros(count, k)
-        self._opacity, self._seen = torch.zeros(count), torch.zeros(count)
+        self._gradient_sum, self._render_count = torch.zeros(count, k), torch.zeros(count, k)
+        self._opacity_sum, self._visit_count = torch.zeros(count), torch.zeros(count)
 
     def state(self) -> dict[str, Tensor]:
-        """All that it keeps."""
+        """The statistics as tensors, for a checkpoint."""
         return {
-            "pull": self._pull,
-            "drawn": self._drawn,
-            "opacity": self._opacity,
-            "seen": self._seen,
-            "nearest": self._nearest,
-            "first": torch.tensor(self._first),
+            "pull": self._gradient_sum,
+            "drawn": self._render_count,
+            "opacity": self._opacity_sum,
+            "seen": self._visit_count,
+            "nearest": self._nearest_m,
+            "first": torch.tensor(self._initial_count),
         }
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """The opposite of `state`."""
-        self._pull, self._drawn = state["pull"].clone(), state["drawn"].clone()
-        self._opacity, self._seen = state["opacity"].clone(), state["seen"].clone()
-        self._nearest, self._first = state["nearest"].clone(), int(state["first"])
+        """Restore what `state` returned."""
+        self._gradient_sum, self._render_count = state["pull"].clone(), state["drawn"].clone()
+        self._opacity_sum, self._visit_count = state["opacity"].clone(), state["seen"].clone()
+        self._nearest_m, self._initial_count = state["nearest"].clone(), int(state["first"])

@@ -1,4 +1,4 @@
-"""Cells of space, found by hashing: which are taken, and who is the best in each."""
+"""Cells of space, found by hashing: which are occupied, and which point scores best in each."""
 
 from __future__ import annotations
 
@@ -12,46 +12,48 @@ _HALF = 1 << (_BITS - 1)
 def cell_keys(points: Tensor, size_m: float) -> Tensor:
     """(N,) int64 keys of the cells of a cubic grid that points (N, 3) lie in.
 
-    Points beyond a million cells from the origin share the outermost ones.
+    Points beyond a million cells from the origin share the outermost cells.
     """
     grid = torch.floor(points / size_m).clamp(-_HALF, _HALF - 1).to(torch.int64) + _HALF
     return (grid[:, 0] << (2 * _BITS)) | (grid[:, 1] << _BITS) | grid[:, 2]
 
 
 def best_per_cell(keys: Tensor, scores: Tensor) -> Tensor:
-    """(M,) int64: of the rows that share a key the one of the highest score, the first of equal ones; best first."""
-    ranked = torch.argsort(scores, descending=True, stable=True)
-    _, place = torch.unique(keys[ranked], return_inverse=True)
-    first = torch.full((int(place.max()) + 1 if len(place) else 0,), len(keys), dtype=torch.int64)
-    first.scatter_reduce_(0, place, torch.arange(len(keys)), "amin")
-    return ranked[first.sort().values]
+    """(M,) int64 rows: for each key the row of highest score, the first of equal ones; the best rows come first."""
+    ranked_rows = torch.argsort(scores, descending=True, stable=True)
+    _, group = torch.unique(keys[ranked_rows], return_inverse=True)
+    best_ranks = torch.full((int(group.max()) + 1 if len(group) else 0,), len(keys), dtype=torch.int64)
+    best_ranks.scatter_reduce_(0, group, torch.arange(len(keys)), "amin")
+    return ranked_rows[best_ranks.sort().values]
 
 
 def grow_anchors(
-    points: Tensor, scores: Tensor, least_m: Tensor, occupied: Tensor, sizes_m: tuple[float, ...], room: int
+    points: Tensor, scores: Tensor, min_size_m: Tensor, occupied: Tensor, sizes_m: tuple[float, ...], free_count: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Where new anchors stand: at the points of the highest scores whose cells are empty, coarse cells first.
+    """Choose places for new anchors: at the points with the highest scores in empty cells, coarse cells first.
 
-    Each size of cell has an equal part of the room; what it does not need goes to the next.
+    Each cell size gets an equal share of the free count; what it does not use goes to the next size.
 
     Args:
-        points: (P, 3) candidates, the Gaussians.
-        scores: (P,) how much each is pulled.
-        least_m: (P,) a candidate gets no cell smaller than this.
-        occupied: (N, 3) anchors that stand already.
-        sizes_m: of the cells, coarse to fine.
-        room: how many anchors may be added.
+        points: (P, 3) candidates: the means of Gaussians.
+        scores: (P,) mean gradient length of each.
+        min_size_m: (P,) smallest cell that a candidate may get.
+        occupied: (N, 3) existing anchors.
+        sizes_m: edges of the cells, coarse to fine.
+        free_count: largest number of new anchors.
 
     Returns:
-        (M, 3) centres of their cells, (M,) sizes, (M,) int64 rows of the candidates.
+        (M, 3) centres of the new anchors' cells, (M,) their sizes, (M,) int64 rows of the candidates.
     """
     centres, widths, parents = [occupied.new_empty(0, 3)], [occupied.new_empty(0)], [torch.empty(0, dtype=torch.int64)]
-    for left, size_m in zip(range(len(sizes_m), 0, -1), sizes_m):
-        standing = torch.cat([occupied, *centres])
-        taken = torch.isin(cell_keys(points, size_m), cell_keys(standing, size_m))
-        free = (~taken & (least_m <= size_m)).nonzero().squeeze(1)
-        chosen = free[best_per_cell(cell_keys(points[free], size_m), scores[free])][: max(room // left, 0)]
-        room -= len(chosen)
+    for remaining_sizes, size_m in zip(range(len(sizes_m), 0, -1), sizes_m):
+        anchors = torch.cat([occupied, *centres])
+        is_occupied = torch.isin(cell_keys(points, size_m), cell_keys(anchors, size_m))
+        candidates = (~is_occupied & (min_size_m <= size_m)).nonzero().squeeze(1)
+        chosen = candidates[best_per_cell(cell_keys(points[candidates], size_m), scores[candidates])][
+            : max(free_count // remaining_sizes, 0)
+        ]
+        free_count -= len(chosen)
         centres.append((torch.floor(points[chosen] / size_m) + 0.5) * size_m)
         widths.append(points.new_full((len(chosen),), size_m))
         parents.append(chosen)

@@ -1,4 +1,4 @@
-"""Code-Gaussians are split where images pull, and removed where they have become transparent."""
+"""Code-Gaussians are split where image gradients are large, and removed once they are transparent."""
 
 from __future__ import annotations
 
@@ -14,59 +14,68 @@ from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.settings import Refinement
 from hybridworldsim.model.splats import Splats
 
-_DRAWN = 2.0
-_APART = 0.6
-_SMALLER = 1.6
-_TRANSPARENT = 0.005
+_MIN_RENDERS = 2.0
+_HALF_OFFSET = 0.6
+_SPLIT_SHRINK = 1.6
+_MIN_OPACITY = 0.005
 
 
 class CodeRefiner:
-    """Keeps what images tell of Code-Gaussians, and acts on it.
+    """Collects statistics of Code-Gaussians and refines them.
 
     Args:
-        node: whose tables are replaced.
-        tables: those, as they are learnt.
-        refinement: when.
-        most: Gaussians, at most.
+        node: the Code-Gaussians; their tables are replaced.
+        tables: optimiser of the tables.
+        refinement: the schedule.
+        max_count: largest number of Gaussians.
     """
 
-    def __init__(self, node: CodeGaussians, tables: LazyAdam, refinement: Refinement, most: int) -> None:
+    def __init__(self, node: CodeGaussians, tables: LazyAdam, refinement: Refinement, max_count: int) -> None:
         self._node, self._tables, self._refinement = node, tables, refinement
-        self._first, self._most = len(node), most
+        self._initial_count, self._max_count = len(node), max_count
         self._clear()
 
-    def accumulate(self, part: Splats, rows: Tensor, pull: Tensor) -> None:
-        """Take one image into account; see `AnchorRefiner.note`."""
-        own = part.rows[rows]
-        self._pull.index_add_(0, own, pull)
-        self._drawn.index_add_(0, own, torch.ones_like(pull))
+    def accumulate(self, part: Splats, rows: Tensor, gradients: Tensor) -> None:
+        """Add the statistics of one image; see `AnchorRefiner.accumulate`."""
+        ids = part.rows[rows]
+        self._gradient_sum.index_add_(0, ids, gradients)
+        self._render_count.index_add_(0, ids, torch.ones_like(gradients))
 
     @torch.no_grad()
-    def refine(self, done: int) -> None:
-        """Prune, and split those that are pulled at most in two along their longest axis.
+    def refine(self, refinement_number: int) -> None:
+        """Remove transparent Gaussians, and split those with the largest gradients in two along their longest axis.
 
         Args:
-            done: which refinement this is.
+            refinement_number: number of this refinement, from 1.
         """
         node = self._node
-        gone = node.logits.sigmoid() < _TRANSPARENT
-        room = max(target_count(self._refinement, done, self._first, self._most) - len(node) + int(gone.sum()), 0)
-        score = torch.where((self._drawn >= _DRAWN) & ~gone, self._pull / self._drawn.clamp_min(1.0), 0.0)
-        best = torch.argsort(score, descending=True, stable=True)[:room]
+        is_removed = node.logits.sigmoid() < _MIN_OPACITY
+        free_count = max(
+            target_count(self._refinement, refinement_number, self._initial_count, self._max_count)
+            - len(node)
+            + int(is_removed.sum()),
+            0,
+        )
+        score = torch.where(
+            (self._render_count >= _MIN_RENDERS) & ~is_removed,
+            self._gradient_sum / self._render_count.clamp_min(1.0),
+            0.0,
+        )
+        best = torch.argsort(score, descending=True, stable=True)[:free_count]
         split = best[score[best] > 0.0]
-        gone[split] = True
-        if gone.any():
-            self._tables.replace((~gone).nonzero().squeeze(1), self._halves(split))
+        is_removed[split] = True
+        if is_removed.any():
+            self._tables.replace((~is_removed).nonzero().squeeze(1), self._halves(split))
         self._clear()
 
     def _halves(self, rows: Tensor) -> dict[str, Tensor]:
         node = self._node
         scales = node.log_scales[rows]
-        long = functional.one_hot(scales.argmax(1), 3).to(scales.dtype)
-        axis = _rotated(node.quats[rows], long * scales.exp())
-        smaller = scales - long * torch.tensor(_SMALLER).log()
+        longest = functional.one_hot(scales.argmax(1), 3).to(scales.dtype)
+        axis = _rotate(node.quats[rows], longest * scales.exp())
+        smaller = scales - longest * torch.tensor(_SPLIT_SHRINK).log()
         return {
-            "means": torch.cat([node.means[rows] + _APART * axis, node.means[rows] - _APART * axis]),
+            "means": torch.cat([node.means[rows] + _HALF_OFFSET * axis, node.means[rows] - _HALF_OFFSET * axis]),
             "quats": node.quats[rows].repeat(2, 1),
             "log_scales": smaller.repeat(2, 1),
             "logits": node.logits[rows].repeat(2),
@@ -74,19 +83,23 @@ class CodeRefiner:
         }
 
     def _clear(self) -> None:
-        self._pull, self._drawn = torch.zeros(len(self._node)), torch.zeros(len(self._node))
+        self._gradient_sum, self._render_count = torch.zeros(len(self._node)), torch.zeros(len(self._node))
 
     def state(self) -> dict[str, Tensor]:
-        """All that it keeps."""
-        return {"pull": self._pull, "drawn": self._drawn, "first": torch.tensor(self._first)}
+        """The statistics as tensors, for a checkpoint."""
+        return {"pull": self._gradient_sum, "drawn": self._render_count, "first": torch.tensor(self._initial_count)}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """The opposite of `state`."""
-        self._pull, self._drawn, self._first = state["pull"].clone(), state["drawn"].clone(), int(state["first"])
+        """Restore what `state` returned."""
+        self._gradient_sum, self._render_count, self._initial_count = (
+            state["pull"].clone(),
+            state["drawn"].clone(),
+            int(state["first"]),
+        )
 
 
-def _rotated(quats: Tensor, vectors: Tensor) -> Tensor:
-    """Vectors (N, 3) turned by rotations (N, 4), scalar first, of any length."""
+def _rotate(quats: Tensor, vectors: Tensor) -> Tensor:
+    """Rotate vectors (N, 3) by quaternions (N, 4), scalar first, of any length."""
     unit = functional.normalize(quats, dim=1)
     real, imaginary = unit[:, :1], unit[:, 1:]
     twice = 2.0 * torch.linalg.cross(imaginary, vectors)

@@ -1,4 +1,4 @@
-"""When refinements are due, and how many Gaussians there may be by then."""
+"""When refinements are due, and how many Gaussians there may be after each."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from hybridworldsim.model.settings import Refinement
 
 
 def due_refinements(refinement: Refinement, progress: float) -> int:
-    """How many refinements are to have happened by a progress."""
+    """Number of refinements that are due at a progress from 0 to 1."""
     share = (progress - refinement.begin) / (refinement.end - refinement.begin)
     return min(max(int(share * refinement.times), 0), refinement.times)
 
 
-def target_count(refinement: Refinement, done: int, first: int, most: int) -> int:
-    """How many there are to be after so many refinements: in equal steps from the first number to the most."""
-    return first + round((most - first) * min(1.2 * done / refinement.times, 1.0))
+def target_count(refinement: Refinement, refinement_number: int, initial_count: int, max_count: int) -> int:
+    """Number of Gaussians after a refinement: it rises in equal steps from the initial to the largest number."""
+    return initial_count + round((max_count - initial_count) * min(1.2 * refinement_number / refinement.times, 1.0))

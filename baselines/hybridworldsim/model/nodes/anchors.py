@@ -1,4 +1,4 @@
-"""Background nodes: anchors, each with a code, from which networks decode the Gaussians round it."""
+"""Background nodes: anchors, each with a code, from which networks decode the Gaussians around it."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _SPREAD = 0.5
 
 @dataclass(frozen=True, eq=False)
 class AnchorRows:
-    """Some anchors.
+    """Rows of the tables of some anchors.
 
     Attributes:
-        ids: (M,) int64 which, ascending.
+        ids: (M,) int64 indices of the anchors, ascending.
         means: (M, 3).
         offsets: (M, k, 3).
         codes: (M, F).
@@ -40,19 +40,19 @@ class AnchorRows:
 
 
 class Anchors(nn.Module):
-    """A node of anchors, after Scaffold-GS.
+    """A node of anchors, as in Scaffold-GS.
 
-    Each anchor has k offsets. Of the code, the place, the direction and the appearance one network reads opacity, scale
-    and rotation of all k Gaussians, another their colours; an offset's feature is its own rows of the last layers.
-    Gaussians of no opacity are dropped before anything is drawn.
+    Each anchor has k offsets. Two networks read the code, the place, the direction and the appearance: one returns
+    opacity, scale and rotation of all k Gaussians, the other their colours. Each offset has its own rows of the last
+    layers. Gaussians with an opacity of zero are dropped before rasterization.
 
     Args:
         means: (N, 3) anchors in the block's frame, metres.
-        spacing_m: (N,) size that the offsets and the Gaussians of each begin with.
-        radius_m: of the block: places are told to the networks in its units.
-        offsets: k.
+        spacing_m: (N,) initial size of the offsets and of the Gaussians of each anchor.
+        radius_m: radius of the block, the unit of places in the networks' inputs.
+        offsets: k, number of offsets of an anchor.
         code: size of a code.
-        latent: size of the appearance's.
+        latent: size of the appearance latent.
         hidden: width of the networks.
     """
 
@@ -71,7 +71,7 @@ class Anchors(nn.Module):
         self.geometry = ModulatedMLP(code, 6, latent, hidden, GEOMETRY * offsets, modulated=False)
         self.colour = ModulatedMLP(code, 6, latent, hidden, 3 * offsets, modulated=True)
         with torch.no_grad():
-            # Visible and unturned to begin with: what is not drawn is not learnt.
+            # Begin visible and without rotation: a Gaussian that is not rendered gets no gradient.
             bias = self.geometry.out.bias.view(offsets, GEOMETRY)
             bias.zero_()
             bias[:, 0], bias[:, 4] = _OPACITY, 1.0
@@ -80,35 +80,34 @@ class Anchors(nn.Module):
         return len(self.means)
 
     def visible_ids(self, viewpoint: Viewpoint) -> Tensor:
-        """(M,) int64 anchors that a viewpoint may see, whose offsets reach three of their own sizes."""
+        """(M,) int64 anchors that a viewpoint may see; the radius of an anchor is three times its largest scale."""
         with torch.no_grad():
             return select_visible(viewpoint, self.means, 3.0 * self.log_scales.amax(1).exp())
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> AnchorRows:
-        """Anchors (M,); rows of tables that are at hand already are not looked up."""
+        """Gather the rows of anchors (M,); tables in `learnt` are already gathered and are not read again."""
         return AnchorRows(ids, **select_rows(self, self.TABLES, ids, learnt or {}))
 
     def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: AnchorRows | None = None) -> Splats:
-        """Gaussians of anchors.
+        """Decode the Gaussians of anchors.
 
         Args:
             viewpoint: the camera.
-            latent: appearance, of the colours.
-            content: appearance, of what is there at all (leaves, billboards). It is the same vector but for edits of
-                the light, which must not move anything.
-            rows: of which anchors; None: of all that the viewpoint may see.
+            latent: appearance of the colours.
+            content: appearance of the content (leaves, billboards). It differs from `latent` only when the light is
+                edited, which must not move anything.
+            rows: the anchors; None: all that the viewpoint may see.
         """
         rows = rows or self.rows(self.visible_ids(viewpoint))
         geometry, colours = self.read(rows, viewpoint, latent, content)
-        centres, quats, scales, opacities, tints, slots = anchors_to_gaussians(
-            geometry, colours, rows.means, rows.offsets, rows.log_scales
-        )
+        gaussians = anchors_to_gaussians(geometry, colours, rows.means, rows.offsets, rows.log_scales)
+        slots = gaussians.slots
         return Splats(
-            centres,
-            quats,
-            scales,
-            opacities,
-            tints,
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            gaussians.opacities,
+            gaussians.colours,
             rows=rows.ids[slots // self.k] * self.k + slots % self.k,
             stored_count=len(self) * self.k,
             decoded_count=len(rows.ids) * self.k,
@@ -116,7 +115,7 @@ class Anchors(nn.Module):
         )
 
     def read(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
-        """What the networks say of anchors: (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
-        facts = network_inputs(rows.codes, rows.means, viewpoint.centre, self.radius_m)
-        geometry, colours = run_mlps(facts, (self.geometry, content), (self.colour, latent))
+        """Outputs of the networks for anchors: (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
+        inputs = network_inputs(rows.codes, rows.means, viewpoint.centre, self.radius_m)
+        geometry, colours = run_mlps(inputs, (self.geometry, content), (self.colour, latent))
         return geometry, colours

@@ -1,4 +1,4 @@
-"""Sky and ground nodes: Gaussians with a code, from which a network reads the colour."""
+"""Sky and ground nodes: Gaussians with a code, from which a network decodes the colour."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _SIGMAS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """Gaussians to begin with.
+    """Initial Gaussians.
 
     Attributes:
         means: (N, 3) in the block's frame, metres.
         quats: (N, 4) scalar first.
         scales: (N, 3) metres.
-        opacity: of each.
+        opacity: opacity of every Gaussian.
     """
 
     means: Tensor
@@ -37,14 +37,14 @@ class Seeds:
 
 @dataclass(frozen=True, eq=False)
 class CodeRows:
-    """Some Code-Gaussians.
+    """Rows of the tables of some Code-Gaussians.
 
     Attributes:
-        ids: (M,) int64 which, ascending.
+        ids: (M,) int64 indices of the Gaussians, ascending.
         means: (M, 3).
         quats: (M, 4).
         log_scales: (M, 3).
-        logits: (M,) of opacities.
+        logits: (M,) logits of the opacities.
         codes: (M, F).
     """
 
@@ -60,9 +60,9 @@ class CodeGaussians(nn.Module):
     """A node of Code-Gaussians.
 
     Args:
-        seeds: what it begins with.
+        seeds: the initial Gaussians.
         code: size of a code.
-        latent: size of the appearance's.
+        latent: size of the appearance latent.
         hidden: width of the network.
     """
 
@@ -87,16 +87,16 @@ class CodeGaussians(nn.Module):
             return select_visible(viewpoint, self.means, _SIGMAS * self.log_scales.amax(1).exp())
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> CodeRows:
-        """Gaussians (M,); rows of tables that are at hand already are not looked up."""
+        """Gather the rows of Gaussians (M,); tables in `learnt` are already gathered and are not read again."""
         return CodeRows(ids, **select_rows(self, self.TABLES, ids, learnt or {}))
 
     def decode(self, viewpoint: Viewpoint, latent: Tensor, rows: CodeRows | None = None) -> Splats:
-        """Gaussians with their colours.
+        """Decode the colours of Gaussians.
 
         Args:
             viewpoint: the camera.
-            latent: appearance.
-            rows: which; None: all that the viewpoint may see.
+            latent: appearance of the colours.
+            rows: the Gaussians; None: all that the viewpoint may see.
         """
         rows = rows or self.rows(self.visible_ids(viewpoint))
         return Splats(
@@ -111,6 +111,6 @@ class CodeGaussians(nn.Module):
         )
 
     def colours(self, rows: CodeRows, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
-        """(M, 3) of Gaussians, as a viewpoint sees them."""
+        """Colours (M, 3) of Gaussians for a viewpoint."""
         (tints,) = run_mlps(network_inputs(rows.codes, rows.means, viewpoint.centre), (self.colour, latent))
         return tints.sigmoid()

@@ -1,12 +1,12 @@
-"""From what networks say of anchors to Gaussians, by compiled kernels with gradients: those of no opacity are dropped.
+"""Compiled kernels, with gradients, that turn the networks' outputs for anchors into Gaussians.
 
-The same in torch is some forty small operations and their gathered and scattered copies, half the time of a step.
+The same in torch is about forty small operations with gathered and scattered copies: half the time of a step.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -19,34 +19,47 @@ from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import AnyArray, Float32
 
 GEOMETRY: Final = 8
-"""Numbers of a Gaussian that are no colour: opacity, three of scale, four of rotation."""
+"""Network outputs of a Gaussian besides its colour: one for opacity, three for scale, four for rotation."""
+
+
+class AnchorGaussians(NamedTuple):
+    """The G Gaussians of anchors that have an opacity above zero.
+
+    Attributes:
+        means: (G, 3).
+        quats: (G, 4).
+        scales: (G, 3).
+        opacities: (G,).
+        colours: (G, 3).
+        slots: (G,) int64 index of each Gaussian: anchor times k plus offset.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colours: Tensor
+    slots: Tensor
 
 
 def anchors_to_gaussians(
     geometry: Tensor, colours: Tensor, means: Tensor, offsets: Tensor, log_scales: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The Gaussians of anchors; differentiable to all but the anchors' places.
+) -> AnchorGaussians:
+    """Compute the Gaussians of anchors; differentiable with respect to all inputs except the anchors' places.
 
     Args:
-        geometry: (M, k * 8): before tanh the opacity, before the sigmoid the scale as a
-            share of the anchor's, rotation.
+        geometry: (M, k * 8): opacity before tanh; scale before the sigmoid, as a share of the anchor's; rotation.
         colours: (M, k * 3) before the sigmoid.
         means: (M, 3) places of anchors.
         offsets: (M, k, 3) in units of the first three scales.
         log_scales: (M, 6) logarithms of the size of the offsets and of the Gaussians.
-
-    Returns:
-        Of the G Gaussians with an opacity above zero: means (G, 3), quats (G, 4), scales (G, 3), opacities (G,),
-        colours (G, 3), and (G,) int64 which they are, anchor times k plus offset.
     """
-    found: tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
-    found = _AnchorsToGaussians.apply(geometry, colours, means, offsets, log_scales)
-    return found
+    return AnchorGaussians(*_AnchorsToGaussians.apply(geometry, colours, means, offsets, log_scales))
 
 
 @kernel()
 def count_opaque(geometry: Any, begin: Any, end: Any) -> Any:
-    """How many Gaussians of anchors in a range have an opacity above zero."""
+    """Count the Gaussians of anchors in a range that have an opacity above zero."""
     count = 0
     for anchor in range(begin, end):
         for place in range(0, geometry.shape[1], GEOMETRY):
@@ -59,9 +72,10 @@ def write_gaussians(
     geometry: Any, colours: Any, anchors: Any, offsets: Any, log_scales: Any, begin: Any, end: Any,
     first: Any, sizes: Any, means: Any, quats: Any, shares: Any, opacities: Any, tints: Any, slots: Any,
 ) -> None:  # fmt: skip
-    """Write the Gaussians of anchors in a range, from `first` on, what tanh and sigmoid belong to without those.
+    """Write the Gaussians of anchors in a range, from row `first` on; tanh and sigmoid are applied later.
 
-    `sizes` (M, 6) gets metres of the anchors that have Gaussians, `slots` anchor times k plus offset.
+    `sizes` (M, 6) receives the sizes in metres of anchors that have Gaussians, `slots` receives anchor times k plus
+    offset.
     """
     k, place = offsets.shape[1], first
     for anchor in range(begin, end):
@@ -86,7 +100,7 @@ def write_gaussians(
 
 @kernel()
 def write_scales(begin: Any, end: Any, k: Any, slots: Any, sizes: Any, shares: Any, scales: Any) -> None:
-    """Scales of Gaussians in a range: their shares of their anchors' sizes."""
+    """Write the scales of Gaussians in a range: a share of their anchor's size."""
     for place in range(begin, end):
         anchor = slots[place] // k
         for axis in range(3):
@@ -99,7 +113,7 @@ def write_gradients(
     to_means: Any, to_quats: Any, to_scales: Any, to_opacities: Any, to_tints: Any,
     to_geometry: Any, to_colours: Any, to_offsets: Any, to_log_scales: Any,
 ) -> None:  # fmt: skip
-    """Gradients of Gaussians in a range, into what was zero; no anchor has Gaussians in two ranges."""
+    """Write the gradients of Gaussians in a range into zeroed arrays; the Gaussians of an anchor lie in one range."""
     k, one = offsets.shape[1], np.float32(1.0)
     for place in range(begin, end):
         anchor, offset = slots[place] // k, slots[place] % k
@@ -124,12 +138,12 @@ class _AnchorsToGaussians(torch.autograd.Function):
     def forward(
         ctx: Any, geometry: Tensor, colours: Tensor, means: Tensor, offsets: Tensor, log_scales: Tensor
     ) -> tuple[Tensor, ...]:
-        given = _array(geometry), _array(colours), _array(means), _array(offsets), _array(log_scales)
+        inputs = _array(geometry), _array(colours), _array(means), _array(offsets), _array(log_scales)
         edges, k = spans(len(means)), offsets.shape[1]
         counts = np.zeros(len(edges) - 1, np.int64)
 
         def count(part: int) -> None:
-            counts[part] = count_opaque(given[0], edges[part], edges[part + 1])
+            counts[part] = count_opaque(inputs[0], edges[part], edges[part + 1])
 
         in_parallel(count, len(counts))
         firsts = np.concatenate([[0], counts.cumsum()])
@@ -140,7 +154,7 @@ class _AnchorsToGaussians(torch.autograd.Function):
 
         def fill(part: int) -> None:
             span = edges[part], edges[part + 1], firsts[part]
-            write_gaussians(*given, *span, sizes, centres, quats, shares, opacities, tints, slots)
+            write_gaussians(*inputs, *span, sizes, centres, quats, shares, opacities, tints, slots)
 
         in_parallel(fill, len(counts))
         for numbers in (shares, tints):
@@ -149,7 +163,7 @@ class _AnchorsToGaussians(torch.autograd.Function):
         in_parallel(
             lambda part: write_scales(firsts[part], firsts[part + 1], k, slots, sizes, shares, scales), len(counts)
         )
-        ctx.read = given[3], sizes, shares, opacities, tints, slots
+        ctx.read = inputs[3], sizes, shares, opacities, tints, slots
         ctx.firsts, ctx.shapes = firsts, [table.shape for table in (geometry, colours, offsets, log_scales)]
         ids = torch.from_numpy(slots)
         ctx.mark_non_differentiable(ids)
@@ -158,14 +172,15 @@ class _AnchorsToGaussians(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        to = [_array(gradient) for gradient in gradients[:5]]
-        into = [full_aligned(shape.numel(), 0.0).reshape(shape) for shape in ctx.shapes]
+        output_gradients = [_array(gradient) for gradient in gradients[:5]]
+        input_gradients = [full_aligned(shape.numel(), 0.0).reshape(shape) for shape in ctx.shapes]
 
-        def one(part: int) -> None:
-            write_gradients(*ctx.read, ctx.firsts[part], ctx.firsts[part + 1], *to, *into)  # type: ignore[call-arg]
+        def write(part: int) -> None:
+            span = ctx.firsts[part], ctx.firsts[part + 1]
+            write_gradients(*ctx.read, *span, *output_gradients, *input_gradients)  # type: ignore[call-arg]
 
-        in_parallel(one, len(ctx.firsts) - 1)
-        to_geometry, to_colours, to_offsets, to_log_scales = map(torch.from_numpy, into)
+        in_parallel(write, len(ctx.firsts) - 1)
+        to_geometry, to_colours, to_offsets, to_log_scales = map(torch.from_numpy, input_gradients)
         return to_geometry, to_colours, None, to_offsets, to_log_scales
 
 

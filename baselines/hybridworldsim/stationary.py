@@ -1,4 +1,4 @@
-"""Which pictures a vehicle took while it hardly moved: copies of one view teach nothing, and witness nothing."""
+"""Selects images taken in motion: images of a stationary vehicle add neither training data nor evidence of depth."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ import numpy as np
 from mirror.arrays import Float64
 
 STATIONARY_M: Final = 0.25
+"""Motion below which a camera counts as stationary, metres."""
 
 
-def select_moving(taken: Iterable[tuple[Hashable, Float64]], stationary_m: float = STATIONARY_M) -> list[int]:
-    """Positions of pictures whose camera has moved since the last of its own that was kept.
+def select_moving(images: Iterable[tuple[Hashable, Float64]], stationary_m: float = STATIONARY_M) -> list[int]:
+    """Select the images whose camera has moved since its last selected image.
 
     Args:
-        taken: of each picture which camera of which traversal took it, and (3,) where, metres; those of a camera in
-            order of time.
-        stationary_m: a camera that is nearer than this to where the last kept picture was taken stands. 0: all move.
+        images: for each image a key of its camera and traversal, and its position (3,) in metres; the images of one
+            camera are in order of time.
+        stationary_m: a camera has moved if it is at least this far from its last selected image; 0 selects all.
 
     Returns:
-        In the given order; the first of each camera is always among them.
+        Indices of the selected images in the given order; the first image of each camera is always selected.
     """
     last: dict[Hashable, Float64] = {}
-    kept = []
-    for position, (camera, here) in enumerate(taken):
-        if camera in last and np.linalg.norm(here - last[camera]) < stationary_m:
+    selected = []
+    for index, (camera, position) in enumerate(images):
+        if camera in last and np.linalg.norm(position - last[camera]) < stationary_m:
             continue
-        last[camera] = here
-        kept.append(position)
-    return kept
+        last[camera] = position
+        selected.append(index)
+    return selected

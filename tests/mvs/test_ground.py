@@ -1,4 +1,4 @@
-"""The ground against surfaces in closed form and the synthetic street's."""
+"""Tests the ground against surfaces in closed form and the ground of the synthetic street."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def line(length_m: float = 80.0, step_m: float = 0.5) -> np.ndarray:
     return np.arange(0.0, length_m, step_m)
 
 
-def test_a_slope_is_followed_and_its_normal_is_right() -> None:
+def test_slope_and_its_normal_are_fitted() -> None:
     along = line()
     driven = np.concatenate([np.column_stack([along, np.full_like(along, y), 0.03 * along]) for y in (-2.0, 0.0, 2.0)])
     ground = fit_ground(driven)
@@ -25,7 +25,7 @@ def test_a_slope_is_followed_and_its_normal_is_right() -> None:
     np.testing.assert_allclose(ground.normal(at), np.tile(expected, (7, 1)), atol=0.012)
 
 
-def test_the_normal_is_the_gradient() -> None:
+def test_normal_matches_the_gradient() -> None:
     along = line()
     ground = fit_ground(np.column_stack([along, 5.0 * np.sin(along / 15.0), np.sin(along / 10.0)]))
     at = np.random.default_rng(0).uniform((0.0, -8.0), (80.0, 8.0), (50, 2))
@@ -36,7 +36,7 @@ def test_the_normal_is_the_gradient() -> None:
     np.testing.assert_allclose(ground.normal(at), expected, atol=1e-6)
 
 
-def test_far_away_it_is_level_and_finite() -> None:
+def test_ground_is_level_and_finite_far_away() -> None:
     along = line()
     ground = fit_ground(np.column_stack([along, 0.0 * along, 0.02 * along]))
     far = np.array([[1e6, 0.0], [-1e6, 1e6], [40.0, -1e5]])
@@ -44,11 +44,11 @@ def test_far_away_it_is_level_and_finite() -> None:
     np.testing.assert_allclose(ground.normal(far)[:2], [[0.0, 0.0, 1.0]] * 2, atol=1e-12)
 
 
-def test_points_that_are_not_of_the_ground_do_not_lift_it() -> None:
+def test_points_above_the_ground_do_not_lift_it() -> None:
     rng = np.random.default_rng(2)
     along = line()
     driven = np.column_stack([along, 0.0 * along, 0.0 * along])
-    # A pavement 0.12 m up at 5 to 8 m, and walls and cars above it.
+    # A pavement 0.12 m high at 5 to 8 m, with walls and cars on it.
     pavement = np.column_stack([rng.uniform(0, 80, 2000), rng.uniform(5, 8, 2000), rng.normal(0.12, 0.03, 2000)])
     wall = np.column_stack([rng.uniform(0, 80, 1500), rng.uniform(5, 8, 1500), rng.uniform(0.2, 9.0, 1500)])
     at = np.column_stack([np.linspace(10, 70, 13), np.full(13, 6.5)])
@@ -58,33 +58,33 @@ def test_points_that_are_not_of_the_ground_do_not_lift_it() -> None:
     assert np.abs(fit_ground(driven).height(at)).max() < 0.02
 
 
-def test_the_synthetic_street_is_met_to_centimetres() -> None:
+def test_synthetic_street_is_fitted_to_centimetres() -> None:
     drive = make_drives("reconstruction", 0, scenes=1, traversals=1)[1][0]
     stamps = drive.condition.start_ns + np.arange(0, 60_000_000_000, 100_000_000)
     poses = drive.world_SE3_ego(stamps)
     poses = poses[np.linalg.norm(poses.translation[:, :2], axis=1) < 45.0]
     ground = fit_ground(compute_wheel_contacts(poses))
     left = poses.matrix()[:, :2, 1]
-    for aside, most in ((0.0, 0.02), (1.0, 0.04)):
-        at = poses.translation[:, :2] + aside * left
+    for offset_m, max_error_m in ((0.0, 0.02), (1.0, 0.04)):
+        at = poses.translation[:, :2] + offset_m * left
         error = np.abs(ground.height(at) - drive.world.height_m(at[:, 0], at[:, 1]))
-        assert np.median(error) < most
+        assert np.median(error) < max_error_m
 
 
-def test_one_pose_and_a_huge_offset() -> None:
-    one = np.array([[4.0e5, -2.0e5, 1234.5]])
-    ground = fit_ground(one)
-    np.testing.assert_allclose(ground.height(one[:, :2]), 1234.5, atol=1e-6)
-    standing = fit_ground(np.repeat(one, 500, axis=0))
-    np.testing.assert_allclose(standing.height(one[:, :2]), 1234.5, atol=1e-6)
+def test_one_pose_with_a_huge_offset() -> None:
+    position = np.array([[4.0e5, -2.0e5, 1234.5]])
+    ground = fit_ground(position)
+    np.testing.assert_allclose(ground.height(position[:, :2]), 1234.5, atol=1e-6)
+    stationary = fit_ground(np.repeat(position, 500, axis=0))
+    np.testing.assert_allclose(stationary.height(position[:, :2]), 1234.5, atol=1e-6)
 
 
 @pytest.mark.parametrize("driven", [np.empty((0, 3)), np.full((4, 3), np.nan), np.array([[0.0, 0, 0], [1e5, 1e5, 0]])])
-def test_what_cannot_be_fitted_is_refused(driven: np.ndarray) -> None:
+def test_input_without_a_fit_is_refused(driven: np.ndarray) -> None:
     with pytest.raises(UsageError):
         fit_ground(driven)
 
 
-def test_wheels_stand_beside_the_middle_of_the_axle() -> None:
+def test_wheel_contacts_lie_beside_the_middle_of_the_axle() -> None:
     quarter = Poses(np.array([[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]]), np.array([[1.0, 2.0, 3.0]]))
     np.testing.assert_allclose(compute_wheel_contacts(quarter), [[1, 2, 3], [0.2, 2, 3], [1.8, 2, 3]], atol=1e-12)

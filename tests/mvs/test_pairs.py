@@ -1,4 +1,4 @@
-"""Which pictures are matched: by geometry, light and drive, whatever their order."""
+"""Tests that sources are chosen by geometry, light and drive, in any order of images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LENS = Camera("pinhole", 240, 135, 120.0, 120.0, 120.0, 67.5)
 NORTH = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 1.5], [0, 0, 0, 1]])
 
 
-def shot(
+def make_image(
     x: float, y: float, *, drive: str = "a", light: str = "day", back: bool = False, scene: str = "s"
 ) -> SimpleNamespace:
     matrix = NORTH.copy()
@@ -27,30 +27,42 @@ def shot(
     )
 
 
-def test_a_useful_angle_is_preferred_to_none_and_to_too_much() -> None:
-    shots = [shot(0, 0), shot(0, 0), shot(1, 0), shot(12, 0), shot(0, 0, back=True), shot(400, 0)]
-    chosen = choose_sources(shots, 4)[0].tolist()
-    # The one at the same place, the one that looks back and the one far off give nothing.
+def test_useful_angle_is_preferred() -> None:
+    images = [
+        make_image(0, 0),
+        make_image(0, 0),
+        make_image(1, 0),
+        make_image(12, 0),
+        make_image(0, 0, back=True),
+        make_image(400, 0),
+    ]
+    chosen = choose_sources(images, 4)[0].tolist()
+    # The image at the same position, the one that faces back and the distant one are useless.
     assert chosen == [2, 3]
 
 
-def test_own_drive_comes_before_like_light_before_other_light() -> None:
-    shots = [shot(0, 0), shot(1, 0, drive="c", light="night"), shot(1, 0, drive="b"), shot(1, 0)]
-    assert choose_sources(shots, 4)[0].tolist() == [3, 2, 1]
+def test_same_drive_ranks_before_same_light_before_other_light() -> None:
+    images = [
+        make_image(0, 0),
+        make_image(1, 0, drive="c", light="night"),
+        make_image(1, 0, drive="b"),
+        make_image(1, 0),
+    ]
+    assert choose_sources(images, 4)[0].tolist() == [3, 2, 1]
 
 
-def test_other_scenes_are_never_matched_and_counts_hold() -> None:
-    shots = [shot(0, 0), shot(1, 0, scene="t"), shot(1.1, 0), shot(0.9, 0), shot(1.2, 0)]
-    chosen = choose_sources(shots, 2)
+def test_other_scenes_are_not_matched_and_counts_are_limits() -> None:
+    images = [make_image(0, 0), make_image(1, 0, scene="t"), make_image(1.1, 0), make_image(0.9, 0), make_image(1.2, 0)]
+    chosen = choose_sources(images, 2)
     assert len(chosen[0]) == 2 and 1 not in chosen[0] and len(chosen[1]) == 0
-    assert choose_sources(shots[:1], 4)[0].tolist() == []
+    assert choose_sources(images[:1], 4)[0].tolist() == []
 
 
-def test_the_order_of_other_pictures_does_not_matter() -> None:
+def test_order_of_images_does_not_matter() -> None:
     rng = np.random.default_rng(0)
-    shots = [shot(*place) for place in rng.uniform(-10, 10, (20, 2)).tolist()]
+    images = [make_image(*position) for position in rng.uniform(-10, 10, (20, 2)).tolist()]
     order = rng.permutation(20)
-    first = choose_sources(shots, 5)
-    second = choose_sources([shots[index] for index in order], 5)
-    for place, own in enumerate(order.tolist()):
-        assert first[own].tolist() == order[second[place]].tolist()
+    first = choose_sources(images, 5)
+    second = choose_sources([images[index] for index in order], 5)
+    for row, index in enumerate(order.tolist()):
+        assert first[index].tolist() == order[second[row]].tolist()

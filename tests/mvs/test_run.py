@@ -1,4 +1,4 @@
-"""Initialisation of a small dataset: which layers there are, what they are made of, how it goes on."""
+"""Tests the initialisation of a small dataset: its layers, their inputs, and interrupted runs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CAMERAS = ("front_wide", "front_left")
 
 
 class LevelRoad:
-    """Knows that all is a level road: the depth of each pixel below the horizon, seen by no source at all."""
+    """Returns the depth of a level road for each pixel below the horizon, without sources."""
 
     def __init__(self, fails_at: int | None = None) -> None:
         self.calls, self._fails_at = 0, fails_at
@@ -60,12 +60,12 @@ def dataset(tmp_path: Path) -> Path:
     builder = Builder(tmp_path, cameras=CAMERAS, size=(96, 64))
     builder.scene("a")
     for number in range(3):
-        # Traversals with the same bytes are not divided.
+        # make_split keeps traversals with the same bytes together, so each traversal has its own noise.
         noise = np.random.default_rng(number).integers(0, 255, (64, 96, 3)).astype(np.uint8)
-        pictures = dict.fromkeys(CAMERAS, bytes(cv2.imencode(".jpg", noise)[1]))
+        encoded = dict.fromkeys(CAMERAS, bytes(cv2.imencode(".jpg", noise)[1]))
         entry = EPOCH + number * 1000 * SECOND
         builder.drive(
-            f"d{number}", [Pass("a", entry, pictures=pictures, offset_m=0.5 * number)], vehicle_id=f"v{number}"
+            f"d{number}", [Pass("a", entry, pictures=encoded, offset_m=0.5 * number)], vehicle_id=f"v{number}"
         )
     build_index(tmp_path)
     make_split(tmp_path, "s", NovelTraversal(train=2))
@@ -101,12 +101,11 @@ def test_layers_are_written_for_training_traversals_only(dataset: Path) -> None:
     assert [mask.kind for mask in image.masks()] == ["sky"] and image.masks()[0].decode().shape == (64, 96)
     assert not (dataset / ".mvs" / "road@s").exists()
     groups = ("DEP", "PTS", "MSK", "TAB", "DS0", "IDX")
-    found = [one for rule, one in check(dataset).findings if rule.rule_id.startswith(groups)]
-    wrong = [one for one in found if "layers" in one.file]
-    assert not wrong
+    findings = [finding for rule, finding in check(dataset).findings if rule.rule_id.startswith(groups)]
+    assert not [finding for finding in findings if "layers" in finding.file]
 
 
-def test_pictures_of_a_standing_vehicle_are_not_matched(dataset: Path) -> None:
+def test_images_of_a_stationary_vehicle_are_not_matched(dataset: Path) -> None:
     report = initialise(
         mirror.open(dataset),
         "s",
@@ -119,7 +118,7 @@ def test_pictures_of_a_standing_vehicle_are_not_matched(dataset: Path) -> None:
     assert sum(image.depth() is not None for image in images) == report.images < len(images)
 
 
-def test_what_is_there_is_kept_and_what_was_interrupted_goes_on(dataset: Path, tmp_path: Path) -> None:
+def test_complete_layers_are_kept_and_an_interrupted_run_continues(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(fails_at=8), width_px=48)
     assert files(dataset) == {}
@@ -127,7 +126,7 @@ def test_what_is_there_is_kept_and_what_was_interrupted_goes_on(dataset: Path, t
     initialise(mirror.open(dataset), "s", method="road", estimator=estimator, width_px=48)
     assert estimator.calls == 20 - 7
     first = files(dataset)
-    # Another run may write meanwhile.
+    # The run succeeds although another run holds the lock.
     with writer_lock(mirror.open(dataset).layout, wait=False):
         report = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
     assert len(report.kept) == 2 and not report.written and report.images == 0 and files(dataset) == first
@@ -139,7 +138,7 @@ def test_what_is_there_is_kept_and_what_was_interrupted_goes_on(dataset: Path, t
     assert len(tables) == 4
 
 
-def test_points_that_a_killed_run_did_not_write_come_out_the_same(dataset: Path) -> None:
+def test_points_missing_after_a_killed_run_are_written_identically(dataset: Path) -> None:
     initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
     before = files(dataset)
     last = sorted(dataset.glob("traversals/*/layers/points/road@s/manifest.json"))[-1]
@@ -149,7 +148,7 @@ def test_points_that_a_killed_run_did_not_write_come_out_the_same(dataset: Path)
     assert len(report.written) == 1 and files(dataset) == before
 
 
-def test_layers_made_of_something_else_are_refused(dataset: Path) -> None:
+def test_layers_from_other_inputs_are_refused(dataset: Path) -> None:
     initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
     with pytest.raises(DatasetError, match="options differs"):
         initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=32)
@@ -158,7 +157,7 @@ def test_layers_made_of_something_else_are_refused(dataset: Path) -> None:
         initialise(mirror.open(dataset), "other", method="road", estimator=LevelRoad(), width_px=48, version="s")
 
 
-def test_layers_that_were_matched_with_other_masks_are_refused(dataset: Path) -> None:
+def test_layers_from_other_masks_are_refused(dataset: Path) -> None:
     initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
     opened = mirror.open(dataset)
     image = opened.where(split="s", role="train").frames()[0].images["front_wide"]
@@ -173,9 +172,7 @@ def test_layers_that_were_matched_with_other_masks_are_refused(dataset: Path) ->
         initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
 
 
-def test_what_was_interrupted_while_layers_are_written_can_be_opened(
-    dataset: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_dataset_opens_after_an_interrupted_write(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(scene: SceneInitialisation, clouds: object) -> None:
         raise KeyboardInterrupt
 
@@ -190,7 +187,7 @@ def test_what_was_interrupted_while_layers_are_written_can_be_opened(
     assert len(report.written) == 2 and estimator.calls == 0 and files(dataset).items() > begun.items()
 
 
-def test_the_plane_sweep_runs_on_noise_and_without_masks_of_the_sky(dataset: Path) -> None:
+def test_plane_sweep_runs_on_noise_without_sky_masks(dataset: Path) -> None:
     report = initialise(mirror.open(dataset), "s", width_px=48, options=InitialisationOptions(sky=False))
     assert report.layer == "plane-sweep@s"
     layers = mirror.open(dataset).where(split="s", role="train").table("traversals", ["layers"]).column(0).to_pylist()
@@ -202,7 +199,7 @@ def test_unknown_methods_are_refused(dataset: Path) -> None:
         initialise(mirror.open(dataset), "s", method="magic")
 
 
-def test_masks_of_the_sky_do_not_pass_for_masks_of_road_users(dataset: Path) -> None:
+def test_sky_masks_do_not_count_as_masks_of_road_users(dataset: Path) -> None:
     initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
     made = mirror.open(dataset)
     assert set(made.table("masks", ["kind"]).column(0).to_pylist()) == {"sky"}
@@ -210,10 +207,10 @@ def test_masks_of_the_sky_do_not_pass_for_masks_of_road_users(dataset: Path) -> 
         plan_views(made, load_protocol("static-reconstruction"), "s")
 
 
-def test_a_learned_estimator_is_found_with_its_weights(
+def test_learned_estimator_loads_its_weights(
     dataset: Path, real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """PatchmatchNet as it was published; its layers say with which weights they were made."""
+    """Runs the published PatchmatchNet; the layers' manifests name the weights."""
     weights = real_data / "weights" / "patchmatchnet"
     if not weights.is_dir():
         pytest.skip(f"no weights in {weights}")

@@ -1,4 +1,4 @@
-"""Multi-view stereo: depth maps and points from posed pictures, the initialisation of a reconstruction."""
+"""Multi-view stereo: depth maps and points from posed images, the initialisation of a reconstruction."""
 
 from __future__ import annotations
 

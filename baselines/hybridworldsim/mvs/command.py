@@ -16,24 +16,26 @@ from mirror.errors import ExitCode
 
 @dataclass(frozen=True)
 class Arguments:
-    """Write layers of depth, points and sky masks, from which a reconstruction of a split starts."""
+    """Write the layers of depth, points and sky masks that initialise the reconstruction of a split."""
 
     dataset: tyro.conf.Positional[str]
     """The dataset's folder."""
     split: str
-    """Name of the split; only its training traversals are read."""
+    """Name of the split; the command reads its training traversals only."""
     method: Method = "plane-sweep"
-    """What estimates depth; sparse: no depth, points matched and triangulated."""
+    """Depth estimator. sparse: no depth; features are matched and triangulated to points."""
     weights: Path | None = None
-    """Path of the weights of a learned method."""
+    """File with the weights of a learned method."""
     version: str | None = None
-    """Version of the layers; default: the split's name."""
+    """Version of the layers; default: the name of the split."""
     options: tyro.conf.OmitArgPrefixes[InitialisationOptions] = field(default_factory=InitialisationOptions)
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror depth")
+    """Run ``mirror depth``; return the exit code."""
+    arguments = parsed(Arguments, argv, "mirror depth")
 
     import mirror
     from hybridworldsim.mvs.run import initialise
@@ -50,7 +52,7 @@ def main(argv: Sequence[str]) -> int:
             progress=bar,
         )
     points = ", ".join(f"{count} {kind}" for kind, count in report.points.items())
-    print(f"layers {report.layer}: {len(report.written)} traversals written, {len(report.kept)} there already")
+    print(f"layers {report.layer}: {len(report.written)} traversals written, {len(report.kept)} already complete")
     if report.written:
-        print(f"{report.images} pictures, {report.known_share:.1%} of static pixels with a depth; points: {points}")
+        print(f"{report.images} images, {report.known_share:.1%} of static pixels with a depth; points: {points}")
     return ExitCode.DONE

@@ -1,4 +1,4 @@
-"""The estimators of depth by name."""
+"""Depth estimators by name."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from mirror.errors import UsageError
 
 Method = Literal["plane-sweep", "mvsnet", "patchmatchnet", "sparse"]
 SPARSE: Final = "sparse"
-"""The method that estimates no depth: it matches features and triangulates them."""
+"""The method without depth: it matches features and triangulates them."""
 
 MIN_CONFIDENCE: Final = {"plane-sweep": 0.05, "mvsnet": 0.8, "patchmatchnet": 0.8}
-"""Confidence below which an estimate is unknown, by method."""
+"""By method, the confidence below which a depth counts as unknown."""
 
 
 def make_estimator(method: str, weights: Path | None = None) -> DepthEstimator:
-    """An estimator; its ``repr`` names all that its results depend on.
+    """Make an estimator; its ``repr`` names everything that its results depend on.
 
     Args:
-        method: its name.
-        weights: where its weights lie; None: where weights are looked for.
+        method: name of the estimator.
+        weights: file with its weights; None: `WeightResolver` finds the file.
 
     Raises:
-        UsageError: there is no such method, or it takes no weights.
-        WeightsUnavailableError: they are not there, or are others.
+        UsageError: no method has this name, or the method takes no weights.
+        WeightsUnavailableError: the weights are missing, or have another hash.
     """
     if method in ("mvsnet", "patchmatchnet"):
         from mirror.weights.resolve import WeightResolver

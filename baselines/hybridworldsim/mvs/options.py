@@ -1,4 +1,4 @@
-"""How a reconstruction is initialised."""
+"""The options of an initialisation."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from mirror.protocols.document import Pixels
 
 @dataclass(frozen=True)
 class InitialisationOptions:
-    """How a reconstruction is initialised.
+    """The options of an initialisation. Field names are part of the hash that layers store.
 
     Attributes:
-        width_px: widest raster of the pictures that are matched.
-        standing_m: a picture is not matched whose camera is nearer than this to the last of its own.
-        sources: pictures that each picture is matched with.
-        held_against: pictures that each depth map is held against.
+        width_px: greatest width of the rasters in which images are matched.
+        standing_m: an image is left out if its camera moved less than this since the last image that was kept.
+        sources: number of images that each image is matched with.
+        held_against: number of depth maps that each depth map is compared with.
         near_m: smallest depth searched.
         far_m: largest depth searched.
-        least_confidence: an estimate below it is unknown; None: what the method's own authors use, or like it.
-        agree_share: depths agree that differ by at most this share of them, and whose points land within a pixel.
-        depth_views: a depth is written if so many pictures agree on it, its own included.
-        point_views: a point is made of it if so many agree.
-        voxel_m: side of the cells that hold one point each.
-        far_from_m: points farther than this from all driven lines are of kind ``far``.
-        sky: whether masks of the sky are made.
+        least_confidence: a depth with less confidence is unknown; None: the default of the method.
+        agree_share: two depths agree if they differ by at most this share, and the point reprojects within a pixel.
+        depth_views: a depth is written if at least this number of images agree, its own image included.
+        point_views: a depth becomes a point if at least this number of images agree.
+        voxel_m: side of the cells that keep one point each.
+        far_from_m: points farther than this from all driven positions are of kind ``far``.
+        sky: whether the initialisation makes masks of the sky.
     """
 
     width_px: int = 240

@@ -1,4 +1,4 @@
-"""Initialises a reconstruction: depth maps, points and sky masks of a split's training traversals, as layers."""
+"""Initialises a reconstruction: writes depth maps, points and sky masks of a split's training traversals as layers."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from mirror.errors import DatasetError
 from mirror.methods.training_images import Picture
 from mirror.progress import NullProgress, ProgressReporter
 
-_LOOKED_AT: Final = ("poses", "calibrations", "boxes")
-"""Kinds of layers that say what is matched, and from where; masks do so too."""
+_INPUT_KINDS: Final = ("poses", "calibrations", "boxes")
+"""Kinds of layers that the result depends on, besides masks."""
 
 
 @dataclass(frozen=True)
 class InitialisationReport:
-    """What an initialisation did.
+    """The result of an initialisation.
 
     Attributes:
         layer: ``source@version`` of the layers.
-        written: traversals of which layers were written.
-        kept: traversals whose layers were there already.
-        images: number of images of which depth was estimated.
-        known_share: share of the static pixels of the maps written that have a confirmed depth.
-        points: points of the scenes written, by kind.
-        ground_sigma_m: how far the driven lines are from the ground that was fitted, by scene.
+        written: traversals that got layers.
+        kept: traversals that had their layers already.
+        images: number of images with newly estimated depth.
+        known_share: share of the static pixels with a confirmed depth, over the depth maps that were written.
+        points: number of points of the scenes that were written, by kind.
+        ground_sigma_m: robust standard deviation of the driven positions from the fitted ground, by scene.
     """
 
     layer: str
@@ -65,27 +65,26 @@ def initialise(
 ) -> InitialisationReport:
     """Write layers of depth, points and sky masks for the training traversals of a split.
 
-    Held-out traversals are not read: neither their pictures nor their poses. A run that was interrupted goes on where
-    it stopped, and the outcome is the same. Memory: at most 512 depth maps and 256 pictures, and the points of one
-    scene; ``sparse`` holds the descriptors of all its pictures.
+    Neither images nor poses of held-out traversals are read. An interrupted run continues where it stopped, with the
+    same result. Memory: at most 512 depth maps and 256 images, and the points of one scene; ``sparse`` holds the
+    descriptors of all images of a scene.
 
     Args:
-        dataset: a local dataset, or a part of it.
-        split: its split.
-        method: ``plane-sweep``, ``mvsnet``, ``patchmatchnet``, or ``sparse``: no depth, features are triangulated. It
-            names the layers.
-        width_px: widest raster of the pictures; None: that of the options.
-        weights: where the weights of a learned method lie; None: where weights are looked for.
-        estimator: of depth, in the place of that which ``method`` names; its ``repr`` must tell it from others.
-        version: of the layers; None: the name of the split, as other training traversals make other layers.
-        options: how; None: the defaults.
-        withheld: pictures of training traversals that are not opened either; of their vehicle's poses the ground is
-            still told.
-        progress: told of the phases.
+        dataset: a local dataset, or a view of it.
+        split: name of the split.
+        method: ``plane-sweep``, ``mvsnet``, ``patchmatchnet``, or ``sparse``, which triangulates features and makes no
+            depth. It is the source name of the layers.
+        width_px: greatest width of the rasters; None: as in the options.
+        weights: file with the weights of a learned method; None: `WeightResolver` finds the file.
+        estimator: replaces the estimator that ``method`` names; its ``repr`` must differ between different estimators.
+        version: version of the layers; None: the name of the split.
+        options: the options; None: the defaults.
+        withheld: images of training traversals that are not opened; their vehicle's poses still enter the ground.
+        progress: receives the phases and their progress.
 
     Raises:
-        DatasetError: layers of that name are there, but were made of other traversals or in another way.
-        UsageError: there is no such split or method, or the dataset is not local.
+        DatasetError: layers of this name exist, and were made from other traversals or with other options.
+        UsageError: the split or the method does not exist, or the dataset is not local.
     """
     chosen = options or InitialisationOptions()
     if width_px is not None:
@@ -96,56 +95,64 @@ def initialise(
     else:
         estimator = estimator or make_estimator(method, weights)
         kinds = ("depth", "masks", "points") if chosen.sky else ("depth", "points")
-    told = progress or NullProgress()
-    made_of = _made_of(view, chosen, estimator, withheld)
-    layers = InitialisationLayers(view.layout, method, version or split, kinds, made_of)
-    if all(layers.complete(one) for one in view.traversals()):
-        # Nothing is written, so that runs side by side may share what is there.
-        return _all_scenes(view, layers, chosen, estimator, withheld, told)
+    reporter = progress or NullProgress()
+    input_hashes = _hash_inputs(view, chosen, estimator, withheld)
+    layers = InitialisationLayers(view.layout, method, version or split, kinds, input_hashes)
+    if all(layers.is_complete(traversal_id) for traversal_id in view.traversals()):
+        # Nothing is written, so no lock is needed: parallel runs may share complete layers.
+        return _initialise_scenes(view, layers, chosen, estimator, withheld, reporter)
     with writer_lock(view.layout, wait=False):
         try:
-            report = _all_scenes(view, layers, chosen, estimator, withheld, told)
+            report = _initialise_scenes(view, layers, chosen, estimator, withheld, reporter)
         finally:
-            # Of what is whole already, too, where it is interrupted: the dataset opens, and the next run goes on.
-            told.start("index", 1)
+            # An interrupted run indexes its complete layers too, so that the dataset opens and the next run continues.
+            reporter.start("index", 1)
             build_index(view.layout.root)
-            told.advance(1)
+            reporter.advance(1)
     return report
 
 
-def _made_of(
+def _hash_inputs(
     view: Dataset, options: InitialisationOptions, estimator: DepthEstimator | None, withheld: Set[Picture]
 ) -> dict[str, str]:
-    """Hashes of all that the layers of a view depend on."""
+    """Hash everything that the layers of a view depend on; the keys are part of the manifests."""
     hashes = {"options": _digest(json.dumps(asdict(options), sort_keys=True)), "estimator": _digest(repr(estimator))}
     if withheld:
         hashes["withheld"] = _digest(json.dumps(sorted(withheld)))
     choice = {key: value for key, value in asdict(view.layers).items() if key not in ("depth", "points")}
     hashes["layers"] = _digest(json.dumps(choice, sort_keys=True))
     table = view.table("traversals", ["traversal_id", "layers"])
-    names = {(key, name) for key, own in zip(*(one.to_pylist() for one in table.columns)) for name in own}
-    masking = {f"masks/{name}" for name in _masking(view)}
+    rows = zip(*(column.to_pylist() for column in table.columns))
+    names = {(traversal_id, name) for traversal_id, layers in rows for name in layers}
+    mask_layers = {f"masks/{name}" for name in _find_mask_layers(view)}
     for traversal_id in view.traversals():
-        hashes[f"traversal:{traversal_id}"] = _content(view.layout.recorded(traversal_id))
+        hashes[f"traversal:{traversal_id}"] = _read_content_hash(view.layout.recorded(traversal_id))
     for traversal_id, name in sorted(names):
-        kind, _, made = name.partition("/")
-        if kind in _LOOKED_AT or name in masking:
-            source, _, version = made.partition("@")
-            hashes[f"{name}:{traversal_id}"] = _content(view.layout.layer(traversal_id, kind, source, version))
+        kind, _, layer = name.partition("/")
+        if kind in _INPUT_KINDS or name in mask_layers:
+            source, _, version = layer.partition("@")
+            hashes[f"{name}:{traversal_id}"] = _read_content_hash(
+                view.layout.layer(traversal_id, kind, source, version)
+            )
     return hashes
 
 
-def _masking(view: Dataset) -> set[str]:
-    """Layers of masks of road users or vehicles; those of the sky are made here."""
+def _find_mask_layers(view: Dataset) -> set[str]:
+    """Find the layers of masks of road users or of the own vehicle; masks of the sky are a result, not an input."""
     columns = view.table("masks", ["kind", "source", "source_version"]).columns
     rows = set(zip(*(column.to_pylist() for column in columns)))
     return {f"{source}@{version}" for kind, source, version in rows if kind in ("ego", "dynamic")}
 
 
-def _content(folder: Path) -> str:
+def _read_content_hash(folder: Path) -> str:
+    """Read the content hash of a complete folder.
+
+    Raises:
+        DatasetError: the folder has no manifest.
+    """
     manifest = read_manifest(folder)
     if manifest is None:
-        raise DatasetError("not complete", file=folder, remedy="mirror check names what is missing")
+        raise DatasetError("the folder is not complete", file=folder, remedy="mirror check lists the missing files")
     return manifest.content
 
 
@@ -153,7 +160,7 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _all_scenes(
+def _initialise_scenes(
     view: Dataset,
     layers: InitialisationLayers,
     options: InitialisationOptions,
@@ -161,26 +168,27 @@ def _all_scenes(
     withheld: Set[Picture],
     progress: ProgressReporter,
 ) -> InitialisationReport:
-    kept = tuple(one for one in view.traversals() if layers.complete(one))
+    """Initialise each scene that has incomplete layers."""
+    kept = tuple(traversal_id for traversal_id in view.traversals() if layers.is_complete(traversal_id))
     counts: dict[str, int] = dict.fromkeys(("ground", "background", "far"), 0)
     sigma: dict[str, float] = {}
-    pictures, known, static = 0, 0, 0
+    images, known, static = 0, 0, 0
     for name in view.scenes():
-        own = view.where(scene=name)
-        if all(one in kept for one in own.traversals()):
+        scene_view = view.where(scene=name)
+        if set(scene_view.traversals()) <= set(kept):
             continue
-        scene = SceneInitialisation(own, layers, options, withheld, progress)
+        scene = SceneInitialisation(scene_view, layers, options, withheld, progress)
         if estimator is None:
             clouds = scene.triangulate()
         else:
-            pictures += scene.estimate(estimator)
-            clouds, share = scene.confirm()
-            known, static = known + share[0], static + share[1]
+            images += scene.estimate(estimator)
+            clouds, pixels = scene.confirm()
+            known, static = known + pixels.known, static + pixels.static
         ground = scene.write_points(clouds)
         sigma[name] = ground.sigma_m
         for kind, count in scene.counts.items():
             counts[kind] += count
-    # Another run that found all layers complete may do the same at this moment.
-    shutil.rmtree(layers.work, ignore_errors=True)
-    written = tuple(one for one in view.traversals() if one not in kept)
-    return InitialisationReport(layers.name, written, kept, pictures, known / static if static else 0.0, counts, sigma)
+    # Errors are ignored because a parallel run that found all layers complete may remove the folder too.
+    shutil.rmtree(layers.work_folder, ignore_errors=True)
+    written = tuple(traversal_id for traversal_id in view.traversals() if traversal_id not in kept)
+    return InitialisationReport(layers.name, written, kept, images, known / static if static else 0.0, counts, sigma)

@@ -1,4 +1,4 @@
-"""Sparse points: SIFT features, matched where the known poses allow it, and triangulated by pycolmap."""
+"""Sparse points: SIFT features, matched along epipolar lines of the known poses, and triangulated by pycolmap."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.errors import UsageError
 from mirror.installation import install_command
 
-_MOST_FEATURES: Final = 2000
+_MAX_FEATURES: Final = 2000
 _RATIO: Final = 0.8
 _EPIPOLAR_PX: Final = 2.0
 _LUMA: Final = np.array([0.299, 0.587, 0.114])
@@ -24,11 +24,11 @@ _LUMA: Final = np.array([0.299, 0.587, 0.114])
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """SIFT features of one picture.
+    """SIFT features of one image.
 
     Attributes:
         uv_px: (N, 2).
-        descriptors: (N, 128), of any length: bytes, so that those of thousands of pictures are held.
+        descriptors: (N, 128), not normalised; bytes, so that the descriptors of thousands of images fit into memory.
     """
 
     uv_px: Float64
@@ -40,20 +40,20 @@ class SparsePoints:
     """Triangulated points.
 
     Attributes:
-        cloud: the points; deviations are not known.
-        first: (N,) the earliest picture that sees each.
+        cloud: the points; their standard deviations are unknown.
+        first_image: (N,) index of the first image that shows each point.
     """
 
     cloud: PointCloud
-    first: Int64
+    first_image: Int64
 
 
-def triangulate(picture_of: Callable[[int], StereoImage], sources: Sequence[Int64]) -> SparsePoints:
-    """The points that pictures of known poses have in common.
+def triangulate(get_image: Callable[[int], StereoImage], sources: Sequence[Int64]) -> SparsePoints:
+    """Triangulate the common points of images with known poses.
 
     Args:
-        picture_of: gives the picture at a position; each is asked for once.
-        sources: for each picture the positions of those it is matched with.
+        get_image: returns the image of an index; it is called once for each image.
+        sources: for each image the indices of the images that it is matched with.
 
     Raises:
         UsageError: pycolmap is not installed.
@@ -63,53 +63,54 @@ def triangulate(picture_of: Callable[[int], StereoImage], sources: Sequence[Int6
     colours: dict[int, Any] = {}
     sizes: dict[int, tuple[int, int]] = {}
     for number in range(len(sources)):
-        picture = picture_of(number)
-        features[number] = extract_features(picture)
-        place = np.clip(features[number].uv_px.astype(np.int64), 0, np.array(picture.valid.shape[::-1]) - 1)
-        colours[number] = picture.rgb[place[:, 1], place[:, 0]]
-        cameras[number] = picture.K, picture.world_SE3_camera.inverse().matrix()[0]
-        sizes[number] = picture.valid.shape
-    pairs = {(min(a, b), max(a, b)) for a, own in enumerate(sources) for b in own.tolist()}
+        image = get_image(number)
+        features[number] = extract_features(image)
+        pixel = np.clip(features[number].uv_px.astype(np.int64), 0, np.array(image.valid.shape[::-1]) - 1)
+        colours[number] = image.rgb[pixel[:, 1], pixel[:, 0]]
+        cameras[number] = image.K, image.world_SE3_camera.inverse().matrix()[0]
+        sizes[number] = image.valid.shape
+    pairs = {(min(a, b), max(a, b)) for a, others in enumerate(sources) for b in others.tolist()}
     matches = {}
-    for one, other in sorted(pairs):
-        found = _match_features(features[one], features[other], _fundamental(cameras[one], cameras[other]))
-        if len(found):
-            matches[one, other] = found
+    for first, second in sorted(pairs):
+        fundamental = _compute_fundamental(cameras[first], cameras[second])
+        matched = _match_features(features[first], features[second], fundamental)
+        if len(matched):
+            matches[first, second] = matched
     if not matches:
         return SparsePoints(PointCloud.concatenate([]), np.empty(0, np.int64))
     return _triangulate_matches(features, colours, cameras, sizes, matches)
 
 
-def extract_features(picture: StereoImage) -> Features:
-    """SIFT features of what stands still, the largest first.
+def extract_features(image: StereoImage) -> Features:
+    """Extract the SIFT features of valid pixels, the largest first.
 
     Raises:
         UsageError: pycolmap is not installed.
     """
     pycolmap = _import_pycolmap()
     options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=1)
-    options.sift.max_num_features = _MOST_FEATURES
+    options.sift.max_num_features = _MAX_FEATURES
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
-    keypoints, descriptors = extractor.extract_from_uint8_array(np.round(picture.rgb @ _LUMA).astype(np.uint8))
+    keypoints, descriptors = extractor.extract_from_uint8_array(np.round(image.rgb @ _LUMA).astype(np.uint8))
     if not len(keypoints):
         return Features(np.empty((0, 2)), np.empty((0, 128), np.uint8))
     table = np.asarray(pycolmap.keypoints_to_matrix(keypoints), np.float64).reshape(len(keypoints), -1)
     uv = table[:, :2].reshape(-1, 2)
-    place = np.clip(uv.astype(np.int64), 0, np.array(picture.valid.shape[::-1]) - 1)
-    still = picture.valid[place[:, 1], place[:, 0]]
-    return Features(uv[still], np.asarray(descriptors.data, np.uint8)[still].reshape(-1, 128))
+    pixel = np.clip(uv.astype(np.int64), 0, np.array(image.valid.shape[::-1]) - 1)
+    static = image.valid[pixel[:, 1], pixel[:, 0]]
+    return Features(uv[static], np.asarray(descriptors.data, np.uint8)[static].reshape(-1, 128))
 
 
-def _match_features(one: Features, other: Features, fundamental: Float64) -> Int64:
-    """Pairs (M, 2) of features that are each other's nearest, by far, on each other's epipolar lines."""
-    if min(len(one.uv_px), len(other.uv_px)) < 2:
+def _match_features(first: Features, second: Features, fundamental: Float64) -> Int64:
+    """Match features (M, 2): mutual nearest neighbours that pass the ratio test and lie on their epipolar lines."""
+    if min(len(first.uv_px), len(second.uv_px)) < 2:
         return np.empty((0, 2), np.int64)
-    alike = _unit(one.descriptors) @ _unit(other.descriptors).T
-    forth, back = _clear_nearest(alike), alike.argmax(axis=0)
-    first = np.flatnonzero(forth >= 0)
-    pairs = np.stack([first, forth[first]], axis=1)[back[forth[first]] == first]
-    a = np.column_stack([one.uv_px[pairs[:, 0]], np.ones(len(pairs))])
-    b = np.column_stack([other.uv_px[pairs[:, 1]], np.ones(len(pairs))])
+    similarity = _normalise(first.descriptors) @ _normalise(second.descriptors).T
+    forth, back = _find_clear_nearest(similarity), similarity.argmax(axis=0)
+    row = np.flatnonzero(forth >= 0)
+    pairs = np.stack([row, forth[row]], axis=1)[back[forth[row]] == row]
+    a = np.column_stack([first.uv_px[pairs[:, 0]], np.ones(len(pairs))])
+    b = np.column_stack([second.uv_px[pairs[:, 1]], np.ones(len(pairs))])
     line_b, line_a = a @ fundamental.T, b @ fundamental
     product = (b * line_b).sum(axis=1) ** 2
     # Sampson's distance (Hartley and Zisserman, Multiple View Geometry, section 11.4.3).
@@ -117,27 +118,28 @@ def _match_features(one: Features, other: Features, fundamental: Float64) -> Int
     return np.asarray(pairs[product < _EPIPOLAR_PX**2 * np.maximum(gradient, 1e-30)])
 
 
-def _unit(descriptors: UInt8) -> Float32:
+def _normalise(descriptors: UInt8) -> Float32:
+    """Scale descriptors to unit length."""
     data = descriptors.astype(np.float32)
     return data / np.maximum(np.linalg.norm(data, axis=1, keepdims=True), np.float32(1e-12))
 
 
-def _clear_nearest(alike: Float32) -> Int64:
-    """The most alike (N,) of (N, K), -1 where the second is nearly as much."""
-    two = np.argpartition(alike, -2, axis=1)[:, -2:]
-    score = np.take_along_axis(alike, two, axis=1)
+def _find_clear_nearest(similarity: Float32) -> Int64:
+    """Find the most similar (N,) of (N, K); -1 where it fails the ratio test against the second."""
+    two = np.argpartition(similarity, -2, axis=1)[:, -2:]
+    score = np.take_along_axis(similarity, two, axis=1)
     order = np.argsort(score, axis=1)
     best = np.take_along_axis(two, order[:, 1:], axis=1)[:, 0]
     angle = np.arccos(np.clip(np.take_along_axis(score, order, axis=1), -1.0, 1.0))
     return np.where(angle[:, 1] < _RATIO * angle[:, 0], best, -1)
 
 
-def _fundamental(one: tuple[Float64, Float64], other: tuple[Float64, Float64]) -> Float64:
-    """F with b^T F a = 0 for a point's pixels a in one and b in the other picture."""
-    motion = other[1] @ np.linalg.inv(one[1])
+def _compute_fundamental(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) -> Float64:
+    """Compute the fundamental matrix F: b^T F a = 0 for a point at pixel a in the first and b in the second image."""
+    motion = second[1] @ np.linalg.inv(first[1])
     x, y, z = motion[:3, 3]
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.linalg.inv(other[0]).T @ cross @ motion[:3, :3] @ np.linalg.inv(one[0]))
+    return np.asarray(np.linalg.inv(second[0]).T @ cross @ motion[:3, :3] @ np.linalg.inv(first[0]))
 
 
 def _triangulate_matches(
@@ -147,33 +149,34 @@ def _triangulate_matches(
     sizes: Mapping[int, tuple[int, int]],
     matches: Mapping[tuple[int, int], Int64],
 ) -> SparsePoints:
+    """Triangulate matches with pycolmap, and convert its points."""
     pycolmap = _import_pycolmap()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "matches.db"
-        there = _make_reconstruction(features, cameras, sizes)
+        reconstruction = _make_reconstruction(features, cameras, sizes)
         with pycolmap.Database.open(path) as database:
-            for number, camera in there.cameras.items():
+            for number, camera in reconstruction.cameras.items():
                 database.write_camera(camera, use_camera_id=True)
-                database.write_rig(there.rigs[number], use_rig_id=True)
-            for number, own in features.items():
-                database.write_frame(there.frames[number + 1], use_frame_id=True)
-                database.write_image(there.images[number + 1], use_image_id=True)
-                database.write_keypoints(number + 1, own.uv_px.astype(np.float32))
+                database.write_rig(reconstruction.rigs[number], use_rig_id=True)
+            for number, of_image in features.items():
+                database.write_frame(reconstruction.frames[number + 1], use_frame_id=True)
+                database.write_image(reconstruction.images[number + 1], use_image_id=True)
+                database.write_keypoints(number + 1, of_image.uv_px.astype(np.float32))
             kind = int(pycolmap.TwoViewGeometryConfiguration.CALIBRATED)
-            for (one, other), pairs in matches.items():
+            for (first, second), pairs in matches.items():
                 geometry = pycolmap.TwoViewGeometry(config=kind, inlier_matches=pairs.astype(np.uint32))
-                database.write_two_view_geometry(one + 1, other + 1, geometry)
+                database.write_two_view_geometry(first + 1, second + 1, geometry)
         options = pycolmap.IncrementalPipelineOptions(extract_colors=False, random_seed=1)
         options.triangulation.random_seed = 1
-        found = pycolmap.triangulate_points(there, path, folder, folder, options=options)
-    position, rgb, views, first = [], [], [], []
-    for number in sorted(found.points3D):
-        point = found.points3D[number]
-        seen = [(element.image_id - 1, element.point2D_idx) for element in point.track.elements]
+        triangulated = pycolmap.triangulate_points(reconstruction, path, folder, folder, options=options)
+    position, rgb, views, first_image = [], [], [], []
+    for number in sorted(triangulated.points3D):
+        point = triangulated.points3D[number]
+        observations = [(element.image_id - 1, element.point2D_idx) for element in point.track.elements]
         position.append(point.xyz)
-        rgb.append(np.mean([colours[picture][feature] for picture, feature in seen], axis=0))
-        views.append(len({picture for picture, _ in seen}))
-        first.append(min(seen)[0])
+        rgb.append(np.mean([colours[image][feature] for image, feature in observations], axis=0))
+        views.append(len({image for image, _ in observations}))
+        first_image.append(min(observations)[0])
     count = len(position)
     cloud = PointCloud(
         np.reshape(position, (count, 3)).astype(np.float64),
@@ -181,7 +184,7 @@ def _triangulate_matches(
         np.array(views, np.int32),
         np.full(count, np.nan, np.float32),
     )
-    return SparsePoints(cloud, np.array(first, np.int64))
+    return SparsePoints(cloud, np.array(first_image, np.int64))
 
 
 def _make_reconstruction(
@@ -189,26 +192,26 @@ def _make_reconstruction(
     cameras: Mapping[int, tuple[Float64, Float64]],
     sizes: Mapping[int, tuple[int, int]],
 ) -> Any:
-    """The pictures as pycolmap has them: each of a camera and a frame of its own."""
+    """Make a pycolmap reconstruction of the posed images; each image has its own camera and frame."""
     pycolmap = _import_pycolmap()
-    there = pycolmap.Reconstruction()
-    for number, own in features.items():
+    reconstruction = pycolmap.Reconstruction()
+    for number, of_image in features.items():
         (height, width), (K, camera_from_world) = sizes[number], cameras[number]
         params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-        there.add_camera_with_trivial_rig(
+        reconstruction.add_camera_with_trivial_rig(
             pycolmap.Camera(camera_id=number + 1, model="PINHOLE", width=width, height=height, params=params)
         )
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(camera_from_world[:3, :3]), camera_from_world[:3, 3])
-        image = pycolmap.Image(f"{number:06}", own.uv_px, camera_id=number + 1, image_id=number + 1)
-        there.add_image_with_trivial_frame(image, pose)
-    return there
+        image = pycolmap.Image(f"{number:06}", of_image.uv_px, camera_id=number + 1, image_id=number + 1)
+        reconstruction.add_image_with_trivial_frame(image, pose)
+    return reconstruction
 
 
 def _import_pycolmap() -> Any:
-    """The module pycolmap, quiet.
+    """Import pycolmap and silence its log.
 
-    Its wheel exports the symbols of a zlib of its own: Python's is imported before it, or would be bound to parts of
-    both, and crash.
+    The wheel of pycolmap exports the symbols of its own zlib. Python's zlib is imported first; otherwise Python would
+    bind to symbols of both and crash.
     """
     import zlib  # noqa: F401
 

@@ -1,1 +1,1 @@
-"""Which pictures there are, and which are matched with each other."""
+"""The images of a split, and the choice of the images that are matched with each other."""

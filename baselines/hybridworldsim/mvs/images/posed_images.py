@@ -1,4 +1,4 @@
-"""The pictures of a split with their poses and rasters; none is opened before it is asked for."""
+"""The images of a split with their poses and rasters; an image is opened when it is needed."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import Pixels
 from mirror.protocols.truth.raster import raster_of
 
-_HELD: Final = 256
+_MAX_CACHED: Final = 256
 
 
 @dataclass(frozen=True, eq=False)
 class PosedImage:
-    """One picture to be matched.
+    """One image to be matched.
 
     Attributes:
-        scene_id: its scene.
-        traversal_id: its traversal.
-        light: of the traversal: day, dusk or night.
-        frame: the frame it belongs to.
-        image: the picture.
-        lens: the pinhole of its undistorted raster.
-        world_SE3_camera: its pose.
+        scene_id: scene of the image.
+        traversal_id: traversal of the image.
+        light: light of the traversal: day, dusk or night.
+        frame: frame of the image.
+        image: the recorded image.
+        lens: the pinhole of the undistorted raster.
+        world_SE3_camera: pose of the camera.
     """
 
     scene_id: str
@@ -54,23 +54,23 @@ class PosedImage:
 def list_posed_images(
     dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset(), stationary_m: float = STATIONARY_M
 ) -> list[PosedImage]:
-    """The pictures of a view, in order of traversal, camera and time, but for those of a standing vehicle.
+    """List the images of a dataset view in order of traversal, camera and time, without those of a standing vehicle.
 
-    What it sees again and again from one place would confirm its own errors.
+    Images from one position would confirm each other's errors.
 
     Args:
         dataset: the view.
-        pixels: the raster in which they are matched.
-        withheld: pictures that are left out.
+        pixels: the raster in which images are matched.
+        withheld: images that are left out.
         stationary_m: see `hybridworldsim.stationary.select_moving`.
 
     Raises:
-        DatasetError: the view has none, or poses or calibrations are missing.
+        DatasetError: the view has no images, or poses or calibrations are missing.
     """
     light: Mapping[str, str] = dict(
         zip(*(column.to_pylist() for column in dataset.table("traversals", ["traversal_id", "light"]).columns))
     )
-    shots = [
+    images = [
         PosedImage(
             frame.scene_id,
             frame.traversal_id,
@@ -84,71 +84,73 @@ def list_posed_images(
         for image in frame.images.values()
         if (frame.traversal_id, image.camera, image.timestamp_ns) not in withheld
     ]
-    if not shots:
+    if not images:
         raise DatasetError(
-            "there are no pictures to match", file=dataset.root, expected="training traversals with pictures"
+            "there are no images to match", file=dataset.root, expected="training traversals with images"
         )
-    shots.sort(key=lambda one: (one.scene_id, one.traversal_id, one.image.camera, one.image.timestamp_ns))
-    taken = (((one.traversal_id, one.image.camera), one.world_SE3_camera.translation[0]) for one in shots)
-    return [shots[position] for position in select_moving(taken, stationary_m)]
+    images.sort(key=lambda posed: (posed.scene_id, posed.traversal_id, posed.image.camera, posed.image.timestamp_ns))
+    positions = (((posed.traversal_id, posed.image.camera), posed.world_SE3_camera.translation[0]) for posed in images)
+    return [images[row] for row in select_moving(positions, stationary_m)]
 
 
 class StereoImageCache:
-    """The shots as posed pictures, decoded when asked for; the last few are held.
+    """Decodes images to `StereoImage` on access, and keeps the most recently used ones.
 
     Args:
-        shots: which.
-        pixels: their raster.
+        images: the images.
+        pixels: the raster to decode to.
     """
 
-    def __init__(self, shots: Sequence[PosedImage], pixels: Pixels) -> None:
-        self._shots, self._pixels = shots, pixels
-        self._held: OrderedDict[int, StereoImage] = OrderedDict()
+    def __init__(self, images: Sequence[PosedImage], pixels: Pixels) -> None:
+        self._images, self._pixels = images, pixels
+        self._cache: OrderedDict[int, StereoImage] = OrderedDict()
 
     def __getitem__(self, index: int) -> StereoImage:
-        """One picture.
+        """Decode one image.
 
         Raises:
-            DatasetError: it, or a mask of it, is missing or broken.
+            DatasetError: the image, or one of its masks, is missing or broken.
         """
-        if index not in self._held:
-            self._held[index] = self._posed(self._shots[index])
-            if len(self._held) > _HELD:
-                self._held.popitem(last=False)
-        self._held.move_to_end(index)
-        return self._held[index]
+        if index not in self._cache:
+            self._cache[index] = self._decode(self._images[index])
+            if len(self._cache) > _MAX_CACHED:
+                self._cache.popitem(last=False)
+        self._cache.move_to_end(index)
+        return self._cache[index]
 
-    def _posed(self, shot: PosedImage) -> StereoImage:
-        rgb = raster_of(shot.image.camera_model, self._pixels).picture(shot.image.decode())
-        return StereoImage(rgb, shot.lens.intrinsic_matrix(), shot.world_SE3_camera, static_pixels(shot, self._pixels))
+    def _decode(self, posed: PosedImage) -> StereoImage:
+        rgb = raster_of(posed.image.camera_model, self._pixels).picture(posed.image.decode())
+        return StereoImage(
+            rgb, posed.lens.intrinsic_matrix(), posed.world_SE3_camera, find_static_pixels(posed, self._pixels)
+        )
 
 
-def static_pixels(shot: PosedImage, pixels: Pixels) -> Bool:
-    """(H, W) True where a picture shows the static scene: within the lens, and neither its vehicle nor a road user.
+def find_static_pixels(posed: PosedImage, pixels: Pixels) -> Bool:
+    """Find the pixels (H, W) that show the static scene: inside the lens, without the own vehicle and road users.
 
-    Road users are taken from masks of kind ``dynamic`` where the picture has some, else from its frame's boxes; without
-    either all that is seen is taken to stand still.
+    Road users come from masks of kind ``dynamic`` if the image has such masks, else from the boxes of its frame. An
+    image with neither counts as static.
     """
-    raster = raster_of(shot.image.camera_model, pixels)
+    raster = raster_of(posed.image.camera_model, pixels)
     excluded = raster.unseen.copy()
-    own = shot.image.static_mask()
-    if own is not None:
-        excluded |= raster.excluded(own > 0)
-    masks = [mask for mask in shot.image.masks() if mask.kind in ("ego", "dynamic")]
+    vehicle = posed.image.static_mask()
+    if vehicle is not None:
+        excluded |= raster.excluded(vehicle > 0)
+    masks = [mask for mask in posed.image.masks() if mask.kind in ("ego", "dynamic")]
     for mask in masks:
         excluded |= raster.excluded(mask.decode() > 0)
     if not any(mask.kind == "dynamic" for mask in masks):
-        excluded |= _boxes(shot)
+        excluded |= _rasterize_boxes(posed)
     return ~excluded
 
 
-def _boxes(shot: PosedImage) -> Bool:
-    """The hulls of the frame's boxes, and a pixel round them for what boxes are off by."""
-    excluded = np.zeros((shot.lens.height_px, shot.lens.width_px), np.bool_)
-    boxes = shot.frame.boxes("world")
+def _rasterize_boxes(posed: PosedImage) -> Bool:
+    """Rasterize the hulls of the frame's boxes, with a margin of one pixel for the error of the boxes."""
+    excluded = np.zeros((posed.lens.height_px, posed.lens.width_px), np.bool_)
+    boxes = posed.frame.boxes("world")
     if not len(boxes):
         return excluded
-    projected = project_boxes(shot.lens, shot.world_SE3_camera.inverse() @ boxes.pose, boxes.size_m)
+    projected = project_boxes(posed.lens, posed.world_SE3_camera.inverse() @ boxes.pose, boxes.size_m)
     for row in np.flatnonzero(projected.visible).tolist():
-        excluded |= polygon_mask(projected.hull(row), shot.lens.width_px, shot.lens.height_px)
+        excluded |= polygon_mask(projected.hull(row), posed.lens.width_px, posed.lens.height_px)
     return np.asarray(cv2.dilate(excluded.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)

@@ -1,1 +1,1 @@
-"""From depth maps to layers of a dataset, scene by scene."""
+"""Writes depth maps, points and masks as layers of a dataset, scene by scene."""

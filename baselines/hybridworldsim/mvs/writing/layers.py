@@ -1,4 +1,4 @@
-"""The layers that one initialisation writes: which are there, and what they were made of."""
+"""The layers that one initialisation writes: which exist, and from which inputs they were made."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class InitialisationLayers:
     """Layers of one source and version.
 
     Attributes:
-        layout: the dataset.
-        source: who makes them.
-        version: of the source.
-        kinds: of layers that each traversal gets.
-        made_of: hashes of what they are made of.
+        layout: paths of the dataset.
+        source: source name of the layers.
+        version: version of the source.
+        kinds: kinds of layers that each traversal gets.
+        input_hashes: hashes of all inputs, by name.
     """
 
     layout: Layout
     source: str
     version: str
     kinds: tuple[str, ...]
-    made_of: Mapping[str, str]
+    input_hashes: Mapping[str, str]
 
     @property
     def name(self) -> str:
@@ -40,42 +40,42 @@ class InitialisationLayers:
         return f"{self.source}@{self.version}"
 
     @property
-    def work(self) -> Path:
-        """Where unfinished work is kept until all layers are complete; other layers' work is elsewhere."""
-        made_of = hashlib.sha256(json.dumps(dict(self.made_of), sort_keys=True).encode()).hexdigest()
-        return self.layout.root / _WORK / f"{self.name}.{made_of[:16]}"
+    def work_folder(self) -> Path:
+        """The folder of unfinished work, which is kept until all layers are complete; other inputs get another one."""
+        digest = hashlib.sha256(json.dumps(dict(self.input_hashes), sort_keys=True).encode()).hexdigest()
+        return self.layout.root / _WORK / f"{self.name}.{digest[:16]}"
 
     def folder(self, traversal_id: str, kind: str) -> Path:
-        """Of one layer."""
+        """The folder of one layer."""
         return self.layout.layer(traversal_id, kind, self.source, self.version)
 
     def has(self, traversal_id: str, kind: str) -> bool:
         """Whether a layer is complete.
 
         Raises:
-            DatasetError: it is, but was made of something else.
+            DatasetError: it is complete, and was made from other inputs.
         """
         manifest = read_manifest(self.folder(traversal_id, kind))
         if manifest is None:
             return False
-        there = {key: value for key, value in manifest.derived_from.items() if key != "recorded"}
-        if there != self.made_of:
-            differing = min(set(there.items()) ^ set(self.made_of.items()))[0]
+        existing = {key: value for key, value in manifest.derived_from.items() if key != "recorded"}
+        if existing != self.input_hashes:
+            differing = min(set(existing.items()) ^ set(self.input_hashes.items()))[0]
             raise DatasetError(
-                f"the layer was made of something else: {differing} differs",
+                f"the layer was made from other inputs: {differing} differs",
                 file=self.folder(traversal_id, kind),
                 expected="the same training traversals, options and estimator",
-                remedy="make one of another name, mirror depth --version NAME, or take this as it is:"
+                remedy="make a layer of another name with mirror depth --version NAME, or use this layer with"
                 f" mirror reconstruct --initialise {self.name}",
             )
         return True
 
-    def complete(self, traversal_id: str) -> bool:
-        """Whether a traversal has all of them."""
+    def is_complete(self, traversal_id: str) -> bool:
+        """Whether a traversal has all layers."""
         return all(self.has(traversal_id, kind) for kind in self.kinds)
 
     def writer(self, traversal_id: str, kind: str) -> LayerWriter | None:
-        """A writer of a layer; None: it is there, or not wanted."""
+        """Open a writer of a layer; None if the layer is complete or is not one of the kinds."""
         if kind not in self.kinds or self.has(traversal_id, kind):
             return None
         return LayerWriter(self.layout, traversal_id, kind, self.source, self.version)

@@ -1,4 +1,4 @@
-"""A stage of PatchmatchNet once more: numpy, float64, pixel by pixel, from the paper's formulas and a state dict."""
+"""A reference of one PatchmatchNet stage: numpy loops in float64, from the paper's formulas and a state dict."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ def sigmoid(x):
     return 1.0 / (1.0 + np.exp(-x))
 
 
-def convolved(x, weight, bias, reach):
-    """3x3 convolution of (C, H, W) with taps ``reach`` apart, zero outside."""
+def convolve(x, weight, bias, reach):
+    """Convolve (C, H, W) by 3 x 3 taps with dilation ``reach``, zero outside."""
     _, rows, columns = x.shape
     padded = np.pad(x, ((0, 0), (reach, reach), (reach, reach)))
     out = np.tile(bias[:, None, None], (1, rows, columns))
@@ -20,8 +20,8 @@ def convolved(x, weight, bias, reach):
     return out
 
 
-def looked_up(values, x, y):
-    """Bilinear value of (H, W) at sample coordinates; beyond the border what is on it."""
+def sample_bilinear(values, x, y):
+    """Sample (H, W) bilinearly at sample coordinates; coordinates outside take the value at the border."""
     rows, columns = values.shape
     x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
     left, top = int(x), int(y)
@@ -31,16 +31,16 @@ def looked_up(values, x, y):
     return (1 - b) * upper + b * ((1 - a) * values[bottom, left] + a * values[bottom, right])
 
 
-def places(pattern, moves, v, u, rows, columns):
-    """Sample coordinates of the places about (v, u), with the published scaling: W / (W - 1), less half a sample."""
+def iterate_positions(pattern, moves, v, u, rows, columns):
+    """Yield the neighbour coordinates of (v, u) with the published scaling: W / (W - 1), minus half a sample."""
     for number, (down, right) in enumerate(pattern):
         x = u + right + moves[2 * number, v, u]
         y = v + down + moves[2 * number + 1, v, u]
         yield x * columns / (columns - 1) - 0.5, y * rows / (rows - 1) - 0.5
 
 
-def scored(groups, state, prefix, last):
-    """Three layers on the last axis of (..., G), each but the last with normalisation and rectifier."""
+def compute_score(groups, state, prefix, last):
+    """Apply three layers to the last axis of (..., G); the first two have normalisation and a rectifier."""
     x = groups
     for layer in ("conv0", "conv1"):
         weight = state[f"{prefix}.{layer}.conv.weight"][:, :, 0, 0, 0]
@@ -52,16 +52,16 @@ def scored(groups, state, prefix, last):
     return x @ state[f"{prefix}.{last}.weight"][0, :, 0, 0, 0] + state[f"{prefix}.{last}.bias"][0]
 
 
-def grouped(a, b, groups):
-    """Mean products over the channels of each group of (C,) and (C,)."""
+def compute_group_similarity(a, b, groups):
+    """Compute the mean products over the channels of each group of (C,) and (C,)."""
     return (a * b).reshape(groups, -1).mean(1)
 
 
 def stage_by_loops(state, level, reference, views, near_m, far_m, depth, view_weights, last):
-    """One iteration, from a known depth (H, W) and weights of the sources (V, H, W).
+    """Compute one iteration from a depth (H, W) and weights of the sources (V, H, W).
 
     Args:
-        views: of each source (C, h, w) features and the matrices of its motion.
+        views: for each source the features (C, h, w), and the rotation and translation of its motion.
 
     Returns:
         Depth (H, W) and probability (D, H, W).
@@ -75,49 +75,51 @@ def stage_by_loops(state, level, reference, views, near_m, far_m, depth, view_we
     if level.propagated:
         steps = [(i, j) for i in (-reach, 0, reach) for j in (-reach, 0, reach) if (i, j) != (0, 0)]
         pattern = (steps + [(2 * i, 2 * j) for i, j in steps])[: level.propagated]
-        moves = convolved(reference, state["propa_conv.weight"], state["propa_conv.bias"], reach)
+        moves = convolve(reference, state["propa_conv.weight"], state["propa_conv.bias"], reach)
         middle = hypotheses[level.hypotheses // 2]
-        taken = np.array(
+        propagated = np.array(
             [
                 [
-                    [looked_up(middle, x, y) for x, y in places(pattern, moves, v, u, rows, columns)]
+                    [sample_bilinear(middle, x, y) for x, y in iterate_positions(pattern, moves, v, u, rows, columns)]
                     for u in range(columns)
                 ]
                 for v in range(rows)
             ]
         )
-        hypotheses = np.sort(np.concatenate((hypotheses, np.moveaxis(taken, -1, 0))), axis=0)
+        hypotheses = np.sort(np.concatenate((hypotheses, np.moveaxis(propagated, -1, 0))), axis=0)
     count = len(hypotheses)
 
     similarity = np.zeros((count, rows, columns, level.groups))
     for d, v, u in np.ndindex(count, rows, columns):
         total = 1e-5
         for (feature, rotation, translation), weight in zip(views, view_weights[:, v, u]):
-            seen = rotation @ (u, v, 1.0) * hypotheses[d, v, u] + translation
-            x, y = seen[:2] / seen[2]
-            found = np.zeros(len(feature))
+            projected = rotation @ (u, v, 1.0) * hypotheses[d, v, u] + translation
+            x, y = projected[:2] / projected[2]
+            sampled = np.zeros(len(feature))
             left, top = int(np.floor(x)), int(np.floor(y))
             for j, i in ((top, left), (top, left + 1), (top + 1, left), (top + 1, left + 1)):
-                if seen[2] > 0.0 and 0 <= j < feature.shape[1] and 0 <= i < feature.shape[2]:
-                    found += feature[:, j, i] * (1.0 - abs(x - i)) * (1.0 - abs(y - j))
-            similarity[d, v, u] += weight * grouped(found, reference[:, v, u], level.groups)
+                if projected[2] > 0.0 and 0 <= j < feature.shape[1] and 0 <= i < feature.shape[2]:
+                    sampled += feature[:, j, i] * (1.0 - abs(x - i)) * (1.0 - abs(y - j))
+            similarity[d, v, u] += weight * compute_group_similarity(sampled, reference[:, v, u], level.groups)
             total += weight
         similarity[d, v, u] /= total
-    scores = scored(similarity, state, "evaluation.similarity_net", "similarity")
+    scores = compute_score(similarity, state, "evaluation.similarity_net", "similarity")
 
     nine = [(i, j) for i in (1 - reach, 0, reach - 1) for j in (1 - reach, 0, reach - 1)]
-    moves = convolved(reference, state["eval_conv.weight"], state["eval_conv.bias"], reach)
+    moves = convolve(reference, state["eval_conv.weight"], state["eval_conv.bias"], reach)
     share = (1.0 / hypotheses - low) / extent
     aggregated = np.zeros((count, rows, columns))
     for v, u in np.ndindex(rows, columns):
-        at = list(places(nine, moves, v, u, rows, columns))
-        there = [np.array([looked_up(channel, x, y) for channel in reference]) for x, y in at]
-        groups = np.stack([grouped(one, reference[:, v, u], level.groups) for one in there])
-        alike = sigmoid(scored(groups, state, "feature_weight_net", "similarity"))
+        at = list(iterate_positions(nine, moves, v, u, rows, columns))
+        neighbours = [np.array([sample_bilinear(channel, x, y) for channel in reference]) for x, y in at]
+        groups = np.stack(
+            [compute_group_similarity(feature, reference[:, v, u], level.groups) for feature in neighbours]
+        )
+        similarity_weights = sigmoid(compute_score(groups, state, "feature_weight_net", "similarity"))
         for d in range(count):
-            far = [abs(looked_up(share[d], x, y) - share[d, v, u]) / level.interval for x, y in at]
-            weight = sigmoid(4.0 - 2.0 * np.clip(far, 0.0, 4.0)) * alike
-            aggregated[d, v, u] = weight @ [looked_up(scores[d], x, y) for x, y in at] / weight.sum()
+            far = [abs(sample_bilinear(share[d], x, y) - share[d, v, u]) / level.interval for x, y in at]
+            weight = sigmoid(4.0 - 2.0 * np.clip(far, 0.0, 4.0)) * similarity_weights
+            aggregated[d, v, u] = weight @ [sample_bilinear(scores[d], x, y) for x, y in at] / weight.sum()
     probability = np.exp(aggregated - aggregated.max(0))
     probability /= probability.sum(0)
     if not last:

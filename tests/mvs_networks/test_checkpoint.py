@@ -11,27 +11,27 @@ from mirror.weights import resolve
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import WeightResolver, file_sha256
 from mirror.weights.table import KNOWN
-from tests.mvs_networks.images import randomised
+from tests.mvs_networks.images import randomise
 
 ESTIMATORS = {"mvsnet": MVSNetEstimator, "patchmatchnet": PatchmatchNetEstimator}
 
 
 @pytest.fixture
-def nowhere(monkeypatch, tmp_path):
-    """No folder of the user's in sight."""
+def no_weights_folder(monkeypatch, tmp_path):
+    """Points all search paths of weights to empty folders."""
     monkeypatch.delenv("MIRROR_WEIGHTS", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
 
 
-def saved(tmp_path, state, prefix="module."):
+def save(tmp_path, state, prefix="module."):
     path = tmp_path / "model.ckpt"
     torch.save({"epoch": 1, "model": {prefix + key: value for key, value in state.items()}, "optimizer": {}}, path)
     return path
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_missing_weights_name_the_file_its_hash_its_source_and_the_flag(nowhere, name):
+def test_message_of_missing_weights_names_file_hash_source_and_flag(no_weights_folder, name):
     with pytest.raises(WeightsUnavailableError) as caught:
         ESTIMATORS[name].load()
     known = KNOWN[name]
@@ -39,17 +39,17 @@ def test_missing_weights_name_the_file_its_hash_its_source_and_the_flag(nowhere,
         assert part in str(caught.value)
 
 
-def test_patchmatchnet_is_pinned(nowhere, tmp_path):
-    path = saved(tmp_path, randomised(PatchmatchNet(), 0).state_dict())
+def test_patchmatchnet_checkpoint_is_pinned(no_weights_folder, tmp_path):
+    path = save(tmp_path, randomise(PatchmatchNet(), 0).state_dict())
     with pytest.raises(WeightsUnavailableError, match=r"another file|bytes"):
         PatchmatchNetEstimator.load(WeightResolver({"patchmatchnet": path}))
 
 
 @pytest.mark.parametrize("prefix", ["module.", ""])
 @pytest.mark.parametrize("refine", [False, True])
-def test_mvsnet_loads_public_keys(nowhere, tmp_path, prefix, refine):
-    network = randomised(MVSNet(refine=refine), 1)
-    path = saved(tmp_path, network.state_dict(), prefix)
+def test_mvsnet_loads_public_keys(no_weights_folder, tmp_path, prefix, refine):
+    network = randomise(MVSNet(refine=refine), 1)
+    path = save(tmp_path, network.state_dict(), prefix)
     loaded = MVSNetEstimator.load(WeightResolver({"mvsnet": path})).network
     assert (loaded.refine_network is not None) == refine
     torch.testing.assert_close(loaded.cost_regularization.prob.weight, network.cost_regularization.prob.weight)
@@ -58,18 +58,18 @@ def test_mvsnet_loads_public_keys(nowhere, tmp_path, prefix, refine):
         torch.testing.assert_close(loaded.feature(rgb), network.feature(rgb), rtol=1e-4, atol=1e-4)
 
 
-def test_other_tensors_are_refused(nowhere, tmp_path):
-    state = randomised(MVSNet(refine=False), 2).state_dict()
+def test_other_tensors_are_refused(no_weights_folder, tmp_path):
+    state = randomise(MVSNet(refine=False), 2).state_dict()
     short = {key: value for key, value in state.items() if key != "feature.conv0.conv.weight"}
     wide = state | {"feature.conv0.conv.weight": torch.zeros(9, 3, 3, 3)}
     more = state | {"feature.conv99.conv.weight": torch.zeros(1)}
     for changed, what in ((short, "is missing"), (wide, r"\(9, 3, 3, 3\)"), (more, "is not part of it")):
-        path = saved(tmp_path, changed)
+        path = save(tmp_path, changed)
         with pytest.raises(WeightsUnavailableError, match=what):
             MVSNetEstimator.load(WeightResolver({"mvsnet": path}))
 
 
-def test_files_of_another_kind_are_refused(nowhere, tmp_path):
+def test_files_of_another_kind_are_refused(no_weights_folder, tmp_path):
     path = tmp_path / "model.ckpt"
     torch.save({"weights": torch.zeros(3)}, path)
     with pytest.raises(WeightsUnavailableError, match="no entry 'model'"):
@@ -79,8 +79,8 @@ def test_files_of_another_kind_are_refused(nowhere, tmp_path):
         MVSNetEstimator.load(WeightResolver({"mvsnet": path}))
 
 
-def test_a_pinned_copy_loads(nowhere, tmp_path, monkeypatch):
-    path = saved(tmp_path, randomised(PatchmatchNet(), 3).state_dict())
+def test_pinned_checkpoint_loads(no_weights_folder, tmp_path, monkeypatch):
+    path = save(tmp_path, randomise(PatchmatchNet(), 3).state_dict())
     known = dataclasses.replace(KNOWN["patchmatchnet"], sha256=file_sha256(path), size=None)
     monkeypatch.setattr(resolve, "KNOWN", KNOWN | {"patchmatchnet": known})
     loaded = PatchmatchNetEstimator.load(WeightResolver({"patchmatchnet": path}))

@@ -10,15 +10,15 @@ from hybridworldsim.mvs.mvsnet.upsampling import upsample_depth
 from hybridworldsim.mvs.patchmatchnet.estimator import PatchmatchNetEstimator
 from hybridworldsim.mvs.patchmatchnet.network import PatchmatchNet
 from mirror.errors import UsageError
-from tests.mvs_networks.images import folded, posed, randomised, wall
+from tests.mvs_networks.images import fold, make_stereo_image, make_wall_image, randomise
 
 
 @pytest.fixture(scope="module")
 def estimators():
     torch.manual_seed(0)
     return {
-        "mvsnet": MVSNetEstimator(network=folded(randomised(MVSNet(refine=False), 0)), planes=16),
-        "patchmatchnet": PatchmatchNetEstimator(network=folded(randomised(PatchmatchNet(), 1))),
+        "mvsnet": MVSNetEstimator(network=fold(randomise(MVSNet(refine=False), 0)), planes=16),
+        "patchmatchnet": PatchmatchNetEstimator(network=fold(randomise(PatchmatchNet(), 1))),
     }
 
 
@@ -26,89 +26,91 @@ NAMES = pytest.mark.parametrize("name", ["mvsnet", "patchmatchnet"])
 
 
 def neighbours(width=72, height=40, **options):
-    return [wall(width, height, at, **options)[0] for at in ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (-0.5, 0.1, 0.0))]
+    return [
+        make_wall_image(width, height, at, **options)[0] for at in ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (-0.5, 0.1, 0.0))
+    ]
 
 
-def require_sound(found, picture, near=2.0, far=40.0):
-    """Depths inside the range or unknown, confidence from 0 to 1 and 0 where unknown, all float32."""
-    assert found.depth_m.shape == found.confidence.shape == picture.valid.shape
-    assert found.depth_m.dtype == found.confidence.dtype == np.float32
-    known = np.isfinite(found.depth_m)
-    assert (known | np.isnan(found.depth_m)).all()
-    assert (found.depth_m[known] >= near * (1.0 - 1e-6)).all()
-    assert (found.depth_m[known] <= far * (1.0 + 1e-6)).all()
-    assert ((found.confidence >= 0.0) & (found.confidence <= 1.0)).all()
-    assert not found.confidence[~known].any()
+def check_depth_map(depth_map, image, near=2.0, far=40.0):
+    """Checks depths in the range or unknown, confidences from 0 to 1 and 0 where unknown, all float32."""
+    assert depth_map.depth_m.shape == depth_map.confidence.shape == image.valid.shape
+    assert depth_map.depth_m.dtype == depth_map.confidence.dtype == np.float32
+    known = np.isfinite(depth_map.depth_m)
+    assert (known | np.isnan(depth_map.depth_m)).all()
+    assert (depth_map.depth_m[known] >= near * (1.0 - 1e-6)).all()
+    assert (depth_map.depth_m[known] <= far * (1.0 + 1e-6)).all()
+    assert ((depth_map.confidence >= 0.0) & (depth_map.confidence <= 1.0)).all()
+    assert not depth_map.confidence[~known].any()
     return known
 
 
 @NAMES
 @pytest.mark.parametrize("size", [(72, 40), (64, 64), (33, 17), (8, 8), (3, 2), (1, 1)])
 def test_any_size(estimators, name, size):
-    pictures = neighbours(*size)
-    require_sound(estimators[name](pictures[0], pictures[1:], 2.0, 40.0), pictures[0])
+    images = neighbours(*size)
+    check_depth_map(estimators[name](images[0], images[1:], 2.0, 40.0), images[0])
 
 
 @NAMES
 def test_sources_of_another_size_and_one_source(estimators, name):
     reference = neighbours()[0]
     small = neighbours(31, 19)[1]
-    known = require_sound(estimators[name](reference, [small], 2.0, 40.0), reference)
+    known = check_depth_map(estimators[name](reference, [small], 2.0, 40.0), reference)
     assert known.any()
 
 
 @NAMES
 @pytest.mark.parametrize("value", [0, 255, 127], ids=["black", "saturated", "flat"])
-def test_pictures_without_texture(estimators, name, value):
-    pictures = [dataclasses.replace(one, rgb=np.full_like(one.rgb, value)) for one in neighbours()]
-    require_sound(estimators[name](pictures[0], pictures[1:], 2.0, 40.0), pictures[0])
+def test_images_without_texture(estimators, name, value):
+    images = [dataclasses.replace(neighbour, rgb=np.full_like(neighbour.rgb, value)) for neighbour in neighbours()]
+    check_depth_map(estimators[name](images[0], images[1:], 2.0, 40.0), images[0])
 
 
 @NAMES
-def test_identical_pictures_from_elsewhere(estimators, name):
-    """A camera that moved through a world that shows no move: some depth or none, but nothing unsound."""
+def test_identical_images_from_other_positions(estimators, name):
+    """Moves the camera without a change of the image: each depth is in the range or unknown."""
     first, second, third = neighbours()
-    same = [dataclasses.replace(one, rgb=first.rgb) for one in (second, third)]
-    require_sound(estimators[name](first, same, 2.0, 40.0), first)
+    same = [dataclasses.replace(image, rgb=first.rgb) for image in (second, third)]
+    check_depth_map(estimators[name](first, same, 2.0, 40.0), first)
 
 
 @NAMES
-def test_nothing_is_known_without_another_place(estimators, name):
+def test_no_depth_without_a_source_at_another_position(estimators, name):
     reference = neighbours()[0]
-    blind = dataclasses.replace(neighbours()[1], valid=np.zeros_like(reference.valid))
-    for sources in ([], [reference], [blind]):
-        found = estimators[name](reference, sources, 2.0, 40.0)
-        assert np.isnan(found.depth_m).all()
-        assert not found.confidence.any()
+    masked_source = dataclasses.replace(neighbours()[1], valid=np.zeros_like(reference.valid))
+    for sources in ([], [reference], [masked_source]):
+        depth_map = estimators[name](reference, sources, 2.0, 40.0)
+        assert np.isnan(depth_map.depth_m).all()
+        assert not depth_map.confidence.any()
 
 
 @NAMES
-def test_what_no_source_sees_is_unknown(estimators, name):
-    """The source has turned round."""
+def test_pixels_that_no_source_sees_are_unknown(estimators, name):
+    """Turns the source by 180 degrees."""
     reference, source = neighbours()[:2]
-    behind = posed(source.rgb, (0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+    behind = make_stereo_image(source.rgb, (0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
     assert np.isnan(estimators[name](reference, [behind], 2.0, 40.0).depth_m).all()
 
 
 @NAMES
-def test_masks(estimators, name):
+def test_masked_pixels_are_unknown(estimators, name):
     reference, first, second = neighbours()
     valid = np.ones_like(reference.valid)
     valid[10:30, 20:40] = False
-    found = estimators[name](dataclasses.replace(reference, valid=valid), [first, second], 2.0, 40.0)
-    assert np.isnan(found.depth_m[~valid]).all()
-    assert np.isfinite(found.depth_m[valid]).any()
+    depth_map = estimators[name](dataclasses.replace(reference, valid=valid), [first, second], 2.0, 40.0)
+    assert np.isnan(depth_map.depth_m[~valid]).all()
+    assert np.isfinite(depth_map.depth_m[valid]).any()
     masked = dataclasses.replace(first, valid=valid)
-    require_sound(estimators[name](reference, [masked], 2.0, 40.0), reference)
+    check_depth_map(estimators[name](reference, [masked], 2.0, 40.0), reference)
 
 
 @NAMES
-def test_equal_to_the_bit_and_apart_from_the_world_origin(estimators, name):
-    pictures = neighbours()
-    first, again = (estimators[name](pictures[0], pictures[1:], 2.0, 40.0) for _ in range(2))
+def test_same_bits_twice_and_small_differences_far_from_the_origin(estimators, name):
+    images = neighbours()
+    first, again = (estimators[name](images[0], images[1:], 2.0, 40.0) for _ in range(2))
     assert np.array_equal(first.depth_m, again.depth_m, equal_nan=True)
     assert np.array_equal(first.confidence, again.confidence)
-    # Millions of metres away in the world, multiples of what float64 resolves exactly.
+    # The offset is millions of metres, and float64 represents it exactly.
     moved = neighbours(world=(2.0**22, -(2.0**22), 64.0))
     there = estimators[name](moved[0], moved[1:], 2.0, 40.0)
     both = np.isfinite(first.depth_m) & np.isfinite(there.depth_m)
@@ -118,47 +120,47 @@ def test_equal_to_the_bit_and_apart_from_the_world_origin(estimators, name):
 
 
 @NAMES
-def test_the_number_of_threads_is_put_back(estimators, name):
+def test_number_of_threads_is_restored(estimators, name):
     before = torch.get_num_threads()
-    pictures = neighbours(16, 16)
-    dataclasses.replace(estimators[name], threads=before + 1)(pictures[0], pictures[1:], 2.0, 40.0)
+    images = neighbours(16, 16)
+    dataclasses.replace(estimators[name], threads=before + 1)(images[0], images[1:], 2.0, 40.0)
     assert torch.get_num_threads() == before
 
 
 @NAMES
 @pytest.mark.parametrize("span", [(0.0, 10.0), (-1.0, 10.0), (10.0, 10.0), (10.0, 2.0), (1.0, np.inf), (np.nan, 10.0)])
-def test_ranges_that_are_none(estimators, name, span):
-    pictures = neighbours(16, 16)
+def test_invalid_depth_ranges_are_refused(estimators, name, span):
+    images = neighbours(16, 16)
     with pytest.raises(UsageError, match="depths from"):
-        estimators[name](pictures[0], pictures[1:], *span)
+        estimators[name](images[0], images[1:], *span)
 
 
 @NAMES
 @pytest.mark.parametrize("span", [(1e-3, 1e6), (5.0, 5.001), (1e-6, 2e-6), (1e5, 1e7)])
-def test_ranges_of_any_size(estimators, name, span):
-    pictures = neighbours(32, 32)
-    require_sound(estimators[name](pictures[0], pictures[1:], *span), pictures[0], *span)
+def test_depth_ranges_of_any_size(estimators, name, span):
+    images = neighbours(32, 32)
+    check_depth_map(estimators[name](images[0], images[1:], *span), images[0], *span)
 
 
 @NAMES
-def test_pictures_that_do_not_fit(estimators, name):
-    pictures = neighbours()
+def test_images_above_the_memory_limit_are_refused(estimators, name):
+    images = neighbours()
     tight = dataclasses.replace(estimators[name], memory_bytes=1 << 20)
     with pytest.raises(UsageError, match=r"72 x 40 px needs \d+ MiB; expected at most memory_bytes, 1 MiB"):
-        tight(pictures[0], pictures[1:], 2.0, 40.0)
+        tight(images[0], images[1:], 2.0, 40.0)
 
 
 @pytest.mark.parametrize("planes", [0, 4, 12, 193])
-def test_planes_that_cannot_be_halved(planes):
+def test_number_of_planes_must_be_a_multiple_of_8(planes):
     with pytest.raises(UsageError, match="a multiple of 8"):
         MVSNetEstimator(network=MVSNet(refine=False), planes=planes)
 
 
-def test_enlargement_is_exact_on_a_plane_and_makes_no_bridge():
+def test_upsampling_is_exact_on_a_plane_and_keeps_steps():
     v, u = np.meshgrid(np.arange(64.0), np.arange(96.0), indexing="ij")
     plane = torch.from_numpy(1.0 / (0.1 + 0.0005 * u + 0.0007 * v))
-    found = upsample_depth(plane[::4, ::4], 4)
-    torch.testing.assert_close(found[:61, :93], plane[:61, :93], rtol=1e-6, atol=0.0)
+    depth_map = upsample_depth(plane[::4, ::4], 4)
+    torch.testing.assert_close(depth_map[:61, :93], plane[:61, :93], rtol=1e-6, atol=0.0)
     step = torch.full((8, 8), 5.0)
     step[:, 4:] = 30.0
     assert set(upsample_depth(step, 4).round(decimals=4).unique().tolist()) == {5.0, 30.0}

@@ -10,47 +10,47 @@ from hybridworldsim.mvs.patchmatchnet.stage import compute_inverse_expectation
 
 
 def test_soft_argmin_of_a_geometric_series():
-    """Scores that fall by log 2 a step have the expectation sum k 2^-k / sum 2^-k."""
+    """Compares with the closed form: scores that fall by log 2 per step have the mean sum k 2^-k / sum 2^-k."""
     count = 12
     probability = (-np.log(2.0) * torch.arange(count, dtype=torch.float64)).softmax(0).view(-1, 1, 1)
     power = 0.5 ** np.arange(count)
     expected = (np.arange(count) * power).sum() / power.sum()
     # In closed form: 1 - count / (2^count - 1).
     assert expected == pytest.approx(1.0 - count / (2.0**count - 1.0), abs=1e-12)
-    found = soft_argmin(probability, torch.arange(count, dtype=torch.float64))
-    assert float(found) == pytest.approx(expected, abs=1e-12)
+    result = soft_argmin(probability, torch.arange(count, dtype=torch.float64))
+    assert float(result) == pytest.approx(expected, abs=1e-12)
 
 
-def test_soft_argmin_takes_values_of_each_pixel():
+def test_soft_argmin_with_values_per_pixel():
     probability = torch.tensor([0.25, 0.75]).view(2, 1, 1).expand(2, 3, 4)
     values = torch.arange(24.0).view(2, 3, 4)
     torch.testing.assert_close(soft_argmin(probability, values), 0.25 * values[0] + 0.75 * values[1])
 
 
 @given(st.integers(4, 40), st.data())
-def test_window_of_a_certain_plane(count, data):
-    place = data.draw(st.integers(0, count - 1))
-    certain = torch.zeros(count, 1, 1)
-    certain[place] = 1.0
-    assert float(compute_window_probability(certain)) == 1.0
+def test_window_of_a_single_plane(count, data):
+    plane = data.draw(st.integers(0, count - 1))
+    single = torch.zeros(count, 1, 1)
+    single[plane] = 1.0
+    assert float(compute_window_probability(single)) == 1.0
 
 
-def test_window_of_no_idea_and_of_two_ideas():
-    even = torch.full((64, 2, 3), 1.0 / 64.0)
-    torch.testing.assert_close(compute_window_probability(even), torch.full((2, 3), 4.0 / 64.0))
-    torn = torch.zeros(64, 1, 1)
-    torn[4] = torn[60] = 0.5
-    assert float(compute_window_probability(torn)) == 0.0
+def test_window_of_uniform_and_bimodal_probabilities():
+    uniform = torch.full((64, 2, 3), 1.0 / 64.0)
+    torch.testing.assert_close(compute_window_probability(uniform), torch.full((2, 3), 4.0 / 64.0))
+    bimodal = torch.zeros(64, 1, 1)
+    bimodal[4] = bimodal[60] = 0.5
+    assert float(compute_window_probability(bimodal)) == 0.0
 
 
-def test_window_stays_inside():
+def test_window_at_the_last_plane():
     last = torch.zeros(8, 1, 1)
     last[6] = last[7] = 0.5
     assert float(compute_window_probability(last)) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("spacing", ["depth", "inverse_depth"])
-def test_planes_end_at_near_and_far_and_are_even(spacing):
+def test_planes_span_near_to_far_evenly(spacing):
     depths = DepthPlanes(2.0, 200.0, 96, spacing).depths_m().double()
     assert depths[0] == pytest.approx(2.0, rel=1e-6)
     assert depths[-1] == pytest.approx(200.0, rel=1e-6)

@@ -35,7 +35,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror depth")
     """Run ``mirror depth``; return the exit code."""
-    arguments = parsed(Arguments, argv, "mirror depth")
+    arguments = parse_arguments(Arguments, argv, "mirror depth")
 
     import mirror
     from hybridworldsim.mvs.run import initialise

@@ -17,10 +17,10 @@ from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
-from mirror_leaderboard.entry import ALL, PICTURES, Figure, Link, Measured, identity, load_entries
+from mirror_leaderboard.entry import ALL, IMAGE_FOLDER, Figure, Link, Measured, entry_key, load_entries
+from mirror_leaderboard.images import ImageSources, copy_pairs
 from mirror_leaderboard.measures import MEASURES
-from mirror_leaderboard.pictures import Shown, copy_pairs
-from mirror_leaderboard.recount import require_counted
+from mirror_leaderboard.recount import require_recomputed_means
 from mirror_leaderboard.refused import RefusedError
 
 _MOST_BYTES: Final = 64 << 20
@@ -33,7 +33,7 @@ _RUNTIME_GROUPS: Final = ("reported", "measured")
 
 
 def add_result(
-    path: Path, board: Path, dataset: str, *, setting: str | None = None, shown: Shown | None = None
+    path: Path, board: Path, dataset: str, *, setting: str | None = None, shown: ImageSources | None = None
 ) -> Path:
     """Validate a result and write its entry.
 
@@ -55,8 +55,8 @@ def add_result(
     """
     require_output_folder(board, FolderKind.BOARD, place="--board")
     result = read_result(path)
-    entry = entry_of(result, dataset, file=path, setting=setting)
-    require_counted(result, path)
+    entry = make_entry(result, dataset, file=path, setting=setting)
+    require_recomputed_means(result, path)
     for other in load_entries(board / "entries") if (board / "entries").exists() else ():
         if isinstance(other, Measured):
             _require_new(entry, other, path)
@@ -66,7 +66,7 @@ def add_result(
     except OSError as error:
         raise unwritable_error(board / "entries", error) from error
     if shown is not None:
-        pairs = copy_pairs(result, shown.submission, shown.truth, board / PICTURES)
+        pairs = copy_pairs(result, shown.submission, shown.truth, board / IMAGE_FOLDER)
         entry = entry.model_copy(update={"pairs": pairs}).sealed()
     out = board / "entries" / f"measured-{_slug(entry.dataset)}-{_slug(entry.method)}-{entry.result_hash[:12]}.json"
     write_json(out, entry)
@@ -101,7 +101,7 @@ def read_result(path: Path) -> Result:
     return result
 
 
-def entry_of(result: Result, dataset: str, *, file: Path, setting: str | None = None) -> Measured:
+def make_entry(result: Result, dataset: str, *, file: Path, setting: str | None = None) -> Measured:
     """The entry of a result.
 
     Raises:
@@ -233,7 +233,7 @@ def _require_new(entry: Measured, other: Measured, file: Path) -> None:
         raise RefusedError(
             f"result {entry.result_hash[:12]} of {entry.method} stands on the board already", file=file, place="figures"
         )
-    if identity(other) == identity(entry):
+    if entry_key(other) == entry_key(entry):
         raise RefusedError(
             f"{entry.method} {entry.version} stands on the board already, for this protocol, data set and split",
             file=file,

@@ -67,13 +67,13 @@ class Board:
 
     def best(self, column: Column) -> float | None:
         """The best value of a column; None: fewer than two entries have one."""
-        values = [value for entry in self.entries if (value := value_of(entry, column)) is not None]
+        values = [value for entry in self.entries if (value := find_value(entry, column)) is not None]
         if len(values) < 2:
             return None
         return max(values) if MEASURES[column[1]].better == "higher" else min(values)
 
 
-def boards_of(entries: Iterable[Entry]) -> list[Board]:
+def make_boards(entries: Iterable[Entry]) -> list[Board]:
     """The boards of entries, in the order of protocols; those with measured entries first."""
     together: dict[_Key, list[Entry]] = {}
     for entry in entries:
@@ -83,18 +83,18 @@ def boards_of(entries: Iterable[Entry]) -> list[Board]:
     return [_board(key, together[key]) for key in keys]
 
 
-def value_of(entry: Entry, column: Column) -> float | None:
+def find_value(entry: Entry, column: Column) -> float | None:
     """An entry's value in a column; None: it has none."""
-    figure = figure_of(entry, column)
+    figure = find_figure(entry, column)
     return None if figure is None else figure.value
 
 
-def figure_of(entry: Entry, column: Column) -> Figure | None:
+def find_figure(entry: Entry, column: Column) -> Figure | None:
     """An entry's figure in a column."""
     return next((one for one in entry.figures if (one.group, one.metric) == column), None)
 
 
-def seconds_per_picture(entry: Entry, entries: Sequence[Entry]) -> float | None:
+def seconds_per_image(entry: Entry, entries: Sequence[Entry]) -> float | None:
     """How long a method renders a picture; None: nobody says.
 
     A measured entry says it itself. Of a reported one it stands in the same paper's own table: that of the static
@@ -106,7 +106,7 @@ def seconds_per_picture(entry: Entry, entries: Sequence[Entry]) -> float | None:
         return None
     for other in entries:
         if isinstance(other, Reported) and (other.method, other.paper.title) == (entry.method, entry.paper.title):
-            rate = value_of(other, (ALL, "frames_per_second"))
+            rate = find_value(other, (ALL, "frames_per_second"))
             if rate:
                 return 1.0 / rate
     return None
@@ -128,7 +128,7 @@ def _board(key: _Key, entries: list[Entry]) -> Board:
 
 
 def _rank(entry: Entry, by: Column, measure: Measure) -> tuple[bool, float, str]:
-    value = value_of(entry, by)
+    value = find_value(entry, by)
     sign = -1.0 if measure.better == "higher" else 1.0
     return (value is None, 0.0 if value is None else sign * value, entry.method.lower())
 
@@ -136,9 +136,9 @@ def _rank(entry: Entry, by: Column, measure: Measure) -> tuple[bool, float, str]
 def _ranked_by(protocol: str, columns: Sequence[Column], entries: Sequence[Entry]) -> Column:
     """The protocol's own column, else the first that most entries have."""
     chosen = _RANKED_BY.get(protocol)
-    if chosen is not None and any(value_of(entry, chosen) is not None for entry in entries):
+    if chosen is not None and any(find_value(entry, chosen) is not None for entry in entries):
         return chosen
-    return max(columns, key=lambda column: sum(value_of(entry, column) is not None for entry in entries))
+    return max(columns, key=lambda column: sum(find_value(entry, column) is not None for entry in entries))
 
 
 def _columns(protocol: str, entries: Iterable[Entry]) -> tuple[Column, ...]:

@@ -77,13 +77,13 @@ def _build(argv: Sequence[str]) -> int:
 def _add(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Add, argv, "mirror leaderboard add")
     from mirror_leaderboard.add import add_result
-    from mirror_leaderboard.pictures import Shown
+    from mirror_leaderboard.images import ImageSources
 
     if (arguments.submission is None) != (arguments.truth is None):
         raise UsageError("--submission and --truth go together", expected="both, or neither")
     shown = None
     if arguments.submission is not None and arguments.truth is not None:
-        shown = Shown(arguments.submission, arguments.truth)
+        shown = ImageSources(arguments.submission, arguments.truth)
     entry = add_result(arguments.result, arguments.board, arguments.dataset, setting=arguments.setting, shown=shown)
     print(f"entry: {entry}")
     return ExitCode.DONE

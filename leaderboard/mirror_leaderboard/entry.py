@@ -18,13 +18,13 @@ from mirror_leaderboard.measures import MEASURES
 ALL: Final = "all"
 """The group of figures that are of all groups together, or of no group that a protocol has."""
 
-PICTURES: Final = "pictures"
+IMAGE_FOLDER: Final = "pictures"
 """Folder of pictures, beside that of the entries and in the site."""
 
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f<>]+$")]
 Note = Annotated[str, Field(max_length=400, pattern=r"^[^\x00-\x1f\x7f]+$")]
-PictureFile = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]{0,79}(/[a-z0-9][a-z0-9_\-]{0,79})?\.jpg$")]
+ImageFile = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]{0,79}(/[a-z0-9][a-z0-9_\-]{0,79})?\.jpg$")]
 Link = Annotated[str, Field(max_length=200, pattern=r"^https://[A-Za-z0-9.\-]+(/[A-Za-z0-9._~/%\-]*)?$")]
 
 
@@ -125,8 +125,8 @@ class Pair(Document):
     """
 
     view: Name
-    render: PictureFile
-    truth: PictureFile
+    render: ImageFile
+    truth: ImageFile
 
 
 class Measured(Document):
@@ -209,14 +209,14 @@ def load_entries(folder: Path) -> list[Entry]:
     for path in sorted(folder.glob("*.json")):
         entry = read_json(path, _File).root
         _require_sound(entry, path)
-        same = found.setdefault(identity(entry), path)
+        same = found.setdefault(entry_key(entry), path)
         if same is not path:
             raise SchemaError(f"stands for the same as {same.name}", file=path, remedy="keep one of them")
         entries.append(entry)
     return entries
 
 
-def identity(entry: Entry) -> tuple[str | None, ...]:
+def entry_key(entry: Entry) -> tuple[str | None, ...]:
     """What there may be one entry of."""
     if isinstance(entry, Reported):
         return (entry.kind, entry.method, entry.protocol, entry.dataset, entry.setting, entry.paper.title)

@@ -22,7 +22,7 @@ _TOLERANCE: Final = 1e-9
 _MOST_BYTES: Final = 1 << 30
 
 
-def require_counted(result: Result, path: Path) -> None:
+def require_recomputed_means(result: Result, path: Path) -> None:
     """Hold every mean over pictures against the table of pictures.
 
     Figures of whole sets, such as FID, cannot be had from it.

@@ -66,7 +66,7 @@ def main(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, "mirror evaluate")
 
     from mirror.cli.submission import asked_or_problems, say_report
-    from mirror.evaluation.run import Options, evaluate
+    from mirror.evaluation.run import EvaluationOptions, evaluate
     from mirror.evaluation.submission.untrusted import open_untrusted
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
@@ -79,7 +79,7 @@ def main(argv: Sequence[str]) -> int:
     # `.` has no name to put results beside.
     submission = arguments.submission if arguments.submission.name else arguments.submission.absolute()
     out = arguments.out or submission.with_name(f"{submission.stem}-results")
-    options = Options(
+    options = EvaluationOptions(
         hidden=arguments.hidden,
         require=arguments.require,
         stand_ins=arguments.stand_ins,

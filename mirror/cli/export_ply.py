@@ -58,25 +58,25 @@ def main(argv: Sequence[str]) -> int:
 
     import mirror
     from mirror.methods.appearance import AppearancePolicy
-    from mirror.methods.model_document import read_reconstruction, require_same_street
-    from mirror.methods.ply_export import BakeOptions, baking_method
+    from mirror.methods.model_document import read_reconstruction, require_matching_split
+    from mirror.methods.ply_export import PlyExportOptions, find_ply_exporter
     from mirror.protocols.document import load_protocol
-    from mirror.protocols.views.trajectories import recorded, views_along
+    from mirror.protocols.views.trajectories import plan_views_along, recorded_trajectory
     from mirror.schema.folders import require_output_file
 
     require_output_file(arguments.out)
     document = read_reconstruction(arguments.model)
     whole = mirror.open(arguments.dataset)
-    require_same_street(whole, document.split, document)
+    require_matching_split(whole, document.split, document)
     dataset = whole.where(scene=document.scene)
     traversal = arguments.traversal or dataset.where(split=document.split, role="train").traversals()[0]
     cameras = None if arguments.camera is None else [arguments.camera]
     pixels = load_protocol("static-reconstruction").pixels
-    views = views_along(dataset, traversal, recorded(dataset, traversal).at_rate(2.0), pixels, cameras)
+    views = plan_views_along(dataset, traversal, recorded_trajectory(dataset, traversal).resample(2.0), pixels, cameras)
     views = tuple(view for view in views if view.camera == views[0].camera)
     appearance = AppearancePolicy(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
-    options = BakeOptions(arguments.degree, arguments.sky, arguments.reach)
-    baking = baking_method(document.method).bake(arguments.model, views, arguments.out, options, appearance)
+    options = PlyExportOptions(arguments.degree, arguments.sky, arguments.reach)
+    baking = find_ply_exporter(document.method).export_ply(arguments.model, views, arguments.out, options, appearance)
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), **asdict(baking)}))
     else:

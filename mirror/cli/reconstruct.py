@@ -90,7 +90,7 @@ def main(argv: Sequence[str]) -> int:
     method = installed_method(arguments.method)
 
     import mirror
-    from mirror.methods.training_images import asked_of_training
+    from mirror.methods.training_images import list_scored_training_images
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
 
@@ -113,7 +113,9 @@ def main(argv: Sequence[str]) -> int:
         threads=arguments.threads,
         half=arguments.fp16,
         settings=_settings(arguments.set),
-        withheld=asked_of_training(dataset, narrow, arguments.split, scene) if arguments.hold_out else frozenset(),
+        withheld=list_scored_training_images(dataset, narrow, arguments.split, scene)
+        if arguments.hold_out
+        else frozenset(),
     )
     with progress_bar(quiet=arguments.json) as watch:
         done = method.reconstruct(dataset, task, arguments.out, watch)

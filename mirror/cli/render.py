@@ -97,12 +97,12 @@ def _is_film(out: Path) -> bool:
 
 
 def _submission(arguments: Arguments, dataset: Dataset) -> int:
-    from mirror.evaluation.scorers import scorer_of
+    from mirror.evaluation.scorers import load_scorer
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
     from mirror.methods.appearance import AppearancePolicy
-    from mirror.methods.model_document import read_reconstruction, require_same_street, require_unseen
-    from mirror.methods.registry import installed_method, licence_of
+    from mirror.methods.model_document import read_reconstruction, require_held_out_images, require_matching_split
+    from mirror.methods.registry import installed_method, read_licence
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
@@ -120,8 +120,8 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     split, protocol = str(arguments.split), load_protocol(arguments.protocol)
     for model in models.values():
         document = read_reconstruction(model)
-        require_same_street(dataset, split, document)
-        require_unseen(protocol, document)
+        require_matching_split(dataset, split, document)
+        require_held_out_images(protocol, document)
     plan = plan_views(dataset, protocol, split)
     bare = sorted({view.scene_id for view in plan.views} - set(models))
     if bare:
@@ -138,7 +138,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 render = installed_method(name).open(model, appearance)
                 yield from (([view], render(view)) for view in own)
 
-    about = Method(name=name, licence=licence_of(name), trained_on=_trained_on(models.values()))
+    about = Method(name=name, licence=read_licence(name), trained_on=_trained_on(models.values()))
     with progress_bar(quiet=arguments.json) as bar:
         count = write_submission(
             dataset, plan, renderer, about, appearance_of(appearance), arguments.out, bar, _costs(models.values()),
@@ -147,7 +147,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     said = {"out": str(arguments.out), "views": count, "method": name}
     print(json.dumps(said) if arguments.json else f"{count} renders by {name}: {arguments.out}")
     if not arguments.json:
-        more = " --hidden FOLDER" if scorer_of(protocol.task).needs_hidden(plan) else ""
+        more = " --hidden FOLDER" if load_scorer(protocol.task).needs_hidden(plan) else ""
         print(f"next: mirror evaluate {arguments.out} --truth {arguments.dataset}{more}")
     return ExitCode.DONE
 
@@ -216,12 +216,12 @@ def appearance_of(appearance: AppearancePolicy) -> Appearance:
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.methods.appearance import AppearancePolicy
-    from mirror.methods.by_camera import by_camera, opened_by_camera
-    from mirror.methods.model_document import read_reconstruction, require_same_street
+    from mirror.methods.camera_policies import open_by_camera, parse_camera_policies
+    from mirror.methods.model_document import read_reconstruction, require_matching_split
     from mirror.methods.registry import installed_method
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
-    from mirror.protocols.views.trajectories import named, views_along
+    from mirror.protocols.views.trajectories import parse_trajectory, plan_views_along
     from mirror.schema.render_folder import start_render_folder
 
     pixels = load_protocol(arguments.protocol).pixels
@@ -232,21 +232,21 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
         raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
     ((scene, model),) = models.items()
     document = read_reconstruction(model)
-    require_same_street(dataset, document.split, document)
+    require_matching_split(dataset, document.split, document)
     own = dataset.where(scene=scene)
     base = arguments.traversal or _base(own, str(arguments.trajectory), document.split)
     cameras = None if arguments.cameras is None else arguments.cameras.split(",")
     hz = _HZ if arguments.hz is None else arguments.hz
-    trajectory = named(own, str(arguments.trajectory), base, hz).at_rate(hz)
-    views = views_along(own, base, trajectory, pixels, cameras)
+    trajectory = parse_trajectory(own, str(arguments.trajectory), base, hz).resample(hz)
+    views = plan_views_along(own, base, trajectory, pixels, cameras)
     asked = sorted({view.camera for view in views})
     filmed = _is_film(arguments.out)
     if filmed and len(asked) > 1 and len({(v.width_px, v.height_px) for v in views}) > 1:
         raise UsageError(
             f"cameras {', '.join(asked)} have pictures of different sizes", place="--cameras", expected="one of them"
         )
-    looks = by_camera(arguments.appearance, asked)
-    render = opened_by_camera(installed_method(name), model, AppearancePolicy(views=views, everywhere=True), looks)
+    looks = parse_camera_policies(arguments.appearance, asked)
+    render = open_by_camera(installed_method(name), model, AppearancePolicy(views=views, everywhere=True), looks)
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("rendering", len(views))

@@ -159,14 +159,14 @@ def _hidden(argv: Sequence[str]) -> int:
 
 def asked_or_problems(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str] | CheckReport:
     """Protocol and split of a submission, or what is wrong with one that does not say them."""
-    from mirror.evaluation.submission.check import check_unasked
-    from mirror.evaluation.submission.manifest import asked_of
+    from mirror.evaluation.submission.check import report_unreadable_manifest
+    from mirror.evaluation.submission.manifest import read_protocol_and_split
     from mirror.evaluation.submission.untrusted import UntrustedError
 
     try:
-        return asked_of(files, protocol, split)
+        return read_protocol_and_split(files, protocol, split)
     except UntrustedError as error:
-        return check_unasked(files, error)
+        return report_unreadable_manifest(files, error)
 
 
 def say_report(report: CheckReport, submission: Path, *, as_json: bool) -> ExitCode:

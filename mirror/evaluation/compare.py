@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.figures import LEAST_BLOCKS, TOO_FEW_BLOCKS, blocks_of, mean_weights, spread_of
-from mirror.evaluation.result import IMAGES, Figure, Result, finite
+from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, assign_blocks, linearise_mean, mean_weights
+from mirror.evaluation.result import IMAGES, Figure, Result, finite_or_none
 from mirror.evaluation.run import read_result
 from mirror.metrics.images.bootstrap import paired_difference
 from mirror.protocols.views.view import RenderView
@@ -22,7 +22,7 @@ _KEYS: Final = ("scene_id", "traversal_id", "frame_index", "camera", "light", "w
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FigureComparison:
     """One figure of two results.
 
     Attributes:
@@ -54,7 +54,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Compared:
+class ResultComparison:
     """Two results.
 
     Attributes:
@@ -65,10 +65,10 @@ class Compared:
 
     name: str
     path: str
-    rows: tuple[Comparison, ...]
+    rows: tuple[FigureComparison, ...]
 
 
-def compare(paths: Sequence[Path]) -> tuple[Result, list[Compared]]:
+def compare(paths: Sequence[Path]) -> tuple[Result, list[ResultComparison]]:
     """Compare results with the first of them.
 
     Args:
@@ -101,7 +101,7 @@ def compare(paths: Sequence[Path]) -> tuple[Result, list[Compared]]:
                 )
     rows = [_images(path) for path in paths]
     return first, [
-        Compared(other.submission.method.name, str(path), tuple(_compare(first, other, rows[0], own)))
+        ResultComparison(other.submission.method.name, str(path), tuple(_compare(first, other, rows[0], own)))
         for path, other, own in zip(paths[1:], results[1:], rows[1:])
     ]
 
@@ -118,7 +118,7 @@ def _images(path: Path) -> dict[str, dict[str, Any]]:
 
 def _compare(
     first: Result, other: Result, mine: dict[str, dict[str, Any]], theirs: dict[str, dict[str, Any]]
-) -> list[Comparison]:
+) -> list[FigureComparison]:
     figures = {(figure.group, figure.metric): figure for figure in other.figures if figure.level == "group"}
     found = []
     for figure in first.figures:
@@ -130,7 +130,7 @@ def _compare(
 
 def _one(
     result: Result, first: Figure, other: Figure, mine: dict[str, dict[str, Any]], theirs: dict[str, dict[str, Any]]
-) -> Comparison:
+) -> FigureComparison:
     name = first.metric
     paths = [
         path
@@ -143,11 +143,11 @@ def _one(
     views = [_view(mine[path]) for path in paths]
     changes = np.array([theirs[path][name] - mine[path][name] for path in paths])
     weights = mean_weights(views, result.protocol.averaging)
-    spread = spread_of(changes, weights)
+    spread = linearise_mean(changes, weights)
     options = result.protocol.intervals
-    blocks = blocks_of(result.protocol, views)
+    blocks = assign_blocks(result.protocol, views)
     difference = math.fsum(weights * changes)
-    if len(np.unique(blocks)) < LEAST_BLOCKS:
+    if len(np.unique(blocks)) < MIN_BLOCKS:
         return replace(_alone(first, other, TOO_FEW_BLOCKS), difference=difference, n=len(paths))
     found = paired_difference(
         spread,
@@ -162,23 +162,25 @@ def _one(
     sure = found.p_value <= 1.0 - options.level
     if first.better != "none" and sure and (interval.low > 0.0 or interval.high < 0.0):
         better = "other" if (interval.low > 0.0) == (first.better == "higher") else "first"
-    return Comparison(
+    return FigureComparison(
         metric=name,
         group=first.group,
         first=first.value,
         other=other.value,
         difference=difference,
-        low=finite(interval.low),
-        high=finite(interval.high),
-        p_value=finite(found.p_value),
+        low=finite_or_none(interval.low),
+        high=finite_or_none(interval.high),
+        p_value=finite_or_none(found.p_value),
         n=len(paths),
         reason=interval.reason,
         better=better,
     )
 
 
-def _alone(first: Figure, other: Figure, reason: str) -> Comparison:
-    return Comparison(first.metric, first.group, first.value, other.value, None, None, None, None, 0, reason, None)
+def _alone(first: Figure, other: Figure, reason: str) -> FigureComparison:
+    return FigureComparison(
+        first.metric, first.group, first.value, other.value, None, None, None, None, 0, reason, None
+    )
 
 
 def _finite(value: object) -> bool:

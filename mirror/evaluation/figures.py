@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from mirror.arrays import Float64, Int64
-from mirror.evaluation.result import Figure, Level, finite
+from mirror.evaluation.result import Figure, Level, finite_or_none
 from mirror.metrics.images.aggregate import summarise
 from mirror.metrics.images.bootstrap import Interval, frame_blocks, mean_interval
 from mirror.metrics.score import Score
@@ -26,8 +26,8 @@ _PARTS: Final[Mapping[Level, Callable[[RenderView], str]]] = {
     "condition": lambda view: f"{view.light}, {view.weather}",
 }
 
-LEAST_BLOCKS: Final = 5
-TOO_FEW_BLOCKS: Final = f"fewer than {LEAST_BLOCKS} blocks of frames: an interval would say more than is known"
+MIN_BLOCKS: Final = 5
+TOO_FEW_BLOCKS: Final = f"fewer than {MIN_BLOCKS} blocks of frames: an interval would say more than is known"
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Measure:
     better: Better
 
 
-def figures_of(
+def compute_figures(
     protocol: Protocol, measure: Measure, group: str, views: Sequence[RenderView], scores: Sequence[Score]
 ) -> list[Figure]:
     """The figures of one metric and group.
@@ -88,7 +88,7 @@ def mean_weights(views: Sequence[RenderView], averaging: Sequence[str]) -> Float
     return np.asarray(weights / np.bincount(wholes)[wholes])
 
 
-def spread_of(values: Float64, weights: Float64) -> Float64:
+def linearise_mean(values: Float64, weights: Float64) -> Float64:
     """Values (N,) whose plain mean is the weighted mean of the given ones, and varies as that does.
 
     The mean of means is linearised: under resampling it deviates as the mean of ``N w (x - mean)`` does.
@@ -101,7 +101,7 @@ def spread_of(values: Float64, weights: Float64) -> Float64:
     return np.asarray(mean + len(values) * weights * (values - mean))
 
 
-def blocks_of(protocol: Protocol, views: Sequence[RenderView]) -> Int64:
+def assign_blocks(protocol: Protocol, views: Sequence[RenderView]) -> Int64:
     """The block (N,) of consecutive frames that each view is resampled with."""
     traversals, frames = [view.traversal_id for view in views], [view.frame_index for view in views]
     return frame_blocks(traversals, frames, protocol.intervals.block_frames)
@@ -112,10 +112,10 @@ def weighted_interval(
 ) -> tuple[float, Interval]:
     """A weighted mean of finite values, and its interval under resampling of blocks of frames."""
     mean = math.fsum(weights * values)
-    spread = spread_of(values, weights)
+    spread = linearise_mean(values, weights)
     options = protocol.intervals
-    blocks = blocks_of(protocol, views)
-    if len(np.unique(blocks)) < LEAST_BLOCKS:
+    blocks = assign_blocks(protocol, views)
+    if len(np.unique(blocks)) < MIN_BLOCKS:
         return mean, Interval(mean, math.nan, math.nan, len(values), 0, len(np.unique(blocks)), TOO_FEW_BLOCKS)
     interval = mean_interval(spread, blocks, confidence=options.level, resamples=options.resamples, seed=options.seed)
     return mean, interval
@@ -151,7 +151,7 @@ def _figure(
         n=summary.n,
         n_inf=summary.n_inf,
         n_missing=summary.n_nan,
-        low=None if interval is None else finite(interval.low),
-        high=None if interval is None else finite(interval.high),
+        low=None if interval is None else finite_or_none(interval.low),
+        high=None if interval is None else finite_or_none(interval.high),
         interval_reason=None if interval is None else interval.reason,
     )

@@ -18,8 +18,8 @@ from mirror.arrays import Bool, UInt8
 from mirror.errors import UsageError
 from mirror.evaluation.result import Figure, Level, Result
 from mirror.evaluation.run import Evaluation
-from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import Scored
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.scorer import ScoredJob
 from mirror.html import html_table, inline_image, style_sheet
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
@@ -133,9 +133,9 @@ def _by_part(result: Result) -> Iterable[str]:
             yield _table(own, keyed=True)
 
 
-def _examples(scored: Sequence[Scored], inputs: Inputs) -> Iterable[str]:
+def _examples(scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[str]:
     """Of each group some of the worst, middle and best renders by PSNR."""
-    ranked: dict[str, list[tuple[float, Scored]]] = {}
+    ranked: dict[str, list[tuple[float, ScoredJob]]] = {}
     for one in scored:
         value = one.values.get("psnr")
         if isinstance(value, float) and not math.isnan(value):
@@ -162,8 +162,8 @@ def _places(count: int) -> dict[str, range]:
     return found
 
 
-def _triple(words: str, view: RenderView, inputs: Inputs) -> str:
-    render, truth, scored = inputs.render(view), inputs.truth.picture(view), inputs.scored(view)
+def _triple(words: str, view: RenderView, inputs: ScoringInputs) -> str:
+    render, truth, scored = inputs.render(view), inputs.truth.image(view), inputs.scored_mask(view)
     pictures = (("render", render), ("truth", truth), ("error", error_map(render, truth, scored)))
     figures = ""
     for name, picture in pictures:

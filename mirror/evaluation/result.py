@@ -113,6 +113,6 @@ class Result(Document):
         return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """A figure as JSON has it: None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None

@@ -17,19 +17,19 @@ import pyarrow.parquet as pq
 
 import mirror
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.extractors import extractor_of
+from mirror.evaluation.extractors import make_extractor
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
-from mirror.evaluation.scorers import scorer_of
-from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import STAND_IN, Scored
+from mirror.evaluation.scorers import load_scorer
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, ScoredJob
 from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import open_untrusted
-from mirror.evaluation.workers import Log, score_jobs
+from mirror.evaluation.workers import ScoreLog, score_jobs
 from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
-from mirror.protocols.truth.hidden import require_hidden
+from mirror.protocols.truth.hidden import require_hidden_truth
 from mirror.protocols.views import Plan, plan_views
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
@@ -44,7 +44,7 @@ _EDITING: Final = "editing-accuracy"
 
 
 @dataclass(frozen=True)
-class Options:
+class EvaluationOptions:
     """How a submission is scored, besides what the protocol says.
 
     Attributes:
@@ -84,8 +84,8 @@ class Evaluation:
     plan: Plan
     check: CheckReport
     result: Result | None = None
-    inputs: Inputs | None = None
-    scored: tuple[Scored, ...] = ()
+    inputs: ScoringInputs | None = None
+    scored: tuple[ScoredJob, ...] = ()
     reused: int = 0
 
 
@@ -95,7 +95,7 @@ def evaluate(
     protocol: Protocol,
     split: str,
     out: Path,
-    options: Options | None = None,
+    options: EvaluationOptions | None = None,
     progress: ProgressReporter | None = None,
 ) -> Evaluation:
     """Score a submission and write ``result.json`` and ``images.parquet``.
@@ -106,7 +106,7 @@ def evaluate(
         protocol: how it is scored.
         split: name of the split.
         out: folder for the results; what an interrupted run left there is used.
-        options: see `Options`.
+        options: see `EvaluationOptions`.
         progress: told what goes on.
 
     Raises:
@@ -116,7 +116,7 @@ def evaluate(
         DatasetError: the truth is incomplete, or the results cannot be written.
         UntrustedError: the submission is refused as a whole.
     """
-    options, progress = options or Options(), progress or NullProgress()
+    options, progress = options or EvaluationOptions(), progress or NullProgress()
     if options.workers < 1:
         raise UsageError(f"{options.workers} workers", expected="at least one")
     require_output_folder(out, FolderKind.RESULTS)
@@ -131,11 +131,11 @@ def evaluate(
     if check.problems or check.manifest is None:
         return Evaluation(plan, check)
     if options.hidden is not None:
-        require_hidden(options.hidden, plan)
+        require_hidden_truth(options.hidden, plan)
     available = _availability(plan, check.manifest, options)
     unavailable = available.unavailable
     _require(options.require, protocol, unavailable)
-    inputs = Inputs(
+    inputs = ScoringInputs(
         protocol=protocol,
         submission=submission,
         manifest=check.manifest,
@@ -149,12 +149,12 @@ def evaluate(
         extractor=options.extractor or DEFAULT_EXTRACTOR,
         measured=options.measured,
     )
-    scorer = scorer_of(protocol.task)
+    scorer = load_scorer(protocol.task)
     some = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins) or options.measured is not None
     jobs = scorer.jobs(plan, inputs) if some else []
     progress.start("scoring", len(jobs))
     outcome = score_jobs(
-        jobs, inputs, Log(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
+        jobs, inputs, ScoreLog(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
     )
     if outcome.failed:
         problems = tuple(Problem("corrupt", name, why) for name, why in sorted(outcome.failed.items()))
@@ -192,14 +192,14 @@ class _Availability:
     weights: dict[str, str]
 
 
-def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) -> _Availability:
-    scorer = scorer_of(plan.protocol.task)
+def _availability(plan: Plan, manifest: SubmissionManifest, options: EvaluationOptions) -> _Availability:
+    scorer = load_scorer(plan.protocol.task)
     unavailable = dict(scorer.unavailable(plan, manifest))
     lacking = set(unavailable)
     weights: dict[str, str] = {}
     stand_ins: list[str] = []
     for metric, names in scorer.needs(plan).items():
-        asked, original = metric in plan.protocol.metric_names, metric.removeprefix(STAND_IN)
+        asked, original = metric in plan.protocol.metric_names, metric.removeprefix(STAND_IN_PREFIX)
         # Who lacks more than weights has nothing to compute a stand-in of either.
         if original in lacking or (not asked and (not options.stand_ins or original not in unavailable)):
             continue
@@ -220,9 +220,9 @@ def _availability(plan: Plan, manifest: SubmissionManifest, options: Options) ->
     return _Availability(unavailable, tuple(stand_ins), weights)
 
 
-def _require_fitting(plan: Plan, options: Options) -> None:
+def _require_fitting(plan: Plan, options: EvaluationOptions) -> None:
     """What is given is what the protocol uses, and what it cannot do without is given."""
-    name, needed = plan.protocol.name, scorer_of(plan.protocol.task).needs_hidden(plan)
+    name, needed = plan.protocol.name, load_scorer(plan.protocol.task).needs_hidden(plan)
     if needed and options.hidden is None:
         raise UsageError(
             f"nobody recorded the pictures of moved cameras that protocol {name} asks for",
@@ -237,7 +237,7 @@ def _require_fitting(plan: Plan, options: Options) -> None:
     if options.extractor is not None:
         if plan.protocol.task != _EDITING:
             raise UsageError(f"protocol {name} extracts no regions", place="--extractor", expected="no such option")
-        extractor_of(options.extractor)
+        make_extractor(options.extractor)
 
 
 def _require_weights(resolver: WeightResolver, name: str) -> None:
@@ -262,10 +262,10 @@ def _require(required: Sequence[str], protocol: Protocol, unavailable: Mapping[s
                 raise UsageError(f"{metric} is required and unavailable: {unavailable[metric]}", place="--require")
 
 
-def _hidden_hash(plan: Plan, inputs: Inputs) -> str:
+def _hidden_hash(plan: Plan, inputs: ScoringInputs) -> str:
     digest = hashlib.sha256()
     for view in plan.views:
-        digest.update(f"{view.path} {inputs.truth.identity(view)}\n".encode())
+        digest.update(f"{view.path} {inputs.truth.image_hash(view)}\n".encode())
     return digest.hexdigest()
 
 
@@ -282,18 +282,20 @@ def _versions() -> dict[str, str]:
 def _warnings(plan: Plan, manifest: SubmissionManifest, available: _Availability) -> list[str]:
     found = [f"group {name} has no views in split {plan.split}" for name in plan.empty_groups]
     for name in available.stand_ins:
-        found.append(f"{name} stands in for {name.removeprefix(STAND_IN)}: another metric, with figures of its own")
+        found.append(
+            f"{name} stands in for {name.removeprefix(STAND_IN_PREFIX)}: another metric, with figures of its own"
+        )
     if manifest.appearance.held_out_pixels:
         found.append("the method's appearance was fitted to held-out pixels; they are not scored")
     return found
 
 
-def _table(scored: Sequence[Scored], protocol: Protocol) -> bytes:
+def _table(scored: Sequence[ScoredJob], protocol: Protocol) -> bytes:
     """One row a picture, as Parquet."""
     rows = []
     names: dict[str, None] = {}
     for one in scored:
-        if not one.job.tabled:
+        if not one.job.in_table:
             continue
         view = one.job.views[0]
         keys = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")

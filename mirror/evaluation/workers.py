@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from mirror.errors import DatasetError, MirrorError
-from mirror.evaluation.scorers import scorer_of
-from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.scorers import load_scorer
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
 from mirror.pools import process_pool
 from mirror.schema.files import unwritable_error
 from mirror.version import __version__
@@ -25,7 +25,7 @@ _CHUNK: Final = 8
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ScoringOutcome:
     """What came of all jobs.
 
     Attributes:
@@ -34,7 +34,7 @@ class Outcome:
         reused: how many were taken from the log.
     """
 
-    scored: tuple[Scored, ...]
+    scored: tuple[ScoredJob, ...]
     failed: dict[str, str]
     reused: int
 
@@ -48,7 +48,7 @@ class _Done:
     reused: bool
 
 
-class Log:
+class ScoreLog:
     """What was scored, one line a job, in a file that only grows: an interrupted run goes on where it stopped.
 
     Args:
@@ -85,12 +85,12 @@ class Log:
 
 def score_jobs(
     jobs: Sequence[Job],
-    inputs: Inputs,
-    log: Log,
+    inputs: ScoringInputs,
+    log: ScoreLog,
     *,
     workers: int,
     advance: Callable[[int], None] = lambda _: None,
-) -> Outcome:
+) -> ScoringOutcome:
     """Score all jobs.
 
     Args:
@@ -111,18 +111,18 @@ def score_jobs(
                 if one.values is not None and not one.reused:
                     log.add(one.name, one.key, one.values)
             advance(len(done))
-    scored = tuple(Scored(job, values) for job in jobs if (values := found[job.name].values) is not None)
+    scored = tuple(ScoredJob(job, values) for job in jobs if (values := found[job.name].values) is not None)
     failed = {name: one.error for name, one in found.items() if one.error is not None}
-    return Outcome(scored, failed, sum(one.reused for one in found.values()))
+    return ScoringOutcome(scored, failed, sum(one.reused for one in found.values()))
 
 
-def job_key(job: Job, inputs: Inputs) -> str:
+def job_key(job: Job, inputs: ScoringInputs) -> str:
     """A hash of everything that decides what a job finds."""
     protocol = inputs.protocol
     parts = [
         __version__,
         protocol.hash,
-        scorer_of(protocol.task).version,
+        load_scorer(protocol.task).version,
         inputs.extractor,
         sorted(inputs.unavailable),
         inputs.stand_ins,
@@ -131,12 +131,12 @@ def job_key(job: Job, inputs: Inputs) -> str:
         [view.model_dump(mode="json") for view in job.views],
         [inputs.layers.get(view.traversal_id, ()) for view in job.views],
         [inputs.fingerprint(path) for path in job.reads],
-        [inputs.truth.identity(view) for view in job.views] if job.truth else [],
+        [inputs.truth.image_hash(view) for view in job.views] if job.truth else [],
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _run(jobs: Sequence[Job], inputs: Inputs, log: Log, workers: int) -> Generator[list[_Done], None, None]:
+def _run(jobs: Sequence[Job], inputs: ScoringInputs, log: ScoreLog, workers: int) -> Generator[list[_Done], None, None]:
     chunks = [jobs[start : start + _CHUNK] for start in range(0, len(jobs), _CHUNK)]
     asked = [(chunk, {job.name: log.known[job.name] for job in chunk if job.name in log.known}) for chunk in chunks]
     if workers == 1 or len(chunks) < 2:
@@ -162,10 +162,10 @@ def _run(jobs: Sequence[Job], inputs: Inputs, log: Log, workers: int) -> Generat
         ) from error
 
 
-_inputs: list[Inputs] = []
+_inputs: list[ScoringInputs] = []
 
 
-def _begin(inputs: Inputs) -> None:
+def _begin(inputs: ScoringInputs) -> None:
     import cv2
 
     cv2.setNumThreads(1)
@@ -176,8 +176,8 @@ def _do_here(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]
     return _do(jobs, known, _inputs[0])
 
 
-def _do(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]], inputs: Inputs) -> list[_Done]:
-    scorer = scorer_of(inputs.protocol.task)
+def _do(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]], inputs: ScoringInputs) -> list[_Done]:
+    scorer = load_scorer(inputs.protocol.task)
     done = []
     for job in jobs:
         try:

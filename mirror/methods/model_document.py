@@ -71,14 +71,14 @@ def read_reconstruction(model: Path) -> Reconstruction:
     return read_json(model / DOCUMENT, Reconstruction)
 
 
-def trained_on(dataset: Dataset, split: str, scene: str) -> dict[str, str]:
+def list_trained_traversals(dataset: Dataset, split: str, scene: str) -> dict[str, str]:
     """The training traversals of a scene, each with the hash of what was recorded of it."""
     own = dataset.where(split=split, role="train", scene=scene).traversals()
     manifests = _split(dataset, split).manifests
     return {traversal: manifests[traversal] for traversal in own}
 
 
-def require_same_street(dataset: Dataset, split: str, model: Reconstruction) -> None:
+def require_matching_split(dataset: Dataset, split: str, model: Reconstruction) -> None:
     """See that a model was trained on traversals that a dataset's split has, and on none that it holds out.
 
     Raises:
@@ -113,7 +113,7 @@ def require_same_street(dataset: Dataset, split: str, model: Reconstruction) -> 
         )  # fmt: skip
 
 
-def require_unseen(protocol: Protocol, model: Reconstruction) -> None:
+def require_held_out_images(protocol: Protocol, model: Reconstruction) -> None:
     """See that a model has not learnt from the test, where a protocol tests by pictures of training traversals alone.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Protocol
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.training_images import Picture
+from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter
 from mirror.protocols import document as protocols
 from mirror.protocols.views.view import RenderView
@@ -33,7 +33,7 @@ class ReconstructionTask:
         threads: None: as many as the method takes by itself.
         half: write the model in half precision.
         withheld: pictures of training traversals that are not looked at, such as
-            `mirror.methods.training_images.asked_of_training` names.
+            `mirror.methods.training_images.list_scored_training_images` names.
         blocks: names of those that are trained now, for any executor to share out; none: all.
         settings: of the method, by name, in place of its own; as text.
     """
@@ -47,7 +47,7 @@ class ReconstructionTask:
     initialise: str | None = None
     threads: int | None = None
     half: bool = False
-    withheld: frozenset[Picture] = field(default=frozenset())
+    withheld: frozenset[ImageKey] = field(default=frozenset())
     blocks: frozenset[str] = field(default=frozenset())
     settings: Mapping[str, str] = field(default_factory=dict)
 

@@ -14,7 +14,7 @@ from mirror.protocols.views.view import RenderView
 
 
 @dataclass(frozen=True)
-class BakeOptions:
+class PlyExportOptions:
     """How to bake.
 
     Attributes:
@@ -29,7 +29,7 @@ class BakeOptions:
 
 
 @dataclass(frozen=True)
-class Baking:
+class PlyExport:
     """What came of it.
 
     Attributes:
@@ -46,17 +46,17 @@ class Baking:
 
 
 @runtime_checkable
-class BakingMethod(Protocol):
+class PlyExporter(Protocol):
     """An installed method that can bake."""
 
-    def bake(
+    def export_ply(
         self,
         model: Path,
         views: Sequence[RenderView],
         out: Path,
-        options: BakeOptions,
+        options: PlyExportOptions,
         appearance: AppearancePolicy = ...,
-    ) -> Baking:
+    ) -> PlyExport:
         """Write a model as a PLY.
 
         Args:
@@ -69,13 +69,13 @@ class BakingMethod(Protocol):
         ...
 
 
-def baking_method(name: str) -> BakingMethod:
+def find_ply_exporter(name: str) -> PlyExporter:
     """An installed method that can bake.
 
     Raises:
         UsageError: there is none of that name, or it cannot.
     """
     method = installed_method(name)
-    if not isinstance(method, BakingMethod):
-        raise UsageError(f"{name} cannot bake", expected="a method with a function `bake`")
+    if not isinstance(method, PlyExporter):
+        raise UsageError(f"{name} cannot bake", expected="a method with a function `export_ply`")
     return method

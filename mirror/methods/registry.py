@@ -36,7 +36,7 @@ def installed_method(name: str) -> InstalledMethod:
     return method
 
 
-def licence_of(name: str) -> str:
+def read_licence(name: str) -> str:
     """Of the package that an installed method is in, as it says; empty if it does not."""
     for entry in entry_points(group=GROUP):
         if entry.name == name and entry.dist is not None:

@@ -17,7 +17,7 @@ from mirror.protocols.views.plan import Plan, plan_views
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingPictures:
+class TrainingImages:
     """The training pictures of one camera in one scene.
 
     Attributes:
@@ -29,14 +29,14 @@ class TrainingPictures:
     world_SE3_camera: Poses
 
 
-Picture: TypeAlias = tuple[str, str, int]
+ImageKey: TypeAlias = tuple[str, str, int]
 """One recorded picture: traversal, camera, timestamp_ns."""
 
-ByCamera: TypeAlias = Mapping[tuple[str, str], TrainingPictures]
+TrainingImagesByCamera: TypeAlias = Mapping[tuple[str, str], TrainingImages]
 """By scene and camera."""
 
 
-def training_pictures(dataset: Dataset, plan: Plan) -> ByCamera:
+def list_training_images(dataset: Dataset, plan: Plan) -> TrainingImagesByCamera:
     """The training pictures of the scenes and cameras that a plan asks for.
 
     A picture that is itself the truth of a view is left out: the views of training traversals ask for some of them.
@@ -66,10 +66,10 @@ def training_pictures(dataset: Dataset, plan: Plan) -> ByCamera:
             expected="training traversals with pictures of every camera that is asked for",
             remedy="choose another split",
         )
-    return {key: TrainingPictures(tuple(own), _poses(own)) for key, own in images.items()}
+    return {key: TrainingImages(tuple(own), _poses(own)) for key, own in images.items()}
 
 
-def asked_of_training(dataset: Dataset, protocol: Protocol, split: str, scene: str) -> frozenset[Picture]:
+def list_scored_training_images(dataset: Dataset, protocol: Protocol, split: str, scene: str) -> frozenset[ImageKey]:
     """The pictures of a scene's training traversals that a protocol asks for.
 
     Where they are the test, as in OmniRe's protocol or where there is one traversal alone, nothing may learn from them.
@@ -94,7 +94,7 @@ def asked_of_training(dataset: Dataset, protocol: Protocol, split: str, scene: s
     return _truths(plan_views(dataset.where(scene=scene), own, split))
 
 
-def _truths(plan: Plan) -> frozenset[Picture]:
+def _truths(plan: Plan) -> frozenset[ImageKey]:
     """The recorded pictures that are themselves the truth of a view."""
     moved = {group.name for group in plan.protocol.groups if group.ego_shift_m != 0.0}
     return frozenset(

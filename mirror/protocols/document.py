@@ -18,7 +18,7 @@ from mirror.schema.documents import Document, Identifier, Role
 RESERVED: Final = {"safety": "it follows with the closed-loop simulator"}
 """Names that a protocol will have, and why there is none yet."""
 
-ReconstructionTask = Literal[
+ScoringTask = Literal[
     "reconstruction",
     "lane-shift",
     "vehicle-translation",
@@ -206,14 +206,14 @@ class Detection(Document):
     max_boxes_per_frame: int = Field(default=500, ge=1, le=10_000)
 
 
-class Reported(Document):
+class ReportedFigure(Document):
     """A figure that the submission's manifest states, and that is measured again where the method is installed."""
 
     metric: Literal["frames_per_second", "model_bytes_per_100m", "training_s", "peak_memory_bytes"]
 
 
 Metric = Annotated[
-    Psnr | PsnrCc | Ssim | Lpips | Fid | Kid | Fvd | EditIou | Detection | Reported, Field(discriminator="metric")
+    Psnr | PsnrCc | Ssim | Lpips | Fid | Kid | Fvd | EditIou | Detection | ReportedFigure, Field(discriminator="metric")
 ]
 
 
@@ -257,7 +257,7 @@ class Protocol(Document):
     name: Identifier
     version: int = Field(ge=1)
     description: str
-    task: ReconstructionTask
+    task: ScoringTask
     groups: tuple[Group, ...] = Field(min_length=1)
     frames: Frames
     pixels: Pixels

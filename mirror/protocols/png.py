@@ -24,13 +24,13 @@ class RenderError(MirrorError):
     """A render that is not what was asked for."""
 
 
-def most_bytes(width_px: int, height_px: int) -> int:
+def max_png_bytes(width_px: int, height_px: int) -> int:
     """More than a PNG of this size can need: stored uncompressed, with room for other chunks."""
     raw = (3 * width_px + 1) * height_px
     return raw + raw // 50 + _SLACK_BYTES
 
 
-def raster_of_png(data: bytes) -> tuple[int, int] | None:
+def png_size(data: bytes) -> tuple[int, int] | None:
     """Width and height of a PNG's header; None: it is no PNG."""
     if len(data) < HEADER_BYTES or not data.startswith(_SIGNATURE) or data[12:16] != b"IHDR":
         return None
@@ -38,13 +38,13 @@ def raster_of_png(data: bytes) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
-def problem_of_png(data: bytes) -> str | None:
+def find_png_problem(data: bytes) -> str | None:
     """What is wrong with a PNG, besides its size; None: nothing.
 
     Every chunk's checksum is held against its bytes; nothing is decompressed. Only 8-bit RGB without alpha, palette,
     interlacing, animation, colour profiles and compressed texts passes: what is meant is sRGB.
     """
-    if raster_of_png(data) is None:
+    if png_size(data) is None:
         return "not a PNG" if not data.startswith(_SIGNATURE) else "cut off in its header"
     _, _, depth, colour, compression, filtering, interlacing = _HEADER.unpack(data[16 : 16 + _HEADER.size])
     if (depth, colour) != (8, 2):
@@ -80,7 +80,7 @@ def decode_render(data: bytes, width_px: int, height_px: int, path: str) -> UInt
     """
     import cv2
 
-    size, problem = raster_of_png(data), problem_of_png(data)
+    size, problem = png_size(data), find_png_problem(data)
     if problem is None and size != (width_px, height_px):
         problem = f"of another size: {size}"
     if problem is None:

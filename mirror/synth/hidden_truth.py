@@ -15,10 +15,10 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.metrics.images.psnr import psnr
 from mirror.protocols.png import encode_png
-from mirror.protocols.truth.hidden import HIDDEN, hidden_document
-from mirror.protocols.truth.raster import raster_of
+from mirror.protocols.truth.hidden import HIDDEN, make_hidden_document
+from mirror.protocols.truth.raster import cached_raster
 from mirror.protocols.truth.source import GroundTruth
-from mirror.protocols.views.plan import Plan, require_group
+from mirror.protocols.views.plan import Plan, find_group
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
@@ -79,20 +79,20 @@ def write_hidden_truth(
     missing = [view for view in ordered if not (out / view.path).is_file()]
     advance(len(ordered) - len(missing))
     for view in missing:
-        _, image = truth.recorded(view)
-        shift_m = require_group(plan.protocol, view.group).ego_shift_m
+        _, image = truth.recorded_frame_and_image(view)
+        shift_m = find_group(plan.protocol, view.group).ego_shift_m
         recorded = render_shifted(view, shift_m, preset, seed, drives[view.traversal_id])
-        pixels = raster_of(image.camera_model, plan.protocol.pixels).picture(recorded)
+        pixels = cached_raster(image.camera_model, plan.protocol.pixels).to_final(recorded)
         write_bytes(out / view.path, encode_png(pixels))
         advance(1)
-    write_json(out / HIDDEN, hidden_document(plan, preset, seed))
+    write_json(out / HIDDEN, make_hidden_document(plan, preset, seed))
     finish_render_folder(out)
     return len(plan.views)
 
 
 def _require_recorded(view: RenderView, truth: GroundTruth, preset: str, seed: int, drive_id: str) -> None:
     """Check that the image of a view, rendered at its true pose, equals the recorded image."""
-    recorded = truth.recorded(view)[1].decode()
+    recorded = truth.recorded_frame_and_image(view)[1].decode()
     rendered = render_shifted(view, 0.0, preset, seed, drive_id)
     psnr_db = float(psnr(rendered, recorded)) if rendered.shape == recorded.shape else None
     if psnr_db is None or psnr_db < _LEAST_DB:

@@ -16,7 +16,7 @@ from mirror.protocols.views import plan_views
 from mirror_baselines import mean_color, nearest_frame
 from mirror_leaderboard.add import add_result
 from mirror_leaderboard.entry import Measured, load_entries
-from mirror_leaderboard.pictures import Shown
+from mirror_leaderboard.images import ImageSources
 from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.site.page import build
 
@@ -34,8 +34,8 @@ def test_baselines_stand_on_a_board(dataset: Dataset, tmp_path: Path) -> None:
         other = next(folder for key, folder in submissions.items() if key != name)
         if other.exists():
             with pytest.raises(RefusedError, match="is not the submission that the result is of"):
-                add_result(result, board, "a street", shown=Shown(other, truth))
-        add_result(result, board, "a street", shown=Shown(submissions[name], truth))
+                add_result(result, board, "a street", shown=ImageSources(other, truth))
+        add_result(result, board, "a street", shown=ImageSources(submissions[name], truth))
     entries = [one for one in load_entries(board / "entries") if isinstance(one, Measured)]
     assert {entry.method for entry in entries} == set(submissions)
     # The same views of the same truth, so that methods can be held against each other.
@@ -49,7 +49,7 @@ def test_baselines_stand_on_a_board(dataset: Dataset, tmp_path: Path) -> None:
 
 def test_pictures_need_recorded_truth(dataset: Dataset, tmp_path: Path) -> None:
     from mirror.evaluation.result import Result
-    from mirror_leaderboard.pictures import copy_pairs
+    from mirror_leaderboard.images import copy_pairs
 
     plan = plan_views(dataset, load_protocol("static-reconstruction"), "novel")
     write_submission(dataset, plan, mean_color.render, mean_color.METHOD, mean_color.APPEARANCE, tmp_path / "out")

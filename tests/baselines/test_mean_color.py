@@ -12,7 +12,7 @@ from mirror.errors import DatasetError
 from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.evaluation.submission.writing import write_submission
-from mirror.methods.training_images import training_pictures
+from mirror.methods.training_images import list_training_images
 from mirror.protocols.document import Protocol
 from mirror.protocols.views import plan_views
 from mirror_baselines.mean_color import APPEARANCE, MAX_IMAGES, METHOD, mean_colour, render
@@ -66,7 +66,7 @@ def test_views_are_one_colour(dataset: Dataset, protocol: Protocol, tmp_path: Pa
 
 
 def test_training_pictures_are_those_that_are_not_asked_for(dataset: Dataset, protocol: Protocol) -> None:
-    found = training_pictures(dataset, plan_views(dataset, protocol, "novel"))
+    found = list_training_images(dataset, plan_views(dataset, protocol, "novel"))
     assert set(found) == {("street", camera) for camera in CAMERAS}
     # Frames 0, 5, 10 and the last are asked for, of three training drives.
     for own in found.values():
@@ -79,4 +79,4 @@ def test_a_camera_without_training_pictures_is_named(dataset: Dataset, protocol:
     plain["frames"]["every"] = 1
     plan = plan_views(dataset, Protocol.model_validate(plain), "novel")
     with pytest.raises(DatasetError, match=r"camera front_wide has no training image in scene street \(2 such"):
-        training_pictures(dataset, plan)
+        list_training_images(dataset, plan)

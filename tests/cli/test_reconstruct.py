@@ -35,7 +35,12 @@ from mirror.dataset.lock import writer_lock
 from mirror.dataset.pictures.depth import encode_depth
 from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.model_document import Reconstruction, read_reconstruction, require_same_street, trained_on
+from mirror.methods.model_document import (
+    Reconstruction,
+    list_trained_traversals,
+    read_reconstruction,
+    require_matching_split,
+)
 from mirror.methods.plugin import ReconstructionTask
 from mirror.methods.registry import installed_method
 from mirror.progress import NullProgress, progress_bar
@@ -565,12 +570,12 @@ def test_a_protocol_of_distorted_pictures_is_refused_before_layers_are_made(
 
 def test_a_model_is_rendered_at_the_poses_that_it_was_trained_at(dataset: Dataset, tmp_path: Path) -> None:
     model = Reconstruction(
-        method="hybridworldsim", scene="street", split="novel", trained=trained_on(dataset, "novel", "street"),
-        poses="refined@1",
+        method="hybridworldsim", scene="street", split="novel", poses="refined@1",
+        trained=list_trained_traversals(dataset, "novel", "street"),
     )  # fmt: skip
     with pytest.raises(UsageError, match=r"trained at poses refined@1, these are recorded.*with_layers"):
-        require_same_street(dataset, "novel", model)
-    require_same_street(dataset, "novel", model.model_copy(update={"poses": "recorded"}))
+        require_matching_split(dataset, "novel", model)
+    require_matching_split(dataset, "novel", model.model_copy(update={"poses": "recorded"}))
 
 
 @pytest.mark.parametrize("where", ["split", "trajectory"])

@@ -18,9 +18,9 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.compare import compare
-from mirror.evaluation.run import Options, evaluate, read_result
+from mirror.evaluation.run import EvaluationOptions, evaluate, read_result
 from mirror.evaluation.submission.manifest import Appearance, Rectangle
-from mirror.evaluation.workers import Log
+from mirror.evaluation.workers import ScoreLog
 from mirror.geometry.box_projection import project_boxes
 from mirror.protocols.document import load_protocol
 from mirror.protocols.truth.source import GroundTruth
@@ -28,7 +28,7 @@ from mirror.protocols.views import RenderView
 from tests.evaluation.submissions import SPLIT, small, write_renders
 from tests.evaluation.test_png import chunk, png
 
-ALONE = Options(workers=1)
+ALONE = EvaluationOptions(workers=1)
 
 
 def noisy(sigma: float):
@@ -58,9 +58,9 @@ def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, fol
     free = 0
     for view in done.plan.views:
         render = cv2.imread(str(folder / "noise4" / view.path))[..., ::-1].astype(np.float64)
-        frame, image = truth.recorded(view)
+        frame, image = truth.recorded_frame_and_image(view)
         # By another way: rays of the raster's pixels are looked up in the recorded picture.
-        lens, scored = image.camera_model, truth.scored(view)
+        lens, scored = image.camera_model, truth.scored_mask(view)
         uv = lens.project(view.lens.rays().direction).uv_px
         margins = np.stack([uv[..., 0], lens.width_px - uv[..., 0], uv[..., 1], lens.height_px - uv[..., 1]])
         must = (margins > 4.0).all(axis=0)
@@ -89,7 +89,7 @@ def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, fol
         row_of = rows[view.path]
         assert row_of["pixels"] == view.width_px * view.height_px
         assert row_of["scored_px"] == scored.sum()
-        picture = truth.picture(view).astype(np.float64)
+        picture = truth.image(view).astype(np.float64)
         error = np.mean((render[scored] - picture[scored]) ** 2)
         assert row_of["psnr"] == pytest.approx(10 * math.log10(255**2 / error), abs=1e-9)
         traversals.setdefault(view.traversal_id, []).append(row_of["psnr"])
@@ -106,7 +106,7 @@ def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, fol
 def test_two_processes_and_a_resumed_run_find_the_same(root: Path, folder: Path, tmp_path: Path) -> None:
     protocol = small(every=2)
     one = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "one", ALONE)
-    two = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "two", Options(workers=2))
+    two = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "two", EvaluationOptions(workers=2))
     assert one.result == two.result
     assert one.reused == two.reused == 0
     # As if it had been killed while it wrote its third line.
@@ -116,7 +116,7 @@ def test_two_processes_and_a_resumed_run_find_the_same(root: Path, folder: Path,
     again = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "two", ALONE)
     assert again.reused == 2
     assert again.result == one.result
-    assert len(Log(log).known) == len(one.plan.views)
+    assert len(ScoreLog(log).known) == len(one.plan.views)
 
 
 def test_what_changed_is_scored_again(root: Path, dataset: Dataset, tmp_path: Path) -> None:
@@ -186,9 +186,11 @@ def test_unavailable_metrics_are_said_and_may_be_required(
     assert {figure.metric for figure in done.result.figures} == {"psnr", "psnr_pooled"}
     for name in ("lpips", "lpips_vgg"):
         with pytest.raises(UsageError, match="required and unavailable"):
-            evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, require=[name]))
+            evaluate(
+                tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1, require=[name])
+            )
     with pytest.raises(UsageError, match="no metric"):
-        evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, require=["fid"]))
+        evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1, require=["fid"]))
 
 
 def test_the_verbs(
@@ -269,7 +271,9 @@ def test_st_lpips_stands_in_under_its_own_name(root: Path, dataset: Dataset, tmp
         monkeypatch.setenv(name, str(tmp_path / "nothing"))
     protocol = small(every=9, metrics='[[metrics]]\nmetric = "lpips"\nnet = "alex"\nmask = "zero-fill"\n')
     write_renders(dataset, protocol, tmp_path / "s", noisy(8))
-    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, stand_ins=True))
+    done = evaluate(
+        tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1, stand_ins=True)
+    )
     assert done.result is not None
     assert set(done.result.unavailable) == {"lpips_alex"}
     assert {figure.metric for figure in done.result.figures} == {"st_lpips_alex"}

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mirror.evaluation.figures import LEAST_BLOCKS, Measure, figures_of, mean_weights, spread_of
+from mirror.evaluation.figures import MIN_BLOCKS, Measure, compute_figures, linearise_mean, mean_weights
 from mirror.metrics.score import Score
 from mirror.protocols.views.view import RenderView
 from tests.evaluation.submissions import small
@@ -50,15 +50,15 @@ def test_means_of_means(places: list[tuple[str, str]], averaging: tuple[str, ...
         grouped.setdefault(scene, {}).setdefault(traversal, []).append(value)
     wanted = np.mean([np.mean(mean(parts)) for parts in grouped.values()])
     assert weights @ values == pytest.approx(wanted)
-    assert spread_of(values, weights).mean() == pytest.approx(wanted)
+    assert linearise_mean(values, weights).mean() == pytest.approx(wanted)
 
 
 def test_figures_count_what_is_not_finite() -> None:
     views = [view("A", "A.x", number) for number in range(4)]
     scores = [Score(20.0), Score(math.inf), Score(math.nan, "the mask selects no pixel"), Score(30.0)]
-    group = figures_of(small(), MEASURE, "novel", views, scores)[0]
+    group = compute_figures(small(), MEASURE, "novel", views, scores)[0]
     assert (group.value, group.n, group.n_inf, group.n_missing) == (25.0, 4, 1, 1)
-    none = figures_of(small(), MEASURE, "novel", views[:2], [Score(math.inf), Score(math.nan, "empty")])[0]
+    none = compute_figures(small(), MEASURE, "novel", views[:2], [Score(math.inf), Score(math.nan, "empty")])[0]
     assert none.value is None
     assert none.reason is not None
     assert "infinite" in none.reason
@@ -66,7 +66,7 @@ def test_figures_count_what_is_not_finite() -> None:
 
 def test_every_part_has_a_figure() -> None:
     views = [view("A", f"A.{name}", frame, camera) for name in "xy" for frame in (0, 5) for camera in ("a", "b")]
-    figures = figures_of(small(), MEASURE, "novel", views, [Score(float(place)) for place in range(8)])
+    figures = compute_figures(small(), MEASURE, "novel", views, [Score(float(place)) for place in range(8)])
     levels = [(figure.level, figure.key) for figure in figures]
     assert levels[0] == ("group", "")
     assert {key for level, key in levels if level == "traversal"} == {"A.x", "A.y"}
@@ -79,7 +79,7 @@ def test_intervals_hold_blocks_together_and_need_some() -> None:
     rng = np.random.default_rng(0)
     views = [view("A", "A.x", frame) for frame in range(40)]
     values = [Score(value) for value in np.repeat(rng.normal(25.0, 2.0, 20), 2)]
-    figure = figures_of(protocol, MEASURE, "novel", views, values)[0]
+    figure = compute_figures(protocol, MEASURE, "novel", views, values)[0]
     assert figure.low is not None
     assert figure.high is not None
     assert figure.value is not None
@@ -87,6 +87,6 @@ def test_intervals_hold_blocks_together_and_need_some() -> None:
     # Twenty independent pairs: the interval is that of twenty values, not of forty.
     half = 1.96 * np.std([float(value) for value in values[::2]], ddof=1) / math.sqrt(20)
     assert (figure.high - figure.low) / 2 == pytest.approx(half, rel=0.35)
-    few = figures_of(protocol, MEASURE, "novel", views[: 2 * LEAST_BLOCKS - 2], values[: 2 * LEAST_BLOCKS - 2])[0]
+    few = compute_figures(protocol, MEASURE, "novel", views[: 2 * MIN_BLOCKS - 2], values[: 2 * MIN_BLOCKS - 2])[0]
     assert few.low is None
     assert few.interval_reason is not None

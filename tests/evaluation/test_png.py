@@ -15,9 +15,9 @@ from mirror.protocols.png import (
     RenderError,
     decode_render,
     encode_png,
-    most_bytes,
-    problem_of_png,
-    raster_of_png,
+    find_png_problem,
+    max_png_bytes,
+    png_size,
 )
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (9, 16, 3), np.uint8)
@@ -39,10 +39,10 @@ IDAT = chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row.tobytes() for row in PI
 
 
 def test_a_plain_png_passes_and_is_what_was_written() -> None:
-    assert problem_of_png(WHOLE) is None
-    assert raster_of_png(WHOLE) == (16, 9)
+    assert find_png_problem(WHOLE) is None
+    assert png_size(WHOLE) == (16, 9)
     np.testing.assert_array_equal(decode_render(WHOLE, 16, 9, "a.png"), PIXELS)
-    assert problem_of_png(png(chunk(b"sRGB", b"\0"), chunk(b"gAMA", struct.pack(">I", 45455)), IDAT)) is None
+    assert find_png_problem(png(chunk(b"sRGB", b"\0"), chunk(b"gAMA", struct.pack(">I", 45455)), IDAT)) is None
 
 
 @pytest.mark.parametrize(
@@ -66,14 +66,14 @@ def test_a_plain_png_passes_and_is_what_was_written() -> None:
     ],
 )
 def test_what_is_wrong_is_named(data: bytes, words: str) -> None:
-    assert words in str(problem_of_png(data))
+    assert words in str(find_png_problem(data))
     with pytest.raises(RenderError):
         decode_render(data, 16, 9, "a.png")
 
 
 @pytest.mark.parametrize("length", range(0, len(WHOLE), 7))
 def test_a_cut_png_never_passes(length: int) -> None:
-    assert problem_of_png(WHOLE[:length]) is not None
+    assert find_png_problem(WHOLE[:length]) is not None
 
 
 @given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
@@ -81,12 +81,12 @@ def test_a_cut_png_never_passes(length: int) -> None:
 def test_a_changed_byte_never_passes(place: int, change: int) -> None:
     changed = bytearray(WHOLE)
     changed[place] ^= change
-    assert problem_of_png(bytes(changed)) is not None
+    assert find_png_problem(bytes(changed)) is not None
 
 
 def test_bombs_are_refused_by_their_header() -> None:
     bomb = png(chunk(b"IDAT", zlib.compress(bytes(1000))), width=1 << 30, height=1 << 30)
-    assert raster_of_png(bomb) == (1 << 30, 1 << 30)
+    assert png_size(bomb) == (1 << 30, 1 << 30)
     with pytest.raises(RenderError, match="size"):
         decode_render(bomb, 16, 9, "bomb.png")
     # More pixels in the stream than the header says are not read.
@@ -102,4 +102,4 @@ def test_bombs_are_refused_by_their_header() -> None:
 def test_no_honest_png_is_larger_than_allowed(width: int, height: int) -> None:
     noise = np.random.default_rng(1).integers(0, 256, (height, width, 3), np.uint8)
     stored = cv2.imencode(".png", noise, [cv2.IMWRITE_PNG_COMPRESSION, 0])[1]
-    assert len(stored) < most_bytes(width, height)
+    assert len(stored) < max_png_bytes(width, height)

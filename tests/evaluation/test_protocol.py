@@ -7,7 +7,7 @@ from importlib.resources import files
 import pytest
 
 from mirror.errors import SchemaError, UsageError
-from mirror.evaluation.scorers import TASKS, scorer_of
+from mirror.evaluation.scorers import TASKS, load_scorer
 from mirror.protocols.document import RESERVED, Protocol, load_protocol, parse_protocol, protocol_names
 from tests.evaluation.submissions import small
 
@@ -16,7 +16,7 @@ from tests.evaluation.submissions import small
 def test_every_protocol_that_ships_is_whole(name: str) -> None:
     protocol = load_protocol(name)
     assert protocol.name == name
-    assert scorer_of(protocol.task).version >= 1
+    assert load_scorer(protocol.task).version >= 1
     assert set(TASKS) >= {protocol.task}
 
 

@@ -176,7 +176,7 @@ def test_a_template_lists_every_file_with_pose_lens_and_mask(dataset: Dataset, t
         assert row["recorded"]["uri"]
         if row["mask"] is not None:
             mask = cv2.imread(str(tmp_path / "open" / row["mask"]), cv2.IMREAD_UNCHANGED)
-            np.testing.assert_array_equal(mask > 0, truth.scored(view))
+            np.testing.assert_array_equal(mask > 0, truth.scored_mask(view))
             masked += 1
     assert masked > 0
     blind = (tmp_path / "blind" / "views.json").read_text()

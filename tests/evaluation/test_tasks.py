@@ -17,28 +17,28 @@ import pytest
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, UsageError
-from mirror.evaluation.extractors import extractor_of
+from mirror.evaluation.extractors import make_extractor
 from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
-from mirror.evaluation.run import Evaluation, Options, evaluate
+from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.evaluation.scorers import distributions, speed
 from mirror.evaluation.scorers import runtime as runtime_scorer
-from mirror.evaluation.scorers.distributions import clips_of
+from mirror.evaluation.scorers.distributions import split_into_clips
 from mirror.evaluation.scorers.editing_accuracy import target_hull
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
-from mirror.evaluation.submission.template import expected_files, manifest_for, write_manifest
+from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.methods import registry
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.png import encode_png
-from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, hidden_document
+from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, make_hidden_document
 from mirror.protocols.views import RenderView, plan_views
 from mirror.schema.files import read_json, write_json
 from mirror.synth import hidden_truth as synthetic
 from mirror.synth.hidden_truth import write_hidden_truth
 from tests.evaluation.submissions import SPLIT, small, write_renders
 
-ALONE = Options(workers=1)
+ALONE = EvaluationOptions(workers=1)
 SHIFTS = "".join(
     f'[[groups]]\nname = "{name}"\nroles = ["train"]\nego_shift_m = {shift}\n'
     for name, shift in (("here", 0.0), ("left-2m", 2.0))
@@ -53,7 +53,12 @@ def test_hidden_truth_is_the_street_from_beside(dataset: Dataset, root: Path, tm
     said = read_json(tmp_path / "hidden" / HIDDEN, HiddenDocument)
     assert (said.preset, said.seed, said.plan_hash) == ("tiny", 0, plan.hash)
     done = evaluate(
-        tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(workers=1, hidden=tmp_path / "hidden")
+        tmp_path / "s",
+        root,
+        protocol,
+        SPLIT,
+        tmp_path / "out",
+        EvaluationOptions(workers=1, hidden=tmp_path / "hidden"),
     )
     assert done.result is not None
     assert done.result.dataset.hidden_truth is not None
@@ -96,7 +101,7 @@ def test_hidden_truth_is_given_where_it_is_needed_and_is_not_the_submission_s_fa
     shutil.copytree(tmp_path / "s" / "renders", hidden / "renders")
 
     def scored(name: str, protocol: Protocol, **options: Any) -> Evaluation:
-        return evaluate(tmp_path / name, root, protocol, SPLIT, out, Options(workers=1, **options))
+        return evaluate(tmp_path / name, root, protocol, SPLIT, out, EvaluationOptions(workers=1, **options))
 
     assert scored("s", protocol, hidden=hidden).result is not None
     with pytest.raises(UsageError, match="nobody recorded"):
@@ -113,7 +118,7 @@ def test_hidden_truth_is_given_where_it_is_needed_and_is_not_the_submission_s_fa
             scored("s", protocol, hidden=hidden)
         assert caught.value.file == str(first)
     first.write_bytes(whole)
-    document = hidden_document(plan, "tiny", 0).model_copy(update={"plan_hash": "00" * 32})
+    document = make_hidden_document(plan, "tiny", 0).model_copy(update={"plan_hash": "00" * 32})
     write_json(hidden / HIDDEN, document)
     with pytest.raises(UsageError, match="truth of other views"):
         scored("s", protocol, hidden=hidden)
@@ -151,7 +156,7 @@ def test_distances_are_of_the_features_of_each_group(
     dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = Colours()
-    monkeypatch.setattr(distributions, "load_extractor", lambda metric, inputs: network)
+    monkeypatch.setattr(distributions, "load_network", lambda metric, inputs: network)
     monkeypatch.setattr(distributions.Distributions, "needs", lambda self, plan: {})
     groups = "".join(f'[[groups]]\nname = "{name}"\nroles = ["held_out"]\n' for name in ("same", "darker"))
     protocol = small(task="generation", groups=groups, every=1, metrics=FID + FVD)
@@ -170,7 +175,7 @@ def test_distances_are_of_the_features_of_each_group(
     assert "fewer than 2048" in str(figures["darker", "fid"].note)
     assert done.inputs is not None
     pairs = [
-        (network.prepare(done.inputs.render(view)), network.prepare(done.inputs.truth.picture(view))) for view in views
+        (network.prepare(done.inputs.render(view)), network.prepare(done.inputs.truth.image(view))) for view in views
     ]
     wanted = frechet_distance(*(np.stack([pair[side].numpy() for pair in pairs]) for side in (0, 1))).value
     assert figures["darker", "fid"].value == pytest.approx(wanted)
@@ -193,7 +198,7 @@ def test_clips_are_of_consecutive_frames_of_one_camera() -> None:
             for frame in frames
         ]
 
-    clips = clips_of([*of("a", 0, 1, 2, 3, 4, 6, 7, 8), *of("b", 0, 1, 3)], 3)
+    clips = split_into_clips([*of("a", 0, 1, 2, 3, 4, 6, 7, 8), *of("b", 0, 1, 3)], 3)
     assert [[view.path for view in clip] for clip in clips] == [["a0", "a1", "a2"], ["a6", "a7", "a8"]]
 
 
@@ -260,7 +265,7 @@ def test_masks_from_files(tmp_path: Path) -> None:
     (tmp_path / "left" / "a.png").write_bytes(encode_png(mask))
     picture = np.zeros((9, 16, 3), np.uint8)
     counted = np.ones((9, 16), np.bool_)
-    found = extractor_of(f"file:{tmp_path}").extract(picture, picture, counted, "renders/left/a.png")
+    found = make_extractor(f"file:{tmp_path}").extract(picture, picture, counted, "renders/left/a.png")
     np.testing.assert_array_equal(found, mask > 0)
 
 
@@ -293,7 +298,7 @@ def test_annotation(dataset: Dataset, root: Path, tmp_path: Path, sigma_m: float
         file = tmp_path / "s" / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(boxes_of(dataset, file.name.removesuffix(".json"), sigma_m)))
-    write_manifest(tmp_path / "s", manifest_for(plan, Method(name="boxes"), Appearance(policy="none")))
+    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="boxes"), Appearance(policy="none")))
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
     figures = {figure.metric: figure.value for figure in done.result.figures}
@@ -325,7 +330,7 @@ def test_boxes_that_make_no_sense_are_problems(dataset: Dataset, root: Path, tmp
         file = tmp_path / "s" / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
-    write_manifest(tmp_path / "s", manifest_for(plan, Method(name="boxes"), Appearance(policy="none")))
+    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="boxes"), Appearance(policy="none")))
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is None
     assert len(done.check.problems) == 1
@@ -336,7 +341,7 @@ def test_run_time_is_what_the_manifest_reports(dataset: Dataset, root: Path, tmp
     plan = plan_views(dataset, protocol, SPLIT)
     runtime = Runtime(device="a GPU", frames_per_second=21.0, model_bytes=8 * 10**8, driven_m=200.0)
     (tmp_path / "s").mkdir()
-    manifest = manifest_for(plan, Method(name="fast"), Appearance(policy="none"), runtime)
+    manifest = make_manifest(plan, Method(name="fast"), Appearance(policy="none"), runtime)
     write_manifest(tmp_path / "s", manifest)
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
@@ -361,12 +366,14 @@ def test_the_speed_of_an_installed_method_is_measured_here(
             return render
 
     monkeypatch.setattr(runtime_scorer, "installed_method", lambda name: Slow())
-    monkeypatch.setattr(speed, "LEAST_S", 0.3)
+    monkeypatch.setattr(speed, "MIN_DURATION_S", 0.3)
     protocol = load_protocol("runtime")
     plan = plan_views(dataset, protocol, SPLIT)
     (tmp_path / "s").mkdir()
-    write_manifest(tmp_path / "s", manifest_for(plan, Method(name="slow"), Appearance(policy="none")))
-    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", Options(measured=("slow", tmp_path)))
+    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="slow"), Appearance(policy="none")))
+    done = evaluate(
+        tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(measured=("slow", tmp_path))
+    )
     assert done.result is not None
     (figure,) = done.result.figures
     assert figure.group == "measured"

@@ -77,7 +77,7 @@ def test_a_zip_is_read_in_place(tmp_path: Path) -> None:
 def test_a_submission_has_a_largest_number_of_files(
     zipped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(untrusted, "MOST_ENTRIES", 3)
+    monkeypatch.setattr(untrusted, "MAX_ENTRIES", 3)
     for count in (3, 4):
         root = tmp_path / f"{count}"
         root.mkdir()

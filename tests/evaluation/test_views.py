@@ -13,8 +13,8 @@ from mirror.protocols.document import Frames, Pixels, load_protocol
 from mirror.protocols.truth.raster import Raster
 from mirror.protocols.views import plan_views
 from mirror.protocols.views.final_camera import final_camera
-from mirror.protocols.views.plan import chosen_frames, render_path
-from mirror.protocols.views.view import pose_of
+from mirror.protocols.views.plan import render_path, select_frames
+from mirror.protocols.views.view import to_pose
 from tests.evaluation.submissions import SPLIT, small
 
 LENSES = [
@@ -40,7 +40,7 @@ LENSES = [
     ],
 )
 def test_every_so_many_th_frame_and_the_last(count: int, first: int, every: int, last: bool, chosen: list[int]) -> None:
-    assert chosen_frames(count, Frames(first=first, every=every, last=last)) == chosen
+    assert select_frames(count, Frames(first=first, every=every, last=last)) == chosen
 
 
 def test_frames_from_the_first_on_are_hashed_as_ever() -> None:
@@ -96,18 +96,18 @@ def test_pictures_and_masks_come_to_the_raster_by_the_lens(lens: Camera, width: 
     slopes = rays[..., :2] / rays[..., 2:]
     levels = np.zeros((lens.height_px, lens.width_px, 3), np.uint8)
     levels[..., :2] = np.clip(np.round(128 + 40 * np.nan_to_num(slopes)), 0, 255)
-    shown = raster.picture(levels)
+    shown = raster.to_final(levels)
     final = raster.final
     assert shown.shape == (final.height_px, final.width_px, 3)
     true = final.rays().direction
     wanted = 128 + 40 * true[..., :2] / true[..., 2:]
-    inside = ~raster.unseen & (np.abs(wanted - 128) < 90).all(axis=-1)
+    inside = ~raster.outside_lens & (np.abs(wanted - 128) < 90).all(axis=-1)
     assert inside.mean() > 0.5
     assert np.abs(shown[..., :2] - wanted)[inside].max() < 3.0
     # A masked block excludes every pixel whose ray falls into it.
     mask = np.zeros((lens.height_px, lens.width_px), np.bool_)
     mask[30:50, 60:100] = True
-    excluded = raster.excluded(mask)
+    excluded = raster.exclude(mask)
     back = lens.project(true).uv_px
     within = (back[..., 0] > 60.6) & (back[..., 0] < 99.4) & (back[..., 1] > 30.6) & (back[..., 1] < 49.4)
     assert within.any()
@@ -166,7 +166,7 @@ def test_edits_move_boxes_along_their_own_left(dataset: Dataset) -> None:
             assert edit.world_SE3_target is None
             continue
         assert edit.world_SE3_target is not None
-        box, target = pose_of(edit.world_SE3_box), pose_of(edit.world_SE3_target)
+        box, target = to_pose(edit.world_SE3_box), to_pose(edit.world_SE3_target)
         left = matrix_from_quaternion(box.rotation)[0][:, 1]
         wanted = {"right-2m": -2, "right-1m": -1, "0m": 0, "left-1m": 1, "left-2m": 2}[view.group]
         np.testing.assert_allclose(target.translation[0] - box.translation[0], wanted * left, atol=1e-9)

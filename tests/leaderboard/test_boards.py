@@ -10,14 +10,14 @@ import pytest
 from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import write_json
-from mirror_leaderboard.boards import FLOOR, boards_of, seconds_per_picture, value_of
+from mirror_leaderboard.boards import FLOOR, find_value, make_boards, seconds_per_image
 from mirror_leaderboard.entry import Figure, Measured, Reported, load_entries
 from mirror_leaderboard.measures import MEASURES
 from tests.leaderboard.conftest import MEASURED, REPORTED, measured
 
 
 def test_measured_and_reported_never_share_a_table(board: Path) -> None:
-    for one in boards_of(load_entries(board / "entries")):
+    for one in make_boards(load_entries(board / "entries")):
         assert len({entry.kind for entry in one.entries}) == 1
 
 
@@ -30,13 +30,13 @@ def test_other_hashes_make_another_table() -> None:
         measured("e", 24.0, protocol_hash="01" * 32),
         measured("f", 25.0, options={"extractor": "file"}),
     ]
-    assert [len(one.entries) for one in boards_of(entries)].count(2) == 1
-    assert len(boards_of(entries)) == 5
-    assert len({one.id for one in boards_of(entries)}) == 5
+    assert [len(one.entries) for one in make_boards(entries)].count(2) == 1
+    assert len(make_boards(entries)) == 5
+    assert len({one.id for one in make_boards(entries)}) == 5
 
 
 def test_best_first_by_the_protocols_column() -> None:
-    (board,) = boards_of([measured("low", 10.0), measured("high", 30.0), measured("middle", 20.0)])
+    (board,) = make_boards([measured("low", 10.0), measured("high", 30.0), measured("middle", 20.0)])
     assert board.ranked_by == ("novel", "psnr_cc")
     assert [entry.method for entry in board.entries] == ["high", "middle", "low"]
     assert board.best(("novel", "psnr")) == 30.0
@@ -44,15 +44,15 @@ def test_best_first_by_the_protocols_column() -> None:
 
 
 def test_lower_is_better_where_it_is() -> None:
-    boards = [one for one in boards_of(load_entries(REPORTED)) if one.protocol == "vehicle-translation"]
+    boards = [one for one in make_boards(load_entries(REPORTED)) if one.protocol == "vehicle-translation"]
     for board in boards:
         assert [entry.method for entry in board.entries] == ["HybridWorldSim", "DriveEditor"]
         for column in board.columns:
-            assert board.best(column) == min(value_of(entry, column) for entry in board.entries)
+            assert board.best(column) == min(find_value(entry, column) for entry in board.entries)
 
 
 def test_columns_are_in_the_protocols_order() -> None:
-    (board,) = boards_of([measured("a", 10.0)])
+    (board,) = make_boards([measured("a", 10.0)])
     assert board.columns == (
         ("training", "psnr"),
         ("novel", "psnr"),
@@ -60,15 +60,15 @@ def test_columns_are_in_the_protocols_order() -> None:
         # Not LPIPS, which nobody has a value of.
         ("novel", "ssim"),
     )
-    offsets = [one for one in boards_of(load_entries(REPORTED)) if one.title == "MIRROR"][1]
+    offsets = [one for one in make_boards(load_entries(REPORTED)) if one.title == "MIRROR"][1]
     assert [group for group, _ in offsets.columns] == ["right-3m", "right-1.5m", "0m", "left-1.5m", "left-3m"]
 
 
 def test_the_speed_of_the_static_scene_is_not_that_of_generation() -> None:
     entries = [one for one in load_entries(REPORTED) if isinstance(one, Reported)]
-    known = {(one.method, one.protocol) for one in entries if seconds_per_picture(one, entries) is not None}
+    known = {(one.method, one.protocol) for one in entries if seconds_per_image(one, entries) is not None}
     assert known == {("HybridWorldSim", "static-reconstruction")}
-    assert seconds_per_picture(measured("a", 20.0), []) == pytest.approx(1 / 20.0)
+    assert seconds_per_image(measured("a", 20.0), []) == pytest.approx(1 / 20.0)
 
 
 def test_every_metric_of_every_protocol_is_known() -> None:

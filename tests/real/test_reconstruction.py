@@ -18,7 +18,7 @@ import torch
 import mirror
 from mirror.cli.main import main
 from mirror.errors import ExitCode
-from mirror.methods.training_images import asked_of_training
+from mirror.methods.training_images import list_scored_training_images
 from mirror.protocols.document import load_protocol
 from tests.conftest import ROOT
 
@@ -112,7 +112,7 @@ def test_photos_of_one_walk_are_held_out_rendered_and_scored(
 ) -> None:
     street = Street(tmp_path, walk)
     dataset = mirror.open(street.dataset)
-    withheld = asked_of_training(dataset, load_protocol(str(street.protocol)), "all", dataset.scenes()[0])
+    withheld = list_scored_training_images(dataset, load_protocol(str(street.protocol)), "all", dataset.scenes()[0])
     stamps = dataset.table("images", ["timestamp_ns"]).column(0).to_pylist()
     assert sorted(stamp for _, _, stamp in withheld) == sorted(stamps)[2::4]
 

@@ -8,7 +8,7 @@ import pytest
 
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
-from mirror.protocols.views.trajectories import Trajectory, given
+from mirror.protocols.views.trajectories import Trajectory, read_trajectory
 from mirror.view.video import write_video
 
 SECOND = 1_000_000_000
@@ -31,7 +31,7 @@ def test_a_shift_to_the_left_is_the_vehicles_left() -> None:
 
 def test_any_rate_begins_at_the_first_pose_and_stays_on_the_way() -> None:
     for hz in (1.0, 3.0, 10.0, 29.97, 240.0):
-        often = quarter_turn().at_rate(hz)
+        often = quarter_turn().resample(hz)
         assert len(often) == int(hz) + 1
         assert often.timestamps_ns[0] == 7 * SECOND and often.timestamps_ns[-1] <= 8 * SECOND
         assert np.all(np.diff(often.timestamps_ns) > 0)
@@ -39,7 +39,7 @@ def test_any_rate_begins_at_the_first_pose_and_stays_on_the_way() -> None:
         np.testing.assert_allclose(often.world_SE3_ego.translation[:, 0], 10.0 * share, atol=1e-9)
     for none in (0.0, -1.0, np.nan):
         with pytest.raises(UsageError, match=r"--hz: .* a second"):
-            quarter_turn().at_rate(none)
+            quarter_turn().resample(none)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -52,14 +52,14 @@ def test_poses_of_a_file_are_those_that_were_written(tmp_path: Path, suffix: str
         table.to_csv(path, index=False)
     else:
         table.to_parquet(path)
-    back = given(path)
+    back = read_trajectory(path)
     np.testing.assert_array_equal(back.timestamps_ns, line.timestamps_ns)
     np.testing.assert_allclose(back.world_SE3_ego.translation, line.world_SE3_ego.translation, atol=1e-9)
     table.drop(columns="timestamp_ns").to_csv(tmp_path / "even.csv", index=False)
-    assert np.diff(given(tmp_path / "even.csv", hz=4.0).timestamps_ns).tolist() == [SECOND // 4]
-    assert len(given(tmp_path / "even.csv", hz=30.0).at_rate(30.0)) == len(table)
+    assert np.diff(read_trajectory(tmp_path / "even.csv", hz=4.0).timestamps_ns).tolist() == [SECOND // 4]
+    assert len(read_trajectory(tmp_path / "even.csv", hz=30.0).resample(30.0)) == len(table)
     with pytest.raises(UsageError, match=r"--hz: 0 .* a second"):
-        given(tmp_path / "even.csv", hz=0.0)
+        read_trajectory(tmp_path / "even.csv", hz=0.0)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_poses_of_a_file_are_those_that_were_written(tmp_path: Path, suffix: str
 def test_files_that_hold_no_poses_are_refused(tmp_path: Path, text: str, problem: str) -> None:
     (tmp_path / "poses.csv").write_text(text)
     with pytest.raises(UsageError, match=problem):
-        given(tmp_path / "poses.csv")
+        read_trajectory(tmp_path / "poses.csv")
 
 
 def test_a_video_has_as_many_pictures_as_it_was_given(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hybridworldsim.mvs.run import initialise
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.methods.plugin import ReconstructionTask
-from mirror.methods.training_images import Picture
+from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter
 
 BROUGHT: Final = "dataset"
@@ -102,7 +102,7 @@ def _version(task: ReconstructionTask) -> str:
     return f"{task.split}-{task.protocol.pixels.max_width_px}{_without(task.withheld)}"
 
 
-def _without(withheld: Set[Picture]) -> str:
+def _without(withheld: Set[ImageKey]) -> str:
     named = hashlib.sha256(json.dumps(sorted(withheld)).encode()).hexdigest()
     return f"-without-{len(withheld)}-{named[:8]}" if withheld else ""
 

@@ -34,7 +34,7 @@ from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.model_document import DOCUMENT, Costs, Reconstruction, read_reconstruction, trained_on
+from mirror.methods.model_document import DOCUMENT, Costs, Reconstruction, list_trained_traversals, read_reconstruction
 from mirror.methods.plugin import ReconstructionResult, ReconstructionTask
 from mirror.progress import ProgressReporter
 from mirror.protocols.document import Group
@@ -79,7 +79,7 @@ class StaticMethod:
             method=self.name,
             scene=task.scene,
             split=task.split,
-            trained=trained_on(dataset, task.split, task.scene),
+            trained=list_trained_traversals(dataset, task.split, task.scene),
             withheld=len(task.withheld),
             poses=dataset.layers.poses,
         )

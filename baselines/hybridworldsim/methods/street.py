@@ -29,7 +29,7 @@ from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.ply_export import BakeOptions, Baking
+from mirror.methods.ply_export import PlyExport, PlyExportOptions
 from mirror.protocols.views.view import RenderView
 
 NAME: Final = "hybridworldsim"
@@ -43,15 +43,15 @@ class StreetMethod(StaticMethod):
         """See `StaticMethod.open`."""
         return StreetRenderer([_open(folder) for folder in block_folders(model)], appearance)
 
-    def bake(
+    def export_ply(
         self,
         model: Path,
         views: Sequence[RenderView],
         out: Path,
-        options: BakeOptions,
+        options: PlyExportOptions,
         appearance: AppearancePolicy = AppearancePolicy(),  # noqa: B008
-    ) -> Baking:
-        """See `mirror.methods.ply_export.BakingMethod`."""
+    ) -> PlyExport:
+        """See `mirror.methods.ply_export.PlyExporter`."""
         street = StreetRenderer([_open(folder) for folder in block_folders(model)], appearance)
         looks = street.latents(views[0])
         baked = export_gaussians(
@@ -59,7 +59,7 @@ class StreetMethod(StaticMethod):
         )
         size = write_ply(out, baked)
         x, y, z = baked.origin_m.tolist()
-        return Baking(len(baked), size, psnr_to_model_db(baked, street.blocks, views, looks), (x, y, z))
+        return PlyExport(len(baked), size, psnr_to_model_db(baked, street.blocks, views, looks), (x, y, z))
 
     def write(self, path: Path, block: Block, trainer: TrainableMethod, run: Run, *, half: bool) -> int:
         """See `StaticMethod.write`."""

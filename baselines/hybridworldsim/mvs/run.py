@@ -20,7 +20,7 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layout import read_manifest
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError
-from mirror.methods.training_images import Picture
+from mirror.methods.training_images import ImageKey
 from mirror.progress import NullProgress, ProgressReporter
 
 _INPUT_KINDS: Final = ("poses", "calibrations", "boxes")
@@ -60,7 +60,7 @@ def initialise(
     estimator: DepthEstimator | None = None,
     version: str | None = None,
     options: InitialisationOptions | None = None,
-    withheld: Set[Picture] = frozenset(),
+    withheld: Set[ImageKey] = frozenset(),
     progress: ProgressReporter | None = None,
 ) -> InitialisationReport:
     """Write layers of depth, points and sky masks for the training traversals of a split.
@@ -113,7 +113,7 @@ def initialise(
 
 
 def _hash_inputs(
-    view: Dataset, options: InitialisationOptions, estimator: DepthEstimator | None, withheld: Set[Picture]
+    view: Dataset, options: InitialisationOptions, estimator: DepthEstimator | None, withheld: Set[ImageKey]
 ) -> dict[str, str]:
     """Hash everything that the layers of a view depend on; the keys are part of the manifests."""
     hashes = {"options": _digest(json.dumps(asdict(options), sort_keys=True)), "estimator": _digest(repr(estimator))}
@@ -165,7 +165,7 @@ def _initialise_scenes(
     layers: InitialisationLayers,
     options: InitialisationOptions,
     estimator: DepthEstimator | None,
-    withheld: Set[Picture],
+    withheld: Set[ImageKey],
     progress: ProgressReporter,
 ) -> InitialisationReport:
     """Initialise each scene that has incomplete layers."""

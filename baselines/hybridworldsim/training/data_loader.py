@@ -18,7 +18,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import DepthImage, Image, Mask
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
-from mirror.protocols.truth.raster import raster_of
+from mirror.protocols.truth.raster import cached_raster
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
@@ -81,18 +81,18 @@ class TrainingImageCache:
 
     def _open(self, view: RenderView) -> TrainingImage:
         """The image of a view, its colours as they were recorded: uint8."""
-        rgb = self._source.picture(view)
-        _, image = self._source.recorded(view)
+        rgb = self._source.image(view)
+        _, image = self._source.recorded_frame_and_image(view)
         depth = image.depth() if view.traversal_id in self._depth_of else None
         mask, sky = _sky(image, depth) if self._sky else None, None
         if mask is not None:
-            raster = raster_of(image.camera_model, self._plan.protocol.pixels)
-            sky = torch.from_numpy(~raster.excluded(mask.decode() == 0))
+            raster = cached_raster(image.camera_model, self._plan.protocol.pixels)
+            sky = torch.from_numpy(~raster.exclude(mask.decode() == 0))
         depth_m = None if depth is None else torch.from_numpy(resample_depth(view, depth.lens, depth.decode()))
         return TrainingImage(
             to_viewpoint(view, self._origin),
             torch.from_numpy(rgb),
-            torch.from_numpy(self._source.scored(view)),
+            torch.from_numpy(self._source.scored_mask(view)),
             sky,
             depth_m,
             view.path,

@@ -9,7 +9,7 @@ from hybridworldsim.stationary import STATIONARY_M, select_moving
 from hybridworldsim.training.viewpoint import require_pinhole
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
-from mirror.methods.training_images import Picture
+from mirror.methods.training_images import ImageKey
 from mirror.protocols.document import Frames, Group, Protocol
 from mirror.protocols.views import plan_views
 from mirror.protocols.views.plan import Plan
@@ -37,7 +37,7 @@ def training_views(
     split: str,
     scene: str,
     *,
-    withheld: Set[Picture] = frozenset(),
+    withheld: Set[ImageKey] = frozenset(),
     stationary_m: float = STATIONARY_M,
 ) -> TrainingViews:
     """The training images of a scene, in the raster and with the masks of a protocol.

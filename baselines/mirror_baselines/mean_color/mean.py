@@ -12,7 +12,7 @@ from mirror.arrays import Float64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import Image
 from mirror.evaluation.submission.writing import Render
-from mirror.methods.training_images import training_pictures
+from mirror.methods.training_images import list_training_images
 from mirror.protocols.views import Plan, RenderView
 
 MAX_IMAGES: Final = 200
@@ -37,7 +37,7 @@ def mean_colour(images: Sequence[Image]) -> Float64:
 
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
     """One image a camera, scene and size; see `mirror.evaluation.submission.writing.Renderer`."""
-    colours = {key: mean_colour(own.images) for key, own in training_pictures(dataset, plan).items()}
+    colours = {key: mean_colour(own.images) for key, own in list_training_images(dataset, plan).items()}
     alike: dict[tuple[str, str, int, int], list[RenderView]] = {}
     for view in plan.views:
         alike.setdefault((view.scene_id, view.camera, view.width_px, view.height_px), []).append(view)

@@ -13,9 +13,9 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import Image
 from mirror.evaluation.submission.writing import Render
 from mirror.geometry.poses import Poses
-from mirror.methods.training_images import training_pictures
+from mirror.methods.training_images import list_training_images
 from mirror.protocols.document import Pixels
-from mirror.protocols.truth.raster import raster_of
+from mirror.protocols.truth.raster import cached_raster
 from mirror.protocols.views import Plan, RenderView
 
 METRES_PER_RADIAN: Final = 10.0
@@ -47,7 +47,7 @@ def find_nearest(wanted: Poses, there: Poses) -> Int64:
 
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
     """The image of each view, those that share one together; see `mirror.evaluation.submission.writing.Renderer`."""
-    images = training_pictures(dataset, plan)
+    images = list_training_images(dataset, plan)
     views: dict[tuple[str, str], list[RenderView]] = {}
     for view in plan.views:
         views.setdefault((view.scene_id, view.camera), []).append(view)
@@ -77,7 +77,7 @@ def _poses(views: list[RenderView]) -> Poses:
 
 def _shown(image: Image, views: list[RenderView], pixels: Pixels) -> Iterator[Render]:
     """One recorded image in the raster of its own camera, scaled where a view's has another size."""
-    picture = raster_of(image.camera_model, pixels).picture(image.decode())
+    picture = cached_raster(image.camera_model, pixels).to_final(image.decode())
     sizes: dict[tuple[int, int], list[RenderView]] = {}
     for view in views:
         sizes.setdefault((view.width_px, view.height_px), []).append(view)

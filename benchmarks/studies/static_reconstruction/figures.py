@@ -38,7 +38,7 @@ def write_sheet(jobs: Sequence[Job], folder: Path, path: Path) -> None:
         if not own:
             continue
         view = own[len(own) // 2]
-        true, mask = models[0].street.recorded.picture(view), models[0].street.recorded.scored(view)
+        true, mask = models[0].street.recorded.image(view), models[0].street.recorded.scored_mask(view)
         row = [(f"{group}, {view.light}, {view.weather}", _dimmed(true, mask))]
         for job, render in zip(jobs, renderers):
             drawn = render(view)

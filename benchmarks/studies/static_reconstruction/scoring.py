@@ -49,7 +49,7 @@ def score_views(
         every = max(len(views) // _PERCEIVED, 1)
         for place, view in enumerate(views):
             perceived = None if place % every else network
-            found.append(score_image(view, render(view), truth.picture(view), truth.scored(view), perceived))
+            found.append(score_image(view, render(view), truth.image(view), truth.scored_mask(view), perceived))
     return found
 
 

@@ -17,11 +17,11 @@ from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
-from mirror_leaderboard.boards import Board, boards_of
-from mirror_leaderboard.entry import PICTURES, Entry, Measured, identity, load_entries
+from mirror_leaderboard.boards import Board, make_boards
+from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Measured, entry_key, load_entries
 from mirror_leaderboard.site.guide import GUIDE
 from mirror_leaderboard.site.plot import time_quality_plot
-from mirror_leaderboard.site.slider import board_slider, picture_files
+from mirror_leaderboard.site.slider import board_slider, image_files
 from mirror_leaderboard.site.tables import board_table
 
 _TITLE: Final = "MIRROR leaderboard"
@@ -53,8 +53,8 @@ def build_site(entries: Sequence[Entry], pictures: Sequence[Path], out: Path) ->
     """
     require_output_folder(out, FolderKind.SITE)
     write_bytes(out / _MARK, b"`mirror leaderboard build` writes this folder.\n")
-    boards = boards_of(entries)
-    _copy_pictures(picture_files(boards), pictures, out / PICTURES)
+    boards = make_boards(entries)
+    _copy_pictures(image_files(boards), pictures, out / IMAGE_FOLDER)
     page = out / "index.html"
     write_bytes(page, _page(boards, entries).encode())
     return page
@@ -124,5 +124,5 @@ def build(boards: Sequence[Path], out: Path) -> Path:
 
     An entry of a later folder stands in for one of an earlier folder that is for the same.
     """
-    entries = {identity(entry): entry for board in boards for entry in load_entries(board / "entries")}
-    return build_site(list(entries.values()), [board / PICTURES for board in boards], out)
+    entries = {entry_key(entry): entry for board in boards for entry in load_entries(board / "entries")}
+    return build_site(list(entries.values()), [board / IMAGE_FOLDER for board in boards], out)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Final
 
-from mirror_leaderboard.boards import Board, Column, seconds_per_picture, value_of
+from mirror_leaderboard.boards import Board, Column, find_value, seconds_per_image
 from mirror_leaderboard.entry import Entry
 from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.site.tables import group_title
@@ -97,7 +97,7 @@ def _points(boards: Sequence[Board], column: Column, entries: Sequence[Entry]) -
     found = []
     for hue, board in enumerate(boards):
         for entry in board.entries:
-            value, seconds = value_of(entry, column), seconds_per_picture(entry, entries)
+            value, seconds = find_value(entry, column), seconds_per_image(entry, entries)
             if value is not None and seconds is not None:
                 found.append(_Point(seconds, value * MEASURES[column[1]].scale, entry.method, entry.kind, hue))
     return found

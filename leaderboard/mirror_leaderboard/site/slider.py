@@ -9,7 +9,7 @@ from html import escape
 from typing import Final
 
 from mirror_leaderboard.boards import Board
-from mirror_leaderboard.entry import PICTURES, Measured, Pair
+from mirror_leaderboard.entry import IMAGE_FOLDER, Measured, Pair
 
 _TRUTH: Final = "recorded"
 
@@ -38,7 +38,7 @@ def board_slider(board: Board) -> str:
     )
 
 
-def picture_files(boards: Sequence[Board]) -> list[str]:
+def image_files(boards: Sequence[Board]) -> list[str]:
     """The files that the sliders of boards show."""
     return sorted({file for board in boards for _, pair in _pairs(board) for file in (pair.render, pair.truth)})
 
@@ -54,7 +54,7 @@ def _pairs(board: Board) -> Iterator[tuple[str, Pair]]:
 
 
 def _place(file: str) -> str:
-    return f"{PICTURES}/{file}"
+    return f"{IMAGE_FOLDER}/{file}"
 
 
 def _side(side: str, name: str, pictures: dict[str, str]) -> str:

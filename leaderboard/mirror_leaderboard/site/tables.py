@@ -9,7 +9,7 @@ from itertools import chain, groupby
 from math import ceil
 from typing import Final
 
-from mirror_leaderboard.boards import FLOOR, Board, Column, figure_of
+from mirror_leaderboard.boards import FLOOR, Board, Column, find_figure
 from mirror_leaderboard.entry import Entry, Figure, Reported
 from mirror_leaderboard.measures import MEASURES
 
@@ -110,7 +110,7 @@ def _row(
 
 def _cell(entry: Entry, column: Column, board: Board, best: float | None, notes: dict[str, int]) -> str:
     first = " first" if _opens_group(board.columns, column) else ""
-    figure = figure_of(entry, column)
+    figure = find_figure(entry, column)
     if figure is None:
         return f'<td class="n{first}"><span class="dim" aria-label="none">–</span></td>'
     measure = MEASURES[column[1]]
@@ -133,7 +133,7 @@ def _remarks(figure: Figure) -> Iterator[str]:
 
 def _below(entry: Entry, column: Column, board: Board) -> str:
     """The interval; and of how many, where that differs from the column before."""
-    figure = figure_of(entry, column)
+    figure = find_figure(entry, column)
     if figure is None:
         return ""
     lines = []
@@ -141,7 +141,7 @@ def _below(entry: Entry, column: Column, board: Board) -> str:
         shown = MEASURES[figure.metric].shown
         lines.append(f"{shown(figure.low)} to {shown(figure.high)}")
     place = board.columns.index(column)
-    before = None if _opens_group(board.columns, column) else figure_of(entry, board.columns[place - 1])
+    before = None if _opens_group(board.columns, column) else find_figure(entry, board.columns[place - 1])
     if figure.n is not None and (before is None or (before.n, before.n_missing) != (figure.n, figure.n_missing)):
         lines.append(f"n = {figure.n - figure.n_missing:,}" + (f" of {figure.n:,}" if figure.n_missing else ""))
     return "".join(f"<small>{line}</small>" for line in lines)

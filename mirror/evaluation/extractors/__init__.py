@@ -17,7 +17,7 @@ EXTRACTORS: Final = {
 """By name, with their arguments."""
 
 
-def extractor_of(text: str) -> Extractor:
+def make_extractor(text: str) -> Extractor:
     """The extractor of a name and its argument, as ``--extractor`` has them.
 
     Raises:
@@ -28,9 +28,9 @@ def extractor_of(text: str) -> Extractor:
         listed = "; ".join(EXTRACTORS.values())
         raise UsageError(f"no extractor {text!r}", place="--extractor", expected=listed)
     if name == "file":
-        from mirror.evaluation.extractors.from_file import FromFile
+        from mirror.evaluation.extractors.from_file import MaskFiles
 
-        return FromFile(argument)
+        return MaskFiles(argument)
     if name == "onnx-sam":
         from mirror.evaluation.extractors.onnx_sam import OnnxSam
 

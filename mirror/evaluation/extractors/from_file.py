@@ -11,7 +11,7 @@ from mirror.arrays import Bool, UInt8
 from mirror.errors import DatasetError, UsageError
 
 
-class FromFile:
+class MaskFiles:
     """Reads masks: grey PNGs by the names of renders, 128 and more where the object is.
 
     Args:

@@ -7,9 +7,9 @@ from importlib import import_module
 from typing import Final
 
 from mirror.evaluation.scorers.scorer import Scorer
-from mirror.protocols.document import ReconstructionTask
+from mirror.protocols.document import ScoringTask
 
-TASKS: Final[Mapping[ReconstructionTask, str]] = {
+TASKS: Final[Mapping[ScoringTask, str]] = {
     "reconstruction": "reconstruction",
     "lane-shift": "reconstruction",
     "vehicle-translation": "distributions",
@@ -20,7 +20,7 @@ TASKS: Final[Mapping[ReconstructionTask, str]] = {
 }
 
 
-def scorer_of(task: ReconstructionTask) -> Scorer:
+def load_scorer(task: ScoringTask) -> Scorer:
     """The scorer of a task."""
     scorer: Scorer = import_module(f"mirror.evaluation.scorers.{TASKS[task]}").SCORER
     return scorer

@@ -8,10 +8,10 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from mirror.evaluation.result import Figure, finite
-from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import Job, Scored, Values
-from mirror.evaluation.submission.check import MOST_TABLE_BYTES
+from mirror.evaluation.result import Figure, finite_or_none
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
+from mirror.evaluation.submission.check import MAX_TABLE_BYTES
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.template import detections_path
 from mirror.evaluation.submission.untrusted import UntrustedError, parse_untrusted
@@ -84,18 +84,18 @@ class Annotation:
         """Nothing else is needed."""
         return {}
 
-    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+    def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
         """One a traversal: its table is held against the format."""
         return [
-            Job(path, tuple(views), (path,), truth=False, tabled=False)
+            Job(path, tuple(views), (path,), truth=False, in_table=False)
             for path, views in ((detections_path(key), views) for key, views in _frames(plan).items())
         ]
 
-    def score(self, job: Job, inputs: Inputs) -> Values:
+    def score(self, job: Job, inputs: ScoringInputs) -> Values:
         """Read a table; how many boxes it has."""
         return {"boxes": sum(len(frame.boxes) for frame in _read(job, inputs).values())}
 
-    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
         """Match all frames together."""
         group = plan.protocol.groups[0].name
         metric = next(one for one in plan.protocol.metrics if isinstance(one, Detection))
@@ -135,14 +135,14 @@ def _config(metric: Detection) -> DetectionConfig:
     )
 
 
-def _read(job: Job, inputs: Inputs) -> dict[int, DetectedFrame]:
+def _read(job: Job, inputs: ScoringInputs) -> dict[int, DetectedFrame]:
     """A submission's boxes by frame.
 
     Raises:
         UntrustedError: not of the format, a frame twice or not asked for, a class that the protocol does not have.
     """
     path = job.reads[0]
-    raw = parse_untrusted(inputs.files.read(path, MOST_TABLE_BYTES), path, MOST_TABLE_BYTES)
+    raw = parse_untrusted(inputs.files.read(path, MAX_TABLE_BYTES), path, MAX_TABLE_BYTES)
     try:
         frames = Detections.model_validate(raw).frames
     except (ValidationError, RecursionError) as error:
@@ -182,8 +182,8 @@ def _boxes(
     return DetectionBoxes.from_poses(samples, names, poses, lwh_m, velocity_mps=velocity, score=score)
 
 
-def _truth(sample: str, view: RenderView, inputs: Inputs, config: DetectionConfig) -> DetectionBoxes:
-    frame, _ = inputs.truth.recorded(view)
+def _truth(sample: str, view: RenderView, inputs: ScoringInputs, config: DetectionConfig) -> DetectionBoxes:
+    frame, _ = inputs.truth.recorded_frame_and_image(view)
     boxes = frame.boxes("ego")
     rows = np.flatnonzero(np.isin(np.array(boxes.category, dtype=object), list(config.class_range)))
     if not len(rows):
@@ -208,7 +208,7 @@ def _figures(group: str, found: NuScenesDetection, count: int) -> Iterable[Figur
         return Figure(
             metric=metric,
             group=group,
-            value=finite(value),
+            value=finite_or_none(value),
             reason=reason,
             unit=unit,
             better="lower" if lower else "higher",

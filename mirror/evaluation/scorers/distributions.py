@@ -9,10 +9,10 @@ import numpy as np
 
 from mirror.arrays import AnyArray, Float32, Int64, UInt8
 from mirror.errors import DatasetError
-from mirror.evaluation.figures import LEAST_BLOCKS, TOO_FEW_BLOCKS, blocks_of
-from mirror.evaluation.result import Figure, finite
-from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, assign_blocks
+from mirror.evaluation.result import Figure, finite_or_none
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.cache import FeatureCache, feature_key
 from mirror.metrics.features.frechet import frechet_distance
@@ -51,13 +51,13 @@ class Distributions:
         """Clips that are too short for the protocol."""
         found = {}
         for metric in plan.protocol.metrics:
-            if isinstance(metric, Fvd) and not any(clips_of(plan.views, metric.frames)):
+            if isinstance(metric, Fvd) and not any(split_into_clips(plan.views, metric.frames)):
                 found[metric_name(metric)] = (
                     f"no camera has {metric.frames} consecutive frames in split {plan.split}: record longer, or denser"
                 )
         return found
 
-    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+    def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
         """One a render, one a recorded picture whatever the groups that share it, and one a clip of either."""
         found: list[Job] = []
         seen: set[str] = set()
@@ -67,29 +67,29 @@ class Distributions:
         )
         for view in plan.views if pictures else ():
             found.append(Job(view.path, (view,), (view.path,), truth=False))
-            if truth_name(view) not in seen:
-                seen.add(truth_name(view))
-                found.append(Job(truth_name(view), (view,), (), tabled=False))
+            if truth_job_name(view) not in seen:
+                seen.add(truth_job_name(view))
+                found.append(Job(truth_job_name(view), (view,), (), in_table=False))
         for metric in plan.protocol.metrics:
             if isinstance(metric, Fvd) and metric_name(metric) not in inputs.unavailable:
-                for clip in clips_of(plan.views, metric.frames):
+                for clip in split_into_clips(plan.views, metric.frames):
                     found.append(_clip_job(clip, "render"))
                     if _clip_job(clip, "truth").name not in seen:
                         found.append(_clip_job(clip, "truth"))
                         seen.add(found[-1].name)
         return found
 
-    def score(self, job: Job, inputs: Inputs) -> Values:
+    def score(self, job: Job, inputs: ScoringInputs) -> Values:
         """The keys under which features are cached; they are computed if they are not there."""
         clip = job.name.startswith(_CLIP)
-        pictures = [inputs.render(view) if job.reads else inputs.truth.picture(view) for view in job.views]
+        pictures = [inputs.render(view) if job.reads else inputs.truth.image(view) for view in job.views]
         pixels = np.stack(pictures) if clip else pictures[0]
         values: dict[str, float | int | str | None] = {}
         for kind, network in networks(inputs, clips=clip).items():
             values[f"feature.{kind}"] = _known_feature(pixels, network, inputs)
         return values
 
-    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
         """One distance a group, each against the recorded pictures of its own views."""
         by_name = {one.job.name: one for one in scored}
         found = []
@@ -101,7 +101,7 @@ class Distributions:
         return found
 
 
-def clips_of(views: Iterable[RenderView], frames: int) -> list[tuple[RenderView, ...]]:
+def split_into_clips(views: Iterable[RenderView], frames: int) -> list[tuple[RenderView, ...]]:
     """Clips of so many consecutive frames of one camera, side by side; a rest that is shorter is left out."""
     runs: dict[tuple[str, str, str], list[RenderView]] = {}
     for view in views:
@@ -119,12 +119,12 @@ def clips_of(views: Iterable[RenderView], frames: int) -> list[tuple[RenderView,
     return found
 
 
-def truth_name(view: RenderView) -> str:
+def truth_job_name(view: RenderView) -> str:
     """Name of the job on a view's recorded picture, the same for all groups."""
     return f"{_TRUTH}{view.traversal_id}/{view.camera}/{view.timestamp_ns}"
 
 
-def networks(inputs: Inputs, *, clips: bool) -> Mapping[str, Extractor]:
+def networks(inputs: ScoringInputs, *, clips: bool) -> Mapping[str, Extractor]:
     """The networks of the metrics that can be had, by what their features are called, loaded once a process."""
     found: dict[str, Extractor] = {}
     for metric in inputs.protocol.metrics:
@@ -132,7 +132,7 @@ def networks(inputs: Inputs, *, clips: bool) -> Mapping[str, Extractor]:
             continue
         kind = _kind(metric)
         if kind not in inputs.made:
-            inputs.made[kind] = load_extractor(metric, inputs)
+            inputs.made[kind] = load_network(metric, inputs)
         found[kind] = inputs.made[kind]  # type: ignore[assignment]
     return found
 
@@ -145,7 +145,7 @@ def _kind(metric: Metric) -> str:
     raise TypeError(f"{metric.metric} is no metric of sets")
 
 
-def load_extractor(metric: Metric, inputs: Inputs) -> Extractor:
+def load_network(metric: Metric, inputs: ScoringInputs) -> Extractor:
     """Load the network whose features a metric compares."""
     if isinstance(metric, Fid | Kid):
         from mirror.metrics.features.fid import load_inception
@@ -158,14 +158,14 @@ def load_extractor(metric: Metric, inputs: Inputs) -> Extractor:
     raise TypeError(f"{metric.metric} is no metric of sets")
 
 
-def _known_feature(pixels: UInt8, network: Extractor, inputs: Inputs) -> str:
+def _known_feature(pixels: UInt8, network: Extractor, inputs: ScoringInputs) -> str:
     from mirror.metrics.features.extractor import extract
 
     extract(network, [pixels], _cache(inputs))
     return feature_key(pixels, network.identity)
 
 
-def _cache(inputs: Inputs) -> FeatureCache:
+def _cache(inputs: ScoringInputs) -> FeatureCache:
     if "cache" not in inputs.made:
         inputs.made["cache"] = FeatureCache(inputs.features)
     found: FeatureCache = inputs.made["cache"]  # type: ignore[assignment]
@@ -174,8 +174,8 @@ def _cache(inputs: Inputs) -> FeatureCache:
 
 def _clip_job(clip: tuple[RenderView, ...], side: Side) -> Job:
     first, reads = clip[0], tuple(view.path for view in clip) if side == "render" else ()
-    of = first.path if side == "render" else truth_name(first)
-    return Job(f"{_CLIP}{of}", clip, reads, truth=side == "truth", tabled=False)
+    of = first.path if side == "render" else truth_job_name(first)
+    return Job(f"{_CLIP}{of}", clip, reads, truth=side == "truth", in_table=False)
 
 
 def _figure(
@@ -183,10 +183,10 @@ def _figure(
     metric: Metric,
     group: str,
     views: Sequence[RenderView],
-    scored: Mapping[str, Scored],
-    inputs: Inputs,
+    scored: Mapping[str, ScoredJob],
+    inputs: ScoringInputs,
 ) -> Figure:
-    clips = clips_of(views, metric.frames) if isinstance(metric, Fvd) else [(view,) for view in views]
+    clips = split_into_clips(views, metric.frames) if isinstance(metric, Fvd) else [(view,) for view in views]
     jobs = [_names(clip, isinstance(metric, Fvd)) for clip in clips]
     column = f"feature.{_kind(metric)}"
     sides = [
@@ -198,12 +198,12 @@ def _figure(
     if len(jobs) < least:
         reason = f"{len(jobs)} samples; at least {least} are needed"
         return Figure(metric=name, group=group, value=None, reason=reason, better="lower", n=len(jobs))
-    blocks = blocks_of(protocol, [clip[0] for clip in clips])
+    blocks = assign_blocks(protocol, [clip[0] for clip in clips])
     low, high, why = _interval(distance, sides[0], sides[1], blocks, protocol, least)
     return Figure(
         metric=name,
         group=group,
-        value=finite(distance(*sides)),
+        value=finite_or_none(distance(*sides)),
         better="lower",
         n=len(jobs),
         low=low,
@@ -216,10 +216,10 @@ def _figure(
 def _names(clip: tuple[RenderView, ...], is_clip: bool) -> tuple[str, str]:
     if is_clip:
         return _clip_job(clip, "render").name, _clip_job(clip, "truth").name
-    return clip[0].path, truth_name(clip[0])
+    return clip[0].path, truth_job_name(clip[0])
 
 
-def _feature(one: Scored, column: str, inputs: Inputs) -> Float32:
+def _feature(one: ScoredJob, column: str, inputs: ScoringInputs) -> Float32:
     found = _cache(inputs).get(str(one.values[column]))
     if found is None:
         raise DatasetError(
@@ -253,7 +253,7 @@ def _interval(
     the figure by subtracting the median.
     """
     members = [np.flatnonzero(blocks == block) for block in np.unique(blocks)]
-    if len(members) < LEAST_BLOCKS:
+    if len(members) < MIN_BLOCKS:
         return None, None, TOO_FEW_BLOCKS
     rng = np.random.default_rng(protocol.intervals.seed)
     figures = []
@@ -264,7 +264,7 @@ def _interval(
     tail = 0.5 * (1.0 - protocol.intervals.level)
     low, middle, high = np.quantile(figures, [tail, 0.5, 1.0 - tail])
     value = distance(render, truth)
-    return finite(value + low - middle), finite(value + high - middle), None
+    return finite_or_none(value + low - middle), finite_or_none(value + high - middle), None
 
 
 def _warning(metric: Metric, count: int) -> str | None:

@@ -9,19 +9,19 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Bool, Float64
-from mirror.evaluation.extractors import Extractor, extractor_of
-from mirror.evaluation.figures import Measure, figures_of
+from mirror.evaluation.extractors import Extractor, make_extractor
+from mirror.evaluation.figures import Measure, compute_figures
 from mirror.evaluation.result import Figure
-from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.reconstruction import score_of
-from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.reconstruction import find_score
+from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.iou_2d import HullVariant, hull_iou
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import EditIou, Protocol, metric_name
 from mirror.protocols.views.plan import Plan, render_path
-from mirror.protocols.views.view import Edit, RenderView, pose_of
+from mirror.protocols.views.view import Edit, RenderView, to_pose
 
 ALL: Final = "all"
 _VARIANTS: Final[Mapping[str, HullVariant]] = {
@@ -48,9 +48,9 @@ class EditingAccuracy:
         """Nothing else is needed."""
         return {}
 
-    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+    def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
         """One an edited view; its background is read too."""
-        extractor_of(inputs.extractor)
+        make_extractor(inputs.extractor)
         background = _background(plan.protocol)
         views = {view.path: view for view in plan.views}
         found = []
@@ -60,11 +60,11 @@ class EditingAccuracy:
                 found.append(Job(view.path, (view, views[path]), (view.path, path), truth=False))
         return found
 
-    def score(self, job: Job, inputs: Inputs) -> Values:
+    def score(self, job: Job, inputs: ScoringInputs) -> Values:
         """All variants of one view."""
         view, background = job.views
         edit = view.edits[0]
-        counted = inputs.scored(view) & ~_nearer(view, edit, inputs)
+        counted = inputs.scored_mask(view) & ~_nearer(view, edit, inputs)
         region = _extractor(inputs).extract(inputs.render(view), inputs.render(background), counted, view.path)
         hull = target_hull(view, edit)
         shown = int((polygon_mask(hull, view.width_px, view.height_px) & counted).sum())
@@ -85,7 +85,7 @@ class EditingAccuracy:
                     values[f"{name}.reason"] = reason
         return values
 
-    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
         """Means of each shift, and of all together."""
         found: list[Figure] = []
         names = [group.name for group in plan.protocol.groups if group.name != _background(plan.protocol)]
@@ -94,8 +94,8 @@ class EditingAccuracy:
             views = [one.job.views[0] for one in own]
             for metric in plan.protocol.metrics:
                 name = metric_name(metric)
-                scores = [score_of(one.values, name) for one in own]
-                found += figures_of(plan.protocol, Measure(name, "", "higher"), group, views, scores)
+                scores = [find_score(one.values, name) for one in own]
+                found += compute_figures(plan.protocol, Measure(name, "", "higher"), group, views, scores)
         return found
 
 
@@ -103,9 +103,9 @@ def _background(protocol: Protocol) -> str:
     return next(group.name for group in protocol.groups if group.without_vehicles)
 
 
-def _extractor(inputs: Inputs) -> Extractor:
+def _extractor(inputs: ScoringInputs) -> Extractor:
     if "extractor" not in inputs.made:
-        inputs.made["extractor"] = extractor_of(inputs.extractor)
+        inputs.made["extractor"] = make_extractor(inputs.extractor)
     found: Extractor = inputs.made["extractor"]  # type: ignore[assignment]
     return found
 
@@ -114,19 +114,19 @@ def target_hull(view: RenderView, edit: Edit) -> Float64:
     """The convex outline (K, 2) of the target box."""
     if edit.world_SE3_target is None:
         return np.empty((0, 2))
-    return project_boxes(view.lens, view.pose.inverse() @ pose_of(edit.world_SE3_target), [edit.size_m]).hull(0)
+    return project_boxes(view.lens, view.pose.inverse() @ to_pose(edit.world_SE3_target), [edit.size_m]).hull(0)
 
 
-def _nearer(view: RenderView, edit: Edit, inputs: Inputs) -> Bool:
+def _nearer(view: RenderView, edit: Edit, inputs: ScoringInputs) -> Bool:
     """Pixels (H, W) within hulls of other boxes that are nearer to the camera than the target: they may hide it."""
     lens = view.lens
     hidden = np.zeros((lens.height_px, lens.width_px), np.bool_)
-    frame, _ = inputs.truth.recorded(view)
+    frame, _ = inputs.truth.recorded_frame_and_image(view)
     boxes = frame.boxes("world")
     if edit.world_SE3_target is None or not len(boxes):
         return hidden
     camera_SE3_world = view.pose.inverse()
-    reach = np.linalg.norm((camera_SE3_world @ pose_of(edit.world_SE3_target)).translation[0])
+    reach = np.linalg.norm((camera_SE3_world @ to_pose(edit.world_SE3_target)).translation[0])
     poses = camera_SE3_world @ boxes.pose
     projected = project_boxes(lens, poses, boxes.size_m)
     nearer = np.linalg.norm(poses.translation, axis=1) < reach

@@ -12,11 +12,11 @@ import numpy as np
 
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.submission.check import MOST_TABLE_BYTES
+from mirror.evaluation.submission.check import MAX_TABLE_BYTES
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import UntrustedFiles, open_untrusted
 from mirror.protocols.document import Protocol
-from mirror.protocols.png import decode_render, most_bytes
+from mirror.protocols.png import decode_render, max_png_bytes
 from mirror.protocols.rectangle import Rectangle
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.view import RenderView
@@ -24,7 +24,7 @@ from mirror.weights.resolve import WeightResolver
 
 
 @dataclass(frozen=True)
-class Inputs:
+class ScoringInputs:
     """Everything that scoring reads.
 
     Attributes:
@@ -77,19 +77,19 @@ class Inputs:
             UntrustedError: it cannot be read.
             RenderError: it is broken or of another size.
         """
-        data = self.files.read(view.path, most_bytes(view.width_px, view.height_px))
+        data = self.files.read(view.path, max_png_bytes(view.width_px, view.height_px))
         return decode_render(data, view.width_px, view.height_px, view.path)
 
-    def scored(self, view: RenderView) -> Bool:
+    def scored_mask(self, view: RenderView) -> Bool:
         """The pixels (H, W) that are scored: the protocol's, but those that the method was fitted to."""
-        scored = self.truth.scored(view)
+        scored = self.truth.scored_mask(view)
         for part in self.manifest.appearance.held_out_pixels:
             scored[_slices(part, *scored.shape)] = False
         return scored
 
     def fingerprint(self, path: str) -> str:
         """SHA-256 of a file of the submission."""
-        return hashlib.sha256(self.files.read(path, MOST_TABLE_BYTES)).hexdigest()
+        return hashlib.sha256(self.files.read(path, MAX_TABLE_BYTES)).hexdigest()
 
 
 def _slices(part: Rectangle, height: int, width: int) -> tuple[slice, slice]:

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from mirror.arrays import Bool, UInt8
-from mirror.evaluation.figures import Measure, figures_of
-from mirror.evaluation.result import Figure, finite
-from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import STAND_IN, Job, Scored, Values
+from mirror.evaluation.figures import Measure, compute_figures
+from mirror.evaluation.result import Figure, finite_or_none
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.lpips import TRUNK_WEIGHTS
 from mirror.metrics.images.colour_correction import psnr_cc
@@ -53,20 +53,20 @@ class Reconstruction:
         """Nothing else is needed."""
         return {}
 
-    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+    def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
         """One a view."""
         return [Job(view.path, (view,), (view.path,)) for view in plan.views]
 
-    def score(self, job: Job, inputs: Inputs) -> Values:
+    def score(self, job: Job, inputs: ScoringInputs) -> Values:
         """All metrics of one view."""
         view = job.views[0]
-        render, truth, scored = inputs.render(view), inputs.truth.picture(view), inputs.scored(view)
+        render, truth, scored = inputs.render(view), inputs.truth.image(view), inputs.scored_mask(view)
         values: dict[str, float | int | str | None] = {
             "scored_px": int(scored.sum()),
             "pixels": scored.size,
         }
         for metric in inputs.protocol.metrics:
-            name = measured_as(metric, inputs)
+            name = computed_metric_name(metric, inputs)
             if name is None:
                 continue
             score, more = _score(metric, render, truth, scored, inputs)
@@ -76,26 +76,26 @@ class Reconstruction:
             values.update(more)
         return values
 
-    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
         """Means in the protocol's order; PSNR also of all pixels together."""
         found: list[Figure] = []
         for group in plan.protocol.groups:
             own = [one for one in scored if one.job.views[0].group == group.name]
             views = [one.job.views[0] for one in own]
             for metric in plan.protocol.metrics:
-                name = measured_as(metric, inputs)
+                name = computed_metric_name(metric, inputs)
                 if name is None:
                     continue
-                scores = [score_of(one.values, name) for one in own]
+                scores = [find_score(one.values, name) for one in own]
                 measure = _MEASURES.get(name, Measure(name, "", "lower"))
-                figures = figures_of(plan.protocol, measure, group.name, views, scores)
+                figures = compute_figures(plan.protocol, measure, group.name, views, scores)
                 found += [_noted(figure, name, own) if figure.level == "group" else figure for figure in figures]
                 if name == "psnr" and own:
                     found.append(_pooled(group.name, own))
         return found
 
 
-def measured_as(metric: Metric, inputs: Inputs) -> str | None:
+def computed_metric_name(metric: Metric, inputs: ScoringInputs) -> str | None:
     """What a metric's figure is called: where LPIPS cannot be had ST-LPIPS stands in, under its own name; or None."""
     name = metric_name(metric)
     if name not in inputs.unavailable:
@@ -104,17 +104,17 @@ def measured_as(metric: Metric, inputs: Inputs) -> str | None:
 
 
 def _stand_in(metric: Lpips) -> str:
-    return f"{STAND_IN}{metric_name(metric)}"
+    return f"{STAND_IN_PREFIX}{metric_name(metric)}"
 
 
-def score_of(values: Values, name: str) -> Score:
+def find_score(values: Values, name: str) -> Score:
     """A job's value of one metric."""
     value, reason = values.get(name), values.get(f"{name}.reason")
     return Score(math.nan if value is None else float(value), None if reason is None else str(reason))
 
 
 def _score(
-    metric: Metric, render: UInt8, truth: UInt8, scored: Bool, inputs: Inputs
+    metric: Metric, render: UInt8, truth: UInt8, scored: Bool, inputs: ScoringInputs
 ) -> tuple[Score, dict[str, float | int | str | None]]:
     if not scored.any():
         return EMPTY_MASK, {}
@@ -132,11 +132,11 @@ def _score(
     raise TypeError(f"{metric.metric} is no metric of single pictures")
 
 
-def _network(metric: Lpips, inputs: Inputs) -> PerceptualDistance:
+def _network(metric: Lpips, inputs: ScoringInputs) -> PerceptualDistance:
     from mirror.metrics.features.lpips import load_lpips
     from mirror.metrics.features.st_lpips import load_st_lpips
 
-    name = measured_as(metric, inputs)
+    name = computed_metric_name(metric, inputs)
     if name is None:
         raise TypeError(f"{metric_name(metric)} cannot be had")
     if name not in inputs.made:
@@ -148,7 +148,7 @@ def _network(metric: Lpips, inputs: Inputs) -> PerceptualDistance:
     return network
 
 
-def _noted(figure: Figure, name: str, scored: Sequence[Scored]) -> Figure:
+def _noted(figure: Figure, name: str, scored: Sequence[ScoredJob]) -> Figure:
     deficient = sum(f"{name}.rank" in one.values for one in scored)
     if not deficient:
         return figure
@@ -156,9 +156,9 @@ def _noted(figure: Figure, name: str, scored: Sequence[Scored]) -> Figure:
     return figure.model_copy(update={"note": note})
 
 
-def _pooled(group: str, scored: Sequence[Scored]) -> Figure:
+def _pooled(group: str, scored: Sequence[ScoredJob]) -> Figure:
     """PSNR of the mean square over all scored pixels of all pictures, as torchmetrics accumulates it."""
-    pairs = [(int(one.values["scored_px"] or 0), score_of(one.values, "psnr")) for one in scored]
+    pairs = [(int(one.values["scored_px"] or 0), find_score(one.values, "psnr")) for one in scored]
     known = [(pixels, score) for pixels, score in pairs if not math.isnan(score)]
     total = sum(pixels for pixels, _ in known)
     squares = math.fsum(pixels * 10.0 ** (-score / 10.0) for pixels, score in known)
@@ -167,7 +167,7 @@ def _pooled(group: str, scored: Sequence[Scored]) -> Figure:
     return Figure(
         metric="psnr_pooled",
         group=group,
-        value=None if value is None else finite(value),
+        value=None if value is None else finite_or_none(value),
         reason=reason,
         unit="dB",
         better="higher",

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from mirror.evaluation.result import Figure
-from mirror.evaluation.scorers.inputs import Inputs
-from mirror.evaluation.scorers.scorer import Job, Scored, Values
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
 from mirror.evaluation.scorers.speed import frames_per_second
 from mirror.evaluation.submission.manifest import Runtime as Reported
 from mirror.evaluation.submission.manifest import SubmissionManifest
@@ -43,15 +43,15 @@ class Runtime:
         """What the manifest does not state."""
         return {name: _HOW for name in plan.protocol.metric_names if reported(manifest.runtime, name) is None}
 
-    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+    def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
         """None: nothing is read."""
         return []
 
-    def score(self, job: Job, inputs: Inputs) -> Values:
+    def score(self, job: Job, inputs: ScoringInputs) -> Values:
         """Nothing."""
         return {}
 
-    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
         """What the manifest states, and what is measured."""
         runtime = inputs.manifest.runtime
         found = []

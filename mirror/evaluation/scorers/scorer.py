@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Final, Protocol, TypeAlias
 
 from mirror.evaluation.result import Figure
-from mirror.evaluation.scorers.inputs import Inputs
+from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 
-STAND_IN: Final = "st_"
+STAND_IN_PREFIX: Final = "st_"
 
 Values: TypeAlias = Mapping[str, float | int | str | None]
 """What a job found: a metric's name to its value; ``<name>.reason`` says why it is NaN."""
@@ -34,11 +34,11 @@ class Job:
     views: tuple[RenderView, ...]
     reads: tuple[str, ...]
     truth: bool = True
-    tabled: bool = True
+    in_table: bool = True
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredJob:
     """A job and what it found."""
 
     job: Job
@@ -57,17 +57,18 @@ class Scorer(Protocol):
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Names of the weights that each metric needs; a metric that needs none may be left out.
 
-        A name that begins with `STAND_IN` is of another metric, which stands in where the one behind it cannot be had.
+        A name that begins with `STAND_IN_PREFIX` names a stand-in: another metric that is computed where the metric
+        named after the prefix has no weights.
         """
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
         """Metrics that cannot be had for another reason than weights, and how to get them."""
 
-    def jobs(self, plan: Plan, inputs: Inputs) -> Sequence[Job]:
+    def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
         """The work to do, in an order in which neighbours share what they read."""
 
-    def score(self, job: Job, inputs: Inputs) -> Values:
+    def score(self, job: Job, inputs: ScoringInputs) -> Values:
         """Do one job; called in a worker process."""
 
-    def figures(self, plan: Plan, scored: Sequence[Scored], inputs: Inputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
         """What it comes to."""

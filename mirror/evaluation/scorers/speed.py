@@ -11,7 +11,7 @@ from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView
 
 _WARM_UP: Final = 3
-LEAST_S: Final = 5.0
+MIN_DURATION_S: Final = 5.0
 _MOST_VIEWS: Final = 500
 
 
@@ -36,7 +36,7 @@ def frames_per_second(render: Callable[[RenderView], UInt8], views: Sequence[Ren
                 f"a render of shape {picture.shape}", expected=f"{(view.height_px, view.width_px, 3)}", place=view.path
             )
     begin, count, taken = time.perf_counter(), 0, 0.0
-    while taken < LEAST_S and count < _MOST_VIEWS:
+    while taken < MIN_DURATION_S and count < _MOST_VIEWS:
         render(views[count % len(views)])
         count += 1
         taken = time.perf_counter() - begin

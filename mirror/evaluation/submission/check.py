@@ -13,10 +13,10 @@ from mirror.evaluation.submission.manifest import MANIFEST, SubmissionManifest, 
 from mirror.evaluation.submission.template import MASKS, README, VIEWS, expected_files
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles
 from mirror.pools import thread_pool
-from mirror.protocols.png import RenderError, decode_render, most_bytes, problem_of_png, raster_of_png
+from mirror.protocols.png import RenderError, decode_render, find_png_problem, max_png_bytes, png_size
 from mirror.protocols.views.plan import Plan
 
-MOST_TABLE_BYTES: Final = 64 << 20
+MAX_TABLE_BYTES: Final = 64 << 20
 _THREADS: Final = 2
 _OWN: Final = {MANIFEST, VIEWS, README}
 
@@ -126,7 +126,7 @@ def _not_checked(sizes: Sequence[tuple[int, int] | None], *, decode: bool) -> It
         yield f"the boxes in {tables} tables: `mirror evaluate` reads them"
 
 
-def check_unasked(files: UntrustedFiles, error: UntrustedError) -> CheckReport:
+def report_unreadable_manifest(files: UntrustedFiles, error: UntrustedError) -> CheckReport:
     """What can be said of a submission that does not say what it answers: nothing is known to be expected.
 
     Args:
@@ -157,7 +157,7 @@ def _answers(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
 
 def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None, *, decode: bool) -> Problem | str:
     """What is wrong with a file, or its SHA-256."""
-    most = MOST_TABLE_BYTES if size is None else most_bytes(*size)
+    most = MAX_TABLE_BYTES if size is None else max_png_bytes(*size)
     if files.sizes[path] > most:
         return Problem("corrupt", path, f"has {files.sizes[path]:,} bytes; at most {most:,} can be needed")
     try:
@@ -165,10 +165,10 @@ def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None, *, dec
     except UntrustedError as error:
         return Problem("corrupt", path, _without_file(error))
     if size is not None:
-        there = raster_of_png(data)
+        there = png_size(data)
         if there is not None and there != size:
             return Problem("wrong size", path, f"is {there[0]} x {there[1]} px, not {size[0]} x {size[1]} px")
-        problem = problem_of_png(data)
+        problem = find_png_problem(data)
         if problem is not None:
             return Problem("corrupt", path, problem)
         if decode:

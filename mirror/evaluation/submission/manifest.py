@@ -11,7 +11,7 @@ from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, is_identifier
 
 MANIFEST: Final = "manifest.json"
-MOST_MANIFEST_BYTES: Final = 1 << 20
+MAX_MANIFEST_BYTES: Final = 1 << 20
 FORMAT_VERSION: Final = "1.0"
 
 _NAME_THEM: Final = "to have the rest checked all the same, name --protocol and --split"
@@ -117,7 +117,7 @@ class SubmissionManifest(Document):
     notes: Text = ""
 
 
-def asked_of(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str]:
+def read_protocol_and_split(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str]:
     """Names of the protocol and split of a submission: as given, or as its manifest says, be the rest of it wrong.
 
     Raises:
@@ -168,4 +168,4 @@ def _raw(files: UntrustedFiles) -> Any:
         raise UntrustedError(
             "missing", file=place, expected="a manifest", remedy="`mirror submission new` writes a template"
         )
-    return parse_untrusted(files.read(MANIFEST, MOST_MANIFEST_BYTES), place, MOST_MANIFEST_BYTES)
+    return parse_untrusted(files.read(MANIFEST, MAX_MANIFEST_BYTES), place, MAX_MANIFEST_BYTES)

@@ -44,7 +44,7 @@ def detections_path(traversal_id: str) -> str:
     return f"detections/{traversal_id}.json"
 
 
-def manifest_for(
+def make_manifest(
     plan: Plan, method: Method, appearance: Appearance, runtime: Runtime | None = None, seed: int | None = None
 ) -> SubmissionManifest:
     """The manifest of a submission that answers a plan."""
@@ -108,13 +108,13 @@ def _row(out: Path, view: RenderView, truth: GroundTruth, *, blind: bool, render
     row: dict[str, Any] = view.model_dump(mode="json")
     if not rendered:
         del row["path"]
-    scored = truth.scored(view)
+    scored = truth.scored_mask(view)
     row["mask"] = None
     if rendered and not scored.all():
         row["mask"] = f"{MASKS}{view.path.removeprefix('renders/')}"
         write_bytes(out / row["mask"], encode_png(np.where(scored, 255, 0).astype(np.uint8)))
     if not blind:
-        _, image = truth.recorded(view)
+        _, image = truth.recorded_frame_and_image(view)
         row["recorded"] = {
             "uri": image.uri,
             "byte_offset": image.byte_offset,

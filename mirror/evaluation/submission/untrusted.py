@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 from mirror.errors import MirrorError, UsageError
 from mirror.schema.strict_json import JsonError, decode_json
 
-MOST_ENTRIES: Final = 2_000_000
+MAX_ENTRIES: Final = 2_000_000
 _MOST_DEPTH: Final = 16
 _MOST_RATIO: Final = 200
 _RATIO_FROM_BYTES: Final = 1 << 20
@@ -33,7 +33,7 @@ class UntrustedFiles(Protocol):
     sizes: dict[str, int]
     refused: dict[str, str]
 
-    def read(self, path: str, most_bytes: int) -> bytes:
+    def read(self, path: str, max_bytes: int) -> bytes:
         """The bytes of a listed file.
 
         Raises:
@@ -78,14 +78,14 @@ class Folder:
         self.sizes: dict[str, int] = {}
         self.refused: dict[str, str] = {}
         for count, (path, found) in enumerate(_walk(root, "", 0)):
-            if count >= MOST_ENTRIES:
-                raise UntrustedError(f"more than {MOST_ENTRIES:,} files", file=root, expected="a submission")
+            if count >= MAX_ENTRIES:
+                raise UntrustedError(f"more than {MAX_ENTRIES:,} files", file=root, expected="a submission")
             if isinstance(found, str):
                 self.refused[path] = found
             else:
                 self.sizes[path] = found
 
-    def read(self, path: str, most_bytes: int) -> bytes:
+    def read(self, path: str, max_bytes: int) -> bytes:
         """See `UntrustedFiles`."""
         place = self._root / path
         try:
@@ -96,8 +96,8 @@ class Folder:
         with os.fdopen(number, "rb") as file:
             if not stat.S_ISREG(os.fstat(number).st_mode):
                 raise UntrustedError("no regular file", file=place)
-            data = file.read(most_bytes + 1)
-        return _within(data, most_bytes, str(place))
+            data = file.read(max_bytes + 1)
+        return _within(data, max_bytes, str(place))
 
 
 class Zip:
@@ -118,8 +118,8 @@ class Zip:
         except (zipfile.BadZipFile, OSError, ValueError) as error:
             raise UntrustedError(f"not a whole zip ({error})", file=path) from error
         entries = self._archive.infolist()
-        if len(entries) > MOST_ENTRIES:
-            raise UntrustedError(f"more than {MOST_ENTRIES:,} files", file=path, expected="a submission")
+        if len(entries) > MAX_ENTRIES:
+            raise UntrustedError(f"more than {MAX_ENTRIES:,} files", file=path, expected="a submission")
         for entry in entries:
             if entry.is_dir():
                 continue
@@ -129,28 +129,28 @@ class Zip:
             else:
                 self.refused[entry.filename] = why
 
-    def read(self, path: str, most_bytes: int) -> bytes:
+    def read(self, path: str, max_bytes: int) -> bytes:
         """See `UntrustedFiles`."""
         place = f"{self.where}: {path}"
         try:
             with self._archive.open(path) as file:
-                data = file.read(most_bytes + 1)
+                data = file.read(max_bytes + 1)
         except (zipfile.BadZipFile, OSError, ValueError, EOFError, NotImplementedError, RuntimeError) as error:
             raise UntrustedError(f"cannot be read ({error})", file=place) from error
-        return _within(data, most_bytes, place)
+        return _within(data, max_bytes, place)
 
     def __reduce__(self) -> tuple[type[Zip], tuple[Path]]:
         return (Zip, (Path(self.where),))
 
 
-def parse_untrusted(data: bytes, file: str, most_bytes: int) -> Any:
+def parse_untrusted(data: bytes, file: str, max_bytes: int) -> Any:
     """A JSON value of bytes that nobody vouches for.
 
     Raises:
         UntrustedError: it is too large, no JSON, nested too deep, or has a key twice in an object or a
             number that JSON does not have.
     """
-    _within(data, most_bytes, file)
+    _within(data, max_bytes, file)
     try:
         return decode_json(data, constants=False)
     except JsonError as error:
@@ -188,7 +188,7 @@ def _refused_entry(entry: zipfile.ZipInfo) -> str | None:
     return None
 
 
-def _within(data: bytes, most_bytes: int, file: str) -> bytes:
-    if len(data) > most_bytes:
-        raise UntrustedError("too large", file=file, expected=f"at most {most_bytes:,} bytes")
+def _within(data: bytes, max_bytes: int, file: str) -> bytes:
+    if len(data) > max_bytes:
+        raise UntrustedError("too large", file=file, expected=f"at most {max_bytes:,} bytes")
     return data

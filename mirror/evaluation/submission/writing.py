@@ -13,7 +13,7 @@ from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, UsageError
 from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime
-from mirror.evaluation.submission.template import expected_files, manifest_for, write_manifest
+from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.png import encode_png
 from mirror.protocols.views.plan import Plan
@@ -90,7 +90,7 @@ def write_submission(
     runtime = costs or Runtime(device=f"{platform.machine()} CPU")
     if timed:
         runtime = runtime.model_copy(update={"frames_per_second": timed / max(taken, 1e-9)})
-    write_manifest(out, manifest_for(plan, method, appearance, runtime))
+    write_manifest(out, make_manifest(plan, method, appearance, runtime))
     finish_render_folder(out)
     return len(expected)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from mirror.errors import DatasetError, UsageError
-from mirror.protocols.png import problem_of_png, raster_of_png
+from mirror.protocols.png import find_png_problem, png_size
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import Document
@@ -41,7 +41,7 @@ class HiddenDocument(Document):
     seed: int
 
 
-def hidden_document(plan: Plan, preset: str, seed: int) -> HiddenDocument:
+def make_hidden_document(plan: Plan, preset: str, seed: int) -> HiddenDocument:
     """What stands beside the truth of a plan's views."""
     return HiddenDocument(
         protocol=plan.protocol.name,
@@ -54,7 +54,7 @@ def hidden_document(plan: Plan, preset: str, seed: int) -> HiddenDocument:
     )
 
 
-def require_hidden(hidden: Path, plan: Plan) -> None:
+def require_hidden_truth(hidden: Path, plan: Plan) -> None:
     """Hold an organiser's folder against a plan: every picture is there, whole and of the view's size.
 
     A folder without ``hidden.json`` may be of an organiser's own making; its pictures are held against the plan alone.
@@ -96,8 +96,8 @@ def _problem(hidden: Path, view: RenderView) -> str | None:
         return "is missing"
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    there = raster_of_png(data)
+    there = png_size(data)
     if there is not None and there != (view.width_px, view.height_px):
         return f"is {there[0]} x {there[1]} px, not {view.width_px} x {view.height_px} px"
-    problem = problem_of_png(data)
+    problem = find_png_problem(data)
     return None if problem is None else f"is broken ({problem})"

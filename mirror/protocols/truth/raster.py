@@ -31,11 +31,11 @@ class Raster:
         self._size = (self.final.width_px, self.final.height_px)
         self._smaller = self._size != (self._raster.full.width_px, self._raster.full.height_px)
 
-    def picture(self, recorded: UInt8) -> UInt8:
+    def to_final(self, recorded: UInt8) -> UInt8:
         """A recorded picture (H, W, 3) in the final raster; black where the lens sees nothing."""
         return self._raster.image(recorded)
 
-    def excluded(self, recorded: Bool) -> Bool:
+    def exclude(self, recorded: Bool) -> Bool:
         """A mask (H, W) of recorded pixels that are not scored, in the final raster.
 
         An undistorted pixel is excluded if any of the recorded ones that it is interpolated from is.
@@ -46,7 +46,7 @@ class Raster:
         return self._scaled(mask > 0.0)
 
     @cached_property
-    def unseen(self) -> Bool:
+    def outside_lens(self) -> Bool:
         """(H, W) True where the lens sees nothing, or a pixel would be interpolated across the recorded border."""
         return self._scaled(self._raster.outside)
 
@@ -61,6 +61,6 @@ class Raster:
 
 
 @lru_cache(_HELD)
-def raster_of(camera: Camera, pixels: Pixels) -> Raster:
+def cached_raster(camera: Camera, pixels: Pixels) -> Raster:
     """The raster of a lens; a few are held, with their maps."""
     return Raster(camera, pixels)

@@ -11,12 +11,14 @@ from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import Masks, Protocol
-from mirror.protocols.truth.raster import Raster, raster_of
-from mirror.protocols.views.plan import require_group
+from mirror.protocols.truth.raster import Raster, cached_raster
+from mirror.protocols.views.plan import find_group
 from mirror.protocols.views.view import RenderView
 
 
-def scored_pixels(protocol: Protocol, view: RenderView, frame: Frame, image: Image, layers: tuple[str, ...]) -> Bool:
+def compute_scored_mask(
+    protocol: Protocol, view: RenderView, frame: Frame, image: Image, layers: tuple[str, ...]
+) -> Bool:
     """The pixels that a protocol scores of a view.
 
     Args:
@@ -32,16 +34,16 @@ def scored_pixels(protocol: Protocol, view: RenderView, frame: Frame, image: Ima
     Raises:
         DatasetError: a mask is missing or broken, or there is nothing to mask road users by.
     """
-    raster = raster_of(image.camera_model, protocol.pixels)
-    excluded = raster.unseen.copy()
+    raster = cached_raster(image.camera_model, protocol.pixels)
+    excluded = raster.outside_lens.copy()
     masks = protocol.masks
     kinds = [kind for kind, wanted in (("ego", masks.ego), ("sky", masks.sky)) if wanted]
     if masks.ego:
         own = image.static_mask()
         if own is not None:
-            excluded |= raster.excluded(own > 0)
-    moved = require_group(protocol, view.group).ego_shift_m != 0.0
-    source = dynamic_source(masks, layers, moved=moved, traversal_id=view.traversal_id)
+            excluded |= raster.exclude(own > 0)
+    moved = find_group(protocol, view.group).ego_shift_m != 0.0
+    source = choose_dynamic_source(masks, layers, moved=moved, traversal_id=view.traversal_id)
     if source == "masks":
         kinds.append("dynamic")
     excluded |= _of_layers(raster, image, kinds)
@@ -50,7 +52,7 @@ def scored_pixels(protocol: Protocol, view: RenderView, frame: Frame, image: Ima
     return ~excluded
 
 
-def dynamic_source(masks: Masks, layers: tuple[str, ...], *, moved: bool, traversal_id: str) -> str | None:
+def choose_dynamic_source(masks: Masks, layers: tuple[str, ...], *, moved: bool, traversal_id: str) -> str | None:
     """What a traversal's road users are masked by: ``masks``, ``boxes`` or nothing.
 
     Raises:
@@ -73,7 +75,7 @@ def _of_layers(raster: Raster, image: Image, kinds: list[str]) -> Bool:
     excluded = np.zeros((raster.final.height_px, raster.final.width_px), np.bool_)
     for mask in image.masks() if kinds else ():
         if mask.kind in kinds:
-            excluded |= raster.excluded(mask.decode() > 0)
+            excluded |= raster.exclude(mask.decode() > 0)
     return excluded
 
 

@@ -15,8 +15,8 @@ from mirror.dataset.image import Image
 from mirror.errors import DatasetError
 from mirror.protocols.document import Protocol
 from mirror.protocols.png import RenderError, decode_render
-from mirror.protocols.truth.raster import raster_of
-from mirror.protocols.truth.scored import scored_pixels
+from mirror.protocols.truth.raster import cached_raster
+from mirror.protocols.truth.scored import compute_scored_mask
 from mirror.protocols.views.view import RenderView
 
 _HELD: Final = 16
@@ -41,7 +41,7 @@ class GroundTruth:
         self._traversals: OrderedDict[str, tuple[FrameSequence, dict[int, int]]] = OrderedDict()
         self._frame: tuple[str, Frame] | None = None
 
-    def picture(self, view: RenderView) -> UInt8:
+    def image(self, view: RenderView) -> UInt8:
         """The true picture (H, W, 3), RGB, in the view's raster.
 
         Raises:
@@ -55,24 +55,24 @@ class GroundTruth:
                 raise DatasetError(
                     f"the true picture is broken ({error.problem})", file=self._hidden / view.path, place="--hidden"
                 ) from error
-        _, image = self.recorded(view)
-        return raster_of(image.camera_model, self._protocol.pixels).picture(image.decode())
+        _, image = self.recorded_frame_and_image(view)
+        return cached_raster(image.camera_model, self._protocol.pixels).to_final(image.decode())
 
-    def scored(self, view: RenderView) -> Bool:
-        """The pixels (H, W) that are scored; see `scored_pixels`."""
-        frame, image = self.recorded(view)
-        return scored_pixels(self._protocol, view, frame, image, self._layers.get(view.traversal_id, ()))
+    def scored_mask(self, view: RenderView) -> Bool:
+        """The pixels (H, W) that are scored; see `compute_scored_mask`."""
+        frame, image = self.recorded_frame_and_image(view)
+        return compute_scored_mask(self._protocol, view, frame, image, self._layers.get(view.traversal_id, ()))
 
-    def identity(self, view: RenderView) -> str:
+    def image_hash(self, view: RenderView) -> str:
         """A hash that changes when the true picture does, had without decoding it."""
         if self._hidden is not None:
             return hashlib.sha256(_read_hidden(self._hidden, view)).hexdigest()
-        _, image = self.recorded(view)
+        _, image = self.recorded_frame_and_image(view)
         if image.sha256 is not None:
             return image.sha256.hex()
         return hashlib.sha256(f"{image.uri} {image.video_pts} {image.byte_length}".encode()).hexdigest()
 
-    def recorded(self, view: RenderView) -> tuple[Frame, Image]:
+    def recorded_frame_and_image(self, view: RenderView) -> tuple[Frame, Image]:
         """The frame and the recorded picture that a view was made of.
 
         Raises:

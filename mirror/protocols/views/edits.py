@@ -11,10 +11,10 @@ from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.protocols.document import Group, Protocol, Vehicles
-from mirror.protocols.views.view import Edit, pose_numbers
+from mirror.protocols.views.view import Edit, to_pose_numbers
 
 
-class Editor:
+class EditPlanner:
     """Finds the edits of views; what groups share is found once.
 
     A view is asked for if it shows enough of a chosen vehicle after any of the protocol's shifts, so that all groups
@@ -51,25 +51,25 @@ class Editor:
         key = (frame.traversal_id, frame.frame_index, name)
         if key not in self._asked:
             self._asked[key] = len(rows) > 0 and any(
-                _shows_one(camera, world_SE3_camera, moved_aside(recorded, shift), sizes, vehicles)
+                _shows_one(camera, world_SE3_camera, shift_to_left(recorded, shift), sizes, vehicles)
                 for shift in self._shifts
             )
         if not self._asked[key]:
             return None
-        targets = None if group.vehicle_shift_m is None else moved_aside(recorded, group.vehicle_shift_m)
+        targets = None if group.vehicle_shift_m is None else shift_to_left(recorded, group.vehicle_shift_m)
         return tuple(
             Edit(
                 track_id=boxes.track_id[row],
                 category=boxes.category[row],
                 size_m=tuple(sizes[place].tolist()),
-                world_SE3_box=pose_numbers(recorded[place : place + 1]),
-                world_SE3_target=None if targets is None else pose_numbers(targets[place : place + 1]),
+                world_SE3_box=to_pose_numbers(recorded[place : place + 1]),
+                world_SE3_target=None if targets is None else to_pose_numbers(targets[place : place + 1]),
             )
             for place, row in enumerate(rows.tolist())
         )
 
 
-def moved_aside(world_SE3_box: Poses, shift_m: float) -> Poses:
+def shift_to_left(world_SE3_box: Poses, shift_m: float) -> Poses:
     """Boxes moved along their own y axis, which is to their left."""
     count = len(world_SE3_box)
     still = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))

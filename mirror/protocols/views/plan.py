@@ -17,9 +17,9 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.protocols.document import Frames, Group, Protocol
-from mirror.protocols.views.edits import Editor
+from mirror.protocols.views.edits import EditPlanner
 from mirror.protocols.views.final_camera import final_camera
-from mirror.protocols.views.view import RenderView, pose_numbers
+from mirror.protocols.views.view import RenderView, to_pose_numbers
 from mirror.schema.documents import SplitDocument
 
 _MASKS = "masks"
@@ -82,7 +82,7 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
         )
     views: list[RenderView] = []
     empty = []
-    editor = Editor(protocol)
+    editor = EditPlanner(protocol)
     for group in protocol.groups:
         own = list(_of_group(dataset, protocol, split, document, group, editor))
         views += own
@@ -114,7 +114,7 @@ def render_path(group: str, traversal_id: str, camera: str, timestamp_ns: int) -
     return f"renders/{group}/{traversal_id}/{camera}/{timestamp_ns}.png"
 
 
-def chosen_frames(count: int, frames: Frames) -> list[int]:
+def select_frames(count: int, frames: Frames) -> list[int]:
     """Positions of the frames that are rendered, of so many."""
     positions = range(frames.first, count, frames.every)
     return sorted({*positions, *([count - 1] if frames.last and count else [])})
@@ -125,7 +125,7 @@ def _has(dataset: Dataset, split: str) -> bool:
 
 
 def _of_group(
-    dataset: Dataset, protocol: Protocol, split: str, document: SplitDocument, group: Group, editor: Editor
+    dataset: Dataset, protocol: Protocol, split: str, document: SplitDocument, group: Group, editor: EditPlanner
 ) -> Iterator[RenderView]:
     if not set(group.roles) & set(document.assignments.values()):
         return
@@ -136,7 +136,7 @@ def _of_group(
     finals: dict[Camera, Camera] = {}
     for row in table:
         frames = view.where(traversal=row["traversal_id"]).frames()
-        for position in chosen_frames(len(frames), protocol.frames):
+        for position in select_frames(len(frames), protocol.frames):
             frame = frames[position]
             for image in frame.images.values():
                 camera = image.camera_model
@@ -148,7 +148,7 @@ def _of_group(
 
 
 def _view(
-    group: Group, frame: Frame, image: Image, camera: Camera, row: dict[str, str], editor: Editor
+    group: Group, frame: Frame, image: Image, camera: Camera, row: dict[str, str], editor: EditPlanner
 ) -> RenderView | None:
     pose = image.world_SE3_camera
     if group.ego_shift_m:
@@ -176,7 +176,7 @@ def _view(
         cx_px=camera.cx_px,
         cy_px=camera.cy_px,
         distortion=camera.distortion,
-        world_SE3_camera=pose_numbers(pose),
+        world_SE3_camera=to_pose_numbers(pose),
         edits=edits,
     )
 
@@ -227,7 +227,7 @@ def _require_maskable(dataset: Dataset, protocol: Protocol, layers: dict[str, tu
         )
 
 
-def require_group(protocol: Protocol, name: str) -> Group:
+def find_group(protocol: Protocol, name: str) -> Group:
     """A protocol's group by name.
 
     Raises:

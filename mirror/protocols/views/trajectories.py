@@ -17,7 +17,7 @@ from mirror.geometry.poses import COLUMNS, Poses
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.plan import render_path
-from mirror.protocols.views.view import RenderView, pose_numbers
+from mirror.protocols.views.view import RenderView, to_pose_numbers
 
 GROUP: Final = "trajectory"
 _SECOND_NS: Final = 1_000_000_000
@@ -45,7 +45,7 @@ class Trajectory:
         aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[forward_m, left_m, up_m]]))
         return replace(self, world_SE3_ego=self.world_SE3_ego @ aside)
 
-    def at_rate(self, hz: float) -> Trajectory:
+    def resample(self, hz: float) -> Trajectory:
         """So many poses a second, from the first on.
 
         Raises:
@@ -60,7 +60,7 @@ class Trajectory:
         return Trajectory(stamps, interpolate(self.timestamps_ns, self.world_SE3_ego, stamps))
 
 
-def recorded(dataset: Dataset, traversal_id: str) -> Trajectory:
+def recorded_trajectory(dataset: Dataset, traversal_id: str) -> Trajectory:
     """What a traversal drove from its first frame to its last, as dense as its poses are.
 
     Raises:
@@ -76,7 +76,7 @@ def recorded(dataset: Dataset, traversal_id: str) -> Trajectory:
     return Trajectory(every, interpolate(stamps, poses, every))
 
 
-def given(path: Path, hz: float = 10.0) -> Trajectory:
+def read_trajectory(path: Path, hz: float = 10.0) -> Trajectory:
     """Poses of a vehicle in the world of the scene, from a file.
 
     Args:
@@ -129,7 +129,7 @@ def _apart_ns(hz: float) -> float:
     return _SECOND_NS / hz
 
 
-def named(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> Trajectory:
+def parse_trajectory(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> Trajectory:
     """The trajectory that a command line names.
 
     Args:
@@ -152,19 +152,19 @@ def named(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> T
             raise UsageError(
                 f"{text!r} says no distance", place="--trajectory", expected=f"{kind}:METRES, such as {kind}:2.0"
             )
-        base = recorded(dataset, traversal_id)
+        base = recorded_trajectory(dataset, traversal_id)
         return base.shifted(left_m=metres) if kind == "lane-shift" else base.shifted(forward_m=metres)
     if text in dataset.traversals():
-        return recorded(dataset, text)
+        return recorded_trajectory(dataset, text)
     if Path(text).suffix in (".csv", ".parquet"):
-        return given(Path(text), hz)
+        return read_trajectory(Path(text), hz)
     raise UsageError(
         f"no trajectory {text!r}", place="--trajectory",
         expected="lane-shift:METRES, forward:METRES, a traversal of the dataset, or a file, .csv or .parquet",
     )  # fmt: skip
 
 
-def views_along(
+def plan_views_along(
     dataset: Dataset, traversal_id: str, trajectory: Trajectory, pixels: Pixels, cameras: Sequence[str] | None = None
 ) -> tuple[RenderView, ...]:
     """What the cameras of a traversal's rig see along a trajectory.
@@ -213,7 +213,7 @@ def views_along(
             cx_px=lens.cx_px,
             cy_px=lens.cy_px,
             distortion=lens.distortion,
-            world_SE3_camera=pose_numbers(trajectory.world_SE3_ego[place] @ ego_SE3_camera),
+            world_SE3_camera=to_pose_numbers(trajectory.world_SE3_ego[place] @ ego_SE3_camera),
         )
         for place, stamp in enumerate(trajectory.timestamps_ns)
         for camera, lens, ego_SE3_camera in rig

@@ -95,14 +95,14 @@ class RenderView(Document):
     @property
     def pose(self) -> Poses:
         """``world_SE3_camera``, one pose."""
-        return pose_of(self.world_SE3_camera)
+        return to_pose(self.world_SE3_camera)
 
 
-def pose_of(numbers: tuple[float, ...]) -> Poses:
+def to_pose(numbers: tuple[float, ...]) -> Poses:
     """One pose of its seven numbers."""
     return Poses(np.array([numbers[:4]]), np.array([numbers[4:]]))
 
 
-def pose_numbers(pose: Poses) -> tuple[float, ...]:
+def to_pose_numbers(pose: Poses) -> tuple[float, ...]:
     """The seven numbers of one pose."""
     return (*pose.rotation[0].tolist(), *pose.translation[0].tolist())

@@ -20,10 +20,10 @@ from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
-from mirror.methods.training_images import Picture
+from mirror.methods.training_images import ImageKey
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import Pixels
-from mirror.protocols.truth.raster import raster_of
+from mirror.protocols.truth.raster import cached_raster
 
 _MAX_CACHED: Final = 256
 
@@ -52,7 +52,7 @@ class PosedImage:
 
 
 def list_posed_images(
-    dataset: Dataset, pixels: Pixels, withheld: Set[Picture] = frozenset(), stationary_m: float = STATIONARY_M
+    dataset: Dataset, pixels: Pixels, withheld: Set[ImageKey] = frozenset(), stationary_m: float = STATIONARY_M
 ) -> list[PosedImage]:
     """List the images of a dataset view in order of traversal, camera and time, without those of a standing vehicle.
 
@@ -77,7 +77,7 @@ def list_posed_images(
             light[frame.traversal_id],
             frame,
             image,
-            raster_of(image.camera_model, pixels).final,
+            cached_raster(image.camera_model, pixels).final,
             image.world_SE3_camera,
         )
         for frame in dataset.frames()
@@ -119,7 +119,7 @@ class StereoImageCache:
         return self._cache[index]
 
     def _decode(self, posed: PosedImage) -> StereoImage:
-        rgb = raster_of(posed.image.camera_model, self._pixels).picture(posed.image.decode())
+        rgb = cached_raster(posed.image.camera_model, self._pixels).to_final(posed.image.decode())
         return StereoImage(
             rgb, posed.lens.intrinsic_matrix(), posed.world_SE3_camera, find_static_pixels(posed, self._pixels)
         )
@@ -131,14 +131,14 @@ def find_static_pixels(posed: PosedImage, pixels: Pixels) -> Bool:
     Road users come from masks of kind ``dynamic`` if the image has such masks, else from the boxes of its frame. An
     image with neither counts as static.
     """
-    raster = raster_of(posed.image.camera_model, pixels)
-    excluded = raster.unseen.copy()
+    raster = cached_raster(posed.image.camera_model, pixels)
+    excluded = raster.outside_lens.copy()
     vehicle = posed.image.static_mask()
     if vehicle is not None:
-        excluded |= raster.excluded(vehicle > 0)
+        excluded |= raster.exclude(vehicle > 0)
     masks = [mask for mask in posed.image.masks() if mask.kind in ("ego", "dynamic")]
     for mask in masks:
-        excluded |= raster.excluded(mask.decode() > 0)
+        excluded |= raster.exclude(mask.decode() > 0)
     if not any(mask.kind == "dynamic" for mask in masks):
         excluded |= _rasterize_boxes(posed)
     return ~excluded

@@ -25,7 +25,7 @@ from mirror.arrays import AnyArray, Bool, Float32, Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.pictures.depth import decode_depth, encode_depth
 from mirror.errors import DatasetError
-from mirror.methods.training_images import Picture
+from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter
 from mirror.schema.files import read_table, write_bytes
 from mirror.schema.tables import DEPTH, MASKS, POINTS
@@ -70,7 +70,7 @@ class SceneInitialisation:
         view: Dataset,
         layers: InitialisationLayers,
         options: InitialisationOptions,
-        withheld: Set[Picture],
+        withheld: Set[ImageKey],
         progress: ProgressReporter,
     ) -> None:
         self._layers, self._options, self._progress = layers, options, progress

@@ -48,5 +48,5 @@ def _row(
     recorded, found = request.street.recorded, []
     for view in request.views(group):
         render = request.street.relit(view, source(view), as_recorded=poses == "recorded")
-        found.append(score_image(view, render, recorded.picture(view), recorded.scored(view)))
+        found.append(score_image(view, render, recorded.image(view), recorded.scored_mask(view)))
     return {"group": group, "light": light, "poses": poses, "pictures": len(found), **average_scores(found, group)}

@@ -29,7 +29,7 @@ def measure_geometry(trained: TrainedModel) -> dict[str, Any]:
     for group in [one.name for one in trained.plan.protocol.groups]:
         relative, true, heights = [], [], []
         for view in trained.views(group):
-            truth, scored = street.true_view(view), street.recorded.scored(view)
+            truth, scored = street.true_view(view), street.recorded.scored_mask(view)
             shown = renderer.render(view).depth_m.numpy().astype(np.float64)
             chosen = truth.static & scored
             true.append(truth.depth_m[chosen].astype(np.float64))

@@ -38,12 +38,12 @@ def _edit_row(trained: TrainedModel, before: str, after: str) -> dict[str, Any]:
     for view in views_in(trained, before):
         target = target_traversal(trained, after, view)
         targets.add(target)
-        shown, kept, mask = relit.render(view), plain.render(view), street.recorded.scored(view)
+        shown, kept, mask = relit.render(view), plain.render(view), street.recorded.scored_mask(view)
         true = street.relit(view, target)
         edited.append(score_image(view, pixels(shown.rgb), true, mask))
         unedited.append(score_image(view, pixels(kept.rgb), true, mask))
         moved_m.append(float((shown.depth_m - kept.depth_m).abs().max()))
-    own = [score_image(view, plain(view), street.recorded.picture(view), street.recorded.scored(view))
+    own = [score_image(view, plain(view), street.recorded.image(view), street.recorded.scored_mask(view))
            for view in trained.views(TRAINING) if view.traversal_id in targets]  # fmt: skip
     return {
         "edit": f"{before} to {after}",

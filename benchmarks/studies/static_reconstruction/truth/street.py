@@ -14,7 +14,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
 from mirror.metrics.images.psnr import psnr
-from mirror.protocols.truth.raster import raster_of
+from mirror.protocols.truth.raster import cached_raster
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
@@ -134,7 +134,7 @@ class StreetTruth:
         """Check that the first view of each traversal, rendered again, equals the recorded image."""
         if view.traversal_id in self._checked:
             return
-        alike = float(psnr(self._render_relit(view, view.traversal_id), self.recorded.picture(view)))
+        alike = float(psnr(self._render_relit(view, view.traversal_id), self.recorded.image(view)))
         if alike < _LEAST_DB:
             raise DatasetError(
                 f"preset {self._preset}, seed {self._seed}, is not the recorded street ({alike:.1f} dB)",
@@ -156,9 +156,9 @@ class StreetTruth:
             response=other.drive.camera_responses[view.camera],
             seed=moment.true_ns % (1 << 31),
         )
-        _, image = self.recorded.recorded(view)
-        raster = raster_of(image.camera_model, self._pixels)
-        return raster.picture(np.ascontiguousarray(picture.bgr[..., ::-1]))
+        _, image = self.recorded.recorded_frame_and_image(view)
+        raster = cached_raster(image.camera_model, self._pixels)
+        return raster.to_final(np.ascontiguousarray(picture.bgr[..., ::-1]))
 
     def _moment(self, view: RenderView) -> _Moment:
         drive = self._drive(view.traversal_id)

@@ -25,7 +25,7 @@ def write_sweep(trained: TrainedModel, path: Path) -> None:
     views = [view for view in views_in(trained, before) if view.camera == _CAMERA] or views_in(trained, before)
     view = views[len(views) // 2]
     target, street = target_traversal(trained, after, view), trained.street
-    tiles = [("recorded", street.recorded.picture(view))]
+    tiles = [("recorded", street.recorded.image(view))]
     tiles += [(f"{share:.0%} {after}", picture) for share, picture in zip(_SHARES, _renders(trained, view, target))]
     tiles.append((f"true {after}", street.relit(view, target)))
     write_bytes(path, encode_png(sheet([tiles])))

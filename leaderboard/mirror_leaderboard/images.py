@@ -14,7 +14,7 @@ from mirror.arrays import UInt8
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.untrusted import open_untrusted
-from mirror.protocols.png import decode_render, most_bytes
+from mirror.protocols.png import decode_render, max_png_bytes
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan, RenderView, plan_views
 from mirror.schema.files import write_bytes
@@ -27,7 +27,7 @@ _JPEG_QUALITY: Final = 80
 
 
 @dataclass(frozen=True)
-class Shown:
+class ImageSources:
     """Where pictures come from.
 
     Attributes:
@@ -67,14 +67,14 @@ def copy_pairs(result: Result, submission: Path, truth: Path, pictures: Path) ->
     source = GroundTruth(mirror.open(truth), result.protocol, plan.layers)
     folder, pairs = plan.hash[:16], []
     for number, view in enumerate(_chosen(plan)):
-        data = files.read(view.path, most_bytes(view.width_px, view.height_px))
+        data = files.read(view.path, max_png_bytes(view.width_px, view.height_px))
         render = decode_render(data, view.width_px, view.height_px, view.path)
         pair = Pair(
             view=f"{view.scene_id}, {view.camera}, {view.light}, {view.weather}, frame {view.frame_index}",
             render=f"{folder}/{number}-{result.hash[:12]}.jpg",
             truth=f"{folder}/{number}-recorded.jpg",
         )
-        for name, pixels in ((pair.render, render), (pair.truth, source.picture(view))):
+        for name, pixels in ((pair.render, render), (pair.truth, source.image(view))):
             write_bytes(pictures / name, _jpeg(pixels))
         pairs.append(pair)
     return tuple(pairs)

@@ -13,7 +13,7 @@ from mirror.methods.plugin import InstalledMethod
 from mirror.protocols.views.view import RenderView
 
 
-def by_camera(policies: str, cameras: Sequence[str]) -> dict[str, str]:
+def parse_camera_policies(policies: str, cameras: Sequence[str]) -> dict[str, str]:
     """The policy of looks of each camera.
 
     Args:
@@ -34,7 +34,7 @@ def by_camera(policies: str, cameras: Sequence[str]) -> dict[str, str]:
     return {**dict.fromkeys(cameras, AppearancePolicy().policy), **dict(named)}
 
 
-def opened_by_camera(
+def open_by_camera(
     method: InstalledMethod, model: Path, appearance: AppearancePolicy, policies: Mapping[str, str]
 ) -> Callable[[RenderView], UInt8]:
     """A renderer of views whose cameras have policies of their own."""

@@ -158,7 +158,7 @@ def decode_row(folder: Path) -> Row:
     }
     builder = Builder(folder, cameras=SEVEN, size=CAMERA_SIZE)
     builder.scene("s")
-    builder.drive("d", [Pass("s", frames=40, pictures=pictures)])
+    builder.drive("d", [Pass("s", frames=40, images=pictures)])
     build_index(folder)
     frames = mirror.open(folder).frames()
     rng = np.random.default_rng(0)

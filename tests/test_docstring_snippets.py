@@ -58,7 +58,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         start = EPOCH + number * 60 * SECOND
         jpeg = cv2.imencode(".jpg", np.full((64, 96, 3), 90 + number, np.uint8))[1].tobytes()
         images = dict.fromkeys(LENSES, jpeg)
-        (traversal,) = builder.drive(f"d{number}", [Pass("a", start, frames=4, light=light, pictures=images)])
+        (traversal,) = builder.drive(f"d{number}", [Pass("a", start, frames=4, light=light, images=images)])
         rows = [box(start, "near", tx_m=9.0, ty_m=2.0), box(start, "far", category="van", tx_m=25.0)]
         builder.layer(traversal, "boxes", "petr@1", BOXES, rows)
     build_index(builder.root)

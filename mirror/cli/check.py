@@ -51,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.integrity import Cost, check
     from mirror.progress import progress_bar
 
-    cost = Cost.TABLES if arguments.quick else Cost.PICTURES if arguments.full else Cost.FILES
+    cost = Cost.TABLES if arguments.quick else Cost.IMAGES if arguments.full else Cost.FILES
     with progress_bar(quiet=arguments.json) as bar:
         report = check(
             arguments.dataset,

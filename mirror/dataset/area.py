@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.dataset.splits.leaks import overlapping_scenes
-from mirror.dataset.splits.units import components, joined
+from mirror.dataset.splits.units import connected_components, members_by_component
 from mirror.geometry.geodesy import geodesic_circle
 from mirror.schema.documents import Roi
 
@@ -31,7 +31,7 @@ def covered_area_m2(scenes: Sequence[Roi]) -> float:
     by_id = {roi.scene_id: roi for roi in scenes}
     pairs = [(one.scene_id, other.scene_id) for one, other, _ in overlapping_scenes(scenes)]
     total = 0.0
-    for members in components(joined(by_id, pairs)).values():
+    for members in members_by_component(connected_components(by_id, pairs)).values():
         own = [by_id[name] for name in members]
         total += math.pi * own[0].radius_m ** 2 if len(own) == 1 else _union_m2(own)
     return total

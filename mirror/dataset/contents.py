@@ -11,10 +11,10 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Int64
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.query.arrow import mask, member, numbers
+from mirror.dataset.query.arrow import is_member, to_arrow_mask, to_numpy
 from mirror.dataset.query.filters import Filters
-from mirror.dataset.query.select import select
-from mirror.dataset.raster import Resize, checked_resize, resized_shape
+from mirror.dataset.query.select import select_parts
+from mirror.dataset.raster import Resize, resized_shape, validate_resize
 from mirror.dataset.traversal import layer_names
 from mirror.errors import UsageError
 from mirror.schema.documents import Rig
@@ -25,12 +25,12 @@ MASK_KINDS: Final = ("dynamic", "ego", "sky", "instance")
 
 
 @dataclass(frozen=True)
-class Contents:
+class SampleContents:
     """What one sample holds.
 
     Attributes:
         cameras: in the order of the samples' camera axis.
-        one_camera: the samples have no camera axis.
+        is_single_camera: the samples have no camera axis.
         layout: where images have their channels.
         undistort: images are those of a pinhole.
         resize: of `mirror.dataset.raster.resized_shape`.
@@ -41,7 +41,7 @@ class Contents:
     """
 
     cameras: tuple[str, ...]
-    one_camera: bool
+    is_single_camera: bool
     layout: ImageLayout
     undistort: bool
     resize: Resize | None
@@ -51,7 +51,7 @@ class Contents:
     verify: bool
 
 
-def contents_of(
+def resolve_contents(
     dataset: Dataset,
     cameras: str | Sequence[str] | None,
     *,
@@ -62,7 +62,7 @@ def contents_of(
     categories: Sequence[str] | None,
     masks: Sequence[str] | None,
     verify: bool,
-) -> Contents:
+) -> SampleContents:
     """The contents of samples, with what was left to the view filled in; arguments as of `FrameDataset`.
 
     Raises:
@@ -74,12 +74,12 @@ def contents_of(
         raise UsageError(f"categories={categories!r} with boxes={boxes}", expected="a list of names, and boxes=True")
     named = _cameras(dataset, cameras)
     known, count = _boxes(dataset) if boxes else ((), None)
-    return Contents(
+    return SampleContents(
         cameras=named,
-        one_camera=isinstance(cameras, str),
+        is_single_camera=isinstance(cameras, str),
         layout=layout,
         undistort=bool(undistort),
-        resize=checked_resize(resize),
+        resize=validate_resize(resize),
         boxes=count,
         categories=known if categories is None else tuple(categories),
         masks=_masks(dataset, masks),
@@ -87,7 +87,7 @@ def contents_of(
     )
 
 
-def raster_shapes(dataset: Dataset, contents: Contents) -> dict[str, tuple[int, int]]:
+def raster_shapes(dataset: Dataset, contents: SampleContents) -> dict[str, tuple[int, int]]:
     """Height and width that hold every image of a traversal as samples have it, by traversal."""
     view = _whole_traversals(dataset).where(camera=contents.cameras)
     table = view.table("images", ["traversal_id", "height_px", "width_px"])
@@ -118,15 +118,15 @@ def _boxes(dataset: Dataset) -> tuple[tuple[str, ...], int]:
     catalog, chosen = dataset.catalog, dataset.layers.boxes
     categories: set[str] = set()
     most = 0
-    for part in select(catalog, Filters(), "boxes"):
+    for part in select_parts(catalog, Filters(), "boxes"):
         names = ["timestamp_ns", "category", "source", "source_version"]
         stamps, category, source, version = catalog.columns.read(part.path, part.number, names)
         if chosen is None:
             own = np.ones(len(stamps), np.bool_)
         else:
-            own = member(layer_names(source, version), frozenset([chosen]))
-        categories.update(pc.unique(category.filter(mask(own))).to_pylist())
-        most = max(most, int(_run_lengths(numbers(stamps)[own]).max(initial=0)))
+            own = is_member(layer_names(source, version), frozenset([chosen]))
+        categories.update(pc.unique(category.filter(to_arrow_mask(own))).to_pylist())
+        most = max(most, int(_run_lengths(to_numpy(stamps)[own]).max(initial=0)))
     return tuple(sorted(categories)), most
 
 

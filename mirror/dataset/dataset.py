@@ -17,10 +17,10 @@ from mirror.dataset.generation import Generation
 from mirror.dataset.index.inputs import read_inputs
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.layout import MANIFEST, Layout
-from mirror.dataset.lock import is_written
+from mirror.dataset.lock import is_being_written
 from mirror.dataset.query.catalog import TABLES, Catalog
 from mirror.dataset.query.filters import Circle, Filters, LocalCircle
-from mirror.dataset.query.select import count, query
+from mirror.dataset.query.select import count_rows, read_rows
 from mirror.dataset.store import Store, store_at
 from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.schema.documents import CANONICAL_CAMERAS, DatasetDocument, Manifest, Role, SplitDocument, is_identifier
@@ -184,10 +184,10 @@ class Dataset:
             within=() if within is None else (self._circle(within),),
         )
         if split is not None:
-            more = more.also(Filters(traversal=self._in_split(split, role)))
+            more = more.combined_with(Filters(traversal=self._in_split(split, role)))
         elif role is not None:
             raise UsageError("role without split", place="role", remedy="give split=NAME too")
-        return replace(self, filters=self.filters.also(more))
+        return replace(self, filters=self.filters.combined_with(more))
 
     def with_layers(
         self,
@@ -253,7 +253,7 @@ class Dataset:
         chosen = list(known if columns is None else columns)
         for column in chosen:
             _check(f"column of {name}", column, known)
-        return query(self._catalog, self.filters, name, chosen)
+        return read_rows(self._catalog, self.filters, name, chosen)
 
     def to_pandas(self, name: str, columns: Iterable[str] | None = None) -> pd.DataFrame:
         """As `table`, as a data frame."""
@@ -270,7 +270,7 @@ class Dataset:
             6
         """
         _check("table", name, TABLES)
-        return count(self._catalog, self.filters, name)
+        return count_rows(self._catalog, self.filters, name)
 
     def points(self) -> Points:
         """The points of the traversals in the view that have the chosen layer.
@@ -281,9 +281,9 @@ class Dataset:
             UsageError: a traversal has several layers of points and none was chosen.
             DatasetError: not one traversal has the chosen layer.
         """
-        from mirror.dataset.points import points_of
+        from mirror.dataset.points import read_points
 
-        return points_of(self._catalog, self.filters, self.layers.points)
+        return read_points(self._catalog, self.filters, self.layers.points)
 
     def frames(self) -> FrameSequence:
         """The frames in the view: synchronised images of all its cameras, in order of traversal and time.
@@ -340,14 +340,14 @@ class Dataset:
         try:
             data = self.store.read(path)
         except FileNotFoundError as error:
-            there = [file.removesuffix(".json") for file in self.store.files("splits")]
+            there = [file.removesuffix(".json") for file in self.store.list_files("splits")]
             raise DatasetError(
                 "no such split",
-                file=self.store.where(path),
+                file=self.store.full_path(path),
                 expected=f"one of {', '.join(there)}" if there else None,
                 remedy=f"make it: mirror split {self.root} {split}",
             ) from error
-        document = parse_json(data, SplitDocument, self.store.where(path))
+        document = parse_json(data, SplitDocument, self.store.full_path(path))
         return {key: role for key, role in document.assignments.items() if role != "unused"}
 
     def _in_split(self, split: str, role: Choice) -> frozenset[str]:
@@ -393,7 +393,7 @@ def _open(root: str | os.PathLike[str], *, check_stale: bool) -> Dataset:
         manifest, digest = _index_manifest(held)
         wrong = _staleness(store, manifest) if check_stale else None
         generation = held.generation
-        if wrong is None or (store.folder is not None and is_written(Layout(store.folder))):
+        if wrong is None or (store.folder is not None and is_being_written(Layout(store.folder))):
             # While a run writes the dataset, readers have the generation before it.
             return Dataset(document, Filters(), LayerChoice(), digest, Catalog(held, manifest.files))
         if generation is None or generation.is_current():
@@ -421,7 +421,7 @@ def _staleness(store: Store, manifest: Manifest) -> MirrorError | None:
         return None
     return DatasetError(
         f"the index is stale: {len(differing)} of its sources changed ({', '.join(differing[:3])} ...)",
-        file=store.where("index"),
+        file=store.full_path("index"),
         expected="an index derived from what is there",
         remedy=f"run `mirror index {store.root}`",
     )
@@ -433,7 +433,7 @@ def _reopen(root: str, index_sha256: str, filters: Filters, layers: LayerChoice)
     if digest != index_sha256:
         raise DatasetError(
             "the index is another than when this view was made",
-            file=store.where("index"),
+            file=store.full_path("index"),
             remedy="open the dataset again and make the view again",
         )
     return Dataset(_document(store), filters, layers, digest, Catalog(store, manifest.files))
@@ -446,11 +446,11 @@ def _document(store: Store) -> DatasetDocument:
         there = store.folder is None or Path(store.folder).exists()
         raise DatasetError(
             "not a dataset: there is no dataset.json" if there else "there is no such folder",
-            file=store.where(""),
+            file=store.full_path(""),
             expected="the folder that `mirror ingest --out` wrote",
             remedy="check the path",
         ) from error
-    return parse_json(data, DatasetDocument, store.where("dataset.json"))
+    return parse_json(data, DatasetDocument, store.full_path("dataset.json"))
 
 
 def _index_manifest(store: Store) -> tuple[Manifest, str]:
@@ -459,12 +459,12 @@ def _index_manifest(store: Store) -> tuple[Manifest, str]:
         data = store.read(path) if store.generation is None else store.generation.manifest
     except FileNotFoundError as error:
         raise _no_index(store) from error
-    return parse_json(data, Manifest, store.where(path)), sha256_bytes(data)
+    return parse_json(data, Manifest, store.full_path(path)), sha256_bytes(data)
 
 
 def _no_index(store: Store) -> DatasetError:
     return DatasetError(
-        "the dataset has no index", file=store.where("index"), remedy=f"run `mirror index {store.root}`"
+        "the dataset has no index", file=store.full_path("index"), remedy=f"run `mirror index {store.root}`"
     )
 
 

@@ -13,10 +13,10 @@ from mirror.arrays import Int64, UInt8
 from mirror.dataset.image import Image
 from mirror.dataset.layers import LayerChoice
 from mirror.dataset.loader import Loader
-from mirror.dataset.query.arrow import numbers
+from mirror.dataset.query.arrow import to_numpy
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.query.filters import Filters
-from mirror.dataset.query.select import Part, select
+from mirror.dataset.query.select import RowGroupPart, select_parts
 from mirror.dataset.traversal import FrameBoxes, Traversal
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
@@ -46,7 +46,7 @@ class Frame:
         rows = {row["camera"]: row for row in self._traversal.pictures(self.frame_index)}
         return {
             camera: Image(**rows[camera], _traversal=self._traversal, _loader=self._loader)
-            for camera in self._loader.rig_order(self._traversal.row, rows)
+            for camera in self._loader.in_rig_order(self._traversal.row, rows)
         }
 
     @property
@@ -174,7 +174,7 @@ class FrameSequence(Sequence[Frame]):
         chosen: positions that a slice has left.
     """
 
-    parts: Sequence[Part]
+    parts: Sequence[RowGroupPart]
     starts: Int64
     chosen: range
     _loader: Loader
@@ -182,7 +182,7 @@ class FrameSequence(Sequence[Frame]):
     @classmethod
     def of(cls, catalog: Catalog, filters: Filters, layers: LayerChoice) -> FrameSequence:
         """All frames that pass the filters."""
-        parts = list(select(catalog, filters, "frames"))
+        parts = list(select_parts(catalog, filters, "frames"))
         starts = np.cumsum([0, *(part.rows for part in parts)], dtype=np.int64)
         loader = Loader(catalog, layers, filters.camera)
         return cls(parts, starts, range(int(starts[-1])), loader)
@@ -212,8 +212,8 @@ class FrameSequence(Sequence[Frame]):
         return Frame(
             scene_id=scene_id,
             traversal_id=traversal.traversal_id,
-            frame_index=int(numbers(columns[0])[row]),
-            timestamp_ns=int(numbers(columns[1])[row]),
+            frame_index=int(to_numpy(columns[0])[row]),
+            timestamp_ns=int(to_numpy(columns[1])[row]),
             _traversal=traversal,
             _loader=self._loader,
         )
@@ -224,9 +224,9 @@ class FrameSequence(Sequence[Frame]):
 
 def _decode_into(images: Sequence[tuple[Image, UInt8]], *, threads: int | None, verify: bool) -> None:
     """Decode images, each into its contiguous planes (3, H, W), on several threads."""
-    from mirror.dataset.pictures.still import run_all, split_planes
+    from mirror.dataset.images.decoding import run_jobs, split_planes
 
     def one(image: Image, planes: UInt8) -> None:
         split_planes(image.decode(verify=verify), planes)
 
-    run_all([partial(one, *image) for image in images], [image.byte_length for image, _ in images], threads)
+    run_jobs([partial(one, *image) for image in images], [image.byte_length for image, _ in images], threads)

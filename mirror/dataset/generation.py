@@ -134,7 +134,7 @@ def supersede(layout: Layout, path: Path) -> None:
         try:
             if not path.exists():
                 return
-            kept = _own_layer(layout) / path.relative_to(layout.root)
+            kept = _current_layer(layout) / path.relative_to(layout.root)
             if kept.exists():
                 _remove(layout, path)
                 return
@@ -144,7 +144,7 @@ def supersede(layout: Layout, path: Path) -> None:
             raise unmovable_error(path, error) from error
 
 
-def settle(layout: Layout) -> None:
+def recover(layout: Layout) -> None:
     """Finish what an interrupted run was replacing: a drive that is not complete again comes back as it was.
 
     What a killed run left under the temporary names of files goes too. The caller holds the dataset's writer lock.
@@ -163,12 +163,12 @@ def settle(layout: Layout) -> None:
             if complete_manifest(layout.drive(drive.name)) is not None:
                 continue
             for traversal in sorted((layer / "traversals").glob(f"*.{drive.name}.*")):
-                _bring_back(layout, traversal, layout.traversal(traversal.name))
+                _restore(layout, traversal, layout.traversal(traversal.name))
             # Last, so that an interruption finds the drive still aside and brings back the rest.
-            _bring_back(layout, drive, layout.drive(drive.name))
+            _restore(layout, drive, layout.drive(drive.name))
         for traversal in sorted((layer / "traversals").glob("*")):
             if not layout.traversal(traversal.name).exists():
-                _bring_back(layout, traversal, layout.traversal(traversal.name))
+                _restore(layout, traversal, layout.traversal(traversal.name))
         if {one.relative_to(layer).as_posix() for one in layer.rglob("*") if not one.is_dir()} <= {_INDEX}:
             _remove(layout, layer)
             with suppress(OSError):
@@ -185,7 +185,7 @@ def release(layout: Layout) -> None:
         # What is in a layer of the current generation was replaced by the same: nobody needs it, and readers that open
         # the dataset now must not find it.
         same = layer.name.endswith(f".{current}")
-        needed = needed or (not same and _is_read(layer))
+        needed = needed or (not same and _has_readers(layer))
         if same or not needed:
             _remove(layout, layer)
     for left in (layout.root / FOLDER).glob(".*"):
@@ -224,7 +224,7 @@ def _layer_of(layout: Layout, generation: str) -> Path | None:
     return last[0] if last and last[0].name.endswith(f".{generation}") else None
 
 
-def _own_layer(layout: Layout) -> Path:
+def _current_layer(layout: Layout) -> Path:
     """The layer of the current generation; made with its manifest, by which readers hold it."""
     generation = _generation(layout)
     layer = _layer_of(layout, generation)
@@ -244,7 +244,7 @@ def _own_layer(layout: Layout) -> Path:
     return layer
 
 
-def _is_read(layer: Path) -> bool:
+def _has_readers(layer: Path) -> bool:
     """Whether a reader holds the generation of a layer."""
     try:
         with (layer / _INDEX).open("rb") as file:
@@ -258,7 +258,7 @@ def _is_read(layer: Path) -> bool:
     return False
 
 
-def _bring_back(layout: Layout, aside: Path, target: Path) -> None:
+def _restore(layout: Layout, aside: Path, target: Path) -> None:
     if target.exists():
         _remove(layout, target)
     aside.rename(target)

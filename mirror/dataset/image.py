@@ -135,7 +135,7 @@ class Image:
             >>> image.decode().shape
             (64, 96, 3)
         """
-        from mirror.dataset.pictures.still import decode_rgb
+        from mirror.dataset.images.decoding import decode_rgb
 
         if self.video_pts is None:
             pixels = decode_rgb(self.read(verify=verify), self.codec)
@@ -216,7 +216,7 @@ class Image:
     def _broken(self, problem: str, expected: str) -> DatasetError:
         return DatasetError(
             problem,
-            file=self._loader.store.where(self.uri),
+            file=self._loader.store.full_path(self.uri),
             place=self._place,
             expected=expected,
             remedy="restore the file, or `mirror ingest RECORDING... --replace` from the recording",

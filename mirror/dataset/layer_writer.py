@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, seal
-from mirror.dataset.owned import OwnedFolder, left_overs
+from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import Manifest
 from mirror.schema.files import encode_table, read_json, unwritable_error, write_bytes
@@ -26,7 +26,7 @@ class LayerWriter:
     """Writes one layer; the caller holds the dataset's writer lock.
 
     It is written in a folder of its own, which becomes the layer when it is complete. What an interrupted run left is
-    removed by the next writer of the same layer, once its owner is known to be dead (see `mirror.dataset.owned`).
+    removed by the next writer of the same layer, once its owner is known to be dead: `mirror.dataset.owned_folder`.
 
     Attributes:
         layout: the dataset.
@@ -57,7 +57,7 @@ class LayerWriter:
         if (self.folder / MANIFEST).is_file():
             raise self._taken()
         begun = f".{self.folder.name}"
-        for left in left_overs(self.folder.parent, begun):
+        for left in abandoned_folders(self.folder.parent, begun):
             shutil.rmtree(left, ignore_errors=True)
         self._own = OwnedFolder(self.folder.parent, begun)
         # Where the writer is given up without an end, nobody else would remove it so soon.

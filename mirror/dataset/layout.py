@@ -108,20 +108,21 @@ def seal(
     *,
     derived_from: Mapping[str, str],
     pictures: ImageTotals | None = None,
+    images: ImageTotals | None = None,
 ) -> None:
     """Complete a folder: write its manifest, last.
 
     Args:
         folder: a folder whose files are all written.
-        files: the bytes of every file but the pictures, by name relative to the folder, as written.
+        files: the bytes of every file except the images, by name relative to the folder, as written.
         derived_from: hashes of what the folder was made from.
-        pictures: the pictures in sum.
+        images: number and total size of the images; None: the folder has none.
     """
     entries = {
         name: FileEntry(bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
         for name, data in sorted(files.items())
     }
-    manifest = Manifest(derived_from=dict(sorted(derived_from.items())), files=entries, pictures=pictures)
+    manifest = Manifest(derived_from=dict(sorted(derived_from.items())), files=entries, pictures=images)
     write_json(folder / MANIFEST, manifest)
 
 

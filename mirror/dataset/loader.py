@@ -19,7 +19,7 @@ from mirror.errors import DatasetError
 from mirror.schema.documents import Rig
 
 if TYPE_CHECKING:
-    from mirror.dataset.pictures.video import VideoDecoders
+    from mirror.dataset.images.video_decoders import VideoDecoders
 
 _TRAVERSALS_HELD: Final = 64
 
@@ -49,7 +49,7 @@ class Loader:
 
     @cached_property
     def _videos(self) -> VideoDecoders:
-        from mirror.dataset.pictures.video import VideoDecoders
+        from mirror.dataset.images.video_decoders import VideoDecoders
 
         return VideoDecoders(self.store)
 
@@ -77,7 +77,7 @@ class Loader:
             self._rigs[rig_id] = self.store.json(f"rigs/{rig_id}.json", Rig)
         return self._rigs[rig_id]
 
-    def rig_order(self, row: int, cameras: Collection[str]) -> list[str]:
+    def in_rig_order(self, row: int, cameras: Collection[str]) -> list[str]:
         """The wanted ones of some cameras, in the order of the rig."""
         rig = self.rig(row)
         order = [] if rig is None else [camera.name for camera in rig.cameras]
@@ -115,7 +115,7 @@ class Loader:
         Raises:
             DatasetError: the file is missing or broken, or of another shape.
         """
-        from mirror.dataset.pictures.depth import decode_depth
+        from mirror.dataset.images.depth_codec import decode_depth
 
         depth = decode_depth(self.read(uri, 0, byte_length, place))
         if depth is None or depth.shape != shape:
@@ -149,7 +149,7 @@ class Loader:
             raise self._unreadable(uri, place, f"cannot be opened: {error.strerror or error}") from error
 
     def _grey(self, uri: str, byte_length: int | None, place: str) -> UInt8:
-        from mirror.dataset.pictures.still import decode_grey
+        from mirror.dataset.images.decoding import decode_grey
 
         try:
             data = self.store.read(uri) if byte_length is None else self.read(uri, 0, byte_length, place)
@@ -163,7 +163,7 @@ class Loader:
     def _unreadable(self, uri: str, place: str, problem: str, expected: str | None = None) -> DatasetError:
         return DatasetError(
             problem,
-            file=self.store.where(uri),
+            file=self.store.full_path(uri),
             place=place,
             expected=expected or "a readable file",
             remedy="restore the file, or `mirror ingest RECORDING... --replace` from the recording",

@@ -19,7 +19,7 @@ from mirror.schema.files import unwritable_error
 _PAUSES_S: Final = (0.001, 0.01, 0.03, 0.06)
 
 
-def is_written(layout: Layout) -> bool:
+def is_being_written(layout: Layout) -> bool:
     """Whether a run holds the dataset's lock now."""
     try:
         with layout.lock.open() as handle:

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Float32, Float64, Int64, UInt8
-from mirror.dataset.query.arrow import degrees, mask, numbers
+from mirror.dataset.query.arrow import floats_or_nan, to_arrow_mask, to_numpy
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.query.filters import Filters
-from mirror.dataset.query.select import query, select
+from mirror.dataset.query.select import read_rows, select_parts
 from mirror.dataset.traversal import no_layer, rows_of_layer
 from mirror.schema.tables import POINTS
 
@@ -43,27 +43,27 @@ class Points:
         return len(self.position_m)
 
 
-def points_of(catalog: Catalog, filters: Filters, chosen: str | None) -> Points:
+def read_points(catalog: Catalog, filters: Filters, chosen: str | None) -> Points:
     """The points of the traversals that pass the filters, of the chosen layer; see `Dataset.points`."""
     if chosen is not None:
-        listed = query(catalog, filters, "traversals", ["layers"]).column(0).to_pylist()
+        listed = read_rows(catalog, filters, "traversals", ["layers"]).column(0).to_pylist()
         if listed and not any(f"{POINTS.name}/{chosen}" in own for own in listed):
             raise no_layer(POINTS.name, chosen, catalog.store.root)
     ids: list[str] = []
     parts: list[pa.Table] = []
-    for part in select(catalog, filters, POINTS.name):
+    for part in select_parts(catalog, filters, POINTS.name):
         table = pa.Table.from_arrays(catalog.columns.read(part.path, part.number, _COLUMNS), names=_COLUMNS)
         traversal_id = catalog.traversal_ids[part.traversal].as_py()
         own = rows_of_layer(POINTS.name, traversal_id, table.column("source"), table.column("source_version"), chosen)
-        parts.append(table.filter(mask(own)).drop_columns(["source", "source_version"]))
+        parts.append(table.filter(to_arrow_mask(own)).drop_columns(["source", "source_version"]))
         ids += [traversal_id] * parts[-1].num_rows
     plain = pa.schema([POINTS.schema.field(name) for name in _COLUMNS[:-2]])
     points = pa.concat_tables([plain.empty_table(), *parts], promote_options="permissive").combine_chunks()
     return Points(
-        position_m=np.stack([degrees(points.column(name)) for name in ("x_m", "y_m", "z_m")], axis=1),
-        rgb=np.stack([numbers(points.column(name)) for name in ("r", "g", "b")], axis=1).astype(np.uint8),
+        position_m=np.stack([floats_or_nan(points.column(name)) for name in ("x_m", "y_m", "z_m")], axis=1),
+        rgb=np.stack([to_numpy(points.column(name)) for name in ("r", "g", "b")], axis=1).astype(np.uint8),
         kind=tuple(points.column("kind").to_pylist()),
-        views=numbers(points.column("views")).astype(np.int64),
-        sigma_m=degrees(points.column("sigma_m")).astype(np.float32),
+        views=to_numpy(points.column("views")).astype(np.int64),
+        sigma_m=floats_or_nan(points.column("sigma_m")).astype(np.float32),
         traversal_id=tuple(ids),
     )

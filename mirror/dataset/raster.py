@@ -132,7 +132,7 @@ def resized_shape(shape: tuple[int, int], resize: Resize | None) -> tuple[int, i
     return max(round(shape[0] * resize), 1), max(round(shape[1] * resize), 1)
 
 
-def checked_resize(resize: object) -> Resize | None:
+def validate_resize(resize: object) -> Resize | None:
     """What `resized_shape` takes, of what a caller gave.
 
     Raises:

@@ -14,10 +14,10 @@ import torch
 from torch.utils.data import get_worker_info
 
 from mirror.arrays import AnyArray, UInt8
-from mirror.dataset.contents import Contents
+from mirror.dataset.contents import SampleContents
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image, Mask
-from mirror.dataset.pictures.still import run_all, split_planes
+from mirror.dataset.images.decoding import run_jobs, split_planes
 from mirror.dataset.raster import ImageRaster, image_raster
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import COEFFICIENTS, Camera
@@ -30,7 +30,7 @@ LENS_MODELS: Final = tuple(COEFFICIENTS)
 _COEFFICIENTS: Final = 16
 
 
-def sample(frame: Frame, contents: Contents, shape: tuple[int, int]) -> Sample:
+def sample(frame: Frame, contents: SampleContents, shape: tuple[int, int]) -> Sample:
     """One frame as tensors that collate; `mirror.dataset.torch.FrameDataset` lists them.
 
     Args:
@@ -56,8 +56,8 @@ def sample(frame: Frame, contents: Contents, shape: tuple[int, int]) -> Sample:
     if in_worker and cv2.getNumThreads() != 1:
         # A worker is one of many: it keeps to its own thread.
         cv2.setNumThreads(1)
-    run_all(jobs, costs, 1 if in_worker else None)
-    if contents.one_camera:
+    run_jobs(jobs, costs, 1 if in_worker else None)
+    if contents.is_single_camera:
         arrays = _each(arrays, itemgetter((0, ...)))
     if contents.boxes is not None:
         arrays |= _boxes(frame, contents, contents.boxes)
@@ -106,7 +106,7 @@ def _each(arrays: Mapping[str, Any], change: Callable[[AnyArray], Any]) -> dict[
     return {name: _each(item, change) if isinstance(item, dict) else change(item) for name, item in arrays.items()}
 
 
-def _empty(contents: Contents, shape: tuple[int, int]) -> dict[str, Any]:
+def _empty(contents: SampleContents, shape: tuple[int, int]) -> dict[str, Any]:
     """The arrays of a sample without an image, the camera axis first."""
     count = len(contents.cameras)
     channels = (3, *shape) if contents.layout == "chw" else (*shape, 3)
@@ -128,7 +128,7 @@ def _empty(contents: Contents, shape: tuple[int, int]) -> dict[str, Any]:
     return arrays
 
 
-def _raster_of(image: Image, contents: Contents) -> ImageRaster:
+def _raster_of(image: Image, contents: SampleContents) -> ImageRaster:
     camera = image.camera_model
     if (camera.width_px, camera.height_px) != (image.width_px, image.height_px):
         raise DatasetError(
@@ -167,7 +167,7 @@ def _place(arrays: Mapping[str, Any], row: int, image: Image, camera: Camera) ->
     arrays["distortion"][row, : len(camera.distortion)] = camera.distortion
 
 
-def _decode(image: Image, raster: ImageRaster, contents: Contents, out: Mapping[str, Any]) -> None:
+def _decode(image: Image, raster: ImageRaster, contents: SampleContents, out: Mapping[str, Any]) -> None:
     """Write the pixels and masks of one image into arrays that have no camera axis."""
     height, width = raster.final.height_px, raster.final.width_px
     if height > out["pixel_valid"].shape[0] or width > out["pixel_valid"].shape[1]:
@@ -212,7 +212,7 @@ def _mask(image: Image, recorded: Sequence[Mask], name: str) -> UInt8 | None:
     return image.static_mask() if kind == "ego" else None
 
 
-def _boxes(frame: Frame, contents: Contents, count: int) -> dict[str, AnyArray]:
+def _boxes(frame: Frame, contents: SampleContents, count: int) -> dict[str, AnyArray]:
     boxes = frame.boxes("world")
     numbers = {category: number for number, category in enumerate(contents.categories)}
     rows = [row for row, category in enumerate(boxes.category) if category in numbers]

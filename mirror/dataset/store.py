@@ -70,13 +70,13 @@ class Store:
         base = self._remote[1]
         return f"{base}/{path}" if base else path
 
-    def where(self, path: str) -> str:
+    def full_path(self, path: str) -> str:
         """The full name of a file, for messages; an absolute uri is one already."""
         if "://" in path:
             return path
         return str(self.folder / path) if self.folder is not None else f"{self.root.rstrip('/')}/{path}"
 
-    def stable(self, path: str, read: Callable[[Path], Result]) -> Result:
+    def read_stable(self, path: str, read: Callable[[Path], Result]) -> Result:
         """Read a local file as it is in this store's generation.
 
         Args:
@@ -110,7 +110,7 @@ class Store:
             FileNotFoundError: there is none.
         """
         if self.folder is not None:
-            return self.stable(path, Path.read_bytes)
+            return self.read_stable(path, Path.read_bytes)
         return bytes(self._remote[0].cat_file(self._remote_path(path)))
 
     def read_many(self, paths: Sequence[str]) -> dict[str, bytes]:
@@ -121,16 +121,16 @@ class Store:
         data = {}
         for path in paths:
             try:
-                data[path] = self.stable(path, Path.read_bytes)
+                data[path] = self.read_stable(path, Path.read_bytes)
             except (FileNotFoundError, NotADirectoryError):
                 continue
         return data
 
-    def folders(self, path: str) -> list[str]:
+    def list_folders(self, path: str) -> list[str]:
         """Names of the folders in a folder, sorted; empty if it does not exist."""
         return self._names(path, folders=True)
 
-    def files(self, path: str) -> list[str]:
+    def list_files(self, path: str) -> list[str]:
         """Names of the files in a folder, sorted; empty if it does not exist."""
         return self._names(path, folders=False)
 
@@ -146,12 +146,12 @@ class Store:
             PurePosixPath(item["name"].rstrip("/")).name for item in listed if (item["type"] == "directory") == folders
         )
 
-    def folders_of(self, paths: Sequence[str]) -> dict[str, list[str]]:
-        """As `folders` for several; a remote store is asked in parallel."""
+    def list_folders_of(self, paths: Sequence[str]) -> dict[str, list[str]]:
+        """As `list_folders` for several; a remote store is asked in parallel."""
         if self.folder is not None or len(paths) < 2:
-            return {path: self.folders(path) for path in paths}
+            return {path: self.list_folders(path) for path in paths}
         with ThreadPoolExecutor(_REMOTE_REQUESTS) as pool:
-            return dict(zip(paths, pool.map(self.folders, paths)))
+            return dict(zip(paths, pool.map(self.list_folders, paths)))
 
     def json(self, path: str, model: type[Model]) -> Model:
         """A validated JSON document.
@@ -163,8 +163,8 @@ class Store:
         try:
             data = self.read(path)
         except FileNotFoundError as error:
-            raise DatasetError("missing", file=self.where(path), expected=f"a {model.__name__} document") from error
-        return parse_json(data, model, self.where(path))
+            raise DatasetError("missing", file=self.full_path(path), expected=f"a {model.__name__} document") from error
+        return parse_json(data, model, self.full_path(path))
 
     def open(self, path: str) -> pa.NativeFile:
         """An open file; a local one stays what it is when another is renamed to its name.
@@ -173,7 +173,7 @@ class Store:
             FileNotFoundError: there is none.
         """
         if self.folder is not None:
-            return self.stable(path, lambda place: pa.OSFile(str(place)))
+            return self.read_stable(path, lambda place: pa.OSFile(str(place)))
         return pa.PythonFile(self._remote[0].open(self._remote_path(path), "rb"), mode="r")
 
     def read_range(self, uri: str, offset: int, length: int) -> bytes:
@@ -188,11 +188,11 @@ class Store:
             with place.open("rb", buffering=0) as file:
                 return os.pread(file.fileno(), length, offset)
 
-        return self.opened(
+        return self.open_uri(
             uri, pread, lambda filesystem, path: bytes(filesystem.cat_file(path, start=offset, end=offset + length))
         )
 
-    def opened(self, uri: str, local: Callable[[Path], Result], remote: Callable[[Any, str], Result]) -> Result:
+    def open_uri(self, uri: str, local: Callable[[Path], Result], remote: Callable[[Any, str], Result]) -> Result:
         """Read a picture's uri, or open it.
 
         Args:
@@ -209,7 +209,7 @@ class Store:
             return remote(*place)
         if self.folder is None or "://" in uri or uri.startswith("/"):
             return local(place)
-        return self.stable(uri, local)
+        return self.read_stable(uri, local)
 
     def resolve(self, uri: str) -> Path | tuple[Any, str]:
         """A picture's uri as a local path, or as a file system and a path in it.
@@ -258,7 +258,7 @@ def store_at(root: str, sha256: str | None) -> Store:
     if generation is None:
         raise DatasetError(
             "the index is another than when this view was made",
-            file=Store(root).where("index"),
+            file=Store(root).full_path("index"),
             remedy="open the dataset again and make the view again",
         )
     return Store(root, generation)

@@ -16,7 +16,7 @@ from torch.utils.data import Dataset as TorchDataset
 from torch.utils.data import IterableDataset, default_collate, get_worker_info
 
 from mirror.arrays import Int64
-from mirror.dataset.contents import ImageLayout, contents_of, raster_shapes
+from mirror.dataset.contents import ImageLayout, raster_shapes, resolve_contents
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import FrameSequence
 from mirror.dataset.raster import Resize
@@ -109,7 +109,7 @@ class FrameDataset(TorchDataset[Sample]):
         verify: bool = False,
     ) -> None:
         self.dataset = dataset
-        self._contents = contents_of(
+        self._contents = resolve_contents(
             dataset,
             cameras,
             undistort=undistort,

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.dataset.layers import LayerChoice
-from mirror.dataset.query.arrow import degrees, mask, member, numbers
+from mirror.dataset.query.arrow import floats_or_nan, is_member, to_arrow_mask, to_numpy
 from mirror.dataset.query.catalog import Catalog
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera, camera_from_row
@@ -121,7 +121,7 @@ class Traversal:
         """
         columns = ["timestamp_ns", *_POSE]
         arrays = self._table("poses", self._layers.poses, EGO_POSES.name, columns)
-        values = [numbers(array) for array in arrays]
+        values = [to_numpy(array) for array in arrays]
         return values[0], Poses(np.stack(values[1:5], axis=1), np.stack(values[5:], axis=1))
 
     def world_SE3_ego(self, timestamp_ns: npt.ArrayLike) -> Poses:  # noqa: N802
@@ -195,7 +195,7 @@ class Traversal:
         if group is None:
             return []
         (index,) = self._catalog.columns.read(*group, ["frame_index"])
-        rows = np.flatnonzero(degrees(index) == frame_index)
+        rows = np.flatnonzero(floats_or_nan(index) == frame_index)
         arrays = self._catalog.columns.read(*group, _PICTURE)
         return [{name: array[row].as_py() for name, array in zip(_PICTURE, arrays)} for row in rows.tolist()]
 
@@ -206,7 +206,7 @@ class Traversal:
             return []
         names = MASKS.schema.names
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
-        hit = (numbers(arrays["timestamp_ns"]) == timestamp_ns) & member(arrays["camera"], frozenset([camera]))
+        hit = (to_numpy(arrays["timestamp_ns"]) == timestamp_ns) & is_member(arrays["camera"], frozenset([camera]))
         return [{name: arrays[name][row].as_py() for name in names} for row in np.flatnonzero(hit).tolist()]
 
     def depth(self, camera: str, timestamp_ns: int) -> Mapping[str, Any] | None:
@@ -277,7 +277,9 @@ class Traversal:
             return np.empty(0, np.int64), {}
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
         own = self._of_layer("boxes", arrays, self._layers.boxes)
-        return numbers(arrays["timestamp_ns"])[own], {name: array.filter(mask(own)) for name, array in arrays.items()}
+        return to_numpy(arrays["timestamp_ns"])[own], {
+            name: array.filter(to_arrow_mask(own)) for name, array in arrays.items()
+        }
 
     def _group(self, name: str) -> tuple[str, int] | None:
         """File and position of this traversal's row group of an index table; None: it has no rows."""
@@ -323,7 +325,7 @@ def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Ar
                 remedy=f"choose: with_layers({kind}={there[-1]!r})",
             )
         chosen = there[0]
-    return member(names, frozenset([chosen]))
+    return is_member(names, frozenset([chosen]))
 
 
 def layer_names(source: pa.Array, version: pa.Array) -> pa.Array:
@@ -345,7 +347,7 @@ def _frame_boxes(table: Mapping[str, pa.Array], rows: Int64, timestamp_ns: int) 
     def floats(*names: str) -> Float64:
         if not len(rows):
             return np.empty((0, len(names)))
-        return np.stack([degrees(table[name])[rows] for name in names], axis=1)
+        return np.stack([floats_or_nan(table[name])[rows] for name in names], axis=1)
 
     def words(name: str) -> tuple[str, ...]:
         return tuple(table[name][row].as_py() for row in rows.tolist())

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from mirror.arrays import Int64
-from mirror.dataset.pictures.still import decode_rgb
+from mirror.dataset.images.decoding import decode_rgb
 from mirror.errors import RecordingError
 from mirror.recordings.opening import read_file, read_file_start, unreadable_error
 from mirror.recordings.protocol import ImageStream, ReferencedStream

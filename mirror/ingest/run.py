@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from mirror.dataset.generation import settle
+from mirror.dataset.generation import recover
 from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
@@ -107,14 +107,14 @@ def ingest_recordings(
         raise no_roi()
     with writer_lock(layout, wait=options.wait):
         try:
-            settle(layout)
+            recover(layout)
             run = _Run(layout, options, progress, settings_of(layout, options, rois))
             _write(run, recordings)
         except OSError as error:
             # Files are written through functions that say so themselves; what is left are folders.
             raise unwritable_error(Path(error.filename or out), error) from error
         finally:
-            settle(layout)
+            recover(layout)
         if layout.document.exists():
             build_index(layout.root)
     return run.report

@@ -17,6 +17,8 @@ from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
 from mirror.dataset.owned import OwnedFolder, left_overs
 from mirror.schema.files import unmovable_error
+from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
+from mirror.schema.files import unmovable
 
 FOLDER: Final = ".staging"
 _RUN: Final = "run"
@@ -41,7 +43,7 @@ class Staging:
         self.dataset = dataset
         self.own_folder = OwnedFolder(dataset.root / FOLDER, _RUN)
         self.layout = Layout(self.own_folder.path)
-        for left in left_overs(dataset.root / FOLDER, _RUN):
+        for left in abandoned_folders(dataset.root / FOLDER, _RUN):
             if left != self.own_folder.path:
                 self._take_over(left)
 
@@ -103,7 +105,7 @@ class Staging:
     def publish(self) -> None:
         """Move every complete drive into the dataset, with its traversals and its rig; the drive comes last.
 
-        What a drive replaces is superseded: readers of the generation before go on reading it. `settle` undoes what is
+        What a drive replaces is superseded: readers of the generation before go on reading it. `recover` undoes what is
         interrupted between. The caller holds the dataset's writer lock.
 
         Raises:

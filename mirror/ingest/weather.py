@@ -60,4 +60,4 @@ def _decode(store: Store, uri: str, byte_length: int) -> UInt8:
 
 
 def _broken(store: Store, uri: str, problem: str) -> RecordingError:
-    return RecordingError(problem, file=store.where(uri), expected="a JPEG or PNG", remedy="restore the picture")
+    return RecordingError(problem, file=store.full_path(uri), expected="a JPEG or PNG", remedy="restore the picture")

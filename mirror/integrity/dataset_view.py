@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from mirror.dataset.images.decoding import usable_cores
 from mirror.dataset.index.inputs import Inputs, read_inputs, read_rois
 from mirror.dataset.layout import MANIFEST, Layout
-from mirror.dataset.pictures.still import usable_cores
 from mirror.dataset.splits.candidates import Candidate, Candidates
-from mirror.dataset.splits.leaks import Tie, ties
+from mirror.dataset.splits.leaks import Tie, find_ties
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.geometry.cameras import Camera
@@ -36,7 +36,7 @@ class TraversalView:
         drive: its drive.
         rig: the drive's rig; None if it has none, or if it cannot be read.
         layers: complete layers as (kind, source, version).
-        passed: its accepted row of the ledger; None if there is none.
+        ledger_row: its accepted row of the ledger; None if there is none.
     """
 
     traversal_id: str
@@ -44,7 +44,7 @@ class TraversalView:
     drive: DriveDocument
     rig: Rig | None
     layers: Sequence[tuple[str, str, str]]
-    passed: Mapping[str, object] | None
+    ledger_row: Mapping[str, object] | None
 
 
 class DatasetView:
@@ -109,7 +109,7 @@ class DatasetView:
     @cached_property
     def folder_manifests(self) -> Mapping[Path, Manifest]:
         """Manifests of all complete folders but the index's."""
-        found = {folder: self._manifest(folder) for folder in self.sealed_folders()}
+        found = {folder: self._manifest(folder) for folder in self.folders_with_manifest()}
         return {folder: manifest for folder, manifest in found.items() if manifest is not None}
 
     @cached_property
@@ -143,7 +143,7 @@ class DatasetView:
         return self.table(self.layout.index / f"{ROW_GROUPS.name}.parquet", ROW_GROUPS)
 
     @cached_property
-    def named(self) -> Mapping[str, tuple[str, str]]:
+    def named_traversals(self) -> Mapping[str, tuple[str, str]]:
         """Traversals that drives name: their drive's folder and the manifest's hash, by id."""
         return {
             key.removeprefix(TRAVERSAL_KEY): (drive, value)
@@ -163,7 +163,7 @@ class DatasetView:
         """Traversals that are named, complete, and of a scene and a drive that can be read; by id."""
         accepted = {row["traversal_id"]: row for row in self.passes.data.to_pylist() if row["traversal_id"] is not None}
         found = {}
-        for traversal_id, (drive_name, _) in sorted(self.named.items()):
+        for traversal_id, (drive_name, _) in sorted(self.named_traversals.items()):
             scene, drive = self.scenes.get(traversal_id.partition(".")[0]), self.drives.get(drive_name)
             if scene is not None and drive is not None and traversal_id in self.recorded_manifests:
                 found[traversal_id] = TraversalView(
@@ -191,21 +191,21 @@ class DatasetView:
                 scene_id=item.scene.scene_id,
                 drive_id=item.drive.drive_id,
                 vehicle_id=item.drive.vehicle_id,
-                entry_ns=int(str(item.passed["entry_ns"])),
-                exit_ns=int(str(item.passed["exit_ns"])),
-                light=str(item.passed["light"]),
-                weather=str(item.passed["weather"]),
+                entry_ns=int(str(item.ledger_row["entry_ns"])),
+                exit_ns=int(str(item.ledger_row["exit_ns"])),
+                light=str(item.ledger_row["light"]),
+                weather=str(item.ledger_row["weather"]),
                 content=self.recorded_manifests[key].content,
             )
             for key, item in self.traversals.items()
-            if item.passed is not None
+            if item.ledger_row is not None
         }
         return Candidates(self.layout, self.scenes, found, self.table)
 
     @cached_property
     def ties(self) -> Sequence[Tie]:
         """What ties traversals together, scenes included."""
-        return ties(self.candidates, by_scene=True)
+        return find_ties(self.candidates, by_scene=True)
 
     def folders(self, name: str) -> list[Path]:
         """Folders of a folder of the dataset, sorted; hidden ones are passed over."""
@@ -218,7 +218,7 @@ class DatasetView:
         kinds = self.folders(f"traversals/{traversal}/layers")
         return [layer for kind in kinds for layer in self.folders(self.name(kind))]
 
-    def sealed_folders(self) -> Iterator[Path]:
+    def folders_with_manifest(self) -> Iterator[Path]:
         """Folders that have a manifest when they are complete, but for the index."""
         yield from self.folders("drives")
         for folder in self.folders("traversals"):

@@ -19,7 +19,7 @@ class Cost(IntEnum):
 
     TABLES = 0
     FILES = 1
-    PICTURES = 2
+    IMAGES = 2
 
 
 @dataclass(frozen=True)

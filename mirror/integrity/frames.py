@@ -30,7 +30,7 @@ class Frames:
     period_s: Float64
 
 
-def frames_of(images: Rows, reference_cameras: Sequence[str | None]) -> Frames:
+def assign_frames(images: Rows, reference_cameras: Sequence[str | None]) -> Frames:
     """The frames of recorded pictures, as their table has them.
 
     Args:

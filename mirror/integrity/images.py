@@ -12,8 +12,8 @@ from typing import Final, TypeVar
 import numpy as np
 
 from mirror.arrays import Bool, Int64, UInt8
-from mirror.dataset.pictures.still import decode_rgb, usable_cores
-from mirror.dataset.pictures.video import VideoDecoders
+from mirror.dataset.images.decoding import decode_rgb, usable_cores
+from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.store import Store
 from mirror.errors import MirrorError
 from mirror.integrity.rows import Rows
@@ -21,19 +21,19 @@ from mirror.pools import thread_pool
 from mirror.recordings.raster import TAIL_BYTES, has_end_marker
 
 MISSING: Final = -1
-LEADS_OUT: Final = -2
+LEAVES_DATASET: Final = -2
 _CHUNK = 256
 _RANGE = 255
-_AS_IT_SHOULD_BE = (True, True, 0, 0, _RANGE)
+_INTACT = (True, True, 0, 0, _RANGE)
 Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
-class PictureFiles:
+class ImageFiles:
     """What the file system says.
 
     Attributes:
-        size: (N,) bytes of the picture's file; `MISSING`, or `LEADS_OUT`: its uri leads out of the dataset.
+        size: (N,) bytes of the picture's file; `MISSING`, or `LEAVES_DATASET`: its uri leads out of the dataset.
         ended: (N,) True if a still's bytes end as its codec asks; True for videos and where that cannot be seen.
     """
 
@@ -42,7 +42,7 @@ class PictureFiles:
 
 
 @dataclass(frozen=True)
-class PictureContents:
+class ImageContents:
     """What is in the files; where a file is missing or short, everything is as it should be: other rules see that.
 
     Attributes:
@@ -60,7 +60,7 @@ class PictureContents:
     spread: Int64
 
 
-class PictureReader:
+class ImageFileReader:
     """Reads the files of pictures, several at once.
 
     Args:
@@ -81,14 +81,14 @@ class PictureReader:
         self._video_sha256: dict[str, bytes] = {}
         self._lock = Lock()
 
-    def files(self) -> PictureFiles:
+    def files(self) -> ImageFiles:
         """Sizes and ends of the files."""
         found = self._each(self._file)
-        return PictureFiles(
+        return ImageFiles(
             np.array([size for size, _ in found], np.int64), np.array([ended for _, ended in found], np.bool_)
         )
 
-    def contents(self, files: PictureFiles) -> PictureContents:
+    def contents(self, files: ImageFiles) -> ImageContents:
         """Hashes, sizes and spread of the pictures.
 
         Args:
@@ -96,9 +96,9 @@ class PictureReader:
         """
         size = files.size.tolist()
         read = [self._whole(row, size[row]) for row in range(len(size))]
-        rows = self._each(lambda row: self._content(row) if read[row] else _AS_IT_SHOULD_BE)
+        rows = self._each(lambda row: self._content(row) if read[row] else _INTACT)
         found = np.array(rows, np.int64).reshape(-1, 5)
-        return PictureContents(found[:, 0] > 0, found[:, 1] > 0, found[:, 2], found[:, 3], found[:, 4])
+        return ImageContents(found[:, 0] > 0, found[:, 1] > 0, found[:, 2], found[:, 3], found[:, 4])
 
     def _each(self, read: Callable[[int], Answer]) -> list[Answer]:
         # A task for each picture would cost more than looking at its file.
@@ -108,8 +108,8 @@ class PictureReader:
 
     def _file(self, row: int) -> tuple[int, bool]:
         uri, end_of_bytes = self._uri[row], int(self._offset[row] + self._length[row])
-        if leads_out(uri):
-            return LEADS_OUT, True
+        if leaves_dataset(uri):
+            return LEAVES_DATASET, True
         try:
             place = self._store.resolve(uri)
             size = place.stat().st_size if isinstance(place, Path) else int(place[0].info(place[1])["size"])
@@ -133,7 +133,7 @@ class PictureReader:
                 same = expected is None or hashlib.sha256(data).digest() == expected
                 pixels = decode_rgb(data, self._codec[row])
         except (OSError, MirrorError):
-            return _AS_IT_SHOULD_BE
+            return _INTACT
         if pixels is None:
             return same, False, 0, 0, _RANGE
         return same, True, pixels.shape[1], pixels.shape[0], _spread(pixels)
@@ -152,7 +152,7 @@ class PictureReader:
             return self._video_sha256[uri] == expected
 
 
-def leads_out(uri: str) -> bool:
+def leaves_dataset(uri: str) -> bool:
     """Whether a picture's relative uri leads out of the dataset."""
     return ".." in uri and ".." in PurePosixPath(uri).parts
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mirror.integrity.finding import Finding
-from mirror.integrity.images import leads_out
+from mirror.integrity.images import leaves_dataset
 from mirror.integrity.rows import Rows
 from mirror.integrity.scene_view import SceneView
 
@@ -28,7 +28,7 @@ def missing_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
     )
 
 
-def other_bytes(view: SceneView, rows: Rows) -> Iterator[Finding]:
+def changed_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
     """Rows whose file is there with the right size, but has other bytes than they say."""
     other = np.zeros(len(rows), np.bool_)
     length, sha256 = rows.integers("byte_length"), rows.data.column("sha256").to_pylist()
@@ -39,7 +39,7 @@ def other_bytes(view: SceneView, rows: Rows) -> Iterator[Finding]:
     yield from rows.findings(other, lambda row: f"{rows.word('uri', row)} has another SHA-256 than its row says")
 
 
-def lost_pictures(view: SceneView, rows: Rows) -> Iterator[Finding]:
+def rows_without_image(view: SceneView, rows: Rows) -> Iterator[Finding]:
     """Rows of a picture that was never recorded."""
     images = view.images
     codes, names = images.words("camera")
@@ -57,5 +57,5 @@ def lost_pictures(view: SceneView, rows: Rows) -> Iterator[Finding]:
 
 
 def _place(view: SceneView, uri: str) -> Path | None:
-    place = None if leads_out(uri) else view.dataset.store.resolve(uri)
+    place = None if leaves_dataset(uri) else view.dataset.store.resolve(uri)
     return place if isinstance(place, Path) and place.is_file() else None

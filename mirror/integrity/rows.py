@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Bool, Float64, Int64
-from mirror.dataset.query.arrow import degrees, stamps, valid
+from mirror.dataset.query.arrow import floats_or_nan, integers_or_zero, is_valid
 from mirror.integrity.finding import Finding
 from mirror.schema.tables import Table
 
@@ -53,18 +53,18 @@ class Rows:
     def floats(self, name: str) -> Float64:
         """A column (N,), NaN where null."""
         if name not in self._floats:
-            self._floats[name] = degrees(self.data.column(name))
+            self._floats[name] = floats_or_nan(self.data.column(name))
         return self._floats[name]
 
     def integers(self, name: str) -> Int64:
         """A column (N,), 0 where null."""
         if name not in self._integers:
-            self._integers[name] = stamps(self.data.column(name)).astype(np.int64, copy=False)
+            self._integers[name] = integers_or_zero(self.data.column(name)).astype(np.int64, copy=False)
         return self._integers[name]
 
     def known(self, name: str) -> Bool:
         """Where (N,) a column is not null."""
-        return valid(self.data.column(name))
+        return is_valid(self.data.column(name))
 
     def words(self, name: str) -> tuple[Int64, list[str]]:
         """Codes (N,) of a column of strings, -1 where null, and what they stand for, sorted."""
@@ -80,7 +80,7 @@ class Rows:
             place = np.empty(len(listed) + 1, np.int64)
             place[order] = np.arange(len(listed))
             place[-1] = -1
-            codes = np.where(valid(column.indices), stamps(column.indices), len(listed))
+            codes = np.where(is_valid(column.indices), integers_or_zero(column.indices), len(listed))
             self._words[name] = place[codes], [listed[index] for index in order]
         return self._words[name]
 

@@ -14,7 +14,7 @@ from mirror.schema.files import write_bytes
 _COSTS = {
     Cost.TABLES: "documents and tables (`--quick` stops here)",
     Cost.FILES: "sizes and ends of files (the default goes up to here)",
-    Cost.PICTURES: "every byte, hashed and decoded (`--full`)",
+    Cost.IMAGES: "every byte, hashed and decoded (`--full`)",
 }
 
 

@@ -11,8 +11,8 @@ from mirror.arrays import Bool, Int64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera, camera_from_row
 from mirror.integrity.dataset_view import DatasetView, TraversalView
-from mirror.integrity.frames import Frames, frames_of
-from mirror.integrity.images import PictureContents, PictureFiles, PictureReader
+from mirror.integrity.frames import Frames, assign_frames
+from mirror.integrity.images import ImageContents, ImageFileReader, ImageFiles
 from mirror.integrity.motion import Motion
 from mirror.integrity.rows import Part, Rows
 from mirror.schema.documents import Roi
@@ -105,7 +105,7 @@ class SceneView:
     @cached_property
     def frames(self) -> Frames:
         """Which of `images` make up frames."""
-        return frames_of(
+        return assign_frames(
             self.images, [None if item.rig is None else item.rig.reference_camera for item in self.traversals]
         )
 
@@ -133,16 +133,16 @@ class SceneView:
         return made, errors
 
     @cached_property
-    def picture_files(self) -> PictureFiles:
+    def image_files(self) -> ImageFiles:
         """What the file system says of `all_images`."""
-        return PictureReader(self.all_images, self.dataset.store).files()
+        return ImageFileReader(self.all_images, self.dataset.store).files()
 
     @cached_property
-    def picture_contents(self) -> PictureContents:
+    def image_contents(self) -> ImageContents:
         """What is in the files of `all_images`."""
-        return PictureReader(self.all_images, self.dataset.store).contents(self.picture_files)
+        return ImageFileReader(self.all_images, self.dataset.store).contents(self.image_files)
 
-    def calibrated_pictures(self) -> Iterator[tuple[int, slice, Bool]]:
+    def calibrated_images(self) -> Iterator[tuple[int, slice, Bool]]:
         """Each row of `calibrations`, the rows of `images` of its traversal, and which of these are its camera's."""
         taken, names = self.images.words("camera")
         code_of = {name: code for code, name in enumerate(names)}
@@ -162,7 +162,7 @@ class SceneView:
         np.maximum.at(last, self.poses.traversal, stamps)
         return first, last
 
-    def sound_poses(self, rows: slice) -> bool:
+    def has_valid_poses(self, rows: slice) -> bool:
         """Whether recorded poses can be interpolated: there are some, forward in time, finite and of unit length."""
         motion = self.motion
         return (
@@ -187,7 +187,7 @@ class SceneView:
         return self._passed("exit_ns", np.iinfo(np.int64).max)
 
     def _passed(self, name: str, default: int) -> Int64:
-        values = [default if item.passed is None else item.passed[name] for item in self.traversals]
+        values = [default if item.ledger_row is None else item.ledger_row[name] for item in self.traversals]
         return np.array(values, np.int64)
 
     def _recorded(self, table: Table) -> Rows:

@@ -81,7 +81,7 @@ def summarise(root: str | Path) -> DatasetSummary:
         raise view.problems[view.name(layout.document)]
     traversals = view.traversals.values()
     pictures = [manifest.pictures for name in view.traversals if (manifest := view.recorded_manifests[name])]
-    passed = [item.passed for item in traversals if item.passed is not None]
+    passed = [item.ledger_row for item in traversals if item.ledger_row is not None]
     rules = [rule or "accepted" for rule in view.passes.data.column("rule").to_pylist()]
     return DatasetSummary(
         document=view.document,

@@ -268,6 +268,7 @@ class FileEntry(Document):
 
 class ImageTotals(Document):
     """The pictures of a folder in sum; each one's size and hash stand in the images table."""
+    """Number and total size of the images of a folder; the images table has the size and hash of each."""
 
     count: int
     bytes: int
@@ -279,8 +280,8 @@ class Manifest(Document):
     Attributes:
         schema_version: of the on-disk format.
         derived_from: hashes of what the folder was made from, by name.
-        files: every file but the pictures, relative to the folder.
-        pictures: the pictures, whose sizes and hashes stand in a table among ``files``.
+        files: every file except the images, relative to the folder.
+        pictures: number and total size of the images; the images table in ``files`` has the size and hash of each.
     """
 
     schema_version: str = SCHEMA_VERSION

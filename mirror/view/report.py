@@ -211,7 +211,7 @@ def _counted(dataset: Dataset, table: str, column: str) -> Counter[str]:
 
 
 def _splits(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    names = [name for name in dataset.store.files("splits") if name.endswith(".json")]
+    names = [name for name in dataset.store.list_files("splits") if name.endswith(".json")]
     if names:
         yield "<h2>Splits</h2>"
     for name in names:

@@ -49,7 +49,7 @@ def dataset(tmp_path: Path) -> Dataset:
             heading_deg=heading,
             # To the left of the street, whichever way it is driven.
             offset_m=lane if heading < 180 else -lane,
-            pictures=dict.fromkeys(CAMERAS, data),
+            images=dict.fromkeys(CAMERAS, data),
         )
         (traversal,) = builder.drive(name, [one])
         stamps = range(entry, one.exit_ns, one.frame_ns)

@@ -28,11 +28,11 @@ from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main
 from mirror.dataset import Dataset
+from mirror.dataset.images.depth_codec import encode_depth
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
-from mirror.dataset.pictures.depth import encode_depth
 from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.model_document import (

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from mirror.dataset.images.depth_codec import encode_depth
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, seal
-from mirror.dataset.pictures.depth import encode_depth
 from mirror.geometry.cameras import Camera
 from mirror.geometry.geodesy import TangentFrame
 from mirror.schema.documents import (
@@ -55,7 +55,7 @@ class Pass:
         light: day, dusk or night.
         weather: clear, rain ...
         dropped: (camera, frame) without a picture.
-        pictures: encoded bytes of a picture, by camera, written for every frame; None: rows only.
+        images: encoded bytes of an image, by camera, written for every frame; None: only rows are written.
         codec: how they are encoded.
     """
 
@@ -70,7 +70,7 @@ class Pass:
     light: str = "day"
     weather: str = "clear"
     dropped: frozenset[tuple[str, int]] = frozenset()
-    pictures: Mapping[str, bytes] | None = None
+    images: Mapping[str, bytes] | None = None
     codec: str = "jpeg"
 
     @property
@@ -191,11 +191,12 @@ class Builder:
         }
         for name, data in tables.items():
             write_bytes(folder / name, data)
-        if item.pictures is not None:
+        if item.images is not None:
             for uri, camera in zip(images.column("uri").to_pylist(), images.column("camera").to_pylist()):
-                write_bytes(self.root / uri, item.pictures[camera])
+                write_bytes(self.root / uri, item.images[camera])
         total = sum(images.column("byte_length").to_pylist())
         seal(folder, tables, derived_from={}, pictures=ImageTotals(count=images.num_rows, bytes=total))
+        seal(folder, tables, derived_from={}, images=ImageTotals(count=images.num_rows, bytes=total))
 
     def _poses(self, item: Pass) -> pa.Table:
         stamps = np.arange(item.entry_ns - SECOND, item.exit_ns + SECOND + 1, item.pose_ns)
@@ -230,8 +231,8 @@ class Builder:
         camera, frame, stamps = camera[keep], frame[keep], stamps[keep]
         n = len(camera)
         names = [f"{name}/{stamp}.jpg" for name, stamp in zip(camera, stamps.tolist())]
-        pictures = item.pictures
-        digest = {} if pictures is None else {key: hashlib.sha256(data).digest() for key, data in pictures.items()}
+        encoded = item.images
+        digest = {} if encoded is None else {key: hashlib.sha256(data).digest() for key, data in encoded.items()}
         return pa.table(
             {
                 "camera": pa.array(camera, pa.string()),
@@ -243,9 +244,7 @@ class Builder:
                 "height_px": pa.array([self._size(name)[1] for name in camera], pa.int32()),
                 "uri": [f"traversals/{traversal_id}/recorded/{name}" for name in names],
                 "byte_offset": pa.repeat(pa.scalar(0, pa.int64()), n),
-                "byte_length": pa.array(
-                    [1000 if pictures is None else len(pictures[key]) for key in camera], pa.int64()
-                ),
+                "byte_length": pa.array([1000 if encoded is None else len(encoded[key]) for key in camera], pa.int64()),
                 "codec": [item.codec] * n,
                 "video_pts": pa.nulls(n, pa.int64()),
                 "sha256": pa.array(

@@ -13,8 +13,8 @@ import pytest
 import mirror
 from mirror.dataset import Dataset
 from mirror.dataset.frames import FrameSequence
+from mirror.dataset.images.decoding import run_jobs
 from mirror.dataset.index import build_index
-from mirror.dataset.pictures.still import run_all
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import FileEntry, Manifest
 from mirror.schema.files import read_json, read_table, sha256_bytes, write_json, write_table
@@ -41,9 +41,7 @@ def reference_rgb(data: bytes) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def one_pass() -> Pass:
-    return Pass(
-        "a", frames=6, heading_deg=50.0, offset_m=3.0, pictures=PICTURES, dropped=frozenset({("front_left", 4)})
-    )
+    return Pass("a", frames=6, heading_deg=50.0, offset_m=3.0, images=PICTURES, dropped=frozenset({("front_left", 4)}))
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +237,7 @@ class TestBoxes:
 def test_masks_and_static_masks(tmp_path: Path) -> None:
     builder = Builder(tmp_path)
     builder.scene("a")
-    (traversal,) = builder.drive("d", [Pass("a", pictures=PICTURES)])
+    (traversal,) = builder.drive("d", [Pass("a", images=PICTURES)])
     grey = np.zeros((32, 48), np.uint8)
     grey[10:20, 5:9] = 255
     png = cv2.imencode(".png", grey)[1].tobytes()
@@ -268,7 +266,7 @@ class TestBrokenPictures:
     def dataset(self, tmp_path: Path) -> Dataset:
         builder = Builder(tmp_path)
         builder.scene("a")
-        builder.drive("d", [Pass("a", frames=1, pictures=PICTURES)])
+        builder.drive("d", [Pass("a", frames=1, images=PICTURES)])
         build_index(tmp_path)
         return mirror.open(tmp_path)
 
@@ -314,7 +312,7 @@ class TestBrokenPictures:
 def test_a_uri_that_leads_out_is_refused(tmp_path: Path) -> None:
     builder = Builder(tmp_path / "dataset")
     builder.scene("a")
-    builder.drive("d", [Pass("a", frames=1, pictures=PICTURES)])
+    builder.drive("d", [Pass("a", frames=1, images=PICTURES)])
     (tmp_path / "secret").write_bytes(b"x" * 2000)
     build_index(builder.root)
     path = builder.root / "index" / "images" / "a.parquet"
@@ -371,13 +369,13 @@ def test_pictures_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:
 
 def test_jobs_run_dearest_first_and_hand_on_their_error() -> None:
     order: list[int] = []
-    run_all([lambda k=k: order.append(k) for k in range(4)], [1, 9, 5, 7], threads=1)
+    run_jobs([lambda k=k: order.append(k) for k in range(4)], [1, 9, 5, 7], threads=1)
     assert order == [1, 3, 2, 0]
 
     def fail() -> None:
         raise DatasetError("no")
 
     with pytest.raises(DatasetError):
-        run_all([fail, lambda: order.append(9)], [1, 2], threads=2)
+        run_jobs([fail, lambda: order.append(9)], [1, 2], threads=2)
     assert order[-1] == 9
-    run_all([], [])
+    run_jobs([], [])

@@ -43,7 +43,7 @@ def left_behind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
             name: cv2.imencode(".jpg", np.full((lens.height_px, lens.width_px, 3), 90 + number, np.uint8))[1].tobytes()
             for name, lens in LENSES.items()
         }
-        (traversal,) = builder.drive(f"d{number}", [Pass("a", start, frames=3, pictures=images)])
+        (traversal,) = builder.drive(f"d{number}", [Pass("a", start, frames=3, images=images)])
         rows = [
             box(start, "near", tx_m=9.0, ty_m=2.0, qw=np.cos(0.2), qz=np.sin(0.2)),
             box(start, "behind", category="van", tx_m=-20.0),

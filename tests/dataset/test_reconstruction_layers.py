@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import mirror.dataset
+from mirror.dataset.images.depth_codec import FARTHEST_M, NEAREST_M, decode_depth, encode_depth
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import read_manifest
-from mirror.dataset.pictures.depth import FARTHEST_M, NEAREST_M, decode_depth, encode_depth
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.tables import POINTS
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, write_reconstruction

@@ -59,9 +59,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     builder = Builder(tmp_path_factory.mktemp("dataset"), cameras=tuple(LENSES), lenses=LENSES)
     builder.scene("a")
     encoded = {name: png(image) for name, image in IMAGES.items()}
-    (first,) = builder.drive(
-        "d0", [Pass("a", frames=4, pictures=encoded, codec="png", dropped=frozenset({("rear", 2)}))]
-    )
+    (first,) = builder.drive("d0", [Pass("a", frames=4, images=encoded, codec="png", dropped=frozenset({("rear", 2)}))])
     rows = [box(EPOCH, "t2"), box(EPOCH, "t7", category="van", vz_mps=0.0, score=None)]
     rows += [box(EPOCH + 100_000_000, "t7", category="van", tx_m=12.0)]
     builder.layer(first, "boxes", "petr@1", BOXES, rows)
@@ -76,7 +74,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     builder.write_rig()
     builder.lenses = {name: lens.resized(48, 32) for name, lens in LENSES.items()}
     small = {name: png(cv2.resize(image, (48, 32))) for name, image in IMAGES.items()}
-    later = Pass("a", EPOCH + 60 * SECOND, frames=3, pictures=small, codec="png")
+    later = Pass("a", EPOCH + 60 * SECOND, frames=3, images=small, codec="png")
     (second,) = builder.drive("d1", [later])
     builder.layer(second, "boxes", "petr@1", BOXES, [box(later.entry_ns, "t1", category="bus")])
     build_index(builder.root)
@@ -331,7 +329,7 @@ def test_what_cannot_be_is_refused(dataset: Dataset, tmp_path: Path) -> None:
     builder = Builder(tmp_path, cameras=("front_wide",))
     builder.scene("a")
     picture = {"front_wide": png(np.zeros((32, 48, 3), np.uint8))}
-    (traversal,) = builder.drive("d0", [Pass("a", pictures=picture, codec="png")])
+    (traversal,) = builder.drive("d0", [Pass("a", images=picture, codec="png")])
     for name in ("one@1", "two@2"):
         builder.layer(traversal, "boxes", name, BOXES, [])
         folder = builder.layout.layer(traversal, "masks", *name.split("@"))
@@ -351,7 +349,7 @@ def test_a_calibration_of_another_raster_is_refused(tmp_path: Path) -> None:
     builder = Builder(tmp_path, cameras=("front_wide",))
     builder.scene("a")
     picture = {"front_wide": png(np.zeros((32, 48, 3), np.uint8))}
-    (traversal,) = builder.drive("d0", [Pass("a", pictures=picture, codec="png")])
+    (traversal,) = builder.drive("d0", [Pass("a", images=picture, codec="png")])
     builder.layer(traversal, "calibrations", "bad@1", CALIBRATIONS, [calibration("front_wide", 0, (96, 64))])
     build_index(tmp_path)
     view = mirror.open(tmp_path).with_layers(calibrations="bad@1")
@@ -362,7 +360,7 @@ def test_a_calibration_of_another_raster_is_refused(tmp_path: Path) -> None:
 def test_a_mask_of_another_raster_is_refused(tmp_path: Path) -> None:
     builder = Builder(tmp_path, cameras=("front_wide",))
     builder.scene("a")
-    builder.drive("d0", [Pass("a", pictures={"front_wide": png(np.zeros((32, 48, 3), np.uint8))}, codec="png")])
+    builder.drive("d0", [Pass("a", images={"front_wide": png(np.zeros((32, 48, 3), np.uint8))}, codec="png")])
     write_bytes(tmp_path / "rigs" / "m.png", png(EGO))
     builder.write_rig({"front_wide": "m.png"})
     build_index(tmp_path)

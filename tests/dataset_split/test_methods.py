@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from mirror.dataset.splits import by_condition, by_scene, novel_traversal
 from mirror.dataset.splits.candidates import Candidate
-from mirror.dataset.splits.leaks import Tie, leaks
-from mirror.dataset.splits.units import components, joined, rank
+from mirror.dataset.splits.leaks import Tie, find_leaks
+from mirror.dataset.splits.units import connected_components, members_by_component, seeded_rank
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import ByCondition, ByScene, Condition, NovelTraversal
 
@@ -139,7 +139,7 @@ def test_novel_traversal_against_brute_force(
         return
     assert possible
     assert set(found.left_out) == set(scenes) - set(full)
-    assert leaks(ties, found.roles) == []
+    assert find_leaks(ties, found.roles) == []
     for scene in scenes:
         own = counts(dict(found.roles), scene)
         assert own.get("train", 0) == (train if scene in full else 0)
@@ -218,19 +218,19 @@ def test_components_against_repeated_merging(edges: list[tuple[int, int]]) -> No
     for a, b in edges:
         both = [group for group in groups if str(a) in group or str(b) in group]
         groups = [group for group in groups if group not in both] + [set().union(*both)]
-    found = components(joined(members, [(str(a), str(b)) for a, b in edges]))
+    found = members_by_component(connected_components(members, [(str(a), str(b)) for a, b in edges]))
     assert {frozenset(own) for own in found.values()} == {frozenset(group) for group in groups}
     assert all(name == own[0] for name, own in found.items())
 
 
 def test_rank_differs_by_seed_and_name() -> None:
-    ranks = {rank(seed, name) for seed, name in product(range(10), "abcdefghij")}
+    ranks = {seeded_rank(seed, name) for seed, name in product(range(10), "abcdefghij")}
     assert len(ranks) == 100
 
 
 def test_poses_alone_are_neither_trained_on_nor_held_out_beside_pictures() -> None:
     pictured = made(*(("a", f"drive{k}") for k in range(3)))
-    blind = [replace(item, has_pictures=False) for item in made(*(("a", f"blind{k}") for k in range(3)))]
+    blind = [replace(item, has_images=False) for item in made(*(("a", f"blind{k}") for k in range(3)))]
     parameters = NovelTraversal(train=2, held_out=1)
     for seed in range(20):
         roles = novel_traversal.assign([*pictured, *blind], [], parameters, seed).roles

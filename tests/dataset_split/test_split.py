@@ -11,7 +11,7 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.splits import extend_split, make_split
 from mirror.dataset.splits.candidates import read_candidates
-from mirror.dataset.splits.leaks import leaks, overlapping_scenes, ties
+from mirror.dataset.splits.leaks import find_leaks, find_ties, overlapping_scenes
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import ByCondition, ByScene, Condition, NovelTraversal, Roi
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
@@ -137,17 +137,17 @@ def test_the_same_picture_in_two_drives_stays_in_one_role(tmp_path: Path) -> Non
     builder = Builder(tmp_path, cameras=("front_wide",))
     builder.scene("a")
     fill(builder, "a", FIVE)
-    fill(builder, "a", ("copy0", "copy1"), start_s=1000, pictures=PICTURE)
+    fill(builder, "a", ("copy0", "copy1"), start_s=1000, images=PICTURE)
     for seed in range(8):
         document = make_split(builder.root, f"s{seed}", NovelTraversal(train=6), seed=seed).document
         roles = {key.split(".")[1]: role for key, role in document.assignments.items()}
         assert roles["copy0"] == roles["copy1"] == "train"
-    found = ties(read_candidates(builder.layout), by_scene=False)
+    found = find_ties(read_candidates(builder.layout), by_scene=False)
     assert [tie.kind for tie in found] == ["bytes"]
     assert "have the same bytes in 1 picture, " in found[0].reason
     with pytest.raises(DatasetError, match=r"c\.copy2\.\d+ and c\.copy3\.\d+ have the same bytes"):
         builder.scene("c", longitude_deg=-79.6)
-        fill(builder, "c", ("copy2", "copy3"), start_s=4000, pictures=PICTURE)
+        fill(builder, "c", ("copy2", "copy3"), start_s=4000, images=PICTURE)
         make_split(builder.root, "t", NovelTraversal(train=1), scenes=["c"])
 
 
@@ -182,10 +182,10 @@ def test_a_split_edited_by_hand_is_seen_to_leak(builder: Builder) -> None:
     builder.scene("b", longitude_deg=-79.5)
     entry = EPOCH + 7000 * SECOND
     builder.drive("both", [Pass("a", entry_ns=entry), Pass("b", entry_ns=entry + 60 * SECOND)], vehicle_id="x")
-    found = ties(read_candidates(builder.layout), by_scene=False)
+    found = find_ties(read_candidates(builder.layout), by_scene=False)
     roles = dict(zip(found[0].members, ("train", "held_out")))
-    assert len(leaks(found, roles)) == 1
-    text = str(leaks(found, roles)[0])
+    assert len(find_leaks(found, roles)) == 1
+    text = str(find_leaks(found, roles)[0])
     assert text == f"{found[0].members[0]} (train) and {found[0].members[1]} (held_out) are of one drive, both"
 
 

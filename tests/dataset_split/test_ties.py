@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mirror.dataset.layout import Layout
 from mirror.dataset.splits.candidates import Candidate, Candidates
-from mirror.dataset.splits.leaks import ties
+from mirror.dataset.splits.leaks import find_ties
 
 SECOND = 1_000_000_000
 
@@ -44,5 +44,5 @@ def time_ties(rows: list[tuple[str, str, int, int]]) -> dict[tuple[str, ...], st
         str(number): Candidate(str(number), "s", drive, vehicle, begin * SECOND, end * SECOND, "day", "clear", "")
         for number, (vehicle, drive, begin, end) in enumerate(rows)
     }
-    found = ties(Candidates(Layout(Path("nowhere")), {}, traversals, lambda *_: None), by_scene=False)
+    found = find_ties(Candidates(Layout(Path("nowhere")), {}, traversals, lambda *_: None), by_scene=False)
     return {tie.members: tie.reason for tie in found if tie.kind == "time"}

@@ -54,7 +54,7 @@ def rear_rows(dataset: Path, traversal_id: str) -> list[dict[str, object]]:
 
 
 def ids_of(dataset: Path) -> set[str]:
-    return {rule.rule_id for rule, _ in check(dataset, cost=Cost.PICTURES).findings}
+    return {rule.rule_id for rule, _ in check(dataset, cost=Cost.IMAGES).findings}
 
 
 def test_they_are_referred_to_and_loaded_from_where_they_are(

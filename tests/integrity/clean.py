@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 
+from mirror.dataset.images.depth_codec import encode_depth
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import MANIFEST, Layout, manifest_sha256, read_manifest
-from mirror.dataset.pictures.depth import encode_depth
 from mirror.dataset.splits import make_split
 from mirror.errors import MirrorError
 from mirror.schema.documents import DatasetDocument, FileEntry, ImageTotals, Manifest, NovelTraversal, Rig

@@ -58,7 +58,7 @@ def test_selection() -> None:
     }
     assert {rule.cost for rule in selected(cost=Cost.TABLES)} == {Cost.TABLES}
     assert {rule.cost for rule in selected()} == {Cost.TABLES, Cost.FILES}
-    assert len(selected(cost=Cost.PICTURES)) == len(rules())
+    assert len(selected(cost=Cost.IMAGES)) == len(rules())
     assert [rule.rule_id for rule in selected(["img005"], cost=Cost.TABLES)] == ["IMG005"]
     with pytest.raises(UsageError, match="no rule 'POS099'"):
         selected(["POS099"])
@@ -123,7 +123,7 @@ def test_an_empty_dataset_is_whole(broken: Broken) -> None:
         shutil.rmtree(broken.root / name)
     broken.root.joinpath("traversals").mkdir()
     broken.seal()
-    assert check(broken.root, cost=Cost.PICTURES).findings == []
+    assert check(broken.root, cost=Cost.IMAGES).findings == []
 
 
 def test_the_verb(broken: Broken, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from tests.integrity.edit import A0
 
 def finds(broken: Broken, rule: str) -> bool:
     broken.seal()
-    return {found.rule_id for found, _ in check(broken.root, only=[rule], cost=Cost.PICTURES).findings} == {rule}
+    return {found.rule_id for found, _ in check(broken.root, only=[rule], cost=Cost.IMAGES).findings} == {rule}
 
 
 @pytest.mark.parametrize(("column", "extreme", "outward"), [("entry_ns", min, 1), ("exit_ns", max, -1)])

@@ -23,6 +23,8 @@ def test_boreas(real_data: Path, tmp_path: Path) -> None:
     rois = [one.roi for one in propose_rois(loops, count=2).ranked]
     ingest_recordings(loops, rois, tmp_path / "d")
     assert found(check(tmp_path / "d", cost=Cost.PICTURES)) == {"DS013"}
+    ingest(loops, rois, tmp_path / "d")
+    assert found(check(tmp_path / "d", cost=Cost.IMAGES)) == {"DS013"}
 
 
 def test_dgp(real_data: Path, tmp_path: Path) -> None:
@@ -30,7 +32,7 @@ def test_dgp(real_data: Path, tmp_path: Path) -> None:
     options = IngestOptions(trigger={"min_duration_s": 0.1, "min_path_m": 1.0}, licence="MIT")
     ingest_recordings([scene], [propose_rois([scene], count=1, options=options).ranked[0].roi], tmp_path / "d", options)
     # Six cameras, boxes of a lidar, all of them in some picture; faces and plates are as recorded.
-    assert found(check(tmp_path / "d", cost=Cost.PICTURES)) == {"IMG009"}
+    assert found(check(tmp_path / "d", cost=Cost.IMAGES)) == {"IMG009"}
 
 
 def test_rsk(real_data: Path, tmp_path: Path) -> None:
@@ -55,3 +57,5 @@ def test_comma2k19(real_data: Path, tmp_path: Path) -> None:
     lon, lat, _ = pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*positions[600])
     ingest_recordings([route], [Roi(scene_id="highway", longitude_deg=lon, latitude_deg=lat)], tmp_path / "d")
     assert found(check(tmp_path / "d", cost=Cost.PICTURES)) == {"DS013"}
+    ingest([route], [Roi(scene_id="highway", longitude_deg=lon, latitude_deg=lat)], tmp_path / "d")
+    assert found(check(tmp_path / "d", cost=Cost.IMAGES)) == {"DS013"}

@@ -16,7 +16,7 @@ EDITS = [*edits_of_files.edits(), *edits_of_scenes.edits()]
 
 
 def test_a_whole_dataset_has_no_findings(clean: Path) -> None:
-    report = check(clean, cost=Cost.PICTURES)
+    report = check(clean, cost=Cost.IMAGES)
     assert [(rule.rule_id, finding) for rule, finding in report.findings] == []
     assert report.unread == []
     assert report.exit_code(strict=True) == 0
@@ -28,7 +28,7 @@ def test_an_edit_triggers_its_rule(edit: Edit, broken: Broken) -> None:
     edit.change(broken)
     if edit.seal:
         broken.seal()
-    report = check(broken.root, cost=Cost.PICTURES)
+    report = check(broken.root, cost=Cost.IMAGES)
     found = {rule.rule_id for rule, _ in report.findings}
     listed = "\n".join(f"{rule.rule_id} {finding}" for rule, finding in report.findings)
     assert found == {edit.rule} | edit.also, listed

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mirror.dataset.pictures.still import decode_rgb
+from mirror.dataset.images.decoding import decode_rgb
 from mirror.errors import RecordingError
 from mirror.recordings.raster import TAIL_BYTES, has_end_marker, read_raster_size, require_complete_image
 

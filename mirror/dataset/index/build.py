@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mirror.dataset.generation import release, settle, supersede
+from mirror.dataset.generation import recover, release, supersede
 from mirror.dataset.index.global_tables import (
     accepted_passes,
     encode_global,
@@ -20,8 +20,8 @@ from mirror.dataset.index.global_tables import (
     rows_to_table,
 )
 from mirror.dataset.index.inputs import Inputs, read_inputs
-from mirror.dataset.index.scene_tables import plain_schema, scene_tables
-from mirror.dataset.index.traversal_table import EarlierTraversals, TraversalTable
+from mirror.dataset.index.scene_tables import plain_schema, write_scene_tables
+from mirror.dataset.index.traversal_table import PreviousTraversals, TraversalTable
 from mirror.dataset.layout import MANIFEST, Layout, read_manifest
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
@@ -69,12 +69,12 @@ def build_index(
     """
     start = time.perf_counter()
     layout = Layout(Path(root))
-    settle(layout)
+    recover(layout)
     read_json(layout.document, DatasetDocument)
     inputs = read_inputs(Store(layout.root))
     if whole:
         _require_whole(layout, inputs)
-    previous = None if force else _intact(layout)
+    previous = None if force else _intact_manifest(layout)
     kept = _unchanged(previous, inputs)
     if previous is not None and previous.derived_from == inputs.fingerprints:
         _remove_strays(layout, previous)
@@ -95,15 +95,15 @@ def build_index(
 
     entries: dict[str, FileEntry] = {}
     groups = [_kept_row_groups(layout, kept)]
-    traversals, earlier = TraversalTable(layout), EarlierTraversals(layout)
+    traversals, earlier = TraversalTable(layout), PreviousTraversals(layout)
     try:
         for scene_id in inputs.scenes:
             if scene_id in kept:
-                for row in earlier.of(scene_id):
+                for row in earlier.rows_of(scene_id):
                     traversals.add(row)
                 continue
             own = [(item, ledger[key]) for key, item in inputs.traversals.items() if item.scene_id == scene_id]
-            derived = scene_tables(layout, scene_id, own, take)
+            derived = write_scene_tables(layout, scene_id, own, take)
             for name, file in derived.files.items():
                 _publish(layout, f"{name}/{scene_id}.parquet", file, entries)
             groups.append(rows_to_table(derived.row_groups, ROW_GROUPS))
@@ -140,7 +140,7 @@ def _require_whole(layout: Layout, inputs: Inputs) -> None:
                 )
 
 
-def _intact(layout: Layout) -> Manifest | None:
+def _intact_manifest(layout: Layout) -> Manifest | None:
     """The manifest of the index that is there, if all its files are, byte for byte."""
     try:
         manifest = read_manifest(layout.index)

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 
 from mirror.dataset.index.geoparquet import bounding_box, continuous, with_geo_metadata, wkb_polygon
 from mirror.dataset.index.inputs import Inputs
-from mirror.dataset.index.scene_tables import canonical, plain_schema
+from mirror.dataset.index.scene_tables import canonical_dictionaries, plain_schema
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
 from mirror.schema.documents import Roi
@@ -63,8 +63,8 @@ def encode_global(inputs: Inputs, passes: pa.Table, traversals: pa.Table, row_gr
     row_groups = row_groups.sort_by([(name, "ascending") for name in ROW_GROUPS.sorted_by])
     return {
         SCENES.name: encode_table(with_geo_metadata(_scenes(inputs, traversals), "Polygon"), SCENES),
-        INDEX_PASSES.name: encode_table(canonical(passes, INDEX_PASSES), INDEX_PASSES),
-        ROW_GROUPS.name: encode_table(canonical(row_groups, ROW_GROUPS), ROW_GROUPS),
+        INDEX_PASSES.name: encode_table(canonical_dictionaries(passes, INDEX_PASSES), INDEX_PASSES),
+        ROW_GROUPS.name: encode_table(canonical_dictionaries(row_groups, ROW_GROUPS), ROW_GROUPS),
     }
 
 

@@ -19,7 +19,7 @@ from mirror.schema.strict_json import JsonError, decode_json
 
 # Raised when the index is computed differently from the same inputs, so that every index is rebuilt.
 DERIVATION: Final = 1
-WHOLE: Final = "dataset"
+DATASET_KEY: Final = "dataset"
 _TRAVERSAL: Final = "traversal:"
 
 
@@ -71,7 +71,9 @@ def read_inputs(store: Store) -> Inputs:
         SchemaError: a file is broken, or of another schema version.
     """
     scenes = read_rois(store)
-    manifests = _manifests(store, [f"drives/{name}" for name in store.folders("drives") if not name.startswith(".")])
+    manifests = _manifests(
+        store, [f"drives/{name}" for name in store.list_folders("drives") if not name.startswith(".")]
+    )
     drives: dict[str, frozenset[str]] = {}
     traversals: dict[str, TraversalInput] = {}
     documents = store.read_many([f"{folder}/drive.json" for folder in manifests])
@@ -89,8 +91,8 @@ def read_inputs(store: Store) -> Inputs:
     for folder, (manifest, manifest_hash) in manifests.items():
         path = f"{folder}/drive.json"
         if path not in documents:
-            raise DatasetError("missing", file=store.where(path), remedy="ingest the drive again")
-        drive = parse_json(documents[path], DriveDocument, store.where(path))
+            raise DatasetError("missing", file=store.full_path(path), remedy="ingest the drive again")
+        drive = parse_json(documents[path], DriveDocument, store.full_path(path))
         drive_hashes.append([drive.drive_id, manifest_hash])
         named = {
             key.removeprefix(_TRAVERSAL): value
@@ -109,7 +111,7 @@ def read_inputs(store: Store) -> Inputs:
             if found is None or found[1] != expected:
                 raise DatasetError(
                     "missing" if found is None else "not the traversal that its drive was written with",
-                    file=store.where(place),
+                    file=store.full_path(place),
                     place=MANIFEST,
                     expected=f"the manifest with SHA-256 {expected}",
                     remedy=f"ingest drive {drive.drive_id} again",
@@ -118,7 +120,7 @@ def read_inputs(store: Store) -> Inputs:
             if scene_id not in scenes:
                 raise DatasetError(
                     f"traversal {traversal_id} is of a scene that is not there",
-                    file=store.where("rois.geojson"),
+                    file=store.full_path("rois.geojson"),
                     expected=f"a feature with scene_id {scene_id!r}",
                     remedy="restore the file",
                 )
@@ -139,7 +141,7 @@ def read_rois(store: Store) -> dict[str, Roi]:
         DatasetError: ``rois.geojson`` is missing.
         SchemaError: it is not a collection of regions of interest, or an id repeats.
     """
-    name = store.where("rois.geojson")
+    name = store.full_path("rois.geojson")
     try:
         raw = decode_json(store.read("rois.geojson"))
     except FileNotFoundError as error:
@@ -167,15 +169,15 @@ def _manifests(store: Store, folders: list[str]) -> dict[str, tuple[Manifest, st
     """Manifests and their hashes by folder; a folder without one does not exist."""
     found = store.read_many([f"{folder}/{MANIFEST}" for folder in folders])
     return {
-        path.removesuffix(f"/{MANIFEST}"): (parse_json(data, Manifest, store.where(path)), sha256_bytes(data))
+        path.removesuffix(f"/{MANIFEST}"): (parse_json(data, Manifest, store.full_path(path)), sha256_bytes(data))
         for path, data in found.items()
     }
 
 
 def _layers(store: Store, traversals: list[str]) -> dict[str, dict[tuple[str, str, str], str]]:
     """Hashes of the complete layers of each traversal's folder, by kind, source and version, sorted."""
-    kinds = store.folders_of([f"{traversal}/layers" for traversal in traversals])
-    names = store.folders_of([f"{layers}/{kind}" for layers, own in kinds.items() for kind in own])
+    kinds = store.list_folders_of([f"{traversal}/layers" for traversal in traversals])
+    names = store.list_folders_of([f"{layers}/{kind}" for layers, own in kinds.items() for kind in own])
     folders = {f"{kind}/{name}" for kind, own in names.items() for name in own if not name.startswith(".")}
     found: dict[str, dict[tuple[str, str, str], str]] = {}
     for path, data in sorted(store.read_many([f"{folder}/{MANIFEST}" for folder in sorted(folders)]).items()):
@@ -191,8 +193,10 @@ def _read_rig(store: Store, rig_id: str) -> tuple[Rig, str]:
     try:
         data = store.read(path)
     except FileNotFoundError as error:
-        raise DatasetError("missing", file=store.where(path), expected="a rig", remedy="restore the file") from error
-    return parse_json(data, Rig, store.where(path)), sha256_bytes(data)
+        raise DatasetError(
+            "missing", file=store.full_path(path), expected="a rig", remedy="restore the file"
+        ) from error
+    return parse_json(data, Rig, store.full_path(path)), sha256_bytes(data)
 
 
 def _fingerprints(
@@ -205,7 +209,7 @@ def _fingerprints(
         f"scene:{scene_id}": _hash([DERIVATION, scenes[scene_id].model_dump(mode="json"), rows])
         for scene_id, rows in by_scene.items()
     }
-    prints[WHOLE] = _hash([DERIVATION, prints, sorted(drives)])
+    prints[DATASET_KEY] = _hash([DERIVATION, prints, sorted(drives)])
     return prints
 
 

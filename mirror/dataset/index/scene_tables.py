@@ -54,7 +54,7 @@ class SceneTables:
     row_groups: Sequence[Mapping[str, Any]]
 
 
-def scene_tables(
+def write_scene_tables(
     layout: Layout,
     scene_id: str,
     traversals: Iterable[tuple[TraversalInput, Mapping[str, Any]]],
@@ -85,7 +85,7 @@ def scene_tables(
                 if table.name not in writers:
                     path = layout.index / table.name / f"{scene_id}.parquet"
                     writers[table.name] = TableWriter(path, table)
-                writers[table.name].write(canonical(data, table))
+                writers[table.name].write(canonical_dictionaries(data, table))
                 row_groups.append(_row_group(table, traversal, groups[table.name], data))
                 groups[table.name] += 1
             take(_traversal_row(traversal, ledger, own))
@@ -97,7 +97,7 @@ def scene_tables(
     return SceneTables(files, row_groups)
 
 
-def canonical(data: pa.Table, table: Table) -> pa.Table:
+def canonical_dictionaries(data: pa.Table, table: Table) -> pa.Table:
     """The table with dictionaries in order of first appearance, so that equal rows give equal bytes."""
     columns = [
         data.column(field.name).cast(pa.string()).combine_chunks().dictionary_encode().cast(KEY)

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from mirror.dataset.index.geoparquet import with_geo_metadata
-from mirror.dataset.index.scene_tables import canonical, plain_schema
+from mirror.dataset.index.scene_tables import canonical_dictionaries, plain_schema
 from mirror.dataset.layout import Layout
 from mirror.schema.files import TableWriter
 from mirror.schema.tables import TRAVERSALS
@@ -77,12 +77,12 @@ class TraversalTable:
 
     def _flush(self) -> None:
         rows = pa.Table.from_pylist(self._group, schema=_ROWS)
-        self._unordered.write(canonical(rows, TRAVERSALS))
+        self._unordered.write(canonical_dictionaries(rows, TRAVERSALS))
         self._small.append(rows.drop_columns(["geometry"]))
         self._group, self._bytes = [], 0
 
 
-class EarlierTraversals:
+class PreviousTraversals:
     """The table of the index that is there, of which the rows of scenes that did not change are taken over.
 
     Args:
@@ -92,7 +92,7 @@ class EarlierTraversals:
     def __init__(self, layout: Layout) -> None:
         self._path = layout.index / f"{TRAVERSALS.name}.parquet"
 
-    def of(self, scene_id: str) -> Iterator[Mapping[str, Any]]:
+    def rows_of(self, scene_id: str) -> Iterator[Mapping[str, Any]]:
         """The rows of a scene in order."""
         with pq.ParquetFile(self._path) as file:
             for group in range(file.num_row_groups):

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.arrays import Float64, Int32, Int64
-from mirror.dataset.query.arrow import degrees, mask, member, numbers, stamps
+from mirror.dataset.query.arrow import floats_or_nan, integers_or_zero, is_member, to_arrow_mask, to_numpy
 from mirror.dataset.query.columns import ColumnCache
 from mirror.dataset.query.files import TableFiles
 from mirror.dataset.store import Store
@@ -100,17 +100,17 @@ class Catalog:
 
     def _load_groups(self, name: str) -> RowGroups:
         table = self.read_global("row_groups", TABLES["row_groups"].schema.names)
-        table = table.filter(mask(member(table.column("table"), frozenset([name]))))
+        table = table.filter(to_arrow_mask(is_member(table.column("table"), frozenset([name]))))
         columns = {column: table.column(column) for column in table.column_names}
         return RowGroups(
             path=[f"index/{name}/{scene_id}.parquet" for scene_id in columns["scene_id"].to_pylist()],
-            number=numbers(columns["row_group"]),
-            traversal=numbers(pc.index_in(columns["traversal_id"], value_set=self.traversal_ids)),
-            rows=numbers(columns["rows"]),
-            start_ns=stamps(columns["start_ns"]),
-            end_ns=stamps(columns["end_ns"]),
-            west=degrees(columns["longitude_min_deg"]),
-            east=degrees(columns["longitude_max_deg"]),
-            south=degrees(columns["latitude_min_deg"]),
-            north=degrees(columns["latitude_max_deg"]),
+            number=to_numpy(columns["row_group"]),
+            traversal=to_numpy(pc.index_in(columns["traversal_id"], value_set=self.traversal_ids)),
+            rows=to_numpy(columns["rows"]),
+            start_ns=integers_or_zero(columns["start_ns"]),
+            end_ns=integers_or_zero(columns["end_ns"]),
+            west=floats_or_nan(columns["longitude_min_deg"]),
+            east=floats_or_nan(columns["longitude_max_deg"]),
+            south=floats_or_nan(columns["latitude_min_deg"]),
+            north=floats_or_nan(columns["latitude_max_deg"]),
         )

@@ -79,7 +79,7 @@ class ColumnCache:
             table = file.read_row_group(row_group, columns=list(names), use_threads=False)
             columns = [table.column(name) for name in names]
         except (pa.ArrowInvalid, OSError, KeyError) as error:
-            raise unreadable(self._files.store.where(path), error) from error
+            raise unreadable(self._files.store.full_path(path), error) from error
         return {
             name: column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
             for name, column in zip(names, columns)

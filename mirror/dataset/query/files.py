@@ -61,7 +61,7 @@ class TableFiles:
         return self._open[path]
 
     def _opened(self, path: str) -> pq.ParquetFile:
-        name = self.store.where(path)
+        name = self.store.full_path(path)
         try:
             # What was held against the manifest is what is read: the name is not looked up a second time.
             file = self.store.open(path)
@@ -104,7 +104,7 @@ class TableFiles:
         root = self.store.root
         return DatasetError(
             "the index has changed since this dataset was opened",
-            file=self.store.where(path),
+            file=self.store.full_path(path),
             expected="the file that the index's manifest named then",
             remedy=f"open it again: mirror.open({root!r}); if the error stays, the file is damaged: "
             f"run `mirror index {root}`",

@@ -159,7 +159,7 @@ class Filters:
     time: tuple[int, int] | None = None
     within: tuple[Circle | LocalCircle, ...] = ()
 
-    def also(self, other: Filters) -> Filters:
+    def combined_with(self, other: Filters) -> Filters:
         """Both restrictions."""
         changes: dict[str, object] = {"within": self.within + other.within}
         for field in fields(self):

@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from mirror.arrays import Bool, Float64
 from mirror.dataset.index.geoparquet import line_points
-from mirror.dataset.query.arrow import degrees, mask, member, numbers, rows
+from mirror.dataset.query.arrow import floats_or_nan, is_member, to_arrow_mask, to_arrow_rows, to_numpy
 from mirror.dataset.query.catalog import GLOBAL, TABLES, Catalog, RowGroups
 from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.geometry.geodesy import geodetic_to_ecef, mean_radius_m
@@ -32,7 +32,7 @@ _BY_PASS = {key: column for key, column in _BY_TRAVERSAL.items() if key not in (
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class RowGroupPart:
     """Rows of one row group.
 
     Attributes:
@@ -50,28 +50,28 @@ class Part:
     mask: Bool | None
 
 
-def query(catalog: Catalog, filters: Filters, name: str, columns: Sequence[str]) -> pa.Table:
+def read_rows(catalog: Catalog, filters: Filters, name: str, columns: Sequence[str]) -> pa.Table:
     """The rows of a table that pass, in the table's order."""
     schema = pa.schema([TABLES[name].schema.field(column) for column in columns])
     if name in GLOBAL:
-        return catalog.read_global(name, columns).filter(mask(_global_mask(catalog, filters, name)))
+        return catalog.read_global(name, columns).filter(to_arrow_mask(_global_mask(catalog, filters, name)))
     chunks: list[list[pa.Array]] = [[] for _ in columns]
-    for part in select(catalog, filters, name):
-        passing = None if part.mask is None else mask(part.mask)
+    for part in select_parts(catalog, filters, name):
+        passing = None if part.mask is None else to_arrow_mask(part.mask)
         for column, array in zip(chunks, catalog.columns.read(part.path, part.number, columns)):
             column.append(array if passing is None else array.filter(passing))
     arrays = [pa.chunked_array(column, field.type) for column, field in zip(chunks, schema)]
     return pa.Table.from_arrays(arrays, schema=schema).unify_dictionaries()
 
 
-def count(catalog: Catalog, filters: Filters, name: str) -> int:
+def count_rows(catalog: Catalog, filters: Filters, name: str) -> int:
     """How many rows of a table pass; what row groups tell is not read."""
     if name in GLOBAL:
         return int(_global_mask(catalog, filters, name).sum())
-    return sum(part.rows for part in select(catalog, filters, name))
+    return sum(part.rows for part in select_parts(catalog, filters, name))
 
 
-def select(catalog: Catalog, filters: Filters, name: str) -> Iterator[Part]:
+def select_parts(catalog: Catalog, filters: Filters, name: str) -> Iterator[RowGroupPart]:
     """The row groups with rows that pass."""
     schema = TABLES[name].schema
     stamped, placed = "timestamp_ns" in schema.names, "longitude_deg" in schema.names
@@ -93,16 +93,16 @@ def select(catalog: Catalog, filters: Filters, name: str) -> Iterator[Part]:
         masks = []
         if cut[group] and filters.time is not None:
             (stamps,) = catalog.columns.read(path, number, ["timestamp_ns"])
-            values = numbers(stamps)
+            values = to_numpy(stamps)
             masks.append((values >= filters.time[0]) & (values < filters.time[1]))
         if cameras is not None:
-            masks.append(member(catalog.columns.read(path, number, ["camera"])[0], cameras))
+            masks.append(is_member(catalog.columns.read(path, number, ["camera"])[0], cameras))
         masks += [_inside(catalog, (path, number), circle, schema.names) for circle, edge in edges if edge[group]]
         passing = np.logical_and.reduce(masks) if masks else None
         total = int(groups.rows[group])
         passed = total if passing is None else int(np.count_nonzero(passing))
         if passed:
-            yield Part(path, number, int(groups.traversal[group]), passed, None if passed == total else passing)
+            yield RowGroupPart(path, number, int(groups.traversal[group]), passed, None if passed == total else passing)
 
 
 def traversal_mask(catalog: Catalog, filters: Filters, *, time: bool = True, place: bool = True) -> Bool:
@@ -118,7 +118,7 @@ def traversal_mask(catalog: Catalog, filters: Filters, *, time: bool = True, pla
     for key, column in _BY_TRAVERSAL.items():
         values = getattr(filters, key)
         if values is not None:
-            passing &= member(catalog.read_global("traversals", [column]).column(0), values)
+            passing &= is_member(catalog.read_global("traversals", [column]).column(0), values)
     if time and filters.time is not None:
         passing &= _overlaps(catalog, "traversals", filters.time)
     for circle in filters.within:
@@ -129,9 +129,9 @@ def traversal_mask(catalog: Catalog, filters: Filters, *, time: bool = True, pla
 def _global_mask(catalog: Catalog, filters: Filters, name: str) -> Bool:
     if name == "traversals":
         return traversal_mask(catalog, filters)
-    chosen = frozenset(catalog.traversal_ids.filter(mask(traversal_mask(catalog, filters))).to_pylist())
+    chosen = frozenset(catalog.traversal_ids.filter(to_arrow_mask(traversal_mask(catalog, filters))).to_pylist())
     if name == "row_groups":
-        return member(catalog.read_global(name, ["traversal_id"]).column(0), chosen)
+        return is_member(catalog.read_global(name, ["traversal_id"]).column(0), chosen)
     if name == "scenes":
         return _scene_mask(catalog, filters, chosen)
     return _pass_mask(catalog, filters, chosen)
@@ -141,10 +141,10 @@ def _scene_mask(catalog: Catalog, filters: Filters, chosen: frozenset[str]) -> B
     """Scenes with a traversal that passes; if nothing but scenes is asked for, also those without any traversal."""
     scene_ids = catalog.read_global("scenes", ["scene_id"]).column(0)
     if filters == Filters(scene=filters.scene):
-        return np.ones(len(scene_ids), np.bool_) if filters.scene is None else member(scene_ids, filters.scene)
+        return np.ones(len(scene_ids), np.bool_) if filters.scene is None else is_member(scene_ids, filters.scene)
     traversals = catalog.read_global("traversals", ["scene_id", "traversal_id"])
-    own = traversals.column("scene_id").filter(mask(member(traversals.column("traversal_id"), chosen)))
-    return member(scene_ids, frozenset(own.to_pylist()))
+    own = traversals.column("scene_id").filter(to_arrow_mask(is_member(traversals.column("traversal_id"), chosen)))
+    return is_member(scene_ids, frozenset(own.to_pylist()))
 
 
 def _pass_mask(catalog: Catalog, filters: Filters, chosen: frozenset[str]) -> Bool:
@@ -154,17 +154,17 @@ def _pass_mask(catalog: Catalog, filters: Filters, chosen: frozenset[str]) -> Bo
     for key, column in _BY_PASS.items():
         values = getattr(filters, key)
         if values is not None:
-            passing &= member(columns.column(column), values)
+            passing &= is_member(columns.column(column), values)
     if filters.time is not None:
         passing &= _overlaps(catalog, "passes", filters.time)
     if filters.traversal is not None or filters.vehicle is not None or filters.within:
-        passing &= member(columns.column("traversal_id"), chosen)
+        passing &= is_member(columns.column("traversal_id"), chosen)
     return passing
 
 
 def _overlaps(catalog: Catalog, name: str, time: tuple[int, int]) -> Bool:
     ends = catalog.read_global(name, ["entry_ns", "exit_ns"])
-    return (numbers(ends.column("exit_ns")) >= time[0]) & (numbers(ends.column("entry_ns")) < time[1])
+    return (to_numpy(ends.column("exit_ns")) >= time[0]) & (to_numpy(ends.column("entry_ns")) < time[1])
 
 
 def _box_tests(groups: RowGroups, circle: Circle | LocalCircle) -> tuple[Bool, Bool]:
@@ -178,7 +178,7 @@ def _box_tests(groups: RowGroups, circle: Circle | LocalCircle) -> tuple[Bool, B
 def _inside(catalog: Catalog, part: tuple[str, int], circle: Circle | LocalCircle, names: Sequence[str]) -> Bool:
     columns = _PLACE if isinstance(circle, Circle) else ("x_m", "y_m") if "x_m" in names else ("tx_m", "ty_m")
     first, second = catalog.columns.read(*part, columns)
-    return circle.contains(degrees(first), degrees(second))
+    return circle.contains(floats_or_nan(first), floats_or_nan(second))
 
 
 def _in_frame(catalog: Catalog, circle: Circle | LocalCircle) -> Bool:
@@ -186,22 +186,22 @@ def _in_frame(catalog: Catalog, circle: Circle | LocalCircle) -> Bool:
     scenes = catalog.read_global("scenes", ["scene_id", "frame"])
     frame = circle.frame if isinstance(circle, LocalCircle) else None
     same = frozenset(row["scene_id"] for row in scenes.to_pylist() if row["frame"] == frame)
-    return member(catalog.read_global("traversals", ["scene_id"]).column(0), same)
+    return is_member(catalog.read_global("traversals", ["scene_id"]).column(0), same)
 
 
 def _lines_touch(catalog: Catalog, circle: Circle | LocalCircle, among: Bool) -> Bool:
     """Which of some traversals have a point in the circle: of the driven line, or a pose in a local frame."""
     found = among & _in_frame(catalog, circle)
     if isinstance(circle, LocalCircle):
-        own = frozenset(catalog.traversal_ids.filter(mask(found)).to_pylist())
-        hits = select(catalog, Filters(traversal=own, within=(circle,)), "ego_poses")
+        own = frozenset(catalog.traversal_ids.filter(to_arrow_mask(found)).to_pylist())
+        hits = select_parts(catalog, Filters(traversal=own, within=(circle,)), "ego_poses")
         return np.isin(np.arange(len(found)), [part.traversal for part in hits])
     (boxes,) = catalog.read_global("traversals", ["bbox"]).column(0).chunks
-    west, south, east, north = (degrees(part) for part in boxes.flatten())
+    west, south, east, north = (floats_or_nan(part) for part in boxes.flatten())
     found &= circle.touches(west, east, south, north)
     near = np.flatnonzero(found)
     if len(near):
-        lines = catalog.read_global("traversals", ["geometry"]).column(0).take(rows(near))
+        lines = catalog.read_global("traversals", ["geometry"]).column(0).take(to_arrow_rows(near))
         found[near] = [_line_distance_m(line_points(wkb), circle) <= circle.radius_m for wkb in lines.to_pylist()]
     return found
 

@@ -17,7 +17,7 @@ class Assignment:
     left_out: Mapping[str, str]
 
 
-def why_tied(first: str, second: str, ties: Iterable[Tie]) -> str:
+def describe_tie(first: str, second: str, ties: Iterable[Tie]) -> str:
     """What two traversals of one unit share, in words."""
     direct = [tie.reason for tie in ties if first in tie.members and second in tie.members]
     return direct[0] if direct else "are tied to each other by others in between"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mirror.dataset.splits.assignment import Assignment, why_tied
+from mirror.dataset.splits.assignment import Assignment, describe_tie
 from mirror.dataset.splits.candidates import Candidate
 from mirror.dataset.splits.leaks import Tie
-from mirror.dataset.splits.units import components, joined
+from mirror.dataset.splits.units import connected_components, members_by_component
 from mirror.errors import DatasetError
 from mirror.schema.documents import ByCondition, Condition, Role
 
@@ -29,13 +29,13 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByC
     roles: dict[str, Role] = {item.traversal_id: role_of(item, parameters) for item in traversals}
     fitting = set(roles.values())
     left_out: dict[str, str] = {}
-    units = components(joined(roles, (tie.members for tie in ties)))
+    units = members_by_component(connected_components(roles, (tie.members for tie in ties)))
     for members in units.values():
         tested = [key for key in members if roles[key] == "test"]
         for key in members if tested else ():
             if roles[key] == "train":
                 roles[key] = "unused"
-                left_out[key] = f"{key} and {tested[0]}, which is tested on, {why_tied(key, tested[0], ties)}"
+                left_out[key] = f"{key} and {tested[0]}, which is tested on, {describe_tie(key, tested[0], ties)}"
     for role, conditions in (("train", parameters.train), ("test", parameters.test)):
         if role not in roles.values():
             wanted = " or ".join(_text(condition) for condition in conditions)

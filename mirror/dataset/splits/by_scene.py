@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
-from mirror.dataset.splits.assignment import Assignment, why_tied
+from mirror.dataset.splits.assignment import Assignment, describe_tie
 from mirror.dataset.splits.candidates import Candidate
 from mirror.dataset.splits.leaks import Tie
-from mirror.dataset.splits.units import components, joined, rank
+from mirror.dataset.splits.units import connected_components, members_by_component, seeded_rank
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import ByScene, Role
 
@@ -39,13 +39,15 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByS
             expected="at least a scene for each role",
             remedy="set shares to 0, e.g. --val 0",
         )
-    units = components(joined(scenes, ([scene_of[key] for key in tie.members if key in scene_of] for tie in ties)))
+    units = members_by_component(
+        connected_components(scenes, ([scene_of[key] for key in tie.members if key in scene_of] for tie in ties))
+    )
     if len(units) < len(shares):
         raise _impossible(units, scene_of, ties, shares)
     target = {role: share * len(scenes) for role, share in shares.items()}
     filled: dict[Role, int] = dict.fromkeys(shares, 0)
     role_of: dict[str, Role] = {}
-    waiting = sorted(units, key=lambda unit: (-len(units[unit]), rank(seed, unit)))
+    waiting = sorted(units, key=lambda unit: (-len(units[unit]), seeded_rank(seed, unit)))
     for number, unit in enumerate(waiting):
         empty = [role for role in shares if not filled[role]]
         # The last units go to the roles that would have none.
@@ -71,7 +73,7 @@ def _impossible(
     first, second = members[0], str(other)
     return DatasetError(
         f"{len(scene_of)} traversals of {sum(map(len, units.values()))} scenes cannot fill {len(shares)} roles without"
-        f" a leak: {first} and {second} {why_tied(first, second, [tie])}",
+        f" a leak: {first} and {second} {describe_tie(first, second, [tie])}",
         place=f"scenes {scene_of[first]} and {scene_of[second]}",
         expected=f"scenes in at least {len(shares)} groups that share no drive, no picture and no ground",
         remedy="leave scenes out by naming the others with --scene, or set shares to 0, e.g. --val 0",

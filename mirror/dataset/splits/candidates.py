@@ -36,7 +36,7 @@ class Candidate:
         light: light at the entry.
         weather: weather at the entry.
         content: SHA-256 over the files that were recorded.
-        has_pictures: False for one of a poses-only drive.
+        has_images: False for one of a poses-only drive.
     """
 
     traversal_id: str
@@ -48,7 +48,7 @@ class Candidate:
     light: str
     weather: str
     content: str
-    has_pictures: bool = True
+    has_images: bool = True
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Candidates:
     read: Callable[[Path, Table, Sequence[str]], pa.Table | None] = read_table
 
     @cached_property
-    def picture_hashes(self) -> Mapping[str, UInt8]:
+    def image_hashes(self) -> Mapping[str, UInt8]:
         """SHA-256 of each picture as recorded, (N, 32) by traversal; unhashed pictures are left out."""
         files = {key: self.layout.recorded(key) / f"{IMAGES.name}.parquet" for key in self.traversals}
         tables = {key: self.read(file, IMAGES, ["sha256"]) for key, file in files.items()}
@@ -95,7 +95,7 @@ def read_candidates(layout: Layout) -> Candidates:
             light=ledger[key]["light"],
             weather=ledger[key]["weather"],
             content=item.recorded.content,
-            has_pictures=item.drive.rig_id is not None,
+            has_images=item.drive.rig_id is not None,
         )
         for key, item in inputs.traversals.items()
     }

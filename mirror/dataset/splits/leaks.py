@@ -48,7 +48,7 @@ class Leak:
         return f"{self.first} ({self.first_role}) and {self.second} ({self.second_role}) {self.tie.reason}"
 
 
-def ties(candidates: Candidates, *, by_scene: bool) -> list[Tie]:
+def find_ties(candidates: Candidates, *, by_scene: bool) -> list[Tie]:
     """Everything that ties traversals together.
 
     Args:
@@ -62,7 +62,7 @@ def ties(candidates: Candidates, *, by_scene: bool) -> list[Tie]:
     return found
 
 
-def leaks(found: Iterable[Tie], roles: Mapping[str, str]) -> list[Leak]:
+def find_leaks(found: Iterable[Tie], roles: Mapping[str, str]) -> list[Leak]:
     """The ties that run across roles, each pair of roles once; ``unused`` and unassigned traversals are in no role.
 
     Args:
@@ -144,8 +144,8 @@ def _same_time(traversals: Sequence[Candidate]) -> Iterator[Tie]:
 
 
 def _same_bytes(candidates: Candidates) -> Iterator[Tie]:
-    names = list(candidates.picture_hashes)
-    parts = list(candidates.picture_hashes.values())
+    names = list(candidates.image_hashes)
+    parts = list(candidates.image_hashes.values())
     hashes = np.concatenate([*parts, np.empty((0, SHA256_BYTES), np.uint8)])
     owner = np.repeat(np.arange(len(names)), [len(part) for part in parts])
     shared: dict[tuple[int, ...], list[bytes]] = defaultdict(list)

@@ -6,10 +6,10 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Final, TypeAlias
 
-from mirror.dataset.splits.assignment import Assignment, why_tied
+from mirror.dataset.splits.assignment import Assignment, describe_tie
 from mirror.dataset.splits.candidates import Candidate
 from mirror.dataset.splits.leaks import Tie
-from mirror.dataset.splits.units import joined, rank
+from mirror.dataset.splits.units import connected_components, seeded_rank
 from mirror.errors import DatasetError
 from mirror.schema.documents import NovelTraversal, Role
 
@@ -34,13 +34,13 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: Nov
     Raises:
         DatasetError: no choice exists; the scene and two traversals that stand in the way are named.
     """
-    unit_of = joined((item.traversal_id for item in traversals), (tie.members for tie in ties))
-    order = {unit: rank(seed, unit) for unit in unit_of.values()}
+    unit_of = connected_components((item.traversal_id for item in traversals), (tie.members for tie in ties))
+    order = {unit: seeded_rank(seed, unit) for unit in unit_of.values()}
     scenes: dict[str, _Passes] = defaultdict(lambda: defaultdict(list))
-    pictured = {item.scene_id for item in traversals if item.has_pictures}
+    pictured = {item.scene_id for item in traversals if item.has_images}
     for item in sorted(traversals, key=lambda item: (item.scene_id, item.traversal_id)):
         # Nothing can be trained or scored on poses alone; a dataset that has nothing else is divided all the same.
-        if item.scene_id in pictured and not item.has_pictures:
+        if item.scene_id in pictured and not item.has_images:
             continue
         scenes[item.scene_id][unit_of[item.traversal_id]].append(item.traversal_id)
     wanted = parameters.train + parameters.held_out
@@ -138,7 +138,7 @@ def _impossible(
     pairs += [(elsewhere[unit][0], own[0]) for unit, own in passes.items() if unit in elsewhere]
     first, second = pairs[0]
     return DatasetError(
-        f"scene {scene_id} cannot be divided without a leak: {first} and {second} {why_tied(first, second, ties)},"
+        f"scene {scene_id} cannot be divided without a leak: {first} and {second} {describe_tie(first, second, ties)},"
         f" but one of them would have to be held out and the other trained on",
         expected=f"{parameters.train} traversals to train on and {parameters.held_out} to hold out that share no drive,"
         " no picture and no time of one vehicle",

@@ -15,7 +15,7 @@ from mirror.dataset.lock import writer_lock
 from mirror.dataset.splits import by_condition, by_scene, novel_traversal
 from mirror.dataset.splits.assignment import Assignment
 from mirror.dataset.splits.candidates import Candidates, read_candidates
-from mirror.dataset.splits.leaks import Tie, leaks, ties
+from mirror.dataset.splits.leaks import Tie, find_leaks, find_ties
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import (
     ByCondition,
@@ -91,7 +91,7 @@ def make_split(
             return _kept(read_json(path, SplitDocument), candidates, path, parameters, seed, chosen)
         _require_scenes(candidates, chosen)
         own = _restricted(candidates, chosen)
-        found = ties(own, by_scene=isinstance(parameters, ByScene))
+        found = find_ties(own, by_scene=isinstance(parameters, ByScene))
         assignment = _assign(own, found, parameters, seed)
         if require and assignment.left_out:
             place, reason = next(iter(assignment.left_out.items()))
@@ -148,7 +148,7 @@ def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitRep
             )
         if not outside:
             return SplitReport(document, "kept", (), ())
-        found = ties(_restricted(candidates, document.scenes), by_scene=isinstance(document.parameters, ByScene))
+        found = find_ties(_restricted(candidates, document.scenes), by_scene=isinstance(document.parameters, ByScene))
         left_out = _tied_elsewhere(outside, document.assignments, found)
         if isinstance(document.parameters, ByCondition):
             conditions = document.parameters
@@ -282,7 +282,7 @@ def _tied_elsewhere(outside: Sequence[str], roles: Mapping[str, Role], found: Se
 
 def _require_tight(found: Sequence[Tie], roles: Mapping[str, Role], layout: Layout) -> None:
     """A second look at what a method decided; an old split may also have been edited by hand."""
-    across = leaks(found, roles)
+    across = find_leaks(found, roles)
     if across:
         raise DatasetError(
             f"the split leaks: {across[0]}" + (f" (and {len(across) - 1} more leaks)" if len(across) > 1 else ""),

@@ -7,12 +7,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
 
-def rank(seed: int, name: str) -> bytes:
+def seeded_rank(seed: int, name: str) -> bytes:
     """Where a seed puts a name among others: the same whatever the others are."""
     return hashlib.blake2b(name.encode(), key=str(seed).encode(), digest_size=16).digest()
 
 
-def joined(members: Iterable[str], ties: Iterable[Sequence[str]]) -> dict[str, str]:
+def connected_components(members: Iterable[str], ties: Iterable[Sequence[str]]) -> dict[str, str]:
     """Connected components.
 
     Args:
@@ -38,7 +38,7 @@ def joined(members: Iterable[str], ties: Iterable[Sequence[str]]) -> dict[str, s
     return {member: root(member) for member in parent}
 
 
-def components(names: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+def members_by_component(names: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
     """The members of each component, sorted, by its name."""
     groups = defaultdict(list)
     for member, name in names.items():

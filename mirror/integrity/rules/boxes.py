@@ -13,7 +13,7 @@ from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import rotate
 from mirror.integrity.finding import Cost, Finding, Severity
-from mirror.integrity.layer_files import lost_pictures, missing_files, other_bytes
+from mirror.integrity.layer_files import changed_files, missing_files, rows_without_image
 from mirror.integrity.motion import Motion
 from mirror.integrity.rule import scene_rule
 from mirror.integrity.scene_view import SceneView
@@ -170,7 +170,7 @@ def _in_world(view: SceneView) -> tuple[Float64, Float64, Bool]:
     stamps, query = poses.integers("timestamp_ns"), boxes.integers("timestamp_ns")
     for _, number, rows in boxes.slices():
         own = tracks.get(number, slice(0, 0))
-        if not view.sound_poses(own):
+        if not view.has_valid_poses(own):
             continue
         inside = np.flatnonzero((query[rows] >= stamps[own][0]) & (query[rows] <= stamps[own][-1])) + rows.start
         inside = inside[np.isfinite(placed.position[inside]).all(axis=1)]
@@ -230,15 +230,15 @@ def _mask_file(view: SceneView) -> Iterator[Finding]:
     remedy="write the mask layer again, with the stamps of the images table",
 )
 def _mask_picture(view: SceneView) -> Iterator[Finding]:
-    yield from lost_pictures(view, view.masks)
+    yield from rows_without_image(view, view.masks)
 
 
 @scene_rule(
     "MSK003",
     Severity.ERROR,
     title="A mask's file has other bytes than were written: another SHA-256.",
-    cost=Cost.PICTURES,
+    cost=Cost.IMAGES,
     remedy="write the mask layer again",
 )
 def _mask_hash(view: SceneView) -> Iterator[Finding]:
-    yield from other_bytes(view, view.masks)
+    yield from changed_files(view, view.masks)

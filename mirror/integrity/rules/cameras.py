@@ -29,7 +29,7 @@ def _calibrated(view: SceneView) -> Iterator[Finding]:
     start = np.where(calibrations.known("valid_from_ns"), calibrations.integers("valid_from_ns"), _MIN)
     end = np.where(calibrations.known("valid_to_ns"), calibrations.integers("valid_to_ns"), _MAX)
     stamps = images.integers("timestamp_ns")
-    for row, own, same_camera in view.calibrated_pictures():
+    for row, own, same_camera in view.calibrated_images():
         bad[own] &= ~(same_camera & (stamps[own] >= start[row]) & (stamps[own] <= end[row]))
     yield from images.findings(bad, lambda row: "no calibration of the camera is valid at this time")
 
@@ -45,7 +45,7 @@ def _raster(view: SceneView) -> Iterator[Finding]:
     width, height = images.integers("width_px"), images.integers("height_px")
     across, down = calibrations.integers("width_px"), calibrations.integers("height_px")
     calibrated = np.full(len(images), -1, np.int64)
-    for row, own, same_camera in view.calibrated_pictures():
+    for row, own, same_camera in view.calibrated_images():
         other = same_camera & ((width[own] != across[row]) | (height[own] != down[row]))
         calibrated[own] = np.where(other, row, calibrated[own])
     yield from images.findings(

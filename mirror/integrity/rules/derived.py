@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pyarrow.compute as pc
 
-from mirror.dataset.index.inputs import WHOLE
+from mirror.dataset.index.inputs import DATASET_KEY
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Finding, Severity
 from mirror.integrity.problems import unread
@@ -38,7 +38,7 @@ def _index_stale(view: DatasetView) -> Iterator[Finding]:
         return
     found = view.index_manifest.derived_from
     changed = [key for key in {**inputs.fingerprints, **found} if inputs.fingerprints.get(key) != found.get(key)]
-    scenes = sorted(key for key in changed if key != WHOLE)
+    scenes = sorted(key for key in changed if key != DATASET_KEY)
     if changed:
         yield Finding("index/manifest.json", "derived_from", f"stale: {', '.join(scenes) or 'drives'} changed since")
 

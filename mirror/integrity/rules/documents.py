@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 
+from mirror.dataset.images.decoding import decode_grey
 from mirror.dataset.layout import MANIFEST, manifest_sha256
-from mirror.dataset.pictures.still import decode_grey
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Cost, Finding, Severity
 from mirror.integrity.problems import unread
@@ -80,7 +80,7 @@ def _manifest(view: DatasetView) -> Iterator[Finding]:
     remedy="run the same `mirror ingest` again: it finishes or removes the folder",
 )
 def _incomplete_folder(view: DatasetView) -> Iterator[Finding]:
-    for folder in view.sealed_folders():
+    for folder in view.folders_with_manifest():
         if not (folder / MANIFEST).is_file():
             yield Finding(view.name(folder), MANIFEST, "missing: the folder is not complete")
 
@@ -92,7 +92,7 @@ def _incomplete_folder(view: DatasetView) -> Iterator[Finding]:
     remedy="run the same `mirror ingest` again",
 )
 def _named_traversal(view: DatasetView) -> Iterator[Finding]:
-    for traversal_id, (drive, expected) in view.named.items():
+    for traversal_id, (drive, expected) in view.named_traversals.items():
         file = f"traversals/{traversal_id}/recorded/{MANIFEST}"
         if not (view.layout.root / file).is_file():
             yield Finding(file, None, f"missing, but drive {drive} names the traversal")
@@ -108,7 +108,7 @@ def _named_traversal(view: DatasetView) -> Iterator[Finding]:
 )
 def _orphan_traversal(view: DatasetView) -> Iterator[Finding]:
     for traversal_id in view.recorded_manifests:
-        if traversal_id not in view.named:
+        if traversal_id not in view.named_traversals:
             yield Finding(f"traversals/{traversal_id}", None, "no drive's manifest names this traversal")
 
 
@@ -142,7 +142,7 @@ def _identifier(view: DatasetView) -> Iterator[Finding]:
     remedy="restore the scene in rois.geojson",
 )
 def _unknown_scene(view: DatasetView) -> Iterator[Finding]:
-    for traversal_id in view.named:
+    for traversal_id in view.named_traversals:
         scene_id = traversal_id.partition(".")[0]
         if view.scenes and scene_id not in view.scenes:
             yield Finding("rois.geojson", f"scene {scene_id}", f"missing, but traversal {traversal_id} is of it")

@@ -40,7 +40,7 @@ def _file_size(view: DatasetView) -> Iterator[Finding]:
     "FIL003",
     Severity.ERROR,
     title="A file of the right size has other bytes than its manifest says.",
-    cost=Cost.PICTURES,
+    cost=Cost.IMAGES,
     remedy="run the same `mirror ingest` again; for index/: `mirror index`",
 )
 def _file_hash(view: DatasetView) -> Iterator[Finding]:

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from mirror.arrays import Bool, Int64
 from mirror.dataset.splits.candidates import hash_bytes
 from mirror.integrity.finding import Cost, Finding, Severity
-from mirror.integrity.images import MISSING, leads_out
+from mirror.integrity.images import MISSING, leaves_dataset
 from mirror.integrity.rows import Rows
 from mirror.integrity.rule import scene_rule
 from mirror.integrity.scene_view import SceneView
@@ -27,7 +27,7 @@ from mirror.integrity.scene_view import SceneView
 def _missing(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     yield from images.findings(
-        view.picture_files.size == MISSING, lambda row: f"{images.word('uri', row)} is missing or cannot be opened"
+        view.image_files.size == MISSING, lambda row: f"{images.word('uri', row)} is missing or cannot be opened"
     )
 
 
@@ -39,7 +39,7 @@ def _missing(view: SceneView) -> Iterator[Finding]:
     remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
 def _byte_length(view: SceneView) -> Iterator[Finding]:
-    images, size = view.all_images, view.picture_files.size
+    images, size = view.all_images, view.image_files.size
     offset, length = images.integers("byte_offset"), images.integers("byte_length")
     short = (size >= 0) & (size < offset + length)
     long = np.flatnonzero((size >= 0) & (offset == 0) & (size > length))
@@ -71,7 +71,7 @@ def _repeated(images: Rows, rows: Int64) -> Bool:
 def _cut_short(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     yield from images.findings(
-        ~view.picture_files.ended, lambda row: f"{images.word('uri', row)} has no end-of-image marker"
+        ~view.image_files.ended, lambda row: f"{images.word('uri', row)} has no end-of-image marker"
     )
 
 
@@ -79,13 +79,13 @@ def _cut_short(view: SceneView) -> Iterator[Finding]:
     "IMG004",
     Severity.ERROR,
     title="A picture's bytes are not those that were recorded: another SHA-256.",
-    cost=Cost.PICTURES,
+    cost=Cost.IMAGES,
     remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
 def _picture_hash(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     yield from images.findings(
-        ~view.picture_contents.same_bytes, lambda row: f"{images.word('uri', row)} has other bytes than were recorded"
+        ~view.image_contents.same_bytes, lambda row: f"{images.word('uri', row)} has other bytes than were recorded"
     )
 
 
@@ -93,13 +93,13 @@ def _picture_hash(view: SceneView) -> Iterator[Finding]:
     "IMG005",
     Severity.ERROR,
     title="A picture whose end is there cannot be decoded.",
-    cost=Cost.PICTURES,
+    cost=Cost.IMAGES,
     remedy="restore the file from the recording, or drop the picture",
 )
 def _undecodable(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     yield from images.findings(
-        ~view.picture_contents.decodes & view.picture_files.ended,
+        ~view.image_contents.decodes & view.image_files.ended,
         lambda row: f"{images.word('uri', row)} cannot be decoded as {images.word('codec', row)}",
     )
 
@@ -108,11 +108,11 @@ def _undecodable(view: SceneView) -> Iterator[Finding]:
     "IMG006",
     Severity.ERROR,
     title="A decoded picture has another width or height than its row says.",
-    cost=Cost.PICTURES,
+    cost=Cost.IMAGES,
     remedy="`mirror ingest RECORDING... --replace`: the table states another size",
 )
 def _picture_size(view: SceneView) -> Iterator[Finding]:
-    images, found = view.all_images, view.picture_contents
+    images, found = view.all_images, view.image_contents
     width, height = images.integers("width_px"), images.integers("height_px")
     decoded = found.width_px > 0
     yield from images.findings(
@@ -131,11 +131,11 @@ _LEAST = 3
     "IMG007",
     Severity.WARNING,
     title="A picture is blank: all its pixels have the same value, or nearly.",
-    cost=Cost.PICTURES,
+    cost=Cost.IMAGES,
     remedy="look at the camera; drop the pictures if it was covered",
 )
 def _blank(view: SceneView) -> Iterator[Finding]:
-    images, spread = view.all_images, view.picture_contents.spread
+    images, spread = view.all_images, view.image_contents.spread
     yield from images.findings(
         spread < _LEAST, lambda row: f"{images.word('uri', row)}: values differ by {spread[row]} of 255"
     )
@@ -189,7 +189,7 @@ def _uri_leads_out(view: SceneView) -> Iterator[Finding]:
         # Nearly no uri has two dots in a row; only those that have are taken apart.
         suspects = np.flatnonzero(pc.match_substring(rows.data.column("uri"), "..").to_numpy())
         outside = np.zeros(len(rows), np.bool_)
-        outside[suspects] = [leads_out(str(rows.word("uri", int(row)))) for row in suspects]
+        outside[suspects] = [leaves_dataset(str(rows.word("uri", int(row)))) for row in suspects]
         yield from rows.findings(
             outside,
             lambda row, rows=rows: f"uri {rows.word('uri', row)!r}",  # type: ignore[misc]

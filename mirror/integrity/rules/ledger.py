@@ -177,10 +177,10 @@ def _path_again(view: SceneView) -> Iterator[Finding]:
     trigger = view.dataset.document.trigger
     poses = view.poses
     for file, number, rows in poses.slices():
-        passed = view.traversals[number].passed
+        passed = view.traversals[number].ledger_row
         stamps = poses.integers("timestamp_ns")[rows]
         entry, end = view.entry_ns[number], view.exit_ns[number]
-        if passed is None or not view.sound_poses(rows) or not stamps[0] <= entry < end <= stamps[-1]:
+        if passed is None or not view.has_valid_poses(rows) or not stamps[0] <= entry < end <= stamps[-1]:
             continue
         inside = np.flatnonzero((stamps > entry) & (stamps < end))
         at = (np.concatenate([[entry], stamps[inside], [end]]) - stamps[0]).astype(np.float64)
@@ -235,14 +235,14 @@ def _pass_identity(view: DatasetView) -> Iterator[Finding]:
             why[row] = (
                 f"traversal_id is {traversal!r}; expected {name!r}" if yes[row] else f"refused, but {traversal!r}"
             )
-        elif yes[row] and traversal not in view.named:
+        elif yes[row] and traversal not in view.named_traversals:
             why[row] = f"the drive's manifest does not name {traversal!r}"
     bad = np.zeros(len(passes), np.bool_)
     bad[list(why)] = True
     yield from passes.findings(bad, lambda row: why[row])
     there = {value for value in columns[2] if value is not None}
     read = {file.split("/")[-2] for file in passes.files}
-    for traversal_id, (drive, _) in view.named.items():
+    for traversal_id, (drive, _) in view.named_traversals.items():
         if drive in read and traversal_id not in there:
             yield Finding(f"drives/{drive}/passes.parquet", None, f"no accepted pass for traversal {traversal_id}")
 

@@ -292,7 +292,7 @@ def _cover_pictures(view: SceneView) -> Iterator[Finding]:
 def _cover_pass(view: SceneView) -> Iterator[Finding]:
     first, last = view.pose_span()
     for number, item in enumerate(view.traversals):
-        if item.passed is None or first[number] > last[number]:
+        if item.ledger_row is None or first[number] > last[number]:
             continue
         missing = max(int(first[number] - view.entry_ns[number]), int(view.exit_ns[number] - last[number]))
         if missing > 0:
@@ -318,7 +318,7 @@ def _margin(view: SceneView) -> Iterator[Finding]:
     for file, number, rows in view.poses.slices():
         item = view.traversals[number]
         own = view.poses.integers("timestamp_ns")[rows]
-        if item.passed is None or len(own) < 2:
+        if item.ledger_row is None or len(own) < 2:
             continue
         # The next pose may just have missed the second.
         slack = int(np.diff(own).max())
@@ -327,7 +327,7 @@ def _margin(view: SceneView) -> Iterator[Finding]:
             ("exit", int(last[number] - view.exit_ns[number]), item.drive.end_ns - int(view.exit_ns[number])),
         )
         for end, there, possible in beyond:
-            if item.passed[f"{end}_kind"] == "crossing" and 0 <= there < min(_MARGIN_NS, possible) - slack:
+            if item.ledger_row[f"{end}_kind"] == "crossing" and 0 <= there < min(_MARGIN_NS, possible) - slack:
                 yield Finding(
                     file,
                     end,

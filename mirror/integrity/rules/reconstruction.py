@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mirror.integrity.finding import Cost, Finding, Severity
-from mirror.integrity.layer_files import lost_pictures, missing_files, other_bytes
+from mirror.integrity.layer_files import changed_files, missing_files, rows_without_image
 from mirror.integrity.rule import scene_rule
 from mirror.integrity.scene_view import SceneView
 
@@ -30,18 +30,18 @@ def _depth_file(view: SceneView) -> Iterator[Finding]:
     remedy="write the depth layer again, with the stamps of the images table",
 )
 def _depth_picture(view: SceneView) -> Iterator[Finding]:
-    yield from lost_pictures(view, view.depth)
+    yield from rows_without_image(view, view.depth)
 
 
 @scene_rule(
     "DEP003",
     Severity.ERROR,
     title="A depth map's file has other bytes than were written: another SHA-256.",
-    cost=Cost.PICTURES,
+    cost=Cost.IMAGES,
     remedy="write the depth layer again",
 )
 def _depth_hash(view: SceneView) -> Iterator[Finding]:
-    yield from other_bytes(view, view.depth)
+    yield from changed_files(view, view.depth)
 
 
 @scene_rule(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mirror.dataset.splits.leaks import TieKind, leaks
+from mirror.dataset.splits.leaks import TieKind, find_leaks
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Finding, Severity
 from mirror.integrity.problems import unread
@@ -19,7 +19,7 @@ def leak_findings(view: DatasetView, *kinds: TieKind) -> Iterator[Finding]:
     """
     for name, split in view.splits.items():
         wanted = [kind for kind in kinds if kind not in ("scene", "area") or isinstance(split.parameters, ByScene)]
-        found = leaks((tie for tie in view.ties if tie.kind in wanted), split.assignments)
+        found = find_leaks((tie for tie in view.ties if tie.kind in wanted), split.assignments)
         if found:
             yield Finding(f"splits/{name}.json", f"{found[0].first}, {found[0].second}", str(found[0]), len(found))
 
@@ -45,7 +45,7 @@ def _split_document(view: DatasetView) -> Iterator[Finding]:
 )
 def _split_traversals(view: DatasetView) -> Iterator[Finding]:
     for name, split in view.splits.items():
-        lost = [key for key in split.assignments if key not in view.named]
+        lost = [key for key in split.assignments if key not in view.named_traversals]
         if lost:
             yield Finding(f"splits/{name}.json", f"assignments.{lost[0]}", "no such traversal", len(lost))
 
@@ -115,7 +115,7 @@ def _split_outside(view: DatasetView) -> Iterator[Finding]:
         scenes = split.scenes
         outside = [
             key
-            for key in view.named
+            for key in view.named_traversals
             if key not in split.assignments and (scenes is None or key.partition(".")[0] in scenes)
         ]
         if outside:

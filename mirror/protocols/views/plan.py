@@ -77,7 +77,7 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
     if document is None:
         raise DatasetError(
             "no such split",
-            file=dataset.store.where(f"splits/{split}.json"),
+            file=dataset.store.full_path(f"splits/{split}.json"),
             remedy=f"make it: mirror split {dataset.root} {split}",
         )
     views: list[RenderView] = []
@@ -121,7 +121,7 @@ def select_frames(count: int, frames: Frames) -> list[int]:
 
 
 def _has(dataset: Dataset, split: str) -> bool:
-    return f"{split}.json" in dataset.store.files("splits")
+    return f"{split}.json" in dataset.store.list_files("splits")
 
 
 def _of_group(

@@ -23,7 +23,7 @@ from hybridworldsim.mvs.sparse import triangulate
 from hybridworldsim.mvs.writing.layers import InitialisationLayers
 from mirror.arrays import AnyArray, Bool, Float32, Float64
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.pictures.depth import decode_depth, encode_depth
+from mirror.dataset.images.depth_codec import decode_depth, encode_depth
 from mirror.errors import DatasetError
 from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter

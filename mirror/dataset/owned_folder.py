@@ -69,7 +69,7 @@ class OwnedFolder:
         self._close()
 
 
-def left_overs(parent: Path, name: str) -> Iterator[Path]:
+def abandoned_folders(parent: Path, name: str) -> Iterator[Path]:
     """Folders of `OwnedFolder` whose owner is dead or silent for `LEFT_OVER_AGE_S`; the caller removes each of them."""
     for folder in sorted(parent.glob(f"{name}.*.*")):
         try:

@@ -35,7 +35,7 @@ def split_planes(pixels: UInt8, planes: UInt8) -> None:
     cv2.mixChannels([pixels], [planes[0], planes[1], planes[2]], [0, 0, 1, 1, 2, 2])
 
 
-def run_all(jobs: Sequence[Callable[[], None]], costs: Sequence[int], threads: int | None = None) -> None:
+def run_jobs(jobs: Sequence[Callable[[], None]], costs: Sequence[int], threads: int | None = None) -> None:
     """Run jobs on the cores of this process, the dearest first, so that none is left for the end.
 
     Args:

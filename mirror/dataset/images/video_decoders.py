@@ -66,7 +66,7 @@ class _Decoder:
                 file=uri,
                 remedy=install_command("video"),
             ) from error
-        self._container: Any = store.opened(
+        self._container: Any = store.open_uri(
             uri,
             lambda place: av.open(str(place)),
             lambda filesystem, path: av.open(filesystem.open(path, "rb")),

@@ -107,7 +107,6 @@ def seal(
     files: Mapping[str, bytes],
     *,
     derived_from: Mapping[str, str],
-    pictures: ImageTotals | None = None,
     images: ImageTotals | None = None,
 ) -> None:
     """Complete a folder: write its manifest, last.

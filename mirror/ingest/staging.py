@@ -15,10 +15,8 @@ from typing import Final
 
 from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
-from mirror.dataset.owned import OwnedFolder, left_overs
-from mirror.schema.files import unmovable_error
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
-from mirror.schema.files import unmovable
+from mirror.schema.files import unmovable_error
 
 FOLDER: Final = ".staging"
 _RUN: Final = "run"

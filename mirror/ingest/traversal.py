@@ -186,7 +186,6 @@ def _write(
         write_bytes(folder / f"{table.name}.parquet", files[f"{table.name}.parquet"])
     count = sum(len(one_camera.names) for one_camera in placed.values())
     total = sum(sum(one_camera.sizes) for one_camera in placed.values())
-    seal(folder, files, derived_from=derived_from, pictures=ImageTotals(count=count, bytes=total))
     seal(folder, files, derived_from=derived_from, images=ImageTotals(count=count, bytes=total))
     linked = sum(one_camera.linked for one_camera in placed.values())
     return _with_lost_images(Written(name, count, total, linked, reused=False), drive, number)

@@ -267,7 +267,6 @@ class FileEntry(Document):
 
 
 class ImageTotals(Document):
-    """The pictures of a folder in sum; each one's size and hash stand in the images table."""
     """Number and total size of the images of a folder; the images table has the size and hash of each."""
 
     count: int

@@ -195,7 +195,6 @@ class Builder:
             for uri, camera in zip(images.column("uri").to_pylist(), images.column("camera").to_pylist()):
                 write_bytes(self.root / uri, item.images[camera])
         total = sum(images.column("byte_length").to_pylist())
-        seal(folder, tables, derived_from={}, pictures=ImageTotals(count=images.num_rows, bytes=total))
         seal(folder, tables, derived_from={}, images=ImageTotals(count=images.num_rows, bytes=total))
 
     def _poses(self, item: Pass) -> pa.Table:

@@ -65,8 +65,7 @@ def dataset(tmp_path: Path) -> Path:
         encoded = dict.fromkeys(CAMERAS, bytes(cv2.imencode(".jpg", noise)[1]))
         entry = EPOCH + number * 1000 * SECOND
         builder.drive(
-            f"d{number}", [Pass("a", entry, pictures=encoded, offset_m=0.5 * number)], vehicle_id=f"v{number}"
-            f"d{number}", [Pass("a", entry, images=pictures, offset_m=0.5 * number)], vehicle_id=f"v{number}"
+            f"d{number}", [Pass("a", entry, images=encoded, offset_m=0.5 * number)], vehicle_id=f"v{number}"
         )
     build_index(tmp_path)
     make_split(tmp_path, "s", NovelTraversal(train=2))

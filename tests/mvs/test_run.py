@@ -64,9 +64,7 @@ def dataset(tmp_path: Path) -> Path:
         noise = np.random.default_rng(number).integers(0, 255, (64, 96, 3)).astype(np.uint8)
         encoded = dict.fromkeys(CAMERAS, bytes(cv2.imencode(".jpg", noise)[1]))
         entry = EPOCH + number * 1000 * SECOND
-        builder.drive(
-            f"d{number}", [Pass("a", entry, images=encoded, offset_m=0.5 * number)], vehicle_id=f"v{number}"
-        )
+        builder.drive(f"d{number}", [Pass("a", entry, images=encoded, offset_m=0.5 * number)], vehicle_id=f"v{number}")
     build_index(tmp_path)
     make_split(tmp_path, "s", NovelTraversal(train=2))
     return tmp_path

@@ -113,6 +113,8 @@ def _recording_lines(found: RecordingSummary) -> list[tuple[str, str]]:
         *((name, f"{low:.6f} to {high:.6f}") for name, (low, high) in found.extent.items()),
         ("rig", f"{found.rig_id}, reference {found.reference_camera}" if found.rig_id else "none: poses only"),
     ]
+    if found.bad_rows:
+        lines.append(("bad rows", f"{_counts(found.bad_rows)}; the first: {found.first_bad_row}"))
     for name, camera in found.cameras.items():
         rate = f" at {camera.rate_hz:.1f} Hz" if camera.rate_hz else ""
         stages = _counts(camera.calibrations)

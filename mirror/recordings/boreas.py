@@ -1,15 +1,17 @@
 """Boreas (University of Toronto): repeated drives of fixed routes, one camera, post-processed GNSS poses.
 
-Facts that the data decides, checked on the two sequences of the tests:
+Facts of the format, checked on the two sequences of the tests:
 
-- ``GPSTime`` counts Unix microseconds in UTC, not GPS time: the dataset's guide says so of all file names, to which
-  the column is equal, and sequence ``boreas-2021-08-05-13-34`` (local time, UTC-4) begins at 17:34:46 so read.
-- ``easting, northing, altitude`` are UTM zone 17 north and ellipsoidal height: read so, the positions lie 0.3 m from
-  the route that the dataset publishes in degrees; read as a tangent plane, 8 m (the meridian convergence is 1.06
-  degrees). Later releases give metres from the start of the first sequence instead: a local metric frame.
-- Velocities and angles refer to the same axes as the positions: grid, not true, north.
-- ``roll, pitch, heading`` (radians) make ``grid_R_camera = X(-roll) Y(-pitch) Z(-heading)`` of right-handed turns about
-  the axes, for the camera (x right, y down, z forward): the driven direction is z to within 2 degrees, and up is -y.
+- ``GPSTime`` counts Unix microseconds in UTC, not GPS time. The dataset's guide states this for all file names, and the
+  file names equal the column. Read in this way, sequence ``boreas-2021-08-05-13-34`` (local time, UTC-4) begins at
+  17:34:46 UTC.
+- ``easting, northing, altitude`` are UTM zone 17 north and ellipsoidal height. Read in this way, the positions lie
+  0.3 m from the route that the dataset publishes in degrees; read as a tangent plane, they lie 8 m off (the meridian
+  convergence is 1.06 degrees). Later releases give metres from the start of the first sequence: a local metric frame.
+- Velocities and angles refer to the same axes as the positions: to grid north, not to true north.
+- ``roll, pitch, heading`` (radians) give ``grid_R_camera = X(-roll) Y(-pitch) Z(-heading)``, where X, Y and Z are
+  right-handed rotations about the axes. The camera has x right, y down, z forward: the direction of travel is z within
+  2 degrees, and up is -y.
 """
 
 from __future__ import annotations
@@ -45,13 +47,13 @@ _COLUMNS: Final = ("GPSTime", "easting", "northing", "altitude", "roll", "pitch"
 
 
 class BoreasReader:
-    """One sequence of Boreas."""
+    """Reads one sequence of Boreas."""
 
     name = "boreas"
-    expects = "a folder boreas-YYYY-MM-DD-HH-MM with camera_poses.csv, there or in applanix/"
+    expects = "a folder boreas-YYYY-MM-DD-HH-MM with camera_poses.csv or applanix/camera_poses.csv"
 
     def recognises(self, path: Path) -> bool:
-        """By the folder's name and the pose file."""
+        """Whether the folder has the name of a sequence and a pose file."""
         return _NAME.fullmatch(path.resolve().name) is not None and _pose_file(path) is not None
 
     def open(self, path: Path, options: Mapping[str, str]) -> BoreasRecording:
@@ -69,7 +71,7 @@ def _pose_file(path: Path) -> Path | None:
 
 @dataclass(frozen=True)
 class BoreasRecording:
-    """A sequence: the camera's poses, and its pictures where they are there."""
+    """A sequence: the camera's poses, and its images if they were downloaded."""
 
     path: Path
     poses: Path
@@ -86,7 +88,7 @@ class BoreasRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """Toronto, one vehicle; the poses are the camera's."""
+        """One vehicle in Toronto; the poses are those of the camera."""
         return DriveInfo(
             drive_id=self.path.resolve().name,
             vehicle_id="boreas",
@@ -100,20 +102,20 @@ class BoreasRecording:
 
     @property
     def rig(self) -> RigInfo | None:
-        """One camera, or None where the sequence came without pictures."""
+        """One camera; None if the sequence has no folder of images."""
         if not (self.path / "camera").is_dir():
             return None
         return RigInfo("boreas", (CameraInfo(_CAMERA, "camera"),), _CAMERA)
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The pose file, the camera's calibration and pictures; lidar and radar are not read."""
-        found = [self.poses, *self._pictures.values()]
+        """The pose file, the camera's calibration and its images; lidar and radar are not read."""
+        files = [self.poses, *self._image_files.values()]
         if self._projection is not None:
-            found.append(self._projection)
-        return sorted((file.relative_to(self.path).as_posix(), file) for file in found)
+            files.append(self._projection)
+        return sorted((file.relative_to(self.path).as_posix(), file) for file in files)
 
     def track(self) -> Track:
-        """The camera's poses, turned to x forward, y left, z up."""
+        """The camera's poses, rotated to x forward, y left, z up."""
         rows = self._rows
         stamps = rows.stamps("GPSTime", "unix_us")
         rotation = self._rotation()
@@ -127,15 +129,16 @@ class BoreasRecording:
         return rows.without_bad(track)
 
     def _rotation(self) -> Float64:
+        """(N, 4) ``grid_SE3_flu``: camera rotations with axes x forward, y left, z up."""
         rows = self._rows
-        turns = []
+        rotations = []
         for axis, name in enumerate(("roll", "pitch", "heading")):
             angle = rows.floats(name)
             bad = ~np.isfinite(angle)
             remedy = "remove the row from the pose file"
             rows.refuse(bad, name, "no angle", expected="radians", remedy=remedy, reason="rotation")
-            turns.append(quaternion_exp(np.outer(np.where(bad, 0.0, -angle), np.eye(3)[axis])))
-        roll, pitch, heading = turns
+            rotations.append(quaternion_exp(np.outer(np.where(bad, 0.0, -angle), np.eye(3)[axis])))
+        roll, pitch, heading = rotations
         grid_from_camera = quaternion_multiply(roll, quaternion_multiply(pitch, heading))
         return quaternion_multiply(grid_from_camera, quaternion_inverse(FLU_FROM_CAMERA))
 
@@ -144,8 +147,11 @@ class BoreasRecording:
         return find_file(self.path, "calib/P_camera.txt")
 
     def calibrations(self) -> pa.Table:
-        """The rectified camera of ``calib/P_camera.txt``; the ego frame is the camera turned, so it does not move."""
-        found: list[tuple[Stage, Calibration]] = []
+        """The rectified camera of ``calib/P_camera.txt``.
+
+        The ego frame has the camera's origin and axes x forward, y left, z up, so the mounting is a rotation alone.
+        """
+        calibrations: list[tuple[Stage, Calibration]] = []
         file = self._projection
         if self.rig is not None and file is not None:
             try:
@@ -164,35 +170,37 @@ class BoreasRecording:
                 height_px=_RASTER_PX[1],
                 fx_px=projection[0, 0],
                 fy_px=projection[1, 1],
-                # Boreas follows OpenCV, whose first pixel has its centre at 0.
+                # Boreas follows OpenCV: the centre of the first pixel is at 0.
                 cx_px=projection[0, 2] + 0.5,
                 cy_px=projection[1, 2] + 0.5,
                 ego_SE3_camera=(*FLU_FROM_CAMERA.tolist(), 0.0, 0.0, 0.0),
                 method="P_camera.txt of the rectified pictures",
             )
-            found.append(("factory", calibration))
-        return to_calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+            calibrations.append(("factory", calibration))
+        return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     @cached_property
-    def _pictures(self) -> dict[int, Path]:
+    def _image_files(self) -> dict[int, Path]:
+        """Image files by their time in microseconds, ascending."""
         folder = self.path / "camera"
         if not folder.is_dir():
             return {}
-        pictures = {}
+        images = {}
         for name, file in list_folder(self.path, folder).items():
             stem, _, suffix = name.rpartition(".")
             if suffix != "png" or not stem.isdecimal():
-                raise RecordingError("no picture of the camera", file=file, expected="<microseconds>.png")
-            pictures[int(stem)] = file
-        return dict(sorted(pictures.items()))
+                raise RecordingError("no image of the camera", file=file, expected="<microseconds>.png")
+            images[int(stem)] = file
+        return dict(sorted(images.items()))
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The camera's pictures; a file name is the middle of the exposure, whose length is not recorded."""
+        """The camera's images; a file name is the time of mid-exposure, exposure lengths are not recorded."""
         if self.rig is None:
             return {}
-        stamps: Int64 = np.fromiter(self._pictures, np.int64, len(self._pictures)) * 1_000
-        return {_CAMERA: FileStream(_CAMERA, "png", stamps, stamps, tuple(self._pictures.values()))}
+        files = self._image_files
+        stamps: Int64 = np.fromiter(files, np.int64, len(files)) * 1_000
+        return {_CAMERA: FileStream(_CAMERA, "png", stamps, stamps, tuple(files.values()))}
 
     def boxes(self) -> None:
-        """None: the sequences come without boxes."""
+        """None: the sequences have no boxes."""
         return

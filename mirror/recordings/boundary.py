@@ -1,4 +1,4 @@
-"""The boundary to readers, which may be anybody's: what one of them fails with is an error of its recording."""
+"""The boundary to readers, which may come from other packages: a reader's failure is an error of its recording."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from mirror.errors import MirrorError, RecordingError, UsageError
 
 @contextmanager
 def reader_errors(path: Path) -> Iterator[None]:
-    """Give whatever a reader did not foresee as a `RecordingError` of the recording, with its cause.
+    """Turn an unexpected exception of a reader into a `RecordingError` with the original as its cause.
 
-    One bad recording never ends the run of the others, and what a library raises on damaged bytes belongs to no list:
-    NumPy's header of an ``.npy`` file alone gives `ValueError`, `tokenize.TokenError`, `MemoryError` and
-    `RecursionError`. A `MirrorError` passes as it is, but for a `UsageError`, which blames a call: numbers of a
-    recording that make no pose or camera are the recording's.
+    One bad recording must not end the run of the others, and the exceptions that libraries raise on damaged bytes
+    cannot be listed: for the header of an ``.npy`` file alone NumPy raises `ValueError`, `tokenize.TokenError`,
+    `MemoryError` and `RecursionError`. A `MirrorError` passes unchanged, except a `UsageError`: it blames the caller,
+    but here the recording holds the numbers that make no pose or camera.
 
     Args:
         path: the recording.
 
     Raises:
-        RecordingError: instead of any other exception.
+        RecordingError: in place of any other exception.
     """
     try:
         yield
@@ -40,6 +40,6 @@ def reader_errors(path: Path) -> Iterator[None]:
         raise RecordingError(
             f"its reader failed ({type(error).__name__}: {error})",
             file=path,
-            expected="a recording as its reader's documentation says",
+            expected="a recording that follows its reader's documentation",
             remedy="correct the recording; if it is right, report this to the reader's author",
         ) from error

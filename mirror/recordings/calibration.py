@@ -1,4 +1,4 @@
-"""Calibrations as recordings give them, and the rows of the `calibrations` table they become."""
+"""Calibrations of recordings, and their rows of the `calibrations` table."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ SE3 = Annotated[tuple[Finite, ...], Field(min_length=7, max_length=7)]
 
 
 class Calibration(Document):
-    """One camera's intrinsics and mounting, of one stage, over a validity interval: see the table in docs/schema.md.
+    """One camera's intrinsics and mounting over a validity interval; docs/schema.md describes the table.
 
     Attributes:
         camera: the camera's name.
-        model: which camera model the coefficients belong to.
+        model: the camera model that the coefficients belong to.
         width_px: width of the calibrated raster.
-        height_px: its height.
-        fx_px: focal length.
-        fy_px: focal length.
-        cx_px: principal point; the centre of the first pixel is at 0.5.
-        cy_px: principal point.
+        height_px: height of the calibrated raster.
+        fx_px: focal length in x.
+        fy_px: focal length in y.
+        cx_px: x of the principal point; the centre of the first pixel is at 0.5.
+        cy_px: y of the principal point.
         distortion: coefficients in the order of the model.
         ego_SE3_camera: ``qw qx qy qz tx_m ty_m tz_m``.
-        valid_from_ns: Unix time; None: from the beginning.
-        valid_to_ns: Unix time; None: without end.
-        time_offset_ns: what was added to the camera's own stamps.
-        shutter_direction: in which direction rows or columns are exposed one after the other.
-        readout_ns: from the first row's to the last row's start of exposure.
+        valid_from_ns: Unix time; None: valid from the beginning.
+        valid_to_ns: Unix time; None: valid without end.
+        time_offset_ns: the offset that was added to the camera's own stamps.
+        shutter_direction: the direction in which rows or columns are exposed one after the other.
+        readout_ns: time from the start of the first row's exposure to the start of the last row's.
         covariance: 6x6 row-major, of the mounting: rotation (rad), then translation (m); symmetric and positive
             semi-definite within `COVARIANCE_TOLERANCE` of its correlations.
         method: how it was obtained.
@@ -95,11 +95,13 @@ class Calibration(Document):
 
 
 def require_covariance(covariance: Float64) -> None:
-    """Refuse 36 values, row-major, that are no covariance, up to what rounding to four digits may do.
+    """Refuse 36 row-major values that are not a 6x6 covariance.
+
+    The tolerance allows for values that were rounded to four digits.
 
     Raises:
-        ValueError: it is not finite, or its correlations (covariances over standard deviations) are not symmetric or
-            not positive semi-definite within `COVARIANCE_TOLERANCE`.
+        ValueError: a value is not finite, or the correlations (covariances over standard deviations) are not symmetric
+            or not positive semi-definite within `COVARIANCE_TOLERANCE`.
     """
     if covariance.size != 36:
         raise ValueError(f"the covariance has {covariance.size} values, not 36")
@@ -125,15 +127,15 @@ def require_covariance(covariance: Float64) -> None:
 
 
 def make_calibration(file: Path, camera: str, **values: Any) -> Calibration:
-    """A calibration of a format's own file.
+    """Make a calibration from the values of a recording's file.
 
     Args:
-        file: the file that the values come from.
+        file: the file that holds the values.
         camera: the camera's name.
         values: the other attributes of `Calibration`.
 
     Raises:
-        RecordingError: a value makes no camera; file, camera and attribute are named.
+        RecordingError: a value is not valid for a camera; file, camera and attribute are named.
     """
     try:
         return Calibration(camera=camera, **values)
@@ -144,19 +146,19 @@ def make_calibration(file: Path, camera: str, **values: Any) -> Calibration:
             file=file,
             place=".".join((f"camera {camera}", *(str(part) for part in first["loc"]))),
             expected="the intrinsics and mounting of a camera",
-            remedy="correct the file, or take it away: the camera is then uncalibrated",
+            remedy="correct the file, or remove it: the camera is then uncalibrated",
         ) from error
 
 
 def to_calibration_table(
     calibrations: Sequence[tuple[Stage, Calibration]], *, vehicle_id: str, drive_id: str
 ) -> pa.Table:
-    """Rows of the `calibrations` table, in the order given.
+    """Convert calibrations to rows of the `calibrations` table, in the same order.
 
     Args:
-        calibrations: with the stage of each.
+        calibrations: pairs of a stage and a calibration.
         vehicle_id: pseudonym of the vehicle.
-        drive_id: the drive in which they are valid.
+        drive_id: the drive in which the calibrations are valid.
     """
     rows = []
     for stage, calibration in calibrations:

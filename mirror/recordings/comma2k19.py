@@ -3,12 +3,13 @@
 A route folder ``<dongle>|<start>`` holds segments ``0, 1, 2 ...``, which are one drive. Facts of the format, checked on
 the segment of the tests:
 
-- ``frame_gps_times`` are GPS week and seconds of the week of every frame. ``frame_times``, the same instants on the
-  boot clock, differ from them by a constant and are not needed; the receivers' own UTC is 18 s behind, as it must be.
-- ``frame_orientations`` are ``ecef_SE3_device``, scalar first, for axes forward, right, down: so read, and not in the
-  direction that the dataset's guide says, the velocity lies along +x.
-- Positions are the camera's; how it is mounted in the car is not recorded.
-- ``video.hevc`` is a raw stream: frame n is row n of the tables.
+- ``frame_gps_times`` are the GPS week and the seconds of the week of every frame. ``frame_times`` are the same instants
+  on the boot clock; they differ by a constant and are not needed. The receivers' own UTC is 18 s earlier, which is the
+  number of leap seconds.
+- ``frame_orientations`` are ``ecef_SE3_device``, scalar first, for axes forward, right, down. The velocity lies along
+  +x only in this direction, which is the inverse of the one that the dataset's guide states.
+- Positions are those of the camera; its mounting in the car is not recorded.
+- ``video.hevc`` is a raw stream: frame n belongs to row n of the arrays.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import WEEK_S, unix_from_gps_week
 from mirror.recordings.video import VideoStream
 
-# The dataset's two cars, by the id of the device in them.
+# The dataset's two cars, by the id of their device.
 _VEHICLES: Final = {"b0c9d2329ad1606b": "Toyota RAV4", "99c94dc769b5d96e": "Honda Civic"}
 _CAMERA: Final = "front"
 _FOCAL_PX: Final = 910.0
 _RASTER_PX: Final = (1164, 874)
 # The arrays of a segment, with their columns.
 _ARRAYS: Final = {"frame_gps_times": 2, "frame_positions": 3, "frame_orientations": 4}
-# In the year 2171.
+# The week 10,000 lies in the year 2171.
 _LAST_WEEK: Final = 10_000
 _POSITIONS: Final = "global_pose/frame_positions"
 
@@ -103,13 +104,13 @@ class Comma2k19Recording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The route's name makes the id; a segment opened by itself adds its number."""
-        here = self.path.resolve()
-        alone = self.segments[0] == self.path
-        route = here.parent.name if alone else here.name
+        """The id is the route's name; a single segment adds its number."""
+        folder = self.path.resolve()
+        is_segment = self.segments[0] == self.path
+        route = folder.parent.name if is_segment else folder.name
         dongle = route.replace("_", "|").partition("|")[0]
         return DriveInfo(
-            drive_id=to_identifier(f"{route}_{here.name}" if alone else route),
+            drive_id=to_identifier(f"{route}_{folder.name}" if is_segment else route),
             vehicle_id=to_identifier(dongle),
             vehicle_type=_VEHICLES.get(dongle, "unknown"),
             time_base="GPS week and seconds",
@@ -119,16 +120,17 @@ class Comma2k19Recording:
 
     @property
     def rig(self) -> RigInfo | None:
-        """The road camera, or None where no segment came with its video."""
+        """The road camera; None if no segment has a video."""
         if not self._videos:
             return None
         return RigInfo("comma_eon", (CameraInfo(_CAMERA, "road camera"),), _CAMERA)
 
     @cached_property
     def _videos(self) -> dict[int, Path]:
+        """Video files by the index of their segment."""
         names = [self._name(segment, "video.hevc") for segment in self.segments]
-        found = {index: find_file(self.path, name) for index, name in enumerate(names)}
-        return {index: file for index, file in found.items() if file is not None}
+        files = {index: find_file(self.path, name) for index, name in enumerate(names)}
+        return {index: file for index, file in files.items() if file is not None}
 
     def files(self) -> Sequence[tuple[str, Path]]:
         """The pose arrays and videos that exist; the car's bus and the raw GNSS are not read."""
@@ -138,10 +140,10 @@ class Comma2k19Recording:
 
     @cached_property
     def _loaded(self) -> list[_Segment]:
-        """The segments; a damaged one costs the drive its own rows.
+        """The segments; a damaged one has no rows.
 
         Raises:
-            RecordingError: every segment is damaged: the error of the first.
+            RecordingError: every segment is damaged; this is the error of the first.
         """
         loaded = [self._load(segment) for segment in self.segments]
         errors = [segment.error for segment in loaded if segment.error is not None]
@@ -184,7 +186,7 @@ class Comma2k19Recording:
         return [unix_from_gps_week(both[:, 0], both[:, 1]) for both in times]
 
     def track(self) -> Track:
-        """The camera's poses of all segments, turned to x forward, y left, z up; without damaged segments."""
+        """The camera's poses of all segments, rotated to x forward, y left, z up; damaged segments are left out."""
         times, position, orientation = (np.concatenate([one.arrays[name] for one in self._loaded]) for name in _ARRAYS)
         bad = is_invalid_rotation(orientation)
         starts = np.cumsum([0, *(len(stamps) for stamps in self._stamps)])
@@ -205,7 +207,7 @@ class Comma2k19Recording:
         return faults.drop_from(track_from_ecef(np.concatenate(self._stamps), position, rotation, file=file))
 
     def _error(self, values: Float64, array: str, expected: str) -> Callable[[int], RecordingError]:
-        """The error of a row of all segments."""
+        """Return a function from a row of all segments to its error."""
         starts = np.concatenate([[0], np.cumsum([len(stamps) for stamps in self._stamps])])
 
         def error(row: int) -> RecordingError:
@@ -221,8 +223,11 @@ class Comma2k19Recording:
         return error
 
     def calibrations(self) -> pa.Table:
-        """The device's nominal camera; the ego frame is the camera turned, so it does not move."""
-        found: list[tuple[Stage, Calibration]] = []
+        """The device's nominal camera.
+
+        The ego frame has the camera's origin and axes x forward, y left, z up, so the mounting is a rotation alone.
+        """
+        calibrations: list[tuple[Stage, Calibration]] = []
         if self.rig is not None:
             width, height = _RASTER_PX
             calibration = Calibration(
@@ -237,11 +242,11 @@ class Comma2k19Recording:
                 ego_SE3_camera=(*FLU_FROM_CAMERA.tolist(), 0.0, 0.0, 0.0),
                 method="nominal focal length of the device",
             )
-            found.append(("factory", calibration))
-        return to_calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+            calibrations.append(("factory", calibration))
+        return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The videos of all segments as one stream; a frame's stamp is taken as the middle of its exposure."""
+        """The videos of all segments as one stream; the stamp of a frame is taken as its mid-exposure."""
         if not self._videos:
             return {}
         parts = []
@@ -249,15 +254,15 @@ class Comma2k19Recording:
             frames = np.flatnonzero(~self._no_stamps[index])
             stamps = self._stamps[index][frames]
             parts.append(VideoStream(_CAMERA, stamps, stamps, file, frames))
-        return {_CAMERA: _Segments(tuple(parts))}
+        return {_CAMERA: _SegmentedStream(tuple(parts))}
 
     def boxes(self) -> None:
-        """None: the dataset comes without boxes."""
+        """None: the dataset has no boxes."""
         return
 
 
 @dataclass(frozen=True)
-class _Segments:
+class _SegmentedStream:
     """The videos of consecutive segments as one stream."""
 
     parts: tuple[VideoStream, ...]
@@ -300,6 +305,6 @@ def _load_arrays(segment: Path, files: Mapping[str, Path]) -> dict[str, Float64]
 
 
 def _are_stamps(week_and_seconds: Float64) -> Bool:
-    """Which (N,) of (N, 2) are a GPS week, not rolled over, and seconds of it."""
+    """(N,) True where a row of (N, 2) is a GPS week (not rolled over) and seconds within the week."""
     week, seconds = week_and_seconds.T
     return (week >= 0) & (week <= _LAST_WEEK) & (seconds >= 0) & (seconds <= WEEK_S)

@@ -1,4 +1,4 @@
-"""From the frames that recordings use (UTM grid, ECEF, local metres, another body) to the frames of a `Track`."""
+"""Converts poses from the frames that recordings use (UTM, ECEF, another body) to those of a `Track`."""
 
 from __future__ import annotations
 
@@ -28,30 +28,35 @@ from mirror.geometry.quaternions import (
 from mirror.recordings.protocol import Track
 from mirror.recordings.tabular import RecordingRows
 
-# flu_SE3_frd and flu_SE3_camera: bodies whose axes are forward-right-down, or a camera's right-down-forward.
+# Rotations of flu_SE3_frd and flu_SE3_camera. flu: x forward, y left, z up; frd: x forward, y right, z down; camera: x
+# right, y down, z forward.
 FLU_FROM_FRD = np.array([0.0, 1.0, 0.0, 0.0])
 FLU_FROM_CAMERA = np.array([0.5, -0.5, 0.5, -0.5])
 
-# Files round quaternions; anything further off unit length is something else.
+# Files round their quaternions; a larger deviation from unit length has another cause.
 UNIT_TOLERANCE = 1e-2
 
 
 def is_invalid_rotation(quaternion: Float64) -> Bool:
-    """Which (N,) of (N, 4) quaternions are NaN, zero, or off unit length by over `UNIT_TOLERANCE`."""
+    """(N,) True where a quaternion of (N, 4) is NaN, zero, or off unit length by more than `UNIT_TOLERANCE`."""
     squared = np.einsum("ij,ij->i", quaternion, quaternion)
     return ~((squared >= (1.0 - UNIT_TOLERANCE) ** 2) & (squared <= (1.0 + UNIT_TOLERANCE) ** 2))
 
 
 def normalise_rotations(quaternion: Float64, rows: RecordingRows, column: str) -> Float64:
-    """Unit quaternions of a table, canonical; the identity in rows that are marked as bad.
+    """Normalise the quaternions of a table, and mark the rows with invalid ones.
 
     Args:
         quaternion: (N, 4) scalar first, as read.
         rows: the table.
-        column: its first column.
+        column: the first of the quaternion's columns, for messages.
+
+    Returns:
+        (N, 4) canonical unit quaternions; the identity in marked rows.
 
     Raises:
-        RecordingError: one is NaN, zero, or off unit length by over 1 %, and bad rows are not marked; its row is named.
+        RecordingError: a quaternion is NaN, zero, or off unit length by over 1 %, and the table does not mark bad rows;
+            the row is named.
     """
     bad = is_invalid_rotation(quaternion)
     rows.refuse(
@@ -77,7 +82,7 @@ def track_from_utm(
     sigma_m: Float64 | None = None,
     file: Path | None = None,
 ) -> Track:
-    """A track on WGS 84 of UTM coordinates; rotations turn from grid north to true north.
+    """Make a WGS 84 track from UTM coordinates; rotations are converted from grid north to true north.
 
     Args:
         timestamp_ns: (N,) Unix time, UTC.
@@ -85,15 +90,15 @@ def track_from_utm(
         northing_m: (N,).
         height_m: (N,) above the ellipsoid, or None.
         grid_rotation: (N, 4) ``grid_SE3_ego`` with axes grid east, grid north, up, or None.
-        zone: UTM zone.
-        north: hemisphere.
+        zone: UTM zone, 1 to 60.
+        north: True on the northern hemisphere.
         sigma_m: (N,) or None.
-        file: the file the poses came from.
+        file: the file that the poses come from.
     """
     lon, lat = utm_to_geodetic(easting_m, northing_m, zone, north)
     rotation = None
     if grid_rotation is not None:
-        # Where there is no position there is no convergence, and cleaning will drop the pose.
+        # The convergence is NaN where the position is; cleaning drops those poses.
         convergence = np.nan_to_num(utm_convergence_rad(lon, lat, zone, north), posinf=0.0, neginf=0.0)
         rotation = quaternion_multiply(quaternion_exp(np.outer(-convergence, (0.0, 0.0, 1.0))), grid_rotation)
     return Track(
@@ -115,14 +120,14 @@ def track_from_ecef(
     sigma_m: Float64 | None = None,
     file: Path | None = None,
 ) -> Track:
-    """A track on WGS 84 of earth-centred, earth-fixed poses.
+    """Make a WGS 84 track from earth-centred, earth-fixed poses.
 
     Args:
         timestamp_ns: (N,) Unix time, UTC.
         position_m: (N, 3) ECEF.
         rotation: (N, 4) ``ecef_SE3_ego``, or None.
         sigma_m: (N,) or None.
-        file: the file the poses came from.
+        file: the file that the poses come from.
     """
     lon, lat, height = ecef_to_geodetic(position_m)
     enu = None if rotation is None else quaternion_multiply(quaternion_inverse(_ecef_from_enu(lon, lat)), rotation)
@@ -132,14 +137,14 @@ def track_from_ecef(
 
 
 def to_ego_track(body: Track, ego_SE3_body: Poses) -> Track:
-    """The ego's track of a body's, whose place in the ego frame is known.
+    """Convert the track of a body to the track of the ego.
 
     Args:
-        body: poses of the recorded body, as if it were the ego.
-        ego_SE3_body: one pose.
+        body: poses of the recorded body in place of the ego.
+        ego_SE3_body: the pose of the body in the ego frame; one pose.
 
     Raises:
-        RecordingError: the body is elsewhere, but the track has no orientation to say in which direction.
+        RecordingError: the body is not at the ego's origin, but the track has no orientation for the offset.
     """
     body_SE3_ego = ego_SE3_body.inverse()
     offset = body_SE3_ego.translation[0]
@@ -160,13 +165,13 @@ def to_ego_track(body: Track, ego_SE3_body: Poses) -> Track:
     lon, lat = np.asarray(body.longitude_deg), np.asarray(body.latitude_deg)
     known = np.zeros(len(body)) if body.height_m is None else body.height_m
     position = geodetic_to_ecef(lon, lat, known) + rotate(_ecef_from_enu(lon, lat), shift)
-    # Without a height the shift is made on the ellipsoid: at a true height of 1 km 10 m are then 2 mm off.
+    # Without a height the shift is made on the ellipsoid: at a true height of 1 km, a shift of 10 m is then 2 mm off.
     lon, lat, height = ecef_to_geodetic(position)
     return _moved(body, rotation, None if body.height_m is None else height, longitude_deg=lon, latitude_deg=lat)
 
 
 def _ecef_from_enu(longitude_deg: Float64, latitude_deg: Float64) -> Float64:
-    # Poses without a position keep a rotation that is finite, and are dropped by cleaning.
+    # Poses without a position get a finite rotation; cleaning drops them.
     return quaternion_from_matrix(ecef_R_enu(np.nan_to_num(longitude_deg), np.nan_to_num(latitude_deg)))
 
 

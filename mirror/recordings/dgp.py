@@ -1,14 +1,14 @@
-"""DGP (Toyota Research Institute's Dataset Governance Policy): short scenes of many cameras with poses and 3D boxes.
+"""DGP (Toyota Research Institute's Dataset Governance Policy): short scenes of several cameras with poses and 3D boxes.
 
 A scene folder holds ``scene_*.json``, which names all other files. Facts of the format, checked on the tests' scene:
 
-- Extrinsics are ``vehicle_SE3_sensor``; the vehicle frame is x forward, y left, z up, its origin on the ground. Every
-  image and point cloud has its own ``world_SE3_sensor``, so the vehicle's pose is that times the inverse extrinsic.
+- Extrinsics are ``vehicle_SE3_sensor``; the vehicle frame is x forward, y left, z up, with its origin on the ground.
+  Every image and point cloud has its own ``world_SE3_sensor``; the vehicle's pose is this times the inverse extrinsic.
 - Stamps are ISO 8601 in UTC. Some releases wrote them ten times too large (a drive of 2019 in the year 2464): a stamp
   beyond 2200 is divided by ten.
-- The world is metric and belongs to the scene; it has no geodetic reference.
-- The point cloud's boxes are the complete set (x along the length, y the width, z the height); those of the images are
-  the same boxes seen from each camera.
+- The world frame is metric and belongs to the scene; it has no geodetic reference.
+- The boxes of the point clouds are the complete set (x along the length, y the width, z the height). The boxes of the
+  images are the same boxes in the frame of each camera.
 """
 
 from __future__ import annotations
@@ -49,22 +49,22 @@ _PLAIN: Final = {*_FOCAL, "fov", "fisheye"}
 
 
 class DgpReader:
-    """One DGP scene."""
+    """Reads one DGP scene."""
 
     name = "dgp"
     expects = "a folder with one scene_*.json"
 
     def recognises(self, path: Path) -> bool:
-        """By the scene file."""
+        """Whether the folder holds one scene file."""
         return len(_scene_files(path)) == 1
 
     def open(self, path: Path, options: Mapping[str, str]) -> DgpRecording:
         """Open a scene; there are no options."""
         refuse_options(options, (), path)
-        found = _scene_files(path)
-        if len(found) != 1:
-            raise RecordingError(f"{len(found)} scene files", file=path, expected=self.expects)
-        return DgpRecording(path, require_file(path, found[0]))
+        files = _scene_files(path)
+        if len(files) != 1:
+            raise RecordingError(f"{len(files)} scene files", file=path, expected=self.expects)
+        return DgpRecording(path, require_file(path, files[0]))
 
 
 def _scene_files(path: Path) -> list[str]:
@@ -73,7 +73,7 @@ def _scene_files(path: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class DgpRecording:
-    """A scene: cameras, poses, boxes."""
+    """A scene with its cameras, poses and boxes."""
 
     path: Path
     scene_file: Path
@@ -97,7 +97,7 @@ class DgpRecording:
             ):
                 data.append(read_datum(entry, calibration))
         if not any(datum.kind == "image" and datum.timestamp_ns is not None for datum in data):
-            raise RecordingError("no pictures", file=self.scene_file, expected="at least one image among the data")
+            raise RecordingError("no images", file=self.scene_file, expected="at least one image among the data")
         return data
 
     def _list(self, key: str) -> list[Any]:
@@ -116,8 +116,8 @@ class DgpRecording:
     @cached_property
     def _data(self) -> list[Datum]:
         """All data that have a stamp, in order of time."""
-        dated = [datum for datum in self._all_data if datum.timestamp_ns is not None]
-        return sorted(dated, key=lambda datum: (datum.timestamp_ns or 0, datum.sensor))
+        stamped = [datum for datum in self._all_data if datum.timestamp_ns is not None]
+        return sorted(stamped, key=lambda datum: (datum.timestamp_ns or 0, datum.sensor))
 
     @cached_property
     def _cameras(self) -> list[str]:
@@ -150,7 +150,7 @@ class DgpRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The folder's name and the scene's hash make the id, which also names the scene's local frame."""
+        """The id is the folder's name and the scene's hash; the local frame of the scene has the same name."""
         drive_id = to_identifier(f"{self.path.resolve().name}_{self.scene_file.stem.removeprefix('scene_')[:8]}")
         return DriveInfo(
             drive_id=drive_id,
@@ -164,12 +164,12 @@ class DgpRecording:
 
     @property
     def rig(self) -> RigInfo:
-        """The cameras under their own names; the first is the reference."""
+        """The cameras under their own names; the first one is the reference camera."""
         cameras = tuple(CameraInfo(name, name) for name in self._cameras)
         return RigInfo(f"dgp_{self._data[0].calibration[:8]}", cameras, self._cameras[0])
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """What the scene names, but for the point clouds."""
+        """All files that the scene names, except the point clouds."""
         names = [self.scene_file.name, *(f"calibration/{key}.json" for key in self._calibration_files)]
         names += [f"ontology/{key}.json" for key in self._ontology_keys]
         names += [datum.content["filename"] for datum in self._data if datum.kind == "image"]
@@ -195,14 +195,14 @@ class DgpRecording:
     def track(self) -> Track:
         """The vehicle's poses at the stamps of the point clouds and of the reference camera.
 
-        The other cameras' poses at one stamp differ from the reference camera's by up to 10 mm: their exposures are a
-        millisecond apart, which the stamps do not say.
+        The other cameras are left out: at one stamp their poses differ from the reference camera's by up to 10 mm,
+        because the exposures are a millisecond apart and share a stamp.
         """
         used = [datum for datum in self._data if self._is_used(datum)]
         quaternion = np.array([datum.rotation for datum in used])
         bad = is_invalid_rotation(quaternion)
         torn = [
-            (0, self._error(f"datum {number}", f"{datum.stamp!r} is no date and time", "ISO 8601"))
+            (0, self._error(f"datum {number}", f"{datum.stamp!r} is not a date and time", "ISO 8601"))
             for number, datum in enumerate(self._all_data)
             if datum.timestamp_ns is None
         ]
@@ -217,9 +217,9 @@ class DgpRecording:
             ),
         )
         translation = np.array([datum.translation for datum in used])
-        nowhere = ~np.isfinite(translation).all(axis=1)
+        not_finite = ~np.isfinite(translation).all(axis=1)
         faults.add(
-            nowhere,
+            not_finite,
             "number",
             lambda row: self._error(
                 f"{used[row].sensor} at {used[row].timestamp_ns} ns",
@@ -229,7 +229,7 @@ class DgpRecording:
         )
         world_SE3_sensor = Poses(
             quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), quaternion)),
-            np.where(nowhere[:, None], 0.0, translation),
+            np.where(not_finite[:, None], 0.0, translation),
         )
         poses = [
             world_SE3_sensor[row : row + 1] @ self._extrinsic(datum.calibration, datum.sensor).inverse()
@@ -251,19 +251,19 @@ class DgpRecording:
         return datum.kind != "image" or datum.sensor == self._cameras[0]
 
     def _error(self, place: str, problem: str, expected: str) -> RecordingError:
-        remedy = "correct the scene file, or take the datum out of it"
+        remedy = "correct the scene file, or remove the datum from it"
         return RecordingError(problem, file=self.scene_file, place=place, expected=expected, remedy=remedy)
 
     def calibrations(self) -> pa.Table:
-        """One factory row a camera, of each calibration that the scene uses."""
-        found: list[tuple[Stage, Calibration]] = []
+        """One factory row per camera and calibration that the scene uses."""
+        calibrations: list[tuple[Stage, Calibration]] = []
         for name in self._cameras:
             data = [datum for datum in self._data if datum.sensor == name]
             for key in sorted({datum.calibration for datum in data}):
                 stamps = [datum.timestamp_ns for datum in data if datum.calibration == key]
                 span = (stamps[0], stamps[-1]) if len(self._calibration_files) > 1 else (None, None)
-                found.append(("factory", self._calibration(name, key, data[0].content, span)))
-        return to_calibration_table(found, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
+                calibrations.append(("factory", self._calibration(name, key, data[0].content, span)))
+        return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def _calibration(
         self, camera: str, key: str, content: Mapping[str, Any], span: tuple[int | None, int | None]
@@ -283,7 +283,7 @@ class DgpRecording:
             height_px=content["height"],
             fx_px=intrinsics["fx"],
             fy_px=intrinsics["fy"],
-            # DGP follows OpenCV, whose first pixel has its centre at 0.
+            # DGP follows OpenCV: the centre of the first pixel is at 0.
             cx_px=intrinsics["cx"] + 0.5,
             cy_px=intrinsics["cy"] + 0.5,
             distortion=distortion,
@@ -294,7 +294,7 @@ class DgpRecording:
         )
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The pictures of each camera; the stamp is taken as the middle of an exposure of unknown length."""
+        """The images of each camera; the stamp is taken as mid-exposure, and exposure lengths are not recorded."""
         streams = {}
         for name in self._cameras:
             data = [datum for datum in self._data if datum.sensor == name]
@@ -302,7 +302,7 @@ class DgpRecording:
             stamps: Int64 = np.array([datum.timestamp_ns for datum in data], np.int64)
             codec = _CODECS.get(paths[0].suffix.lower())
             if codec is None:
-                raise RecordingError("unknown kind of picture", file=paths[0], expected=" or ".join(_CODECS))
+                raise RecordingError("unknown kind of image", file=paths[0], expected=" or ".join(_CODECS))
             streams[name] = FileStream(name, codec, stamps, stamps, paths)
         return streams
 
@@ -323,7 +323,7 @@ class DgpRecording:
             return {item["id"]: require_text(item["name"]) for item in read_object(file)["items"]}
 
     def boxes(self) -> pa.Table | None:
-        """The point clouds' boxes in the vehicle frame, or None where no point cloud has any."""
+        """The boxes of the point clouds in the vehicle frame; None if no point cloud has boxes."""
         if not self._box_files or not self._ontology_keys:
             return None
         ontology = self._ontology_keys[0]

@@ -1,4 +1,4 @@
-"""The data of a DGP scene: its JSON, its stamps and its poses."""
+"""Reads the JSON of a DGP scene: its data with their stamps and poses."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class Datum:
         sensor: the sensor's name.
         kind: ``image``, ``point_cloud`` ...
         stamp: the text of its stamp.
-        timestamp_ns: Unix time; None: the text is no date and time.
-        rotation: ``world_SE3_sensor`` as written, not checked.
-        translation: likewise.
+        timestamp_ns: Unix time; None: the text is not a date and time.
+        rotation: quaternion of ``world_SE3_sensor`` as written, not checked.
+        translation: translation of ``world_SE3_sensor`` as written, not checked.
         calibration: key of its calibration.
-        content: what its kind says of it.
+        content: the JSON object of its kind.
     """
 
     sensor: str
@@ -117,11 +117,11 @@ def require_text(value: object) -> str:
 
 
 def read_pose(entry: Mapping[str, Any]) -> Poses:
-    """One pose that the scene cannot do without.
+    """Read a pose that the scene needs.
 
     Raises:
-        KeyError, TypeError: it is none.
-        ValueError: its quaternion is off unit length: a component that is not zero may be missing.
+        KeyError, TypeError: the entry is not a pose.
+        ValueError: the quaternion is off unit length: a component that is not zero may be missing.
     """
     rotation, translation = (np.array([values]) for values in _components(entry))
     if is_invalid_rotation(rotation)[0]:
@@ -140,7 +140,7 @@ def _stamp_ns(text: str) -> int | None:
 
 def _components(entry: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     rotation, translation = entry["rotation"], entry["translation"]
-    # Protocol buffers written as JSON may leave zeros out.
+    # Protocol buffers that are written as JSON may leave zeros out.
     return (
         tuple(float(rotation.get(f"q{axis}", 0.0)) for axis in "wxyz"),
         tuple(float(translation.get(axis, 0.0)) for axis in "xyz"),
@@ -148,12 +148,12 @@ def _components(entry: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[floa
 
 
 def read_object(file: Path) -> dict[str, Any]:
-    """A file that holds one JSON object.
+    """Read a file that holds one JSON object.
 
     Raises:
-        RecordingError: it does not.
+        RecordingError: the file is missing or broken, or holds another value.
     """
-    found = read_json(file)
-    if not isinstance(found, dict):
+    document = read_json(file)
+    if not isinstance(document, dict):
         raise RecordingError("not a JSON object", file=file, expected="a DGP document")
-    return found
+    return document

@@ -1,4 +1,4 @@
-"""The recordings in a folder of recordings."""
+"""Finds the recordings in a folder of recordings."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from mirror.recordings.registry import load_readers
 
 @dataclass(frozen=True)
 class FoundRecordings:
-    """What was found at some paths.
+    """The recordings at some paths.
 
     Attributes:
-        recordings: one path a drive, in order.
-        passed_over: what lies beside recordings in a folder of them, and is none.
+        recordings: one path per drive, in order.
+        passed_over: paths beside recordings that no reader recognises.
     """
 
     recordings: tuple[Path, ...]
@@ -25,27 +25,27 @@ class FoundRecordings:
 
 
 def find_recordings(paths: Sequence[Path], reader: str | None = None) -> FoundRecordings:
-    """Replace every folder of recordings by the recordings that lie directly in it.
+    """Replace each folder of recordings by the recordings that lie directly in it.
 
-    A path that a reader recognises is a recording, whatever lies in it; so is one in which there is no recording, for
-    opening it says what is wrong with it. Names that begin with a dot are not considered.
+    A path that a reader recognises is a recording, whatever it contains. A path without a recording in it also counts
+    as one: opening it then reports what is wrong with it. Names that begin with a dot are ignored.
 
     Args:
         paths: recordings, and folders of recordings.
-        reader: name of the only reader that is asked; None: all are.
+        reader: name of the reader to use; None: all readers.
     """
     recordings: dict[Path, None] = {}
     passed_over: dict[Path, None] = {}
     for path in paths:
-        inside: list[Path] = []
+        children: list[Path] = []
         if path.is_dir() and not _is_recording(path, reader):
-            inside = sorted(one for one in path.iterdir() if not one.name.startswith("."))
-        own = {one: _is_recording(one, reader) for one in inside}
-        if not any(own.values()):
+            children = sorted(child for child in path.iterdir() if not child.name.startswith("."))
+        is_recording = {child: _is_recording(child, reader) for child in children}
+        if not any(is_recording.values()):
             recordings[path] = None
             continue
-        recordings.update(dict.fromkeys(one for one, yes in own.items() if yes))
-        passed_over.update(dict.fromkeys(one for one, yes in own.items() if not yes))
+        recordings.update(dict.fromkeys(child for child, yes in is_recording.items() if yes))
+        passed_over.update(dict.fromkeys(child for child, yes in is_recording.items() if not yes))
     return FoundRecordings(tuple(recordings), tuple(passed_over))
 
 
@@ -56,5 +56,5 @@ def _is_recording(path: Path, reader: str | None) -> bool:
         with reader_errors(path):
             return any(candidate.recognises(path) for candidate in load_readers(reader).values())
     except RecordingError:
-        # Opening it names the fault.
+        # Opening the recording reports the fault.
         return True

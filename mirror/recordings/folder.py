@@ -1,4 +1,4 @@
-"""The `folder` layout: MIRROR's own raw layout for fleet recordings, specified in docs/recordings.md."""
+"""Reads the `folder` layout, MIRROR's own raw layout for fleet recordings; docs/recordings.md specifies it."""
 
 from __future__ import annotations
 
@@ -47,17 +47,17 @@ _NUMBERS: Final = {name for names in (*_POSITIONS.values(), _QUATERNION, _ANGLES
 
 
 class FolderReader:
-    """One recording in the `folder` layout."""
+    """Reads one recording in the `folder` layout."""
 
     name = "folder"
     expects = "a folder with recording.json"
 
     def recognises(self, path: Path) -> bool:
-        """By ``recording.json``."""
+        """Whether the folder holds ``recording.json``."""
         return find_file(path, DOCUMENT_NAME) is not None
 
     def open(self, path: Path, options: Mapping[str, str]) -> FolderRecording:
-        """Open a recording; there are no options, ``recording.json`` says everything."""
+        """Open a recording; there are no options, because ``recording.json`` holds all settings."""
         refuse_options(options, (), path)
         return FolderRecording(path, read_document(require_file(path, DOCUMENT_NAME)))
 
@@ -71,7 +71,7 @@ class FolderRecording:
 
     @property
     def info(self) -> DriveInfo:
-        """As ``recording.json`` says."""
+        """The entries of ``recording.json``."""
         document = self.document
         return DriveInfo(
             drive_id=document.drive_id,
@@ -89,7 +89,7 @@ class FolderRecording:
 
     @cached_property
     def rig(self) -> RigInfo | None:
-        """The cameras with their masks, or None where the recording has none."""
+        """The cameras with their masks; None if the recording has no cameras."""
         document = self.document
         if document.rig_id is None or document.reference_camera is None:
             return None
@@ -110,7 +110,7 @@ class FolderRecording:
         mask = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
         if mask is None:
             raise RecordingError(
-                "the mask is missing" if file is None else "the mask is no image",
+                "the mask is missing" if file is None else "the mask is not an image",
                 file=self.path / name,
                 place=f"camera {camera}",
                 expected="a PNG of the camera's raster",
@@ -119,26 +119,26 @@ class FolderRecording:
         return np.asarray(mask, np.uint8)
 
     def files(self) -> Sequence[tuple[str, str]]:
-        """Everything in the folder but hidden files, and ``truth/``, which is none of a fleet's."""
+        """All files of the folder except hidden files and ``truth/``, which `mirror synth` writes."""
         return [file for file in list_files(self.path) if not file[0].startswith("truth/")]
 
     @cached_property
     def _pose_files(self) -> list[Path]:
-        found = [file for suffix in _TABLES if (file := find_file(self.path, f"poses{suffix}"))]
+        single = [file for suffix in _TABLES if (file := find_file(self.path, f"poses{suffix}"))]
         folder = self.path / "poses"
         parts: list[Path] = []
         if folder.is_dir():
             listed = list_folder(self.path, folder)
             parts = [listed[name] for name in sorted(listed, key=natural_key) if Path(name).suffix in _TABLES]
-        if len(found) + bool(parts) != 1 or len({file.suffix for file in parts}) > 1:
-            names = [file.relative_to(self.path).as_posix() for file in (*found, *parts[:3])]
+        if len(single) + bool(parts) != 1 or len({file.suffix for file in parts}) > 1:
+            names = [file.relative_to(self.path).as_posix() for file in (*single, *parts[:3])]
             raise RecordingError(
                 f"poses in {', '.join(names)}" if names else "no poses",
                 file=self.path,
                 expected="one of poses.csv, poses.parquet, and a folder poses/ of files of one kind",
-                remedy="keep one of them" if names else "add the poses: a recording without any has no place",
+                remedy="keep one of them" if names else "add the poses: a recording needs them",
             )
-        return found or parts
+        return single or parts
 
     @cached_property
     def _poses(self) -> RecordingRows:
@@ -147,12 +147,12 @@ class FolderRecording:
         return read_rows(self._pose_files, types=types, tolerant=True)
 
     def track(self) -> Track:
-        """All poses of all files, in Unix time, on WGS 84 or in the recording's local frame, of the ego."""
+        """The ego's poses of all files, in Unix time, on WGS 84 or in the recording's local frame."""
         track = self._ego_track(self._poses)
         return self._poses.without_bad(track)
 
     def _ego_track(self, rows: RecordingRows) -> Track:
-        """One pose for each row, bad ones included."""
+        """Convert each row to a pose, bad rows included."""
         document = self.document
         if "timestamp_ns" in rows:
             stamps = rows.stamps("timestamp_ns", "unix_ns")
@@ -191,7 +191,7 @@ class FolderRecording:
         return to_ego_track(track, Poses(np.array([offset[:4]]), np.array([offset[4:]])))
 
     def _orientation(self, rows: RecordingRows) -> tuple[Float64 | None, bool]:
-        """The rotations as read (None: there are none), and whether they are angles to the horizon and north."""
+        """The rotations as read (None: no columns), and whether they refer to the horizon and to north."""
         if any(name in rows for name in _QUATERNION):
             quaternion = np.stack([rows.floats(name) for name in _QUATERNION], axis=1)
             return normalise_rotations(quaternion, rows, "qw"), False
@@ -213,8 +213,8 @@ class FolderRecording:
         return quaternion_from_heading_pitch_roll(*angles), True
 
     def calibrations(self) -> pa.Table:
-        """All stages that have a file."""
-        found: list[tuple[Stage, Calibration]] = []
+        """The calibrations of all stages that have a file."""
+        calibrations: list[tuple[Stage, Calibration]] = []
         for stage in STAGES:
             file = find_file(self.path, f"calibrations/{stage}.json")
             if file is None:
@@ -227,15 +227,15 @@ class FolderRecording:
                         place=f"{index}.camera",
                         expected=f"one of {', '.join(self.document.cameras)}",
                     )
-                found.append((stage, calibration))
-        return to_calibration_table(found, vehicle_id=self.document.vehicle_id, drive_id=self.document.drive_id)
+                calibrations.append((stage, calibration))
+        return to_calibration_table(calibrations, vehicle_id=self.document.vehicle_id, drive_id=self.document.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """One stream a camera."""
+        """One stream per camera."""
         return {name: image_stream(self.path, name, entry) for name, entry in self.document.cameras.items()}
 
     def boxes(self) -> pa.Table | None:
-        """``boxes.parquet``, held against the `boxes` table."""
+        """The rows of ``boxes.parquet``, cast to the `boxes` table."""
         file = find_file(self.path, "boxes.parquet")
         if file is None:
             return None

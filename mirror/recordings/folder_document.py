@@ -1,4 +1,4 @@
-"""``recording.json`` of the `folder` layout; docs/recordings.md specifies it."""
+"""Reads ``recording.json`` and the calibrations of the `folder` layout; docs/recordings.md specifies them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ DOCUMENT_NAME: Final = "recording.json"
 
 
 class PositionFrame(Document):
-    """What the positions are counted in.
+    """The frame of the positions.
 
     Attributes:
-        kind: WGS 84 degrees, UTM, earth-centred earth-fixed, or a metric frame of its own.
-        zone: of UTM.
-        hemisphere: of UTM.
-        name: of a local frame; recordings with the same name share it.
+        kind: WGS 84 degrees, UTM, earth-centred earth-fixed (ECEF), or a local metric frame.
+        zone: the UTM zone.
+        hemisphere: the hemisphere of the UTM zone.
+        name: name of a local frame; recordings with the same name share the frame.
     """
 
     kind: Literal["wgs84", "utm", "ecef", "local"]
@@ -37,7 +37,7 @@ class PositionFrame(Document):
     def _complete(self) -> PositionFrame:
         utm = self.zone is not None and self.hemisphere is not None
         if (self.kind == "utm") != utm or (self.kind == "local") != (self.name is not None):
-            raise ValueError("utm takes zone and hemisphere, local takes name, the others nothing")
+            raise ValueError("utm needs zone and hemisphere, local needs name, the other kinds take none of them")
         return self
 
 
@@ -45,8 +45,8 @@ class FolderCamera(Document):
     """One camera.
 
     Attributes:
-        source_name: what the source calls it; None: the same.
-        static_mask: PNG inside the recording, non-zero where the vehicle itself is seen.
+        source_name: the source's name of the camera; None: the same name.
+        static_mask: PNG inside the recording, non-zero where the image shows the vehicle itself.
         video_start_ns: Unix time of the first frame of a video without a table of exposures.
     """
 
@@ -81,7 +81,7 @@ class FolderDocument(Document):
         if self.time_base not in TIME_BASES:
             raise ValueError(f"time_base is none of {', '.join(TIME_BASES)}")
         if self.cameras and (self.rig_id is None or self.reference_camera not in self.cameras):
-            raise ValueError("a recording with cameras has a rig_id, and a reference_camera among them")
+            raise ValueError("a recording with cameras needs a rig_id, and a reference_camera among its cameras")
         return self
 
 
@@ -91,7 +91,7 @@ def read_document(file: Path) -> FolderDocument:
     Raises:
         RecordingError: it is missing or broken, or a key is not as specified; the key is named.
     """
-    with _named(file):
+    with _document_errors(file):
         return FolderDocument.model_validate(read_json(file))
 
 
@@ -101,13 +101,13 @@ def read_calibrations(file: Path) -> list[Calibration]:
     Raises:
         RecordingError: the file is broken, or an entry is not as specified; entry and key are named.
     """
-    with _named(file):
+    with _document_errors(file):
         return TypeAdapter(list[Calibration]).validate_python(read_json(file))
 
 
 @contextmanager
 def recording_errors() -> Iterator[None]:
-    """Give what the tables' checks find in a recording's file as an error of the recording."""
+    """Turn a `SchemaError` of a recording's table into a `RecordingError`."""
     try:
         yield
     except SchemaError as error:
@@ -117,7 +117,8 @@ def recording_errors() -> Iterator[None]:
 
 
 @contextmanager
-def _named(file: Path) -> Iterator[None]:
+def _document_errors(file: Path) -> Iterator[None]:
+    """Turn a validation error into a `RecordingError` that names the first wrong key."""
     try:
         yield
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Pictures of the `folder` layout: one file a picture, one video a camera, or elsewhere; with their exposures."""
+"""Images of the `folder` layout with their exposures: in files, in one video per camera, or at uris elsewhere."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LARGEST: Final = 2**31 - 1
 
 
 def image_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
-    """The pictures of one camera in the order of their exposures.
+    """The images of one camera in the order of their exposures.
 
     Args:
         root: the recording.
@@ -34,7 +34,8 @@ def image_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
         entry: its entry in ``recording.json``.
 
     Raises:
-        RecordingError: pictures are missing, of two kinds, or not those of their table; camera, file and row are named.
+        RecordingError: images are missing, have several formats, or differ from their table; camera, file and row are
+            named.
     """
     folder = root / "images" / camera
     listed = list_folder(root, root / "videos") if (root / "videos").is_dir() else {}
@@ -42,14 +43,14 @@ def image_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
     table = find_file(root, f"images/{camera}.csv")
     elsewhere = table is not None and not folder.is_dir()
     if folder.is_dir() + elsewhere + len(videos) != 1:
-        found = [str(file.relative_to(root)) for file in videos]
-        found += [f"images/{camera}"] * folder.is_dir() + [f"images/{camera}.csv"] * elsewhere
+        sources = [str(file.relative_to(root)) for file in videos]
+        sources += [f"images/{camera}"] * folder.is_dir() + [f"images/{camera}.csv"] * elsewhere
         raise RecordingError(
-            f"camera {camera} has pictures in {' and in '.join(found)}" if found else f"camera {camera} is missing",
+            f"camera {camera} has images in {' and in '.join(sources)}" if sources else f"camera {camera} is missing",
             file=root,
             place=f"camera {camera}",
             expected=f"the folder images/{camera}, one video videos/{camera}.mp4, or images/{camera}.csv with uris",
-            remedy="put its pictures there, or take the camera out of recording.json",
+            remedy="put its images there, or take the camera out of recording.json",
         )
     if table is not None and elsewhere:
         return _referenced(camera, table)
@@ -57,17 +58,17 @@ def image_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
 
 
 def _files(root: Path, camera: str, folder: Path, table: Path | None) -> FileStream:
-    pictures = list_file_names(root, folder)
-    if not pictures:
-        raise RecordingError(f"camera {camera} has no pictures", file=folder, expected="<timestamp_ns>.jpg or .png")
+    images = list_file_names(root, folder)
+    if not images:
+        raise RecordingError(f"camera {camera} has no images", file=folder, expected="<timestamp_ns>.jpg or .png")
     if table is not None:
-        start, end, names = _listed(table, set(pictures))
+        start, end, names = _listed(table, set(images))
     else:
-        names = pictures
+        names = images
         start = end = _stamps_of_names(folder, names)
     codec = _codec(names, folder)
     order, ordered = _in_time_order(start, end, names, folder)
-    # Texts, not Path objects: a camera has a hundred thousand of them.
+    # Strings, not Path objects: a camera may have a hundred thousand files.
     return FileStream(camera, codec, start[order], end[order], tuple(f"{folder}/{name}" for name in ordered))
 
 
@@ -80,9 +81,9 @@ def _referenced(camera: str, table: Path) -> ReferencedStream:
     rows.refuse(
         wrong,
         "uri",
-        f"{uris[int(np.argmax(wrong))]!r} leads to this machine's files, or nowhere",
-        expected="an absolute uri of a picture elsewhere, such as s3://bucket/drive/1.jpg, without '::' and '..'",
-        remedy=f"correct it; local pictures belong into images/{camera}",
+        f"{uris[int(np.argmax(wrong))]!r} is not a uri, or refers to this machine's files",
+        expected="an absolute uri of an image elsewhere, such as s3://bucket/drive/1.jpg, without '::' and '..'",
+        remedy=f"correct it; put local images into images/{camera}",
     )
     sizes = []
     for name in _SIZES:
@@ -103,13 +104,17 @@ def _codec(names: list[str], file: Path) -> str:
     codec = codecs.pop()
     if codecs or codec is None:
         raise RecordingError(
-            f"pictures of kinds {', '.join(sorted(suffixes))}", file=file, expected="JPEG or PNG, one kind a camera"
+            f"images of kinds {', '.join(sorted(suffixes))}", file=file, expected="JPEG or PNG, one kind per camera"
         )
     return codec
 
 
 def _in_time_order(start: Int64, end: Int64, names: list[str], file: Path) -> tuple[Int64, list[str]]:
-    """The order (N,) of mid-exposures, and the names in it."""
+    """Sort images by mid-exposure: the order (N,) as indices, and the sorted names.
+
+    Raises:
+        RecordingError: two images have the same time.
+    """
     order = np.argsort(start + end, kind="stable")
     ordered = [names[index] for index in order.tolist()]
     middle = (start + end)[order]
@@ -119,7 +124,7 @@ def _in_time_order(start: Int64, end: Int64, names: list[str], file: Path) -> tu
         raise RecordingError(
             f"{ordered[first]} and {ordered[first + 1]} have the same time",
             file=file,
-            expected="one picture a camera and instant",
+            expected="one image per camera and instant",
             remedy="remove one of the two",
         )
     return order, ordered
@@ -134,31 +139,31 @@ def _stamps_of_names(folder: Path, names: list[str]) -> Int64:
     except (ValueError, OverflowError) as error:
         odd = next(name for name, stem in zip(names, stems) if not (stem.isdecimal() and len(stem) <= 19))
         raise RecordingError(
-            "the name is no time",
+            "the name is not a time",
             file=folder / odd,
             expected="<timestamp_ns>.jpg: Unix time of mid-exposure in nanoseconds",
-            remedy=f"rename the pictures, or give images/{folder.name}.csv with file,{','.join(_EXPOSURES)}",
+            remedy=f"rename the images, or give images/{folder.name}.csv with file,{','.join(_EXPOSURES)}",
         ) from error
 
 
-def _listed(table: Path, pictures: set[str]) -> tuple[Int64, Int64, list[str]]:
+def _listed(table: Path, images: set[str]) -> tuple[Int64, Int64, list[str]]:
     rows = read_rows([table], types=dict.fromkeys(("file", *_EXPOSURES), pa.string()), columns=("file", *_EXPOSURES))
     names = rows.column("file").to_pylist()
-    unknown = np.array([name not in pictures for name in names])
+    unknown = np.array([name not in images for name in names])
     rows.refuse(
         unknown,
         "file",
-        f"{names[int(np.argmax(unknown))]!r} is no picture of images/{table.stem}",
-        expected="a bare file name in that folder",
-        remedy="remove the row, or put the picture there",
+        f"{names[int(np.argmax(unknown))]!r} is no image of images/{table.stem}",
+        expected="a file name in that folder, without a path",
+        remedy="remove the row, or put the image there",
     )
-    unlisted = sorted(pictures - set(names))
+    unlisted = sorted(images - set(names))
     if unlisted:
         raise RecordingError(
-            f"{len(unlisted)} pictures of images/{table.stem} are not listed, such as {unlisted[0]}",
+            f"{len(unlisted)} images of images/{table.stem} are not listed, such as {unlisted[0]}",
             file=table,
-            expected="one row a picture",
-            remedy="add the rows, or remove the pictures",
+            expected="one row per image",
+            remedy="add the rows, or remove the images",
         )
     start, end = _exposures(rows)
     return start, end, names
@@ -187,7 +192,7 @@ def _video(root: Path, camera: str, entry: FolderCamera, video: Path) -> VideoSt
         return VideoStream(camera, start, end, video, np.asarray(rows.column("pts"), np.int64))
     if entry.video_start_ns is None:
         raise RecordingError(
-            "nothing says when its frames were taken",
+            "the times of its frames are not given",
             file=video,
             expected=f"videos/{camera}.csv with pts,{','.join(_EXPOSURES)}, or video_start_ns in recording.json",
         )

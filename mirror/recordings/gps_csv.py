@@ -1,7 +1,7 @@
-"""Any GPS table: the columns are found by their usual names or named by the user.
+"""Reads any GPS table: columns have usual names, or the user names them.
 
-A file is one drive. A folder of tables is one drive in consecutive files, in the order of their names (numbers count by
-value). Nothing is dropped here: wild fixes are for cleaning, which counts them.
+A file is one drive. A folder of tables is one drive in consecutive files, in the order of their names (numbers are
+compared by value). Wild fixes stay in the track: cleaning drops and counts them.
 """
 
 from __future__ import annotations
@@ -62,20 +62,20 @@ _USUAL: Final = {
 }
 _GEODETIC: Final = ("lon", "lat", "height")
 _LOCAL: Final = ("x", "y", "z")
-# 1973, in seconds. Seconds since 1970 reach 1e11 in the year 5138; milliseconds pass it in 1973.
+# 1e8 s since 1970 is the year 1973. Seconds since 1970 reach 1e11 in the year 5138, milliseconds in 1973.
 _SMALLEST_UNIX: Final = 1e8
 _NUMBER: Final = r"^\s*[+-]?[0-9]+(\.[0-9]*)?\s*$"
 _UNIT_BY_MAGNITUDE: Final = ((1e11, "unix_s"), (1e14, "unix_ms"), (1e17, "unix_us"), (np.inf, "unix_ns"))
 
 
 class CsvReader:
-    """A GPS table."""
+    """Reads a GPS table, or a folder of them."""
 
     name = "csv"
-    expects = "a .csv or .tsv file with time and position, or a folder of nothing but such files"
+    expects = "a .csv or .tsv file with time and position, or a folder that holds only such files"
 
     def recognises(self, path: Path) -> bool:
-        """A file by its suffix; a folder if it holds only tables, by the header of the first."""
+        """Whether a file has a table's suffix, or a folder holds only tables and the first has a usual header."""
         if path.is_file():
             return path.suffix.lower() in _TABLES
         children = list(path.iterdir())
@@ -91,7 +91,7 @@ class CsvReader:
         refuse_options(options, _OPTIONS, path)
         if "frame" in options and not is_identifier(options["frame"]):
             raise RecordingError(
-                f"{options['frame']!r} names no frame",
+                f"{options['frame']!r} is not a valid frame name",
                 file=path,
                 place="option frame",
                 expected="letters, digits, _ and -",
@@ -109,7 +109,7 @@ class CsvReader:
 
 @dataclass(frozen=True)
 class CsvRecording:
-    """A poses-only drive."""
+    """A drive with poses and no cameras."""
 
     path: Path
     tables: tuple[Path, ...]
@@ -117,22 +117,22 @@ class CsvRecording:
 
     @property
     def _axes(self) -> tuple[str, ...]:
-        """The roles of the columns that make a position."""
+        """The roles of the columns that hold a position."""
         return _LOCAL if "frame" in self.options else _GEODETIC
 
     @cached_property
     def _columns(self) -> dict[str, tuple[str, ...]]:
-        """Column names by role; ``time`` may be several, joined by a blank."""
+        """Column names by role; ``time`` may be several columns, joined by a blank."""
         names, _ = read_header(self.tables[0], self.options.get("delimiter"))
         columns = _usual_columns(names)
         columns |= _stated_columns(self.options.get("columns", ""), names, self.tables[0])
         missing = [role for role in ("time", *self._axes[:2]) if role not in columns]
         if missing and "frame" not in self.options and {"x", "y"} <= columns.keys():
             raise RecordingError(
-                f"positions in metres ({', '.join(columns[role][0] for role in ('x', 'y'))}), and no frame is named",
+                f"positions in metres ({', '.join(columns[role][0] for role in ('x', 'y'))}) without a frame name",
                 file=self.tables[0],
                 place="header",
-                expected="longitude and latitude, or the name of the local metric frame that x and y are in",
+                expected="longitude and latitude, or the name of the local metric frame of x and y",
                 remedy="name the frame, the same for all drives in it: --option frame=<name>",
             )
         if missing:
@@ -159,12 +159,12 @@ class CsvRecording:
 
     @cached_property
     def _stamps(self) -> tuple[Int64, str]:
-        """Unix nanoseconds, and the time base in words."""
+        """Unix nanoseconds, and a description of the time base."""
         rows, names = self._rows, self._columns["time"]
         parts = [pc.fill_null(rows.column(name), "") for name in names]
         text = parts[0] if len(parts) == 1 else pc.binary_join_element_wise(*parts, " ")
-        shown = "+".join(names)
-        # What most rows are decides; the others are bad.
+        label = "+".join(names)
+        # The form of most rows decides; the other rows are bad.
         numeric = np.asarray(pc.match_substring_regex(text, _NUMBER))
         if len(names) == 1 and 0 < np.count_nonzero(pc.not_equal(text, "")) <= 2 * np.count_nonzero(numeric):
             if "tz" in self.options:
@@ -173,7 +173,7 @@ class CsvRecording:
             stamps, words = rows.stamps(names[0], base), TIME_BASES[base].words
         else:
             tz = self.options.get("tz")
-            stamps = parse_stamps(rows, shown, text, tz=tz, date_format=self.options.get("date_format"))
+            stamps = parse_stamps(rows, label, text, tz=tz, date_format=self.options.get("date_format"))
             stated = has_offset(text)[rows.good]
             local = "date and time," if not stated.any() else "date and time with UTC offset, or else"
             words = "date and time with UTC offset" if stated.all() else f"{local} local in {tz}"
@@ -181,7 +181,7 @@ class CsvRecording:
         return stamps, words
 
     def _time_base(self, name: str, numbers: pa.ChunkedArray, numeric: Bool) -> str:
-        """The base of a column of numbers; where their size decides it, rows of another size are bad."""
+        """The time base of a column of numbers; if their size decides it, rows of another size are bad."""
         unit = self.options.get("time_unit")
         if unit is None and "_" in name and name.rpartition("_")[2].lower() in _LONG_UNITS:
             unit = name.rpartition("_")[2].lower()
@@ -192,7 +192,7 @@ class CsvRecording:
         text = self._rows.column(name)
 
         def problem(row: int) -> str:
-            return f"{text[row].as_py()} is no time since 1970 in any unit"
+            return f"{text[row].as_py()} is not a time since 1970 in any unit"
 
         expected = "seconds, milliseconds, microseconds or nanoseconds since 1970"
         if middle < _SMALLEST_UNIX:
@@ -220,12 +220,12 @@ class CsvRecording:
                 f"starts before {self.tables[before].name} does",
                 file=self.tables[after],
                 expected="consecutive files of one drive, in the order of their names",
-                remedy="give the files one by one, if each is a drive of its own",
+                remedy="ingest the files one by one if each is a separate drive",
             )
 
     @cached_property
     def info(self) -> DriveInfo:
-        """Ids from the options or the name; weather is the commonest word of its column."""
+        """Ids come from the options or the name; the weather is the most frequent word of its column."""
         path = self.path.resolve()
         name = path.stem if path.is_file() else path.name
         return DriveInfo(
@@ -241,16 +241,16 @@ class CsvRecording:
         if "vehicle" not in self._columns:
             return "unknown"
         name = self._columns["vehicle"][0]
-        found = self._rows.column(name).drop_null().unique().to_pylist()
-        if len(found) > 1:
+        vehicles = self._rows.column(name).drop_null().unique().to_pylist()
+        if len(vehicles) > 1:
             raise RecordingError(
-                f"rows of {len(found)} vehicles: {', '.join(found[:3])} ...",
+                f"rows of {len(vehicles)} vehicles: {', '.join(vehicles[:3])} ...",
                 file=self.tables[0],
                 place=f"column {name}",
                 expected="one drive of one vehicle",
                 remedy="split the table by vehicle and drive, or state one: --option vehicle_id=<id>",
             )
-        return str(found[0]) if found else "unknown"
+        return str(vehicles[0]) if vehicles else "unknown"
 
     def _weather(self) -> str | None:
         if "weather" not in self._columns:
@@ -268,7 +268,7 @@ class CsvRecording:
         return [(file.name, file) for file in sorted(self.tables)]
 
     def track(self) -> Track:
-        """All fixes; a height is taken to be above the ellipsoid, or z of the local frame."""
+        """All fixes; a height is above the ellipsoid, or z of the local frame."""
         stamps = self._stamps[0]
         names = ("x_m", "y_m") if "frame" in self.options else ("longitude_deg", "latitude_deg")
         columns: dict[str, Any] = {
@@ -281,20 +281,20 @@ class CsvRecording:
         return self._rows.without_bad(Track(stamps, **columns, file=self.tables[0]))
 
     def calibrations(self) -> pa.Table:
-        """None, as a table without rows."""
+        """A table without rows."""
         return to_calibration_table([], vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """None."""
+        """No streams."""
         return {}
 
     def boxes(self) -> None:
-        """None."""
+        """None: tables have no boxes."""
         return
 
 
 def _usual_columns(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Roles whose column is plain from its name; a date and a time column together make the time."""
+    """Columns with a usual name, by role; a date column and a time column together are the time."""
     by_key = {name.strip().lower().replace(" ", "_"): name for name in reversed(names)}
     found: dict[str, tuple[str, ...]] = {}
     for role, usual in _USUAL.items():
@@ -308,19 +308,19 @@ def _usual_columns(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def _stated_columns(text: str, names: Sequence[str], file: Path) -> dict[str, tuple[str, ...]]:
-    """The option ``columns``: ``time=Date+Time,lon=LON``."""
+    """Parse the option ``columns``, for instance ``time=Date+Time,lon=LON``: column names by role."""
     stated = {}
     for part in filter(None, text.split(",")):
         role, _, columns = part.partition("=")
-        wanted = tuple(columns.split("+")) if role == "time" and columns not in names else (columns,)
-        absent = [name for name in wanted if name not in names]
+        columns_of_role = tuple(columns.split("+")) if role == "time" and columns not in names else (columns,)
+        absent = [name for name in columns_of_role if name not in names]
         if role not in _USUAL or role == "date" or absent:
             known = [name for name in _USUAL if name != "date"]
             raise RecordingError(
-                f"{part!r} names no column" if absent else f"{role!r} is nothing that a column can hold",
+                f"{part!r} names no column" if absent else f"{role!r} is not a role of a column",
                 file=file,
                 place="option columns",
                 expected=f"one of {', '.join(names)}" if absent else f"one of {', '.join(known)}",
             )
-        stated[role] = wanted
+        stated[role] = columns_of_role
     return stated

@@ -1,4 +1,4 @@
-"""Day, dusk or night, from where the sun stood."""
+"""Day, dusk or night, from the elevation of the sun."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def solar_elevation_deg(
 ) -> Float64:
     """Elevation of the sun's centre above the horizon, without refraction.
 
-    Within 0.015 degrees of the precise ephemeris from 1970 to 2100 (J. Meeus, Astronomical Algorithms, 2nd ed.,
-    chapters 12, 22 and 25, the low-accuracy sun that the NOAA solar calculator uses).
+    The result is within 0.015 degrees of the precise ephemeris from 1970 to 2100. Source: J. Meeus, Astronomical
+    Algorithms, 2nd ed., chapters 12, 22 and 25, the low-accuracy formulas of the NOAA solar calculator.
 
     Args:
         timestamp_ns: (...,) Unix time, UTC.
@@ -34,7 +34,7 @@ def solar_elevation_deg(
         latitude_deg: (...,) WGS 84.
 
     Returns:
-        (...,) degrees in [-90, 90]; NaN where the place is not finite.
+        (...,) degrees in [-90, 90]; NaN where longitude or latitude is not finite.
     """
     days = (np.asarray(timestamp_ns, np.int64) - _J2000_NS) / _DAY_NS
     century = (days + _TERRESTRIAL_DAYS) / 36_525.0
@@ -47,7 +47,7 @@ def solar_elevation_deg(
     )
     node = np.radians(125.04 - 1934.136 * century)
     nutation = -0.00478 * np.sin(node)
-    # Aberration takes off 0.00569 degrees.
+    # Aberration subtracts 0.00569 degrees.
     longitude = np.radians(mean_longitude + centre - 0.00569 + nutation)
     obliquity = np.radians(23.4392911 - century * 0.0130042 + 0.00256 * np.cos(node))
     ascension = np.arctan2(np.cos(obliquity) * np.sin(longitude), np.cos(longitude))
@@ -60,10 +60,10 @@ def solar_elevation_deg(
 
 
 def light_label(elevation_deg: float) -> Light:
-    """The word for a solar elevation.
+    """Label a solar elevation.
 
-    ``day`` with the sun's centre on or above the horizon, ``dusk`` in civil twilight (of the evening as of the
-    morning), ``night`` from 6 degrees below on.
+    ``day``: the sun's centre is on or above the horizon; ``dusk``: civil twilight of the evening or the morning;
+    ``night``: the sun's centre is 6 degrees below the horizon or lower.
 
     Args:
         elevation_deg: finite, without refraction.

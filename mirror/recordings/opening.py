@@ -1,6 +1,7 @@
-"""Opening a recording's files: plain files inside it alone, never a pipe or device, never what a link leads out to.
+"""Opens the files of a recording: only regular files inside it, no pipes or devices, and no links that lead outside.
 
-Every reader takes its files from here or from the listings of `mirror.recordings.paths`, which check the same.
+Every reader opens its files with these functions or takes them from the listings of `mirror.recordings.paths`, which
+apply the same checks.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from mirror.errors import RecordingError
 from mirror.recordings.paths import not_a_file_error, require_inside
 from mirror.schema.strict_json import JsonError, decode_json
 
-# What NumPy raises on the header of a damaged ``.npy`` file.
+# The exceptions that NumPy raises on the header of a damaged ``.npy`` file.
 _BROKEN_ARRAY = (
     OSError,
     ValueError,
@@ -33,14 +34,15 @@ _BROKEN_ARRAY = (
 
 
 def find_file(root: Path, name: str) -> Path | None:
-    """The plain file of a name inside a recording; None: there is nothing of that name.
+    """Find a regular file of a recording by its name; None: it does not exist.
 
     Args:
         root: the recording's folder.
         name: a relative path with forward slashes.
 
     Raises:
-        RecordingError: it is a link that leads out or to nothing, or no plain file (a folder, pipe or device).
+        RecordingError: it is a link that leads outside or to nothing, or is not a regular file but a folder, pipe or
+            device.
     """
     path = require_inside(root, name, file=root / name, place="link")
     try:
@@ -57,10 +59,10 @@ def find_file(root: Path, name: str) -> Path | None:
 
 
 def require_file(root: Path, name: str) -> Path:
-    """As `find_file`, of a file that must be there.
+    """Find a regular file of a recording that must exist; see `find_file`.
 
     Raises:
-        RecordingError: there is no such file, or as in `find_file`.
+        RecordingError: the file does not exist, or `find_file` refuses it.
     """
     path = find_file(root, name)
     if path is None:
@@ -69,23 +71,26 @@ def require_file(root: Path, name: str) -> Path:
 
 
 def read_file(file: str | Path) -> bytes:
-    """All bytes of a plain file; a pipe is not waited for, and a device is not read.
+    """Read all bytes of a regular file; pipes and devices are refused without waiting.
 
     Raises:
-        RecordingError: it is missing, unreadable or no plain file.
+        RecordingError: the file is missing, unreadable or not a regular file.
     """
     return read_file_start(file, sys.maxsize)[0]
 
 
 def read_file_start(file: str | Path, count: int) -> tuple[bytes, int]:
-    """The first bytes of a plain file, and its size; see `read_file`.
+    """Read the first bytes of a regular file; see `read_file`.
 
     Args:
         file: the file.
-        count: how many bytes at most.
+        count: the largest number of bytes to read.
+
+    Returns:
+        The bytes, and the size of the whole file.
 
     Raises:
-        RecordingError: it is missing, unreadable or no plain file.
+        RecordingError: the file is missing, unreadable or not a regular file.
     """
     try:
         descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK)
@@ -95,9 +100,9 @@ def read_file_start(file: str | Path, count: int) -> tuple[bytes, int]:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise not_a_file_error(Path(file))
-        wanted = min(count, status.st_size)
-        data = os.read(descriptor, wanted)
-        while len(data) < wanted and (more := os.read(descriptor, wanted - len(data))):
+        length = min(count, status.st_size)
+        data = os.read(descriptor, length)
+        while len(data) < length and (more := os.read(descriptor, length - len(data))):
             data += more
         return data, status.st_size
     except OSError as error:
@@ -107,10 +112,10 @@ def read_file_start(file: str | Path, count: int) -> tuple[bytes, int]:
 
 
 def read_json(file: Path) -> Any:
-    """A JSON document.
+    """Read a JSON document.
 
     Raises:
-        RecordingError: it is missing or no JSON: line and column, or the key, are named.
+        RecordingError: the file is missing or is not JSON; line and column, or the key, are named.
     """
     data = read_file(file)
     try:
@@ -125,13 +130,13 @@ def read_json(file: Path) -> Any:
 
 
 def read_array(file: Path) -> Float64:
-    """A NumPy file of numbers, as float64; it never takes more memory than the file has bytes for.
+    """Read a NumPy file of real numbers as float64; the header cannot claim more memory than the file has bytes for.
 
     Raises:
-        RecordingError: it is missing, broken, shorter than its header claims, or holds something else than numbers.
+        RecordingError: the file is missing, broken or shorter than its header claims, or does not hold real numbers.
     """
     try:
-        # A mapping is refused where the header claims more than there is, before memory is asked for.
+        # Mapping fails before any memory is allocated if the header claims more bytes than the file has.
         array = np.load(file, mmap_mode="r", allow_pickle=False)
     except _BROKEN_ARRAY as error:
         raise unreadable_error(file, error) from error
@@ -142,7 +147,7 @@ def read_array(file: Path) -> Float64:
 
 
 def unreadable_error(file: Path, error: Exception) -> RecordingError:
-    """The error for a file that is missing, truncated or of another kind."""
+    """Make the error for a file that is missing, truncated or of another format."""
     kind = "a complete Parquet file" if file.suffix == ".parquet" else "a readable, complete file"
     reason = str(error).splitlines()[0] if str(error) else type(error).__name__
     missing = isinstance(error, FileNotFoundError)

@@ -1,4 +1,4 @@
-"""File names of a recording: listed fast, ordered as a person counts, and never leading out of it."""
+"""Lists and checks the file names of a recording: none may lead out of it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _LOCAL = frozenset((
 
 
 def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
-    """The file that a recording names, if it lies inside the recording.
+    """Return the path of a file that a recording names; it must lie inside the recording.
 
     Args:
         root: the recording's folder.
         name: a relative path with forward slashes, as written in one of the recording's files.
-        file: the file that names it, for the message.
-        place: where in that file.
+        file: the file that holds the name, for the message.
+        place: the place of the name in that file, for the message.
 
     Raises:
-        RecordingError: the name is absolute, climbs with ``..``, or leads out through a link.
+        RecordingError: the name is absolute, contains ``..``, or leads outside through a link.
     """
     parts = PurePosixPath(name).parts
     windows = PureWindowsPath(name)
@@ -37,9 +37,9 @@ def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
         raise _outside(name, file, place)
     path = root / name
     try:
-        found = path.resolve()
+        target = path.resolve()
     except (OSError, RuntimeError) as error:
-        # Links in a circle: the system's word is an OSError, pathlib's a RuntimeError.
+        # For a circle of links the system raises an OSError and pathlib a RuntimeError.
         raise RecordingError(
             f"{name!r} cannot be followed ({error})",
             file=file,
@@ -47,7 +47,7 @@ def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
             expected="a file, or a link to one inside the recording's folder",
             remedy="remove the link, or put the file in its place",
         ) from error
-    if not found.is_relative_to(root.resolve()):
+    if not target.is_relative_to(root.resolve()):
         raise _outside(name, file, place)
     return path
 
@@ -63,7 +63,7 @@ def _outside(name: str, file: Path, place: str) -> RecordingError:
 
 
 def not_a_file_error(path: Path) -> RecordingError:
-    """The error for a folder, pipe, socket or device where a file belongs."""
+    """Make the error for a folder, pipe, socket or device in place of a file."""
     return RecordingError(
         "is no plain file: a folder, pipe or device, or a link to nothing",
         file=path,
@@ -73,7 +73,7 @@ def not_a_file_error(path: Path) -> RecordingError:
 
 
 def is_remote_uri(uri: str) -> bool:
-    """Whether a uri is absolute and leads away from this machine's files: no path climbs, no chain hides one."""
+    """Whether a uri is absolute and refers to another machine: no local scheme, no ``..``, no chain with ``::``."""
     return (
         _SCHEME.match(uri) is not None
         and uri.partition("://")[0] not in _LOCAL
@@ -83,12 +83,12 @@ def is_remote_uri(uri: str) -> bool:
 
 
 def list_folder(root: Path, folder: Path) -> dict[str, Path]:
-    """The plain files of one folder by name; see `list_file_names`."""
+    """The regular files of one folder by name; see `list_file_names`."""
     return {name: folder / name for name in list_file_names(root, folder)}
 
 
 def list_file_names(root: Path, folder: Path) -> list[str]:
-    """Names of the plain files of one folder, hidden ones left out; links are followed only inside the recording.
+    """List the names of the regular files of one folder, without hidden ones.
 
     Args:
         root: the recording's folder.
@@ -117,15 +117,15 @@ def list_file_names(root: Path, folder: Path) -> list[str]:
 
 
 def list_files(root: Path) -> list[tuple[str, str]]:
-    """Every file under a folder, hidden ones left out, as ``(path relative to it, path)``, in the order of the former.
+    """List every file under a folder, without hidden ones, as ``(relative path, path)`` in the order of relative paths.
 
-    Plain strings: of a recording's hundred thousand pictures, most are never opened.
+    The paths are strings, not `Path` objects: a recording may have a hundred thousand images, and most are not opened.
 
     Args:
         root: a recording's folder.
 
     Raises:
-        RecordingError: a link leads out of the recording or to nothing, or there is a pipe or device.
+        RecordingError: a link leads out of the recording or to nothing, or an entry is a pipe or device.
     """
     found: list[tuple[str, str]] = []
     open_folders = [("", str(root))]
@@ -138,7 +138,7 @@ def list_files(root: Path) -> list[tuple[str, str]]:
                     continue
                 if entry.is_symlink():
                     require_inside(root, relative, file=Path(path), place="link")
-                # The folder that a link stands for lies inside and is met under its own name.
+                # A linked folder lies inside the recording and is listed under its own name.
                 if entry.is_dir(follow_symlinks=False):
                     open_folders.append((relative + "/", path))
                 elif entry.is_file():
@@ -149,19 +149,17 @@ def list_files(root: Path) -> list[tuple[str, str]]:
 
 
 def natural_key(name: str) -> tuple[str | int, ...]:
-    """Sorts numbers within names by value: ``2`` before ``10``, ``part_9.csv`` before ``part_10.csv``."""
+    """Sort key that compares numbers in names by value: ``part_9.csv`` comes before ``part_10.csv``."""
     return tuple(int(part) if index % 2 else part for index, part in enumerate(_DIGITS.split(name)))
 
 
 def to_identifier(text: str) -> str:
-    """A valid id made of any text: other characters become ``_``; at most 120 characters.
+    """Convert any text to a valid id: invalid characters become ``_``, and the length is at most 120 characters.
 
     Raises:
-        RecordingError: nothing is left.
+        RecordingError: the text has no letter or digit.
     """
     cleaned = re.sub(r"[^A-Za-z0-9_\-]", "_", text).lstrip("_-")[:120]
     if not cleaned:
-        raise RecordingError(
-            f"{text!r} has no letter or digit to make an id of", expected="letters, digits, '_' and '-'"
-        )
+        raise RecordingError(f"{text!r} has no letter or digit for an id", expected="letters, digits, '_' and '-'")
     return cleaned

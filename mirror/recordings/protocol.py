@@ -1,8 +1,8 @@
-"""What every recording format gives the toolkit: one protocol, read lazily.
+"""The protocol of recordings, which every recording format follows; recordings are read lazily.
 
 A reader turns one format into a `Recording`. It converts its source's time base to Unix nanoseconds, its angles to
-unit quaternions (scalar first), its distances to metres, and its frames to ours (docs/conventions.md); it does not
-clean, filter or cut. It opens no picture until `ImageStream.read` is called, and no file before it is asked for.
+unit quaternions (scalar first), its distances to metres, and its frames to MIRROR's (docs/conventions.md); it does not
+clean, filter or cut. It opens no image until `ImageStream.read` is called, and no file before it is needed.
 
 A third-party package adds a format by an entry point in the group ``mirror.recordings`` that names a `Reader` class.
 """
@@ -26,21 +26,21 @@ ENTRY_POINT_GROUP = "mirror.recordings"
 
 @dataclass(frozen=True)
 class DriveInfo:
-    """Who recorded what, where and when.
+    """The drive, the vehicle, and how time and positions were recorded.
 
     Attributes:
         drive_id: letters, digits, ``_`` and ``-``.
         vehicle_id: pseudonym of the vehicle, the same alphabet.
         vehicle_type: make or class of the vehicle.
-        time_base: the source's own time base in words, e.g. ``GPS microseconds``; stamps given out are Unix UTC.
-        frame: None if positions are WGS 84; else the name of the local metric frame they are in.
-        body_frame: what the recorded poses are poses of, e.g. ``ego`` (rear axle) or ``camera``; where it is not
-            ``ego`` and the offset is unknown, the ego frame is that body turned to x forward, y left, z up.
-        is_clip: True if the source arrives as clips, each judged whole.
-        city: city, if the source says.
-        weather: ``clear``, ``clouds``, ``rain``, ``snow``, ``fog`` or None, if the source says.
-        light: ``day``, ``dusk``, ``night`` or None; where None it is computed from the sun.
-        licence: licence of the recording, if the source says.
+        time_base: the source's own time base in words, e.g. ``GPS microseconds``; the reader's stamps are Unix UTC.
+        frame: None if positions are WGS 84; else the name of their local metric frame.
+        body_frame: the body of the recorded poses, e.g. ``ego`` (rear axle) or ``camera``. If it is not ``ego`` and
+            its offset is unknown, the ego frame has the body's origin and axes x forward, y left, z up.
+        is_clip: True if the source arrives as clips, each judged as a whole.
+        city: the city; None: the source does not state it.
+        weather: ``clear``, ``clouds``, ``rain``, ``snow`` or ``fog``; None: the source does not state it.
+        light: ``day``, ``dusk`` or ``night``; None: it is computed from the sun.
+        licence: licence of the recording; None: the source does not state it.
     """
 
     drive_id: str
@@ -67,11 +67,11 @@ class Track:
         x_m: (N,) in the local metric frame, or None.
         y_m: (N,) in the local metric frame, or None.
         height_m: (N,) above the ellipsoid (local frame: z), or None where the source has none.
-        rotation: (N, 4) unit quaternion, scalar first: ``enu_SE3_ego`` with east-north-up at the pose's own place
+        rotation: (N, 4) unit quaternion, scalar first: ``enu_SE3_ego`` with east-north-up at the pose's position
             (local frame: ``frame_SE3_ego``), or None where the source has no orientation.
         sigma_m: (N,) horizontal 1-sigma of each fix, or None.
-        file: the file the poses came from, for messages.
-        bad: rows of the recording that make no pose and are therefore not among the N, or None.
+        file: the file that the poses come from, for messages.
+        bad: rows of the recording that make no pose and are not among the N; None: there are none.
     """
 
     timestamp_ns: Int64
@@ -95,8 +95,8 @@ class CameraInfo:
 
     Attributes:
         name: canonical name where the rig maps to it, else the source's own.
-        source_name: what the source calls it.
-        static_mask: (H, W) non-zero where the vehicle itself is seen, or None.
+        source_name: the source's name.
+        static_mask: (H, W) non-zero where the image shows the vehicle itself, or None.
     """
 
     name: str
@@ -115,7 +115,7 @@ class RigInfo:
 
 @runtime_checkable
 class ImageStream(Protocol):
-    """The pictures of one camera in time order; nothing is opened before `read`."""
+    """The images of one camera in time order; no file is opened before `read`."""
 
     @property
     def camera(self) -> str:
@@ -124,7 +124,7 @@ class ImageStream(Protocol):
 
     @property
     def codec(self) -> str:
-        """``jpeg`` or ``png``: what `path` and `read` give; ``video``: JPEG decoded from a video, by `read` alone."""
+        """``jpeg`` or ``png``: the format of `path` and `read`; ``video``: `read` gives JPEG, decoded from a video."""
         ...
 
     @property
@@ -138,17 +138,17 @@ class ImageStream(Protocol):
         ...
 
     def path(self, index: int) -> str | Path | None:
-        """The file that holds exactly this picture's encoded bytes, to be linked or copied; None: use `read`."""
+        """The file with exactly the encoded bytes of this image, for links and copies; None: use `read`."""
         ...
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
-        """Yield ``(index, encoded bytes)`` for ascending indices, decoding as little as it can."""
+        """Yield ``(index, encoded bytes)`` for ascending indices, and decode as little as possible."""
         ...
 
 
 @dataclass(frozen=True)
 class FileStream:
-    """One encoded picture a file."""
+    """Images in files, one encoded image per file."""
 
     camera: str
     codec: str
@@ -159,12 +159,12 @@ class FileStream:
     def __post_init__(self) -> None:
         if not len(self.paths) == len(self.exposure_start_ns) == len(self.exposure_end_ns):
             raise RecordingError(
-                f"{len(self.paths)} pictures but {len(self.exposure_start_ns)} exposure stamps",
+                f"{len(self.paths)} images but {len(self.exposure_start_ns)} exposure stamps",
                 place=f"camera {self.camera}",
             )
 
     def path(self, index: int) -> str | Path:
-        """The picture's file."""
+        """The image's file."""
         return self.paths[index]
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
@@ -175,17 +175,17 @@ class FileStream:
 
 @dataclass(frozen=True)
 class ReferencedStream:
-    """Pictures that lie elsewhere, in a bucket or on a server: ingest refers to them, and opens none.
+    """Images in a bucket or on a server: ingest stores their uris and opens none of them.
 
     Attributes:
         camera: the camera's name.
         codec: ``jpeg`` or ``png``.
         exposure_start_ns: (N,) as in `ImageStream`.
         exposure_end_ns: (N,) as in `ImageStream`.
-        uris: absolute, one a picture, as fsspec understands them.
-        byte_length: (N,) of each picture; it begins at the first byte of its uri.
-        width_px: (N,) of each picture.
-        height_px: (N,) of each picture.
+        uris: absolute uris for fsspec, one per image.
+        byte_length: (N,) size of each image; it begins at the first byte of its uri.
+        width_px: (N,) width of each image.
+        height_px: (N,) height of each image.
     """
 
     camera: str
@@ -201,18 +201,18 @@ class ReferencedStream:
         columns = (self.exposure_start_ns, self.exposure_end_ns, self.byte_length, self.width_px, self.height_px)
         if any(len(column) != len(self.uris) for column in columns):
             raise RecordingError(
-                f"{len(self.uris)} pictures but columns of {', '.join(str(len(column)) for column in columns)}",
+                f"{len(self.uris)} images but columns of {', '.join(str(len(column)) for column in columns)}",
                 place=f"camera {self.camera}",
             )
 
     def path(self, index: int) -> None:
-        """None: there is no file."""
+        """None: the image is not a local file."""
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
-        """Yield each picture's bytes, fetched one after the other.
+        """Fetch and yield each image's bytes, one after the other.
 
         Raises:
-            RecordingError: one cannot be had.
+            RecordingError: an image cannot be fetched.
         """
         import fsspec
 
@@ -225,7 +225,7 @@ class ReferencedStream:
                     f"cannot be fetched: {error}",
                     file=self.uris[index],
                     place=f"camera {self.camera}",
-                    expected="a picture that fsspec reads with the packages installed here",
+                    expected="an image that fsspec reads with the packages installed here",
                 ) from error
             yield index, data
 
@@ -236,7 +236,7 @@ class Recording(Protocol):
 
     @property
     def info(self) -> DriveInfo:
-        """Who, where, when."""
+        """The drive, the vehicle, and how time and positions were recorded."""
         ...
 
     @property
@@ -245,11 +245,11 @@ class Recording(Protocol):
         ...
 
     def files(self) -> Sequence[tuple[str, Path | str]]:
-        """Every file of the recording as ``(path relative to the recording, path)``, for the fingerprint."""
+        """Every file of the recording as ``(path relative to the recording, path)``, for its fingerprint."""
         ...
 
     def track(self) -> Track:
-        """All poses. A drive in several files is given as one track."""
+        """All poses. A drive in several files is one track."""
         ...
 
     def calibrations(self) -> pa.Table:
@@ -270,15 +270,15 @@ class Reader(Protocol):
     """One recording format.
 
     Attributes:
-        name: of the entry point and of ``--reader``.
-        expects: what a path of this format looks like, for messages.
+        name: name of the entry point, and value of ``--reader``.
+        expects: a description of a path of this format, for messages.
     """
 
     name: str
     expects: str
 
     def recognises(self, path: Path) -> bool:
-        """Whether the path looks like this format, by names alone (fast, opens at most one small file)."""
+        """Whether the path has this format, judged by names alone (fast; opens at most one small file)."""
         ...
 
     def open(self, path: Path, options: Mapping[str, str]) -> Recording:

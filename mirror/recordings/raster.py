@@ -1,8 +1,8 @@
-"""What an image's encoded bytes say of themselves, without decoding them: JPEG (ITU T.81) and PNG (ISO 15948).
+"""Reads size and structure of an encoded image without decoding it: JPEG (ITU T.81) and PNG (ISO 15948).
 
-The structure is walked from marker to marker and from chunk to chunk. In a JPEG's entropy-coded data every byte 0xFF is
-stuffed or a restart marker, so that foreign bytes between intact markers show; in a PNG every critical chunk has a
-checksum. What only a decoder sees is left to it.
+The structure is followed from marker to marker and from chunk to chunk. In a JPEG's entropy-coded data every byte 0xFF
+is stuffed or part of a restart marker, so foreign bytes between intact markers are detected; in a PNG every critical
+chunk has a checksum. Other damage is detected only by a decoder.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError
 
 TAIL_BYTES: Final = 4096
-"""How far from the end of a picture's bytes its end marker may be: cameras pad behind it."""
+"""Largest distance of the end marker from the end of an image's bytes: cameras add padding after it."""
 
 _STARTS: Final = {"jpeg": b"\xff\xd8", "png": b"\x89PNG\r\n\x1a\n"}
 _ENDS: Final = {"jpeg": b"\xff\xd9", "png": b"IEND\xaeB`\x82"}
@@ -26,60 +26,60 @@ _SOI, _EOI, _SOS, _TEM = 0xD8, 0xD9, 0xDA, 0x01
 _FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Tables, comments and application data; markers below 0xC0 and 0xF0 to 0xFD are reserved.
 _SEGMENTS: Final = frozenset((0xC4, 0xCC, *range(0xDB, 0xF0), 0xFE))
-# What behind 0xFF in image data is a marker: not a stuffed zero, not one of the eight restart markers, not padding.
+# Bytes that form a marker after 0xFF in image data: not a stuffed zero, not a restart marker (eight), not padding.
 _ENDS_SCAN: Final = np.array([byte not in (0x00, 0xFF) and not 0xD0 <= byte <= 0xD7 for byte in range(256)])
-# Bits a sample that PNG allows, by colour type.
+# Bits per sample that PNG allows, by colour type.
 _PNG_DEPTHS: Final = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 _LARGEST: Final = 2**31 - 1
 
 
 class _CutError(Exception):
-    """The bytes end before the picture does."""
+    """The bytes end before the end of the image."""
 
 
 class _BrokenError(Exception):
-    """The bytes are not what they should be."""
+    """The bytes violate the format."""
 
 
 def read_raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
-    """Width and height in pixels, from the header; what lies behind it may be missing.
+    """Read width and height in pixels from the header; the bytes after it may be missing.
 
     Raises:
         RecordingError: neither a JPEG nor a PNG, or broken or cut off before its size.
     """
-    return _walk(data, file, whole=False)
+    return _walk(data, file, complete=False)
 
 
 def require_complete_image(data: bytes, file: str | PurePath) -> tuple[int, int]:
-    """Width and height in pixels of an image whose structure is whole from its start to its end marker.
+    """Read width and height in pixels, and check the structure of the image from its start to its end marker.
 
     Raises:
-        RecordingError: it is empty, of another kind, cut short, or broken between its markers; the byte is named.
+        RecordingError: it is empty, of another format, truncated, or broken between its markers; the byte is named.
     """
-    return _walk(data, file, whole=True)
+    return _walk(data, file, complete=True)
 
 
 def has_end_marker(data: bytes, codec: str) -> bool:
-    """Whether a picture's bytes, or the last `TAIL_BYTES` of them, have its end marker; True for other codecs.
+    """Whether the last `TAIL_BYTES` of an image contain its end marker; True for other codecs.
 
     Args:
-        data: the encoded bytes.
-        codec: ``jpeg`` or ``png``; another has no such marker.
+        data: the encoded bytes, or at least the last `TAIL_BYTES` of them.
+        codec: ``jpeg`` or ``png``; other codecs have no such marker.
     """
     end = _ENDS.get(codec)
     return end is None or data.rfind(end, max(0, len(data) - TAIL_BYTES)) >= 0
 
 
-def _walk(data: bytes, file: str | PurePath, *, whole: bool) -> tuple[int, int]:
+def _walk(data: bytes, file: str | PurePath, *, complete: bool) -> tuple[int, int]:
     codec = next((codec for codec, start in _STARTS.items() if data.startswith(start)), None)
     try:
         if codec is None:
             raise _BrokenError("neither a JPEG nor a PNG")
-        size = _walk_jpeg(data, whole=whole) if codec == "jpeg" else _walk_png(data, whole=whole)
-        if whole and not has_end_marker(data, codec):
+        size = _walk_jpeg(data, complete=complete) if codec == "jpeg" else _walk_png(data, complete=complete)
+        if complete and not has_end_marker(data, codec):
             raise _BrokenError(f"no end marker in its last {TAIL_BYTES} bytes")
     except (_CutError, _BrokenError) as problem:
-        cut = f"truncated: {len(data)} bytes and no end marker" if whole else "cut off in its header"
+        cut = f"truncated: {len(data)} bytes and no end marker" if complete else "cut off in its header"
         raise RecordingError(
             str(problem) if isinstance(problem, _BrokenError) else cut,
             file=file,
@@ -89,7 +89,7 @@ def _walk(data: bytes, file: str | PurePath, *, whole: bool) -> tuple[int, int]:
     return size
 
 
-def _walk_jpeg(data: bytes, *, whole: bool) -> tuple[int, int]:
+def _walk_jpeg(data: bytes, *, complete: bool) -> tuple[int, int]:
     position, size = 2, None
     markers: Int64 | None = None
     while True:
@@ -119,7 +119,7 @@ def _walk_jpeg(data: bytes, *, whole: bool) -> tuple[int, int]:
             if size is not None:
                 raise _BrokenError(f"broken JPEG: a second frame at byte {position}")
             size = _jpeg_frame(data[position + 4 : end], position)
-            if not whole:
+            if not complete:
                 return size
         elif length < 2:
             raise _BrokenError(f"broken JPEG: a segment of {length} bytes at byte {position}")
@@ -136,7 +136,7 @@ def _walk_jpeg(data: bytes, *, whole: bool) -> tuple[int, int]:
 
 
 def _markers_from(data: bytes, start: int) -> Int64:
-    """Where markers may be from a byte on, ascending; one pass over the bytes for all scans."""
+    """Positions of possible markers from a byte on, ascending; one pass over the bytes serves all scans."""
     values = np.frombuffer(data, np.uint8, offset=start) if start < len(data) else np.empty(1, np.uint8)
     escapes = np.flatnonzero(values[:-1] == 0xFF)
     return start + escapes[_ENDS_SCAN[values[1:][escapes]]]
@@ -151,7 +151,7 @@ def _jpeg_frame(segment: bytes, position: int) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _walk_png(data: bytes, *, whole: bool) -> tuple[int, int]:
+def _walk_png(data: bytes, *, complete: bool) -> tuple[int, int]:
     position, size, has_data = len(_STARTS["png"]), None, False
     while True:
         if position + 12 > len(data):
@@ -164,14 +164,14 @@ def _walk_png(data: bytes, *, whole: bool) -> tuple[int, int]:
             raise _BrokenError(f"broken PNG: no chunk at byte {position}")
         if end > len(data):
             raise _CutError
-        # Critical chunks have an upper-case first letter; decoders pass over other ones that are broken.
+        # The names of critical chunks begin with an upper-case letter; decoders skip other chunks if they are broken.
         if kind[:1].isupper() and zlib.crc32(memoryview(data)[position + 4 : end - 4]) != int.from_bytes(
             data[end - 4 : end]
         ):
             raise _BrokenError(f"broken PNG: checksum of chunk {kind.decode()} at byte {position}")
         if size is None:
             size = _png_header(data[position + 8 : end - 4])
-            if not whole:
+            if not complete:
                 return size
         has_data |= kind == b"IDAT"
         if kind == b"IEND":

@@ -1,4 +1,4 @@
-"""The recording formats that are installed, and which of them a path is."""
+"""Finds the installed readers, and opens a recording with the one that recognises it."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from mirror.recordings.protocol import ENTRY_POINT_GROUP, Reader, Recording
 
 
 def load_readers(name: str | None = None) -> dict[str, Reader]:
-    """Readers by name, in the order of the names: ours and those of other installed packages.
+    """Load readers by name, in the order of names: MIRROR's own and those of other installed packages.
 
     Args:
-        name: load this one alone, so that a broken package does not stand in the way of the others.
+        name: load only this reader, so that broken packages with other readers do no harm; None: load all.
 
     Raises:
-        RecordingError: two packages claim one name, or an entry point does not give a reader of its name.
+        RecordingError: two packages use one name, or an entry point does not give a reader of its name.
     """
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     loaded: dict[str, Reader] = {}
     for entry in sorted(entry_points(group=ENTRY_POINT_GROUP)):
-        if found.get(entry.name) == entry.value or name not in (None, entry.name):
+        if values.get(entry.name) == entry.value or name not in (None, entry.name):
             continue
-        if entry.name in found:
+        if entry.name in values:
             raise RecordingError(
-                f"two recording readers are named {entry.name!r}: {found[entry.name]} and {entry.value}",
+                f"two recording readers are named {entry.name!r}: {values[entry.name]} and {entry.value}",
                 place=f"entry-point group {ENTRY_POINT_GROUP}",
                 remedy="uninstall one of the packages",
             )
-        found[entry.name] = entry.value
+        values[entry.name] = entry.value
         loaded[entry.name] = _load(entry)
     return loaded
 
@@ -47,7 +47,7 @@ def _load(entry: EntryPoint) -> Reader:
         ) from error
     if not isinstance(reader, Reader) or reader.name != entry.name:
         raise RecordingError(
-            f"{entry.value} is no reader named {entry.name!r}",
+            f"{entry.value} is not a reader named {entry.name!r}",
             place=f"entry-point group {ENTRY_POINT_GROUP}",
             expected="a class that follows mirror.recordings.protocol.Reader",
             remedy="repair or uninstall the package that declares it, or name the reader you want: --reader",
@@ -56,7 +56,7 @@ def _load(entry: EntryPoint) -> Reader:
 
 
 def open_recording(path: str | Path, reader: str | None = None, options: Mapping[str, str] | None = None) -> Recording:
-    """Open a recording with the reader that recognises it, or with a named one.
+    """Open a recording with a named reader, or with the one that recognises it.
 
     Args:
         path: a file or folder.
@@ -64,7 +64,7 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
         options: options of that reader.
 
     Raises:
-        RecordingError: nothing is there, no reader or more than one recognises it, or the reader refuses it.
+        RecordingError: the path does not exist, no reader or several readers recognise it, or the reader refuses it.
     """
     path = Path(path)
     if not path.exists():
@@ -76,16 +76,16 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
         if reader not in known:
             raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(load_readers())}")
         return known[reader].open(path, options or {})
-    fitting = [name for name, candidate in known.items() if candidate.recognises(path)]
-    if len(fitting) != 1:
-        listed = fitting or list(known)
+    matching = [name for name, candidate in known.items() if candidate.recognises(path)]
+    if len(matching) != 1:
+        listed = matching or list(known)
         raise RecordingError(
-            f"looks like {' and '.join(fitting)}" if fitting else "no reader recognises this path",
+            f"several readers recognise it: {' and '.join(matching)}" if matching else "no reader recognises this path",
             file=path,
             expected="; ".join(f"{name}: {known[name].expects}" for name in listed),
             remedy=f"name the reader: --reader {listed[0]} (or {', '.join(listed[1:])})",
         )
-    return known[fitting[0]].open(path, options or {})
+    return known[matching[0]].open(path, options or {})
 
 
 def refuse_options(options: Mapping[str, str], known: tuple[str, ...], path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Date and time as text: one format a drive, decided by its own rows or by the user, never guessed row by row."""
+"""Parses date and time as text: each drive has one format, which its rows or the user decide for all rows at once."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _EXPECTED: Final = "a date and time such as 2021-08-05T17:34:46.438+00:00, 08/05
 def parse_stamps(
     rows: RecordingRows, column: str, text: pa.ChunkedArray, *, tz: str | None, date_format: str | None
 ) -> Int64:
-    """Unix nanoseconds of dates and times.
+    """Convert dates and times to Unix nanoseconds.
 
-    A stamp with an offset (``Z``, ``+02:00``) says its own zone; one without is local time in ``tz``. Whether ``04/05``
-    is in April or in May is decided by the rows that can be read only one way: by the greater number of them, and the
-    others are bad. A drive with no such row is refused.
+    A stamp with an offset (``Z``, ``+02:00``) states its own zone; a stamp without one is local time in ``tz``. The
+    rows that can be read in one order only decide whether ``04/05`` is in April or in May: the more frequent order is
+    taken, and rows of the other order are bad. A drive without such rows is refused.
 
     Args:
         rows: the table, for the messages.
@@ -44,11 +44,11 @@ def parse_stamps(
         date_format: order and separators of the date, in the letters of `FORMATS`; None: decided by the rows.
 
     Returns:
-        (N,) Unix time, UTC; of rows that are marked as bad, any.
+        (N,) Unix time, UTC; any value in rows that are marked as bad.
 
     Raises:
-        RecordingError: the zone or the order is not known; or a stamp does not exist or is ambiguous, where bad rows
-            are not marked. The row is named, with the remedy.
+        RecordingError: the zone or the order is not known; or a stamp does not exist or is ambiguous, and the table
+            does not mark bad rows. The row is named, with the remedy.
     """
     text = pc.fill_null(text, "")
     remedy = "correct or remove the row"
@@ -62,7 +62,7 @@ def parse_stamps(
 
     found = pc.extract_regex(pc.utf8_trim_whitespace(text), _STAMP)
     bad = np.asarray(pc.is_null(found))
-    refuse(bad, lambda stamp: f"{stamp!r} is no date and time")
+    refuse(bad, lambda stamp: f"{stamp!r} is not a date and time")
     if bad.all():
         return np.zeros(len(bad), np.int64)
     parts = {name: pc.fill_null(pc.struct_field(found, name), "") for name in found.type.names}
@@ -75,7 +75,7 @@ def parse_stamps(
         bad = bad | odd
     year, month, day = (date[letter] for letter in order)
     hour, minute, second = (_number(parts[name]) for name in ("hour", "minute", "second"))
-    # Years that nanoseconds since 1970 can count.
+    # int64 nanoseconds since 1970 reach from 1678 to 2261.
     wrong = ~_exists(year, month, day) | (year < 1678) | (year > 2261) | (hour > 23) | (minute > 59) | (second > 59)
     refuse(wrong & ~bad, lambda stamp: f"{stamp!r} does not exist")
     bad = bad | wrong
@@ -92,7 +92,7 @@ def _first_day(year: Int64, month: Int64) -> npt.NDArray[np.datetime64]:
 
 
 def _exists(year: Int64, month: Int64, day: Int64) -> Bool:
-    """Which (N,) dates the calendar has."""
+    """(N,) True where the calendar has the date."""
     december = month == 12
     following = _first_day(year + december, np.where(december, 1, month + 1))
     length = (following - _first_day(year, month)).astype(np.int64)
@@ -118,10 +118,14 @@ def _order(
     date: dict[str, Int64],
     good: Bool,
 ) -> tuple[tuple[str, str, str], Bool, Callable[[str], str]]:
-    """The order of the ``good`` rows' dates, the rows that are of another, and what is wrong with such a one."""
+    """Decide the order of year, month and day from the ``good`` rows.
+
+    Returns:
+        The order, (N,) True where a row has another order, and a function from such a stamp to its problem.
+    """
 
     def no_date(stamp: str) -> str:
-        return f"{stamp!r} is no date of this drive's format"
+        return f"{stamp!r} is not a date in this drive's format"
 
     year_first = np.asarray(pc.greater_equal(pc.utf8_length(parts["a"]), 3))
     if 2 * np.count_nonzero(year_first & good) > np.count_nonzero(good):
@@ -140,7 +144,7 @@ def _order(
             column,
             f"{text[row].as_py()!r} may be month first or day first, and no row of the drive decides it",
             expected="one format",
-            remedy="say which: --option date_format=MM/DD/YYYY or --option date_format=DD/MM/YYYY",
+            remedy="state the format: --option date_format=MM/DD/YYYY or --option date_format=DD/MM/YYYY",
         )
     day_first = bool(np.count_nonzero(day_only) > np.count_nonzero(month_only))
     words, other_words = ("the day first", "the month first") if day_first else ("the month first", "the day first")
@@ -174,7 +178,7 @@ def _to_utc(
             column,
             f"{text[row].as_py()!r} is local time of an unknown zone",
             expected="an offset such as Z or +02:00 in the stamp",
-            remedy="give the zone the clock was set to, e.g. --tz Europe/Berlin, or --tz UTC",
+            remedy="give the zone that the clock was set to, e.g. --tz Europe/Berlin, or --tz UTC",
         )
     times = pa.array(local_ns[naive], pa.timestamp("ns"))
     early, late = (
@@ -186,9 +190,9 @@ def _to_utc(
     rows.refuse(
         double,
         column,
-        f"a local time that {tz} has twice or not at all: its clocks were changed then",
+        f"a local time that {tz} has twice or not at all, because its clocks were changed",
         expected="stamps that name one instant",
-        remedy="give stamps with an offset, or the zone the logger kept all the time, e.g. --tz Etc/GMT-1",
+        remedy="give stamps with an offset, or a zone without clock changes if the logger used one: --tz Etc/GMT-1",
         reason="time",
     )
     out[naive] = early
@@ -196,15 +200,15 @@ def _to_utc(
 
 
 def has_offset(text: pa.ChunkedArray) -> Bool:
-    """Which (N,) dates and times state their own zone."""
+    """(N,) True where a date and time states its own zone."""
     return np.asarray(pc.match_substring_regex(pc.utf8_trim_whitespace(text), r"(Z|UTC|:[0-9]{2}.*[+-][0-9:]+)$"))
 
 
 def require_zone(tz: str) -> None:
-    """Refuse a time zone that nobody knows.
+    """Refuse an unknown time zone.
 
     Raises:
-        RecordingError: it is no IANA name.
+        RecordingError: it is not an IANA name.
     """
     try:
         pc.assume_timezone(pa.array([0], pa.timestamp("ns")), tz)
@@ -223,5 +227,5 @@ def _offset_ns(zone: pa.Array) -> Int64:
 
 
 def _number(text: pa.Array) -> Int64:
-    """Digits as int64; no digits are 0."""
+    """Convert digits to int64; an empty text is 0."""
     return np.asarray(pc.if_else(pc.equal(text, ""), "0", text).cast(pa.int64()))

@@ -1,10 +1,10 @@
-"""What a recording holds, in brief; no picture is opened."""
+"""A summary of a recording; no image is opened."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +19,16 @@ from mirror.recordings.protocol import DriveInfo, ImageStream, Recording
 
 @dataclass(frozen=True)
 class CameraSummary:
-    """One camera's pictures.
+    """The images of one camera.
 
     Attributes:
-        images: their number.
+        images: number of images.
         codec: jpeg, png or video.
-        first_ns: mid-exposure of the first; None: there is none.
-        last_ns: of the last.
-        rate_hz: pictures a second in the median; None: fewer than two.
-        calibrations: rows by stage.
-        missing: images that are missing in the camera's pauses (`count_missing_images`).
+        first_ns: mid-exposure of the first image; None: there is no image.
+        last_ns: mid-exposure of the last image.
+        rate_hz: inverse of the median step between images; None: fewer than two images.
+        calibrations: number of calibration rows by stage.
+        missing: number of images that are missing in the camera's pauses (`count_missing_images`).
     """
 
     images: int
@@ -42,22 +42,24 @@ class CameraSummary:
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """A recording in brief.
+    """A summary of a recording.
 
     Attributes:
-        info: who, where, when.
+        info: drive, vehicle, place and time base.
         files: number of files.
-        bytes: their size.
-        poses: rows of fixes as recorded.
-        usable: those that make a pose, finite and on the globe.
+        bytes: total size of the files.
+        poses: number of recorded fixes.
+        usable: number of fixes with a finite position on the globe.
         first_ns: the earliest stamp; None: there is no usable fix.
         last_ns: the latest stamp.
-        extent: smallest and largest of each coordinate, by name.
-        has: which of height, rotation and sigma_m the fixes have.
-        rig_id: None: poses only.
-        reference_camera: defines the frames.
-        cameras: by name.
+        extent: smallest and largest value of each coordinate, by name.
+        has: those of height_m, rotation and sigma_m that the fixes have.
+        rig_id: the rig; None: the recording has only poses.
+        reference_camera: the camera that defines the frames.
+        cameras: summaries by camera name.
         boxes: number of 3D boxes.
+        bad_rows: number of rows that make no pose, by reason.
+        first_bad_row: the error of the first of them; None: there is none.
     """
 
     info: DriveInfo
@@ -73,17 +75,19 @@ class RecordingSummary:
     reference_camera: str | None
     cameras: Mapping[str, CameraSummary]
     boxes: int
+    bad_rows: Mapping[str, int] = field(default_factory=dict)
+    first_bad_row: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything, for ``--json``."""
+        """All attributes as plain values, for ``--json``."""
         return asdict(self)
 
 
 def summarise(recording: Recording) -> RecordingSummary:
-    """Read a recording's poses, calibrations and picture stamps.
+    """Read a recording's poses, calibrations and image stamps.
 
     Raises:
-        RecordingError: something in it cannot be read.
+        RecordingError: a part of the recording cannot be read.
     """
     track = recording.track()
     pair = {"longitude_deg": track.longitude_deg, "latitude_deg": track.latitude_deg}
@@ -117,6 +121,8 @@ def summarise(recording: Recording) -> RecordingSummary:
         reference_camera=rig.reference_camera if rig else None,
         cameras={name: _camera(streams.get(name), {s: n for (c, s), n in rows.items() if c == name}) for name in names},
         boxes=0 if boxes is None else boxes.num_rows,
+        bad_rows=track.bad.counts() if track.bad else {},
+        first_bad_row=str(track.bad.first) if track.bad else None,
     )
 
 

@@ -1,4 +1,4 @@
-"""Tables of a recording, read from CSV or Parquet in one or many files as one, each row still knowing its file."""
+"""Reads tables of a recording from one or several CSV or Parquet files as one table that knows the file of each row."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class RecordingRows:
     Attributes:
         table: all rows.
         files: the files, in order.
-        starts: the row at which each file starts.
-        torn: of each file, the lines that are left out because they have too few or too many cells.
-        faults: where bad rows are marked; None: the first of them is an error.
+        starts: the first row of each file.
+        torn: by file, the lines that are left out because they have too few or too many cells.
+        faults: marks bad rows; None: the first bad row is an error.
     """
 
     table: pa.Table
@@ -47,7 +47,7 @@ class RecordingRows:
         return column in self.table.column_names
 
     def locate(self, row: int) -> tuple[Path, str]:
-        """The file of a row, and where in it: a line of a CSV file (the header is line 1), a row of Parquet."""
+        """The file of a row, and its place there: a line of a CSV file (the header is line 1), or a row of Parquet."""
         index = bisect_right(self.starts, row) - 1
         file, within = self.files[index], row - self.starts[index]
         if file.suffix == ".parquet":
@@ -58,7 +58,7 @@ class RecordingRows:
         return file, f"line {line}"
 
     def error(self, row: int, column: str, problem: str, *, expected: str, remedy: str) -> RecordingError:
-        """The error for one value."""
+        """Make the error for one value."""
         file, place = self.locate(row)
         return RecordingError(problem, file=file, place=f"{place}, column {column}", expected=expected, remedy=remedy)
 
@@ -72,23 +72,23 @@ class RecordingRows:
         remedy: str,
         reason: Reason = "number",
     ) -> None:
-        """Mark bad rows, or raise for the first of them where none is to be marked.
+        """Mark bad rows; raise for the first of them if the table needs every row.
 
         Args:
-            bad: (N,) the bad rows.
-            column: where the values stand.
-            problem: what is wrong, or what is wrong with a given row.
-            expected: what would have been right.
+            bad: (N,) True where a row is bad.
+            column: the column of the wrong values.
+            problem: what is wrong, or a function from a row to what is wrong with it.
+            expected: what a right value is.
             remedy: what the user can do.
-            reason: by which the rows are counted.
+            reason: the reason by which the rows are counted.
 
         Raises:
-            RecordingError: a row is bad, and the table is one in which every row is needed.
+            RecordingError: a row is bad, and the table needs every row.
         """
 
         def error(row: int) -> RecordingError:
-            words = problem if isinstance(problem, str) else problem(row)
-            return self.error(row, column, words, expected=expected, remedy=remedy)
+            text = problem if isinstance(problem, str) else problem(row)
+            return self.error(row, column, text, expected=expected, remedy=remedy)
 
         if self.faults is not None:
             self.faults.add(bad, reason, error)
@@ -96,10 +96,10 @@ class RecordingRows:
             raise error(int(np.argmax(bad)))
 
     def floats(self, column: str) -> Float64:
-        """A column as float64 (N,); missing values are NaN, and so are those that are marked as bad.
+        """Read a column as float64 (N,); missing values and values of marked rows are NaN.
 
         Raises:
-            RecordingError: there is no such column, or it holds what is no number.
+            RecordingError: the column does not exist, or a value is not a number and the table needs every row.
         """
         values = self.column(column)
         try:
@@ -107,7 +107,10 @@ class RecordingRows:
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
             if self.faults is None or not pa.types.is_string(values.type):
                 raise RecordingError(
-                    f"no column of numbers ({error})", file=self.files[0], place=f"column {column}", expected="numbers"
+                    f"not a column of numbers ({error})",
+                    file=self.files[0],
+                    place=f"column {column}",
+                    expected="numbers",
                 ) from error
         text = values.to_pylist()
         numbers = np.array([_number(cell) for cell in text])
@@ -115,34 +118,35 @@ class RecordingRows:
         self.refuse(
             bad,
             column,
-            lambda row: f"{text[row]!r:.80} is no number",
-            expected="a number, or nothing",
+            lambda row: f"{text[row]!r:.80} is not a number",
+            expected="a number, or an empty cell",
             remedy="correct or remove the row",
         )
         return numbers
 
     def sigmas(self, column: str) -> Float64:
-        """A column of standard deviations (N,); missing ones are NaN.
+        """Read a column of standard deviations (N,); missing values are NaN.
 
         Raises:
-            RecordingError: as `floats`; or one is negative or infinite.
+            RecordingError: as in `floats`; or a value is negative or infinite and the table needs every row.
         """
         sigma = self.floats(column)
         self.refuse(
             (sigma < 0) | np.isinf(sigma),
             column,
-            lambda row: f"{sigma[row]} is no standard deviation",
-            expected="metres, or nothing",
+            lambda row: f"{sigma[row]} is not a standard deviation",
+            expected="metres, or an empty cell",
             remedy="correct or remove the row",
             reason="sigma",
         )
         return sigma
 
     def stamps(self, column: str, base: str) -> Int64:
-        """A column of numbers in a time base, as Unix nanoseconds (N,); those that are marked as bad are any.
+        """Read a column of numbers in a time base as Unix nanoseconds (N,); marked rows have any value.
 
         Raises:
-            RecordingError: there is no such column, or a value is no stamp of that base.
+            RecordingError: the column does not exist, or a value is not a stamp of that time base and the table needs
+                every row.
         """
         values = self.column(column)
         marked = np.zeros(len(self), np.bool_)
@@ -165,25 +169,25 @@ class RecordingRows:
 
     @property
     def good(self) -> Bool:
-        """(N,) rows that are not marked as bad."""
+        """(N,) True where a row is not marked as bad."""
         return np.ones(len(self), np.bool_) if self.faults is None else self.faults.good
 
     def without_bad(self, track: Track) -> Track:
-        """A track of one pose for each row, without the rows that were marked as bad."""
+        """Remove the rows that are marked as bad from a track with one pose per row."""
         return track if self.faults is None else self.faults.drop_from(track)
 
     def column(self, name: str) -> pa.ChunkedArray:
-        """A column as read.
+        """The column as read.
 
         Raises:
-            RecordingError: there is no such column.
+            RecordingError: the column does not exist.
         """
         if name not in self:
             raise RecordingError(
                 "the column is missing",
                 file=self.files[0],
                 place=f"column {name}",
-                expected=f"{name} beside {', '.join(self.table.column_names)}",
+                expected=f"{name} among {', '.join(self.table.column_names)}",
             )
         return self.table.column(name)
 
@@ -196,17 +200,17 @@ def read_rows(
     delimiter: str = ",",
     tolerant: bool = False,
 ) -> RecordingRows:
-    """Read files of one kind as one table.
+    """Read files of one format as one table.
 
     Args:
         files: CSV or Parquet (``.parquet``), in order; all with the same columns.
-        types: how to read columns of a CSV file, where not by their looks.
-        columns: only these; all of them must be there.
-        delimiter: of CSV files.
-        tolerant: the table is one of poses: bad rows are marked, not refused.
+        types: types of columns of a CSV file; the types of other columns are inferred.
+        columns: read only these columns, all of which must exist; None: read all.
+        delimiter: the delimiter of CSV files.
+        tolerant: mark bad rows, as in a table of poses; else every row is needed.
 
     Raises:
-        RecordingError: a file is missing, broken or empty, or its columns are not those of the first.
+        RecordingError: a file is missing, broken or empty, or its columns differ from those of the first file.
     """
     tables: list[pa.Table] = []
     torn: list[dict[int, int]] = []
@@ -217,7 +221,7 @@ def read_rows(
         if tables and table.column_names != tables[0].column_names:
             odd = sorted(set(table.column_names) ^ set(tables[0].column_names)) or table.column_names
             raise RecordingError(
-                f"other columns than {files[0].name}: {', '.join(odd)}",
+                f"its columns differ from those of {files[0].name}: {', '.join(odd)}",
                 file=file,
                 expected=f"the columns {', '.join(tables[0].column_names)} in every file of the drive",
             )
@@ -226,9 +230,9 @@ def read_rows(
     if not sum(lengths):
         raise RecordingError("no rows", file=files[0], expected="at least one row", remedy="leave the recording out")
     starts = [int(start) for start in np.concatenate(([0], np.cumsum(lengths)[:-1]))]
-    # Two files may look like whole numbers here and like decimals there; a cell that is no number makes text of both.
-    kinds = [{table.schema.field(index).type for table in tables} for index in range(tables[0].num_columns)]
-    mixed = [index for index, found in enumerate(kinds) if len(found) > 1 and pa.string() in found]
+    # A column may be whole numbers in one file and decimals in another; if it is text in one, it becomes text in all.
+    types_of = [{table.schema.field(index).type for table in tables} for index in range(tables[0].num_columns)]
+    mixed = [index for index, found in enumerate(types_of) if len(found) > 1 and pa.string() in found]
     tables = [_as_text(table, mixed) for table in tables]
     table = pa.concat_tables(tables, promote_options="permissive")
     faults = None
@@ -262,7 +266,7 @@ def _torn_line(file: Path, line: int, cells: int, width: int) -> RecordingError:
 
 
 def _number(cell: str | None) -> float:
-    """A cell's number; NaN where there is none."""
+    """Convert a cell to a number; NaN if it holds none."""
     try:
         return float(cell) if cell is not None and "_" not in cell else np.nan
     except ValueError:
@@ -270,7 +274,11 @@ def _number(cell: str | None) -> float:
 
 
 def read_header(file: Path, delimiter: str | None = None) -> tuple[list[str], str]:
-    """The column names of a CSV file and its delimiter: the given one, or that of ``, ; tab |`` which splits it most.
+    """Read the column names of a CSV file and its delimiter.
+
+    Args:
+        file: the file.
+        delimiter: the delimiter; None: the most frequent of ``, ; tab |`` in the header.
 
     Raises:
         RecordingError: the file is missing or empty.
@@ -308,8 +316,8 @@ def _read(
             f"{table.column_names.count(repeated[0])} columns have this name",
             file=file,
             place=f"column {repeated[0]}",
-            expected="one column a name",
-            remedy="rename or remove the others: nothing says which of them is meant",
+            expected="one column per name",
+            remedy="rename or remove the others",
         )
     if columns is None:
         return table
@@ -343,13 +351,13 @@ def _read_csv(file: Path, types: Mapping[str, pa.DataType], delimiter: str, torn
         return read(file, types, threads=True)
     except pa.ArrowInvalid:
         if torn is None:
-            # Only one thread counts rows: read again for an error that names the line.
+            # Lines are counted only with one thread: read again for an error that names the line.
             return read(file, types)
 
     def leave_out(row: csv.InvalidRow) -> str:
         torn[row.number] = row.actual_columns
         return "skip"
 
-    # Slower, and only for a file with bad rows: all cells as text, lines with other numbers of cells left out.
+    # Slower, so only for a file with bad rows: read all cells as text, without lines that have too few or many cells.
     text = file.read_bytes().decode(errors="replace").encode()
     return read(pa.BufferReader(text), dict.fromkeys(types, pa.string()), invalid_row_handler=leave_out)

@@ -1,8 +1,8 @@
 """Time bases of recordings, and their exact conversion to Unix nanoseconds.
 
-Unix time here is UTC without leap seconds, as POSIX has it. GPS time counts every second since
-1980-01-06 and runs ahead of UTC by the leap seconds since then: 18 s since 2017. Integers stay integers all the way:
-a float64 of seconds since 1970 resolves only 240 ns.
+Unix time is UTC without leap seconds, as POSIX defines it. GPS time counts every second since 1980-01-06 and is ahead
+of UTC by the leap seconds since then: 18 s since 2017. Integers are never converted to floating point: a float64 of
+seconds since 1970 resolves only 240 ns.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SECOND_NS: Final = 1_000_000_000
 WEEK_S: Final = 604_800
 GPS_EPOCH_NS: Final = 315_964_800 * SECOND_NS
 
-# First days (UTC) that a further leap second between GPS time and UTC holds on: IERS Bulletin C.
+# First days (UTC) with one more leap second between GPS time and UTC: IERS Bulletin C.
 _LEAP_DAYS: Final = (
     "1981-07-01",
     "1982-07-01",
@@ -49,12 +49,12 @@ _LEAP_GPS_NS: Final = _LEAP_UNIX_NS - GPS_EPOCH_NS + np.arange(1, len(_LEAP_DAYS
 
 @dataclass(frozen=True)
 class TimeBase:
-    """How a source counts time.
+    """The epoch and unit in which a source counts time.
 
     Attributes:
-        words: for people.
-        unit_ns: length of its unit.
-        gps: counted from the GPS epoch with no leap seconds, not from 1970 in UTC.
+        words: a description for people.
+        unit_ns: length of the unit.
+        gps: True: time counts from the GPS epoch, every second included; False: from 1970 in UTC.
     """
 
     words: str
@@ -71,9 +71,9 @@ TIME_BASES: Final = {
 
 
 def unix_from_gps_ns(gps_ns: Int64) -> Int64:
-    """Unix nanoseconds of nanoseconds since the GPS epoch.
+    """Convert nanoseconds since the GPS epoch to Unix nanoseconds.
 
-    An instant within an inserted leap second, which Unix time cannot name, gets the Unix time of the second before.
+    Unix time has no value for an instant within an inserted leap second: it gets the Unix time of the second before.
 
     Args:
         gps_ns: (N,) since 1980-01-06T00:00:00 UTC, every second counted.
@@ -83,7 +83,7 @@ def unix_from_gps_ns(gps_ns: Int64) -> Int64:
 
 
 def unix_from_gps_week(week: AnyArray, time_of_week_s: Float64) -> Int64:
-    """Unix nanoseconds of GPS weeks (not rolled over) and seconds of the week, to the nanosecond.
+    """Convert GPS weeks (not rolled over) and seconds of the week to Unix nanoseconds, exact to the nanosecond.
 
     Args:
         week: (N,) whole weeks since 1980-01-06.
@@ -93,17 +93,17 @@ def unix_from_gps_week(week: AnyArray, time_of_week_s: Float64) -> Int64:
 
 
 def ns_from_seconds(seconds: Float64) -> Int64:
-    """Nanoseconds nearest to seconds, whole part and fraction apart, so that the product costs no digits."""
+    """Round seconds to nanoseconds; whole part and fraction are converted apart, so that no digits are lost."""
     whole = np.floor(seconds)
     return whole.astype(np.int64) * SECOND_NS + np.rint((seconds - whole) * SECOND_NS).astype(np.int64)
 
 
 class StampError(ValueError):
-    """Values that are no stamps of their time base.
+    """Values that are not stamps of their time base.
 
     Args:
-        bad: (N,) their rows; others may be wrong in another way.
-        problem: what is wrong with the first of them.
+        bad: (N,) True where a value has this problem; other values may have other problems.
+        problem: what is wrong with the first bad value.
     """
 
     def __init__(self, bad: Bool, problem: str) -> None:
@@ -124,8 +124,8 @@ def to_unix_ns(values: pa.ChunkedArray, base: str) -> Int64:
         (N,) Unix time, UTC.
 
     Raises:
-        StampError: a value is missing, no number, or too large for its unit; its row is named.
-        RecordingError: there is no such time base.
+        StampError: a value is missing, not a number, or too large for its unit; its row is named.
+        RecordingError: the time base is unknown.
     """
     if base not in TIME_BASES:
         raise RecordingError(f"unknown time base {base!r}", expected=f"one of {', '.join(TIME_BASES)}")
@@ -143,7 +143,7 @@ def to_unix_ns(values: pa.ChunkedArray, base: str) -> Int64:
 def _text(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
     text = pc.utf8_trim_whitespace(values.cast(pa.string()))
     good = pc.match_substring_regex(text, r"^[+-]?[0-9]{1,30}(\.[0-9]{0,12})?$")
-    _first(~np.asarray(good), "no number of at most 12 decimals", text)
+    _first(~np.asarray(good), "not a number of at most 12 decimals", text)
     if not pc.any(pc.match_substring(text, ".")).as_py() and pc.max(pc.utf8_length(text)).as_py() <= 18:
         return _whole(text.cast(pa.int64()), kind)
     unit = pa.scalar(Decimal(kind.unit_ns), pa.decimal256(11, 0))
@@ -155,7 +155,7 @@ def _text(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
 
 def _whole(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
     whole = np.asarray(values.cast(pa.int64()))
-    # The GPS epoch is added afterwards and needs its room.
+    # The limit leaves room for the GPS epoch, which is added afterwards.
     limit = (2**63 - 1 - GPS_EPOCH_NS) // kind.unit_ns
     _first(np.abs(whole) > limit, f"too large for {kind.words}", values)
     return whole * kind.unit_ns

@@ -1,7 +1,8 @@
-"""Pictures of a camera that recorded a video: only the wanted frames' groups of pictures are decoded.
+"""Images of a camera that recorded a video; only the GOPs (key frame to key frame) of requested frames are decoded.
 
-A frame is known by its presentation time stamp (pts), never by ``round(t * fps)``. The file is entered at the key frame
-before each run of wanted frames. Seeking in OpenCV is not used: it lands beside the frame on H.264 and HEVC.
+A frame is identified by its presentation time stamp (pts), never by ``round(t * fps)``. Decoding starts at the key
+frame before each run of requested frames. OpenCV is not used for seeking: on H.264 and HEVC it returns a neighbour of
+the frame.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ JPEG_QUALITY: Final = 95
 
 @dataclass
 class VideoStream:
-    """The frames of one video, given out as JPEG (quality 95, 4:2:0).
+    """The frames of one video, encoded as JPEG (quality 95, 4:2:0).
 
     Attributes:
         camera: the camera's name.
@@ -39,9 +40,9 @@ class VideoStream:
         exposure_start_ns: (N,) Unix time.
         exposure_end_ns: (N,) Unix time.
         file: the video.
-        pts: (N,) ascending, in the video's time base; of a raw stream (``.hevc``, ``.h264``), which has no time stamps,
-            the number of the frame.
-        decoded: how many frames have been decoded so far, the ones on the way to a wanted frame included.
+        pts: (N,) ascending, in the video's time base. A raw stream (``.hevc``, ``.h264``) has no time stamps: there it
+            is the number of the frame.
+        decoded: number of frames decoded so far, including those before a requested frame.
     """
 
     camera: str
@@ -70,61 +71,63 @@ class VideoStream:
             )
 
     def path(self, index: int) -> None:
-        """None: no file holds exactly one frame."""
+        """None: no file holds a single frame."""
         return
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield ``(index, JPEG bytes)`` for ascending indices.
 
         Raises:
-            RecordingError: the video is broken or ends too early, or has no frame of a pts; file and pts are named.
+            RecordingError: the video is broken or ends too early, or has no frame with a pts; file and pts are named.
         """
         import cv2
 
-        wanted = {int(self.pts[index]): index for index in indices}
-        if not wanted:
+        requested = {int(self.pts[index]): index for index in indices}
+        if not requested:
             return
         with _opened(self.file) as (container, stream):
-            frames = _by_time(container, stream, wanted) if _timed(stream) else _by_number(container, stream, wanted)
+            frames = (
+                _by_time(container, stream, requested) if _timed(stream) else _by_number(container, stream, requested)
+            )
             try:
                 for pts, frame in frames:
                     self.decoded += 1
-                    if pts not in wanted:
+                    if pts not in requested:
                         continue
                     done, data = cv2.imencode(
                         ".jpg", frame.to_ndarray(format="bgr24"), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
                     )
                     if not done:
                         raise RecordingError("the frame cannot be encoded", file=self.file, place=f"pts {pts}")
-                    yield wanted.pop(pts), data.tobytes()
-                    if not wanted:
+                    yield requested.pop(pts), data.tobytes()
+                    if not requested:
                         return
             except _av_error() as error:
-                raise self._missing(min(wanted), str(error)) from error
-        if wanted:
-            raise self._missing(min(wanted), "the video has no such frame, or ends before it")
+                raise self._missing(min(requested), str(error)) from error
+        if requested:
+            raise self._missing(min(requested), "the video has no such frame, or ends before it")
 
     def _missing(self, pts: int, reason: str) -> RecordingError:
         return RecordingError(
             f"frame cannot be decoded ({reason})",
             file=self.file,
             place=f"pts {pts}",
-            expected="a complete video whose frames have the time stamps of its table",
-            remedy="copy the video again; if it is all there is, cut its table of frames to those it has",
+            expected="a complete video with the time stamps of its table",
+            remedy="copy the video again; if it is complete, remove the missing frames from its table",
         )
 
 
 def read_video_stamps(file: Path) -> tuple[Int64, Fraction]:
-    """The presentation time stamps of all frames, read from the packets without decoding one.
+    """Read the presentation time stamps of all frames from the packets, without decoding.
 
     Args:
-        file: a video in a container that keeps time stamps.
+        file: a video in a container with time stamps.
 
     Returns:
         (N,) pts, ascending, and the length of their unit in seconds.
 
     Raises:
-        RecordingError: the file is broken, or a raw stream, which has no time stamps.
+        RecordingError: the file is broken, or is a raw stream, which has no time stamps.
     """
     with _opened(file) as (container, stream):
         try:
@@ -136,23 +139,23 @@ def read_video_stamps(file: Path) -> tuple[Int64, Fraction]:
         raise RecordingError(
             "the video has no time stamps",
             file=file,
-            expected="a container that keeps them (mp4, mkv)",
+            expected="a container with time stamps (mp4, mkv)",
             remedy=f"give the exposures: {file.stem}.csv beside the video, with pts,exposure_start_ns,exposure_end_ns",
         )
     return np.sort(np.array(stamps, np.int64)), Fraction(time_base)
 
 
 def to_unix_stamps(pts: Int64, time_base: Fraction, start_ns: int) -> Int64:
-    """Unix nanoseconds of presentation time stamps, exact to the nanosecond.
+    """Convert presentation time stamps to Unix nanoseconds, exact to the nanosecond.
 
     Args:
         pts: (N,) in units of ``time_base``.
-        time_base: seconds a unit.
+        time_base: length of the unit in seconds.
         start_ns: Unix time of the first frame.
     """
     units = (pts - pts[0]) * time_base.numerator
     seconds, rest = np.divmod(units, time_base.denominator)
-    # rest < denominator, at most 1e9 in the formats that exist: the product fits.
+    # rest < denominator, which is at most 1e9 in existing formats: the product fits into int64.
     nanoseconds = (rest * SECOND_NS + time_base.denominator // 2) // time_base.denominator
     return start_ns + seconds * SECOND_NS + nanoseconds
 
@@ -163,7 +166,7 @@ def _opened(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
         import av
     except ImportError as error:
         raise RecordingError(
-            "videos are read with PyAV, which is not installed",
+            "videos need PyAV, which is not installed",
             file=file,
             remedy=install_command("video"),
         ) from error
@@ -173,7 +176,7 @@ def _opened(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
         raise _broken(file, error) from error
     with container:
         if not container.streams.video:
-            raise _broken(file, "no video stream in it")
+            raise _broken(file, "it has no video stream")
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         yield container, stream
@@ -184,7 +187,7 @@ def _broken(file: Path, reason: object) -> RecordingError:
         f"cannot be read ({reason})",
         file=file,
         expected="a complete video",
-        remedy="copy it again from the vehicle or archive: one cut short has lost its index",
+        remedy="copy it again from the vehicle or archive: a truncated video has lost its index",
     )
 
 
@@ -198,20 +201,22 @@ def _timed(stream: Stream) -> bool:
     return len(stream.index_entries) > 0 or stream.start_time is not None
 
 
-def _by_time(container: InputContainer, stream: Stream, wanted: Collection[int]) -> Iterator[tuple[int, av.VideoFrame]]:
-    """Decode from the key frame before each run of wanted frames; yields what it decodes.
+def _by_time(
+    container: InputContainer, stream: Stream, requested: Collection[int]
+) -> Iterator[tuple[int, av.VideoFrame]]:
+    """Decode from the key frame before each run of requested frames, and yield every decoded frame.
 
-    Real files hold frames whose time stamps do not ascend in the order of display, so a frame counts as missing only at
-    the end of the video.
+    In real files the time stamps of frames do not always ascend in the order of display, so a frame counts as missing
+    only at the end of the video.
     """
-    pending = dict.fromkeys(sorted(wanted))
+    pending = dict.fromkeys(sorted(requested))
     while pending:
         target, reached = next(iter(pending)), -sys.maxsize
         for pts, frame in _from_key_frame(container, stream, target):
             yield pts, frame
             pending.pop(pts, None)
             reached = max(reached, pts)
-            # A container may enter earlier than its index says: go on until the target is reached.
+            # A container may start earlier than its index states: decode until the target is reached.
             if not pending or (target not in pending and _key_frame_between(stream, reached, next(iter(pending)))):
                 break
         else:
@@ -219,10 +224,10 @@ def _by_time(container: InputContainer, stream: Stream, wanted: Collection[int])
 
 
 def _from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iterator[tuple[int, av.VideoFrame]]:
-    """Decode on from a key frame whose frames reach back to a pts.
+    """Decode from a key frame that is displayed at or before a pts, to the end of the video.
 
-    Containers are indexed in decoding order: the key frame found may be shown only after the wanted frame, whose group
-    of pictures is then the one before. A container without an index (MPEG-TS) is decoded from where it stands.
+    Containers are indexed in decoding order: the key frame found may be displayed after the requested frame, which then
+    belongs to the previous GOP. A container without an index (MPEG-TS) is decoded from its current position.
     """
     target = pts
     first = stream.start_time or 0
@@ -241,23 +246,23 @@ def _from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iter
     yield from frames
 
 
-def _key_frame_between(stream: Stream, reached: int, wanted: int) -> bool:
-    index = stream.index_entries.search_timestamp(wanted, backward=True, any_frame=False)
+def _key_frame_between(stream: Stream, reached: int, requested: int) -> bool:
+    index = stream.index_entries.search_timestamp(requested, backward=True, any_frame=False)
     return bool(index >= 0 and stream.index_entries[index].timestamp > reached)
 
 
 def _by_number(
-    container: InputContainer, stream: Stream, wanted: Collection[int]
+    container: InputContainer, stream: Stream, requested: Collection[int]
 ) -> Iterator[tuple[int, av.VideoFrame]]:
-    """Decode those groups of pictures of a raw stream that hold wanted frames; a frame's number stands for its pts."""
-    last = max(wanted)
+    """Decode the GOPs of a raw stream that hold requested frames; the number of a frame takes the place of its pts."""
+    last = max(requested)
     group: list[av.Packet[Stream]] = []
     start = 0
     for packet in container.demux(stream):
         if packet.size and not (packet.is_keyframe and group):
             group.append(packet)
             continue
-        yield from _decode_group(stream, group, start, wanted)
+        yield from _decode_group(stream, group, start, requested)
         start += len(group)
         group = [packet]
         if start > last or not packet.size:
@@ -265,9 +270,9 @@ def _by_number(
 
 
 def _decode_group(
-    stream: Stream, group: list[av.Packet[Stream]], start: int, wanted: Collection[int]
+    stream: Stream, group: list[av.Packet[Stream]], start: int, requested: Collection[int]
 ) -> Iterator[tuple[int, av.VideoFrame]]:
-    if not any(start <= number < start + len(group) for number in wanted):
+    if not any(start <= number < start + len(group) for number in requested):
         return
     number = start
     for packet in [*group, None]:

@@ -1,4 +1,4 @@
-"""Weather of a drive: metadata words brought to the words of the tables, and plug-ins that look at pictures."""
+"""Weather of a drive: from words of its metadata, or from plug-ins that classify images."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _LABELS: Final = {word: label for label, words in _WORDS.items() for word in wor
 
 
 def weather_label(word: str | None) -> str | None:
-    """The table's word for a source's word, or None where it says nothing that we know.
+    """Convert a source's word to one of `WEATHER`; None if the word is unknown.
 
-    Knows the words of `WEATHER`, their usual inflections, and the condition groups of OpenWeather, in any case.
+    Known are the words of `WEATHER`, their usual inflections, and the condition groups of OpenWeather, in any case.
 
     Args:
-        word: what the source says.
+        word: the source's word; None: the source has none.
     """
     if word is None:
         return None
@@ -47,33 +47,35 @@ def weather_label(word: str | None) -> str | None:
 
 
 def weather_plugins() -> list[str]:
-    """Names of the installed plug-ins that tell the weather from pictures."""
+    """Names of the installed plug-ins that classify the weather in images."""
     return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
 
 
-def classify_weather(plugin: str, pictures: Sequence[UInt8]) -> str:
-    """Ask a plug-in.
+def classify_weather(plugin: str, images: Sequence[UInt8]) -> str:
+    """Classify the weather of a traversal with a plug-in.
 
     Args:
         plugin: the name of its entry point in the group ``mirror.weather``.
-        pictures: (H, W, 3) RGB each, of one traversal.
+        images: images of one traversal, each (H, W, 3) uint8 RGB.
 
     Returns:
         One of `WEATHER`.
 
     Raises:
-        UsageError: no or more than one such plug-in is installed, or it answers with another word.
+        UsageError: no or several plug-ins have this name, or the plug-in returns another word.
     """
-    found = {entry.value: entry for entry in entry_points(group=ENTRY_POINT_GROUP, name=plugin)}
-    if len(found) != 1:
+    entries = {entry.value: entry for entry in entry_points(group=ENTRY_POINT_GROUP, name=plugin)}
+    if len(entries) != 1:
         raise UsageError(
-            f"{len(found)} weather plug-ins are named {plugin!r}",
+            f"{len(entries)} weather plug-ins are named {plugin!r}",
             place=f"entry-point group {ENTRY_POINT_GROUP}",
             expected=f"one of {', '.join(weather_plugins()) or '(none is installed)'}",
             remedy="install the package that declares it, once",
         )
-    look: WeatherPlugin = found.popitem()[1].load()
-    answer = look(list(pictures))
-    if answer not in WEATHER:
-        raise UsageError(f"the weather plug-in {plugin!r} answered {answer!r}", expected=f"one of {', '.join(WEATHER)}")
-    return answer
+    classify: WeatherPlugin = entries.popitem()[1].load()
+    weather = classify(list(images))
+    if weather not in WEATHER:
+        raise UsageError(
+            f"the weather plug-in {plugin!r} returned {weather!r}", expected=f"one of {', '.join(WEATHER)}"
+        )
+    return weather

@@ -148,7 +148,7 @@ def dgp(root: Path) -> Base:
         name = f"{number:06d}"
         (path / "rgb" / "CAM" / f"{name}.jpg").write_bytes(image(".jpg", (64, 48), number))
         place = {"x": SPEED_MPS * seconds - 40.0, "y": 0.0, "z": 0.0}
-        picture = {
+        camera_datum = {
             "image": {
                 "filename": f"rgb/CAM/{name}.jpg", "width": 64, "height": 48, "channels": 3, "annotations": {},
                 "pose": {"rotation": forward, "translation": {**place, "z": 1.6}},
@@ -161,7 +161,7 @@ def dgp(root: Path) -> Base:
                 "pose": {"rotation": level, "translation": place},
             }
         }
-        for sensor, content in (("CAM", picture), ("LIDAR", cloud)):
+        for sensor, content in (("CAM", camera_datum), ("LIDAR", cloud)):
             key = f"{sensor.lower()}{number}"
             data.append({"id": {"name": sensor, "timestamp": text, "log": "l"}, "key": key, "datum": content})
         samples.append({"calibration_key": "cal", "datum_keys": [f"cam{number}", f"lidar{number}"]})

@@ -48,7 +48,7 @@ POSES_ONLY: Mapping[str, Any] = {"cameras": ..., "rig_id": ..., "reference_camer
 
 
 def write_recording(
-    root: Path, *, poses: str | None = POSES, pictures: Sequence[str] | None = None, **changes: Any
+    root: Path, *, poses: str | None = POSES, images: Sequence[str] | None = None, **changes: Any
 ) -> Path:
     """Write the recording and return its folder."""
     root.mkdir(parents=True, exist_ok=True)
@@ -57,13 +57,13 @@ def write_recording(
         (root / "poses.csv").write_text(poses)
     folder = root / "images" / "front_wide"
     folder.mkdir(parents=True)
-    for name in pictures if pictures is not None else [f"{row[0]}.jpg" for row in ROWS]:
-        write_picture(folder / name)
+    for name in images if images is not None else [f"{row[0]}.jpg" for row in ROWS]:
+        write_image(folder / name)
     return root
 
 
-def write_picture(file: Path) -> None:
-    """A tiny picture."""
+def write_image(file: Path) -> None:
+    """A tiny image."""
     file.parent.mkdir(parents=True, exist_ok=True)
     done, data = cv2.imencode(file.suffix, np.zeros((6, 8, 3), np.uint8))
     assert done

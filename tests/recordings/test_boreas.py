@@ -1,4 +1,4 @@
-"""Boreas: what the real sequences say about time, axes and angles; pictures and calibration on a written sequence."""
+"""Boreas: what the real sequences say about time, axes and angles; images and calibration on a written sequence."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mirror.geometry.quaternions import rotate
 from mirror.recordings.boreas import BoreasReader
 from mirror.recordings.registry import open_recording
 from tests.recordings.clean_track import clean_track
-from tests.recordings.layout import write_picture
+from tests.recordings.layout import write_image
 
 SEQUENCES = ("boreas-2021-08-05-13-34", "boreas-2021-09-02-11-42")
 HEADER = "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,angvel_z,angvel_y,angvel_x\n"
@@ -23,12 +23,12 @@ HEADER = "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch
 ROW = "1628184886438099,623426.156,4848821.131,153.6,0,0,0,1.71685,-1.32829,-0.15702,0,0,0\n"
 
 
-def write_sequence(root: Path, rows: str = ROW, *, pictures: tuple[str, ...] = ()) -> Path:
+def write_sequence(root: Path, rows: str = ROW, *, images: tuple[str, ...] = ()) -> Path:
     path = root / SEQUENCES[0]
     path.mkdir(parents=True)
     (path / "camera_poses.csv").write_text(HEADER + rows)
-    for name in pictures:
-        write_picture(path / "camera" / name)
+    for name in images:
+        write_image(path / "camera" / name)
     return path
 
 
@@ -86,7 +86,7 @@ def test_the_route_begins_at_the_institute(real_data: Path) -> None:
 
 
 def test_pictures_and_calibration(tmp_path: Path) -> None:
-    path = write_sequence(tmp_path, pictures=("1628184886538099.png", "1628184886438099.png"))
+    path = write_sequence(tmp_path, images=("1628184886538099.png", "1628184886438099.png"))
     (path / "calib").mkdir()
     (path / "calib" / "P_camera.txt").write_text("1460.98 0 1230.0 0\n0 1460.93 1035.08 0\n0 0 1 0\n0 0 0 1\n")
     (path / "lidar").mkdir()
@@ -110,7 +110,7 @@ def test_pictures_and_calibration(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("last", ["", "0 0 0 1\n"])
 def test_a_projection_may_leave_its_last_row_out(last: str, tmp_path: Path) -> None:
-    path = write_sequence(tmp_path, pictures=("1628184886438099.png",))
+    path = write_sequence(tmp_path, images=("1628184886438099.png",))
     (path / "calib").mkdir()
     (path / "calib" / "P_camera.txt").write_text("1460.98 0 1230.0 0\n0 1460.93 1035.08 0\n0 0 1 0\n" + last)
     row = open_recording(path).calibrations().to_pylist()[0]
@@ -143,10 +143,10 @@ def test_broken_rows_are_named(tmp_path: Path, rows: str, place: str) -> None:
 
 
 def test_files_that_do_not_belong_are_named(tmp_path: Path) -> None:
-    path = write_sequence(tmp_path, pictures=("first.png",))
+    path = write_sequence(tmp_path, images=("first.png",))
     (path / "calib").mkdir()
     (path / "calib" / "P_camera.txt").write_text("1 2 3\n")
-    with pytest.raises(RecordingError, match="no picture of the camera"):
+    with pytest.raises(RecordingError, match="no image of the camera"):
         open_recording(path).images()
     with pytest.raises(RecordingError, match=r"matrix of shape \(3,\)"):
         open_recording(path).calibrations()

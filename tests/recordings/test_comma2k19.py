@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mirror.cli.main import main
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import rotate
 from mirror.ingest.run import ingest_recordings
@@ -175,6 +176,17 @@ def test_a_damaged_segment_is_counted_and_named(name: str | None, number: int, t
     assert track.bad.first.file == str(damaged / (name or "frame_gps_times"))
     assert track.bad.first.problem == "missing"
     assert len(recording.files()) == 9 - (3 if name is None else 1)
+
+
+def test_info_counts_and_names_a_damaged_segment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    route = tmp_path / ROUTE
+    for segment in range(2):
+        write_segment(route / str(segment), 404_000.0 + 60 * segment)
+    (route / "1" / "global_pose" / "frame_positions").unlink()
+    assert main(["info", str(route)]) == 0
+    shown = capsys.readouterr().out
+    assert "10 (5 usable)" in shown
+    assert f"file 5; the first: {route / '1' / 'global_pose' / 'frame_positions'}: missing" in shown
 
 
 def test_ingest_refuses_a_route_by_the_damaged_segment(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def test_the_vehicle_drives_forward_on_level_ground(scene: Path) -> None:
 
 
 def _camera_SE3_boxes(recording: Any, stamp: int, calibration: dict[str, Any]) -> list[tuple[dict[str, Any], Poses]]:  # noqa: N802
-    """Boxes of the sweep nearest to a picture, in its camera, through our track and calibration alone."""
+    """Boxes of the sweep nearest to an image, in its camera, through our track and calibration alone."""
     track = recording.track()
     world_SE3_ego = Poses(track.rotation, np.stack([track.x_m, track.y_m, track.height_m], axis=1))
     ego_SE3_camera = Poses.from_columns({name: [calibration[name]] for name in COLUMNS})
@@ -229,10 +229,10 @@ def test_a_scene_without_point_clouds_has_no_boxes(copy: Callable[..., Path]) ->
         (lambda d: d["samples"][0].update(calibration_key="../secret"), "leads out of the recording"),
         (lambda d: d["samples"][0].update(calibration_key="gone"), "missing"),
         (lambda d: d.pop("samples"), "not a DGP scene"),
-        (lambda d: d["data"][1]["id"].update(timestamp="noon"), "'noon' is no date and time"),
+        (lambda d: d["data"][1]["id"].update(timestamp="noon"), "'noon' is not a date and time"),
         (lambda d: d["data"][1]["datum"]["image"]["pose"]["rotation"].update(qw=0, qx=0, qy=0, qz=0), "no rotation"),
         (lambda d: d["data"][1]["datum"]["image"]["pose"]["translation"].update(x=float("nan")), "not finite"),
-        (lambda d: d.update(data=[]), "no pictures"),
+        (lambda d: d.update(data=[]), "no images"),
         (lambda d: d["data"][1]["id"].update(name="CAMERA_77"), "no extrinsics of CAMERA_77"),
     ],
 )

@@ -15,7 +15,7 @@ from mirror.geometry.quaternions import heading_deg
 from mirror.recordings.registry import load_readers, open_recording
 from mirror.recordings.time import TIME_BASES
 from tests.conftest import ROOT
-from tests.recordings.layout import write_picture
+from tests.recordings.layout import write_image
 from tests.recordings.test_video import FRAMES, write_video
 
 TEXT = (ROOT / "docs" / "recordings.md").read_text()
@@ -31,7 +31,7 @@ def example(tmp_path: Path) -> Path:
     (path / "recording.json").write_text(document)
     (path / "calibrations" / "factory.json").write_text(calibrations)
     (path / "poses.csv").write_text(poses[1])
-    write_picture(path / "images" / "front_wide" / "1772359200000000000.jpg")
+    write_image(path / "images" / "front_wide" / "1772359200000000000.jpg")
     (path / "masks").mkdir()
     cv2.imwrite(str(path / "masks" / "front_wide.png"), np.zeros((6, 8), np.uint8))
     (path / "videos").mkdir()

@@ -207,8 +207,8 @@ def test_masks_are_read_inside_the_recording(tmp_path: Path) -> None:
     assert rig is not None
     np.testing.assert_array_equal(rig.cameras[0].static_mask, mask)
     assert rig.cameras[0].source_name == "front_wide"
-    (path / "masks" / "front.png").write_bytes(b"no picture")
-    assert "no image" in refusal(path).problem
+    (path / "masks" / "front.png").write_bytes(b"no image")
+    assert "not an image" in refusal(path).problem
 
 
 def test_boxes_follow_the_table(tmp_path: Path) -> None:
@@ -375,11 +375,11 @@ def test_poses_of_two_kinds_are_refused(tmp_path: Path) -> None:
     (path / "poses").mkdir()
     (path / "poses" / "a.csv").write_text(POSES)
     (path / "poses" / "b.csv").write_text(POSES.replace("height_m", "up_m"))
-    assert "other columns than a.csv: height_m, up_m" in refusal(path).problem
+    assert "differ from those of a.csv: height_m, up_m" in refusal(path).problem
 
 
 def test_nothing_is_read_before_it_is_asked_for(tmp_path: Path) -> None:
-    path = write_recording(tmp_path, poses="broken", pictures=[])
+    path = write_recording(tmp_path, poses="broken", images=[])
     assert open_recording(path).info.drive_id == "drive-1"
 
 

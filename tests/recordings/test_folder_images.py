@@ -1,4 +1,4 @@
-"""Pictures and videos of the `folder` layout."""
+"""Images and videos of the `folder` layout."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from mirror.errors import RecordingError
 from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.recordings.registry import open_recording
-from tests.recordings.layout import START_NS, write_picture, write_recording
+from tests.recordings.layout import START_NS, write_image, write_recording
 from tests.recordings.test_video import FRAMES, decode_all, write_video
 
 
@@ -26,7 +26,7 @@ def refusal(path: Path) -> RecordingError:
 
 
 def test_names_are_mid_exposures_in_time_order(tmp_path: Path) -> None:
-    path = write_recording(tmp_path, pictures=["1000.png", "999.png", "20.png"])
+    path = write_recording(tmp_path, images=["1000.png", "999.png", "20.png"])
     stream = stream_of(path)
     assert stream.codec == "png"
     assert stream.exposure_start_ns.tolist() == stream.exposure_end_ns.tolist() == [20, 999, 1000]
@@ -35,7 +35,7 @@ def test_names_are_mid_exposures_in_time_order(tmp_path: Path) -> None:
 
 
 def test_a_table_gives_the_exposures(tmp_path: Path) -> None:
-    path = write_recording(tmp_path, pictures=["b.jpg", "a.jpg"])
+    path = write_recording(tmp_path, images=["b.jpg", "a.jpg"])
     table = path / "images" / "front_wide.csv"
     table.write_text(f"file,exposure_start_ns,exposure_end_ns\nb.jpg,{START_NS},{START_NS + 9}\na.jpg,5,7\n")
     stream = stream_of(path)
@@ -47,17 +47,17 @@ def test_a_table_gives_the_exposures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "place", "problem"),
     [
-        ("a.jpg,1,2\ngone.jpg,3,4\n", "line 3, column file", "'gone.jpg' is no picture of images/front_wide"),
-        ("a.jpg,1,2\n../front_wide/b.jpg,3,4\n", "line 3, column file", "is no picture"),
-        ("a.jpg,1,2\n/etc/hostname,3,4\n", "line 3, column file", "is no picture"),
-        ("a.jpg,1,2\n,3,4\n", "line 3, column file", "is no picture"),
-        ("a.jpg,1,2\n", None, "1 pictures of images/front_wide are not listed, such as b.jpg"),
+        ("a.jpg,1,2\ngone.jpg,3,4\n", "line 3, column file", "'gone.jpg' is no image of images/front_wide"),
+        ("a.jpg,1,2\n../front_wide/b.jpg,3,4\n", "line 3, column file", "is no image"),
+        ("a.jpg,1,2\n/etc/hostname,3,4\n", "line 3, column file", "is no image"),
+        ("a.jpg,1,2\n,3,4\n", "line 3, column file", "is no image"),
+        ("a.jpg,1,2\n", None, "1 images of images/front_wide are not listed, such as b.jpg"),
         ("a.jpg,1,2\nb.jpg,4,3\n", "line 3, column exposure_end_ns", "ends before it starts"),
-        ("a.jpg,1,2\nb.jpg,x,3\n", "line 3, column exposure_start_ns", "no number"),
+        ("a.jpg,1,2\nb.jpg,x,3\n", "line 3, column exposure_start_ns", "not a number"),
     ],
 )
 def test_wrong_tables_are_named(tmp_path: Path, rows: str, place: str | None, problem: str) -> None:
-    path = write_recording(tmp_path, pictures=["a.jpg", "b.jpg"])
+    path = write_recording(tmp_path, images=["a.jpg", "b.jpg"])
     (path / "images" / "front_wide.csv").write_text(f"file,exposure_start_ns,exposure_end_ns\n{rows}")
     error = refusal(path)
     assert error.file == str(path / "images" / "front_wide.csv")
@@ -66,18 +66,18 @@ def test_wrong_tables_are_named(tmp_path: Path, rows: str, place: str | None, pr
 
 
 @pytest.mark.parametrize(
-    ("pictures", "problem"),
+    ("images", "problem"),
     [
-        ([], "has no pictures"),
-        (["1.jpg", "2.png"], "pictures of kinds .jpg, .png"),
-        (["1.bmp"], "pictures of kinds .bmp"),
-        (["1.jpg", "front.jpg"], "the name is no time"),
-        (["1.jpg", f"{10**20}.jpg"], "the name is no time"),
+        ([], "has no images"),
+        (["1.jpg", "2.png"], "images of kinds .jpg, .png"),
+        (["1.bmp"], "images of kinds .bmp"),
+        (["1.jpg", "front.jpg"], "the name is not a time"),
+        (["1.jpg", f"{10**20}.jpg"], "the name is not a time"),
         (["7.jpg", "07.jpg"], "have the same time"),
     ],
 )
-def test_wrong_folders_are_named(tmp_path: Path, pictures: list[str], problem: str) -> None:
-    error = refusal(write_recording(tmp_path, pictures=pictures))
+def test_wrong_folders_are_named(tmp_path: Path, images: list[str], problem: str) -> None:
+    error = refusal(write_recording(tmp_path, images=images))
     assert problem in error.problem
     assert error.file is not None and "front_wide" in error.file
 
@@ -91,8 +91,8 @@ def test_a_missing_camera_is_named(tmp_path: Path) -> None:
 
 
 def test_links_out_of_the_recording_are_refused(tmp_path: Path) -> None:
-    write_picture(tmp_path / "elsewhere" / "1.jpg")
-    path = write_recording(tmp_path / "drive", pictures=["2.jpg"])
+    write_image(tmp_path / "elsewhere" / "1.jpg")
+    path = write_recording(tmp_path / "drive", images=["2.jpg"])
     (path / "images" / "front_wide" / "1.jpg").symlink_to(tmp_path / "elsewhere" / "1.jpg")
     assert "leads out" in refusal(path).problem
     shutil.rmtree(path / "images" / "front_wide")
@@ -106,7 +106,7 @@ def test_a_video_with_its_table(tmp_path: Path) -> None:
     (path / "videos").mkdir()
     video = write_video(path / "videos" / "front_wide.mp4")
     reference = decode_all(video)
-    assert "nothing says when" in refusal(path).problem
+    assert "the times of its frames are not given" in refusal(path).problem
     rows = "".join(f"{pts},{1000 + index},{2000 + index}\n" for index, (pts, _) in enumerate(reference))
     (path / "videos" / "front_wide.csv").write_text("pts,exposure_start_ns,exposure_end_ns\n" + rows)
     stream = stream_of(path)
@@ -133,7 +133,7 @@ def test_a_video_whose_start_is_known(tmp_path: Path) -> None:
 
 def test_many_pictures_are_listed_by_their_names_alone(tmp_path: Path) -> None:
     """The files are empty: opening one would fail."""
-    path = write_recording(tmp_path, pictures=[])
+    path = write_recording(tmp_path, images=[])
     for index in range(1_000):
         (path / "images" / "front_wide" / f"{START_NS + index * 33_333_333}.jpg").touch()
     stream = stream_of(path)
@@ -203,7 +203,7 @@ def test_uris_that_lead_out_are_refused(tmp_path: Path, uri: str) -> None:
         ("s3://f/a.png,1,2,0,8,6\n", "line 2, column byte_length", "no size"),
         ("s3://f/a.png,1,2,,8,6\n", "line 2, column byte_length", "no size"),
         ("s3://f/a.png,1,2,9,8,99999999999\n", "line 2, column height_px", "no size"),
-        ("s3://f/a.png,1,2,9,8,6\ns3://f/b.jpg,3,4,9,8,6\n", None, "pictures of kinds .jpg, .png"),
+        ("s3://f/a.png,1,2,9,8,6\ns3://f/b.jpg,3,4,9,8,6\n", None, "images of kinds .jpg, .png"),
         ("s3://f/a.png,1,2,9,8,6\ns3://f/b.png,1,2,9,8,6\n", None, "have the same time"),
         ("s3://f/a.png,2,1,9,8,6\n", "line 2, column exposure_end_ns", "ends before it starts"),
     ],
@@ -217,7 +217,7 @@ def test_wrong_tables_of_uris_are_named(tmp_path: Path, rows: str, place: str | 
 def test_pictures_here_and_elsewhere_at_once_are_refused(tmp_path: Path) -> None:
     path = referring(tmp_path, "s3://f/a.png,1,2,9,8,6\n")
     folder = path / "images" / "front_wide"
-    write_picture(folder / "1.jpg")
+    write_image(folder / "1.jpg")
     assert refusal(path).place == "column file"
     shutil.rmtree(folder)
     (path / "videos").mkdir()

@@ -13,7 +13,7 @@ from mirror.errors import RecordingError
 from mirror.recordings.raster import TAIL_BYTES, has_end_marker, read_raster_size, require_complete_image
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
-PICTURES = {"jpeg": cv2.imencode(".jpg", PIXELS)[1].tobytes(), "png": cv2.imencode(".png", PIXELS)[1].tobytes()}
+IMAGES = {"jpeg": cv2.imencode(".jpg", PIXELS)[1].tobytes(), "png": cv2.imencode(".png", PIXELS)[1].tobytes()}
 MARKER_BYTES = {"jpeg": 2, "png": 8}
 
 
@@ -21,11 +21,11 @@ MARKER_BYTES = {"jpeg": 2, "png": 8}
 def test_padding_is_accepted_up_to_the_tail(codec: str) -> None:
     room = TAIL_BYTES - MARKER_BYTES[codec]
     for padding in (0, 1, 2000, room):
-        data = PICTURES[codec] + bytes(padding)
+        data = IMAGES[codec] + bytes(padding)
         assert has_end_marker(data, codec) and has_end_marker(data[-TAIL_BYTES:], codec)
         require_complete_image(data, "p")
         assert decode_rgb(data, codec) is not None
-    data = PICTURES[codec] + bytes(room + 1)
+    data = IMAGES[codec] + bytes(room + 1)
     assert not has_end_marker(data, codec) and decode_rgb(data, codec) is None
     with pytest.raises(RecordingError, match="no end marker"):
         require_complete_image(data, "p")
@@ -33,7 +33,7 @@ def test_padding_is_accepted_up_to_the_tail(codec: str) -> None:
 
 @pytest.mark.parametrize("codec", ["jpeg", "png"])
 def test_a_picture_that_is_cut_short_is_refused_by_all(codec: str) -> None:
-    data = PICTURES[codec][:-3]
+    data = IMAGES[codec][:-3]
     assert not has_end_marker(data, codec) and decode_rgb(data, codec) is None
     with pytest.raises(RecordingError, match="truncated"):
         require_complete_image(data, "p")
@@ -48,7 +48,7 @@ def test_other_codecs_have_no_marker() -> None:
 
 def test_every_byte_of_the_structure_counts() -> None:
     """Of a JPEG's markers and a PNG's chunks no byte can be lost or changed unnoticed."""
-    for codec, data in PICTURES.items():
+    for codec, data in IMAGES.items():
         assert (
             require_complete_image(data, "p")
             == (32, 24)
@@ -57,7 +57,7 @@ def test_every_byte_of_the_structure_counts() -> None:
         for length in range(len(data)):
             with pytest.raises(RecordingError):
                 require_complete_image(data[:length], "p")
-    data = PICTURES["png"]
+    data = IMAGES["png"]
     for position in range(len(data)):
         with pytest.raises(RecordingError):
             require_complete_image(data[:position] + bytes([data[position] ^ 1]) + data[position + 1 :], "p")

@@ -52,7 +52,7 @@ def test_a_path_finds_its_reader(tmp_path: Path) -> None:
 def test_another_package_adds_a_reader(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     install(monkeypatch, entry("odd", f"{__name__}:OddReader"))
     path = write_recording(tmp_path / "drive")
-    with pytest.raises(RecordingError, match="looks like folder and odd") as caught:
+    with pytest.raises(RecordingError, match="several readers recognise it: folder and odd") as caught:
         registry.open_recording(path)
     assert "--reader folder" in str(caught.value)
     assert "a folder with odd things" in str(caught.value)
@@ -70,8 +70,8 @@ def test_a_reader_declared_twice_by_one_package_counts_once(monkeypatch: pytest.
     ("name", "value", "problem"),
     [
         ("folder", f"{__name__}:OddReader", "two recording readers are named 'folder'"),
-        ("strange", f"{__name__}:OddReader", "no reader named 'strange'"),
-        ("strange", "pathlib:Path", "no reader named 'strange'"),
+        ("strange", f"{__name__}:OddReader", "not a reader named 'strange'"),
+        ("strange", "pathlib:Path", "not a reader named 'strange'"),
         ("strange", "no.such.module:Reader", "cannot be loaded"),
         ("strange", f"{__name__}:NoReader", "cannot be loaded"),
     ],

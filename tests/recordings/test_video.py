@@ -30,8 +30,8 @@ def write_video(file: Path, *, codec: str = "libx264", gop: int = GROUP, b_frame
         stream.codec_context.time_base = Fraction(1, 1000)
         columns, rows = np.meshgrid(np.arange(64), np.arange(48))
         for index in range(FRAMES):
-            picture = np.stack([columns * 4, rows * 5, (columns + index * 4) % 256], axis=-1).astype(np.uint8)
-            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            image = np.stack([columns * 4, rows * 5, (columns + index * 4) % 256], axis=-1).astype(np.uint8)
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             frame.pts, frame.time_base = index * 33 + index % 3, Fraction(1, 1000)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
@@ -47,8 +47,8 @@ def decode_all(file: Path) -> list[tuple[int | None, bytes]]:
     found = []
     with av.open(str(file)) as container:
         for frame in container.decode(video=0):
-            picture = frame.to_ndarray(format="bgr24")
-            _, data = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+            image = frame.to_ndarray(format="bgr24")
+            _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
             found.append((frame.pts, data.tobytes()))
     return found
 

@@ -12,8 +12,8 @@ from mirror.errors import UsageError
 from mirror.recordings import weather
 
 
-def darkness(pictures: list[UInt8]) -> str:
-    return "rain" if np.mean(pictures) < 100 else "bright"
+def darkness(images: list[UInt8]) -> str:
+    return "rain" if np.mean(images) < 100 else "bright"
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_a_plugin_looks_at_pictures() -> None:
 
 @pytest.mark.usefixtures("plugins")
 def test_an_answer_outside_the_words_is_refused() -> None:
-    with pytest.raises(UsageError, match="answered 'bright'"):
+    with pytest.raises(UsageError, match="returned 'bright'"):
         weather.classify_weather("darkness", [np.full((2, 2, 3), 255, np.uint8)])
 
 

@@ -1,1 +1,1 @@
-"""The on-disk format: tables as pyarrow schemas, JSON documents as models, and their reading and writing."""
+"""The on-disk format: tables as pyarrow schemas, JSON documents as pydantic models, and functions to read and write."""

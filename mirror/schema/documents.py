@@ -18,7 +18,7 @@ CANONICAL_CAMERAS = ("front_wide", "front_narrow", "front_left", "front_right", 
 
 
 def is_identifier(text: str) -> bool:
-    """Whether a text can be an id: letters, digits, ``_`` and ``-``, so that it can be a folder and part of an id."""
+    """Whether a text is a valid id: letters, digits, ``_`` and ``-``, so that it can name a folder."""
     return re.fullmatch(_IDENTIFIER, text) is not None
 
 
@@ -29,16 +29,16 @@ class Document(BaseModel):
 
 
 class Roi(Document):
-    """A region of interest: a circle round a point on WGS 84, or in a local metric frame.
+    """A region of interest: a circle around a point on WGS 84 or in a local metric frame.
 
     Attributes:
         scene_id: the scene's id.
-        longitude_deg: centre (geodetic ROI).
-        latitude_deg: centre (geodetic ROI).
+        longitude_deg: longitude of the centre (geodetic ROI).
+        latitude_deg: latitude of the centre (geodetic ROI).
         frame: name of the local metric frame (local ROI).
-        x_m: centre in that frame.
-        y_m: centre in that frame.
-        radius_m: radius on the ellipsoid surface, or in the plane of the local frame.
+        x_m: x of the centre in that frame.
+        y_m: y of the centre in that frame.
+        radius_m: radius on the surface of the ellipsoid, or in the plane of the local frame.
         height_m: height of the world's origin above the ellipsoid.
         city: city, if known.
         scene_type: urban, highway, rural or campus, if known.
@@ -65,18 +65,18 @@ class Roi(Document):
 
 
 class TriggerOptions(Document):
-    """What makes a pass a traversal; the defaults are the paper's, the rest is the DESIGN's.
+    """Thresholds that a pass must meet to become a traversal; the paper gives the defaults of the first three.
 
     Attributes:
-        min_duration_s: accepted from this duration on.
-        min_path_m: accepted from this driven length on.
-        min_overlap: accepted above this share of path inside the ROI.
-        join_gap_s: visits at most this far apart are joined.
-        max_gap_s: a pose gap longer than this ends a visit.
-        min_step_m: path counts only after moving this far from the last counted pose.
-        step_sigmas: ... or this many sigmas of the fix, where the source states it and it is more. Six: of ten hours
-            of white noise at 10 Hz two steps pass; at three, one in ten fixes would.
-        trim_standstill_s: a standstill longer than this ends a visit and is left out; None: keep standstills.
+        min_duration_s: shortest accepted duration.
+        min_path_m: shortest accepted driven length.
+        min_overlap: the share of the path inside the ROI must be greater than this.
+        join_gap_s: visits are joined if the time between them is at most this.
+        max_gap_s: a longer gap between poses ends a visit.
+        min_step_m: path counts only after the vehicle has moved this far from the last counted pose.
+        step_sigmas: as min_step_m, in sigmas of the fix; the larger of the two distances applies where the source
+            states sigma. At six, ten hours of white noise at 10 Hz give two steps; at three, one fix in ten gives one.
+        trim_standstill_s: a longer standstill ends a visit and is left out; None: standstills are kept.
     """
 
     min_duration_s: float = Field(default=10.0, ge=0)
@@ -90,15 +90,15 @@ class TriggerOptions(Document):
 
 
 class CleaningOptions(Document):
-    """How fixes are cleaned before the trigger sees them.
+    """How fixes are cleaned before the trigger.
 
     Attributes:
-        max_speed_mps: a fix that needs more from the last good one is an outlier.
-        max_acceleration_mps2: a fix off the line between its neighbours by more than half of this times both time
-            steps, plus ``noise_m``, is an outlier.
-        noise_m: what noise alone may add to that deviation.
+        max_speed_mps: a fix that requires a higher speed from the last good fix is an outlier.
+        max_acceleration_mps2: a fix is an outlier if its distance from the line between its neighbours exceeds half of
+            this acceleration times both time steps, plus ``noise_m``.
+        noise_m: the part of that distance that noise may cause.
         backward_time: `sort` the stamps, or `refuse` the drive.
-        max_bad_rows: the largest share of rows that may make no pose; a drive with more of them is refused.
+        max_bad_rows: the largest accepted share of rows that make no pose; a drive with a larger share is refused.
     """
 
     max_speed_mps: float = Field(default=70.0, gt=0)
@@ -112,18 +112,19 @@ class CleaningReport(Document):
     """What cleaning did to a drive's fixes.
 
     Attributes:
-        poses: fixes read.
-        kept: fixes left.
+        poses: number of fixes read.
+        kept: number of fixes after cleaning.
         bad_rows: number of rows that make no pose, by reason: `cells` (a line with too few or too many cells),
             `number` (a cell that is no number), `time` (no stamp), `rotation` (off unit length, or not finite), `sigma`
             (negative or infinite), `file` (in a part of the drive that is missing or damaged).
-        invalid: without a position, or with one that is not finite or off the globe.
-        missing: those of the invalid ones that have no position at all.
-        backward_time: fixes that were earlier than one before them (sorted).
-        duplicate_time: fixes with the stamp of the one before.
-        repeated: fixes at the very place of the one before, collapsed to the first: the receiver was frozen.
-        outliers: fixes that failed the speed or the acceleration test.
-        restarts: how often a new track was taken up after a run of outliers that agreed with each other.
+        invalid: number of fixes without a position, or with a position that is not finite or not on the globe.
+        missing: number of the invalid fixes that have no position at all.
+        backward_time: number of fixes earlier than a previous one; they were sorted.
+        duplicate_time: number of fixes with the stamp of the previous one.
+        repeated: number of fixes at exactly the position of the previous one; only the first is kept, because the
+            receiver was frozen.
+        outliers: number of fixes that failed the speed test or the acceleration test.
+        restarts: number of times that a run of consistent outliers was taken as a new track.
     """
 
     poses: int
@@ -142,9 +143,10 @@ class RigCamera(Document):
     """One camera of a rig.
 
     Attributes:
-        name: the name used in every table.
-        source_name: what the source calls it.
-        static_mask: PNG beside the rig file, non-zero where the vehicle itself is seen; None: not known.
+        name: the name in every table.
+        source_name: the source's name.
+        static_mask: PNG in the folder of the rig file, non-zero where the image shows the vehicle itself; None: not
+            known.
     """
 
     name: str
@@ -153,13 +155,13 @@ class RigCamera(Document):
 
 
 class Rig(Document):
-    """``rigs/<rig_id>.json``: the cameras of one kind of vehicle.
+    """``rigs/<rig_id>.json``: the cameras of one type of vehicle.
 
     Attributes:
-        schema_version: of the on-disk format.
+        schema_version: version of the on-disk format.
         rig_id: the rig's id.
         vehicle_type: make or class of the vehicle.
-        reference_camera: its exposures define the frames.
+        reference_camera: the camera with the exposures that define the frames.
         cameras: all cameras, in order.
     """
 
@@ -180,15 +182,15 @@ class Rig(Document):
 
 
 class DatasetDocument(Document):
-    """``dataset.json``: what the folder is.
+    """``dataset.json``: identifies the folder as a dataset.
 
     Attributes:
-        schema_version: of the on-disk format.
+        schema_version: version of the on-disk format.
         format: always ``mirror``.
-        conventions: where the frames, units and names are specified.
+        conventions: the document that specifies frames, units and names.
         licence: licence of the data, if stated.
-        trigger: the thresholds that every pass was judged by.
-        cleaning: how every drive was cleaned.
+        trigger: the thresholds for every pass.
+        cleaning: the cleaning of every drive.
     """
 
     schema_version: str = SCHEMA_VERSION
@@ -200,13 +202,13 @@ class DatasetDocument(Document):
 
 
 class Source(Document):
-    """Where a drive came from.
+    """The recording of a drive.
 
     Attributes:
-        reader: the recording reader that opened it.
+        reader: the reader that opened it.
         name: last component of the recording's path.
         files: number of files.
-        bytes: their total size.
+        bytes: total size of the files.
         fingerprint: SHA-256 over every file's relative path, size and modification time.
     """
 
@@ -221,23 +223,24 @@ class DriveDocument(Document):
     """``drives/<drive_id>/drive.json``: one recording of one vehicle.
 
     Attributes:
-        schema_version: of the on-disk format.
+        schema_version: version of the on-disk format.
         drive_id: the drive.
         vehicle_id: pseudonym of the vehicle.
         vehicle_type: make or class of the vehicle.
-        rig_id: None for a poses-only drive.
-        source: where it came from.
+        rig_id: the rig; None for a poses-only drive.
+        source: the recording.
         configuration: SHA-256 of the options that decide what ingest writes.
-        scenes: scenes that the drive was judged against.
+        scenes: scenes that the drive was compared with.
         frame: name of the local metric frame; None: WGS 84.
-        time_base: the source's time base, converted to Unix time by the reader.
-        body_frame: the frame whose poses the source recorded.
-        is_clip: True if the source arrives as clips: each is judged whole.
+        time_base: the source's time base; the reader converted it to Unix time.
+        body_frame: the body of the recorded poses.
+        is_clip: True if the source arrives as clips, each judged as a whole.
         city: city, if known.
-        start_ns: first cleaned pose.
-        end_ns: last cleaned pose.
-        cleaning: what cleaning did.
-        images_without_pose: images within accepted passes that were left out, as they were taken in a gap of the poses.
+        start_ns: time of the first cleaned pose.
+        end_ns: time of the last cleaned pose.
+        cleaning: the result of cleaning.
+        images_without_pose: number of images within accepted passes that were left out because they were taken in a gap
+            of the poses.
     """
 
     schema_version: str = SCHEMA_VERSION
@@ -260,7 +263,12 @@ class DriveDocument(Document):
 
 
 class FileEntry(Document):
-    """One file of a folder: its size and hash."""
+    """One file of a folder.
+
+    Attributes:
+        bytes: size of the file.
+        sha256: SHA-256 of the file in hexadecimal.
+    """
 
     bytes: int
     sha256: str
@@ -274,11 +282,11 @@ class ImageTotals(Document):
 
 
 class Manifest(Document):
-    """``manifest.json``, written last: a folder is complete if and only if it is there.
+    """``manifest.json``, written last: a folder is complete if and only if this file exists.
 
     Attributes:
-        schema_version: of the on-disk format.
-        derived_from: hashes of what the folder was made from, by name.
+        schema_version: version of the on-disk format.
+        derived_from: hashes of the inputs of the folder, by name.
         files: every file except the images, relative to the folder.
         pictures: number and total size of the images; the images table in ``files`` has the size and hash of each.
     """
@@ -290,7 +298,7 @@ class Manifest(Document):
 
     @property
     def content(self) -> str:
-        """SHA-256 over ``files`` alone: the same for equal content, whatever it was made from."""
+        """SHA-256 over ``files`` alone: equal content has the same hash, whatever its inputs are."""
         plain = self.model_dump(mode="json", include={"files"})
         return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
@@ -301,12 +309,12 @@ Role = Literal["train", "val", "test", "held_out", "unused"]
 
 
 class NovelTraversal(Document):
-    """Per scene, some traversals to train on and some to hold out; the default is the paper's 4 + 1.
+    """Trains on some traversals of each scene and holds out others; the default is the paper's 4 + 1.
 
     Attributes:
-        method: tag.
-        train: traversals a scene to train on.
-        held_out: traversals a scene to hold out.
+        method: name of the method.
+        train: number of traversals per scene to train on.
+        held_out: number of traversals per scene to hold out.
     """
 
     method: Literal["novel-traversal"] = "novel-traversal"
@@ -315,13 +323,13 @@ class NovelTraversal(Document):
 
 
 class ByScene(Document):
-    """Whole scenes to each role, in these shares.
+    """Assigns whole scenes to roles by shares.
 
     Attributes:
-        method: tag.
-        train: share of the scenes.
-        val: share of the scenes.
-        test: share of the scenes.
+        method: name of the method.
+        train: share of the scenes for training.
+        val: share of the scenes for validation.
+        test: share of the scenes for testing.
     """
 
     method: Literal["by-scene"] = "by-scene"
@@ -337,7 +345,7 @@ class ByScene(Document):
 
 
 class Condition(Document):
-    """What a traversal was recorded in; all that is given must hold.
+    """Light and weather of a traversal; a traversal must match both that are given.
 
     Attributes:
         light: the light; None: any.
@@ -355,12 +363,12 @@ class Condition(Document):
 
 
 class ByCondition(Document):
-    """Traversals by what they were recorded in; what fits ``test`` is never trained on.
+    """Assigns traversals to roles by light and weather; traversals that match ``test`` are never trained on.
 
     Attributes:
-        method: tag.
-        train: a traversal that fits one of these and none of ``test`` is trained on.
-        test: a traversal that fits one of these is tested on.
+        method: name of the method.
+        train: traversals that match one of these and none of ``test`` are trained on.
+        test: traversals that match one of these are tested on.
     """
 
     method: Literal["by-condition"] = "by-condition"
@@ -375,17 +383,17 @@ class SplitDocument(Document):
     """``splits/<name>.json``: a frozen division of the dataset's traversals.
 
     Attributes:
-        schema_version: of the on-disk format.
+        schema_version: version of the on-disk format.
         name: the split.
-        parameters: the method and what it was asked for.
-        seed: what the choice was drawn by.
-        scenes: the scenes it was restricted to; None: all.
-        dataset_hash: SHA-256 over ``manifests``: what the split was made of.
-        manifests: SHA-256 over the files that each traversal's recorded manifest lists, by traversal id. When a
-            recording was copied or modified does not count, what it holds does.
-        assignments: the role of each traversal, by id; ``unused``: known to the split, and in no role.
-        left_out: why a scene or a traversal is in no role, by its id.
-        added: traversals that were put in by an extension, after the split was frozen.
+        parameters: the method and its parameters.
+        seed: the seed of the random choice.
+        scenes: the scenes of the split; None: all.
+        dataset_hash: SHA-256 over ``manifests``: identifies the data of the split.
+        manifests: SHA-256 over the files in each traversal's recorded manifest, by traversal id. It depends on the
+            content of the recording, and not on the time at which it was copied or modified.
+        assignments: the role of each traversal, by id; ``unused``: the traversal has no role.
+        left_out: the reason why a scene or a traversal has no role, by its id.
+        added: traversals that were added by an extension after the split was frozen.
     """
 
     schema_version: str = SCHEMA_VERSION

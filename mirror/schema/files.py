@@ -1,7 +1,7 @@
-"""Reading and writing tables and JSON files: whole or not at all, and every error with its place.
+"""Reads and writes tables and JSON files; writes are atomic, and errors name their place.
 
-A file is written under a temporary name beside its own and renamed, so that a reader never sees half of it and a
-failed write leaves what was there.
+A file is written under a temporary name in the same folder and then renamed: a reader never reads a partial file, and
+a failed write leaves the previous file as it was.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from mirror.schema.version import SCHEMA_VERSION, require_readable
 Model = TypeVar("Model", bound=BaseModel)
 
 TEMPORARY = ".tmp"
-"""How the names of files end that are not finished."""
+"""Suffix of the names of unfinished files."""
 
 _VERSION_KEY = b"mirror_schema_version"
 _TABLE_KEY = b"mirror_table"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file under a temporary name, then rename.
+    """Write a file under a temporary name, then rename it.
 
     Raises:
-        DatasetError: the folder is not writable or the disk is full; what was there is untouched.
+        DatasetError: the folder is not writable or the disk is full; a previous file is unchanged.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
     try:
@@ -55,35 +55,35 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def unwritable_error(path: Path, error: OSError) -> DatasetError:
-    """The error for a file that could not be written: what is in its place, or the system's reason."""
+    """Make the error for a file that could not be written; it names what blocks the path, or the system's reason."""
     blocked = next((folder for folder in path.parents if folder.exists() and not folder.is_dir()), None)
     if blocked is not None or path.is_dir():
         return DatasetError(
             f"cannot be written: {blocked} is a file" if blocked is not None else "cannot be written: it is a folder",
             file=path,
-            expected="a file in a folder, or a name that is free",
-            remedy="choose another place",
+            expected="the path of a file, in a folder or in folders that do not exist yet",
+            remedy="choose another path",
         )
     return DatasetError(
         f"cannot be written: {error.strerror or error}",
         file=path,
         expected="a writable folder with room for the file",
-        remedy="free space or choose another place, then run the same command again: it goes on where it stopped",
+        remedy="free space or choose another place, then run the same command again: it resumes where it stopped",
     )
 
 
 def unmovable_error(folder: Path, error: OSError) -> DatasetError:
-    """The error for a folder that could not be moved to its place, or out of it."""
+    """Make the error for a folder that could not be moved into or out of its place."""
     return DatasetError(
         f"cannot be moved: {error.strerror or error}",
         file=folder,
-        expected="a writable folder beside it",
-        remedy="free space and check the permissions, then run the same command again: it goes on where it stopped",
+        expected="a writable parent folder",
+        remedy="free space and check the permissions, then run the same command again: it resumes where it stopped",
     )
 
 
 def write_json(path: Path, document: BaseModel | dict[str, object]) -> None:
-    """Write a JSON document, keys in order, atomically."""
+    """Write a JSON document atomically, with the keys in the order of the model."""
     plain = document.model_dump(mode="json") if isinstance(document, BaseModel) else document
     write_bytes(path, (json.dumps(plain, indent=1, ensure_ascii=False) + "\n").encode())
 
@@ -93,8 +93,8 @@ def read_json(path: Path, model: type[Model]) -> Model:
 
     Raises:
         DatasetError: the file is missing.
-        SchemaError: not JSON (line and column named), a key twice, not of the model (key named), or of another schema
-            version.
+        SchemaError: the file is not JSON (line and column are named), repeats a key, does not follow the model (the key
+            is named), or has another schema version.
     """
     try:
         text = path.read_bytes()
@@ -104,7 +104,7 @@ def read_json(path: Path, model: type[Model]) -> Model:
 
 
 def parse_json(text: bytes, model: type[Model], path: str | Path) -> Model:
-    """As `read_json`, from bytes; ``path`` serves the messages."""
+    """Validate a JSON document from bytes; see `read_json`. ``path`` is used in messages."""
     try:
         raw = decode_json(text)
     except JsonError as error:
@@ -130,15 +130,15 @@ def parse_json(text: bytes, model: type[Model], path: str | Path) -> Model:
 
 
 def encode_table(data: pa.Table, table: Table, *, row_groups: Sequence[int] | None = None) -> bytes:
-    """A Parquet file of one table: zstd, statistics, deterministic bytes for equal data.
+    """Encode one table as a Parquet file: zstd, with statistics, equal bytes for equal data.
 
     Args:
-        data: rows that fit ``table.schema`` (cast to it; the order of columns does not matter).
+        data: rows that can be cast to ``table.schema``; the order of columns does not matter.
         table: the specification.
-        row_groups: numbers of rows of each row group, in order; default: one row group.
+        row_groups: number of rows of each row group, in order; default: one row group.
 
     Raises:
-        SchemaError: a column is missing, superfluous, of another type, or has nulls where none may be.
+        SchemaError: a column is missing, unknown, of another type, or has nulls that are not allowed.
     """
     data = conform(data, table, file=table.place)
     metadata = {**(data.schema.metadata or {}), _VERSION_KEY: SCHEMA_VERSION.encode(), _TABLE_KEY: table.name.encode()}
@@ -155,15 +155,15 @@ def encode_table(data: pa.Table, table: Table, *, row_groups: Sequence[int] | No
 
 
 class TableWriter:
-    """A Parquet file of one table that is written row group by row group, so that it need not fit into memory.
+    """Writes a Parquet file of one table row group by row group, so that the table need not fit into memory.
 
-    It lies under a temporary name until its user renames it. Its bytes are those of `encode_table` with the same row
-    groups, but that each row group has dictionaries of its own.
+    The file has a temporary name until the caller renames it. Its bytes equal those of `encode_table` with the same row
+    groups, except that each row group has its own dictionaries.
 
     Args:
-        path: the file that it will be.
+        path: the final path of the file.
         table: the specification.
-        metadata: of the file, besides that of every table.
+        metadata: metadata of the file in addition to that of every table.
     """
 
     def __init__(self, path: Path, table: Table, metadata: Mapping[bytes, bytes] | None = None) -> None:
@@ -198,7 +198,7 @@ class TableWriter:
             raise unwritable_error(self.path, error) from error
 
     def finish(self) -> Path:
-        """Complete the file, and give its temporary name.
+        """Complete the file and return its temporary path.
 
         Raises:
             DatasetError: the disk is full.
@@ -210,7 +210,7 @@ class TableWriter:
         return self._temporary
 
     def abandon(self) -> None:
-        """Remove what was written, and the folder that was made for it."""
+        """Remove the temporary file, and its folder if that is empty."""
         with suppress(OSError):
             self._writer.close()
         self._temporary.unlink(missing_ok=True)
@@ -224,34 +224,35 @@ def write_table(path: Path, data: pa.Table, table: Table, *, row_groups: Sequenc
 
 
 def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read one table and hold it against its specification.
+    """Read one table and check it against its specification.
 
     Args:
         path: a Parquet file.
         table: the specification.
-        columns: only these columns.
+        columns: read only these columns; None: read all.
 
     Raises:
         DatasetError: the file is missing.
-        SchemaError: not Parquet, of another schema version, or with a wrong column; nulls are named with their row.
+        SchemaError: the file is not Parquet, has another schema version, or has a wrong column; for nulls the row is
+            named.
     """
     try:
         with pq.ParquetFile(path) as file:
-            there = file.schema_arrow
-            stored = there.metadata or {}
-            if _VERSION_KEY in stored:
-                require_readable(stored[_VERSION_KEY].decode(), path)
-            wanted = list(columns) if columns is not None else table.schema.names
-            missing = [name for name in wanted if name not in there.names]
+            schema = file.schema_arrow
+            metadata = schema.metadata or {}
+            if _VERSION_KEY in metadata:
+                require_readable(metadata[_VERSION_KEY].decode(), path)
+            names = list(columns) if columns is not None else table.schema.names
+            missing = [name for name in names if name not in schema.names]
             if missing:
                 raise SchemaError(
                     f"table {table.name} has no column {missing[0]!r}",
                     file=path,
                     place=f"column {missing[0]}",
                     expected=f"the columns of {table.name} in docs/schema.md",
-                    remedy="run `mirror index` if the file lies under index/, else restore it",
+                    remedy="run `mirror index` if the file lies in index/, else restore it",
                 )
-            data = file.read(columns=wanted, use_threads=False)
+            data = file.read(columns=names, use_threads=False)
     except FileNotFoundError as error:
         raise DatasetError("missing", file=path, expected=f"the table {table.name}") from error
     except (pa.ArrowInvalid, OSError) as error:
@@ -259,16 +260,17 @@ def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -
             f"table {table.name} cannot be read ({str(error).splitlines()[0]})",
             file=path,
             expected="a complete Parquet file",
-            remedy="run `mirror index` if the file lies under index/, else restore it or ingest the recording again",
+            remedy="run `mirror index` if the file lies in index/, else restore it or ingest the recording again",
         ) from error
-    return conform(data, table, file=path, columns=wanted)
+    return conform(data, table, file=path, columns=names)
 
 
 def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Cast rows to a table's schema, with every mismatch named by file, table, column and row.
+    """Cast rows to a table's schema.
 
     Raises:
-        SchemaError: a column is missing, superfluous, of another type, or has a null where none may be.
+        SchemaError: a column is missing, unknown, of another type, or has a null that is not allowed; file, table,
+            column and row are named.
     """
     fields = [table.schema.field(name) for name in columns] if columns is not None else list(table.schema)
     extra = set(data.column_names) - {field.name for field in fields}
@@ -277,7 +279,7 @@ def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence
     arrays = []
     for field in fields:
         if field.name not in data.column_names:
-            raise SchemaError(f"table {table.name} lacks a column", file=file, place=f"column {field.name}")
+            raise SchemaError(f"table {table.name} has no such column", file=file, place=f"column {field.name}")
         column = data.column(field.name)
         if column.type != field.type:
             try:

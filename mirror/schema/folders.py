@@ -1,15 +1,15 @@
-"""What a folder is, by the documents in it, so that no verb writes into a folder that is something else.
+"""Identifies a folder by the documents in it, so that no verb writes into a folder of another kind.
 
-Every verb that takes ``--out`` calls one of two functions before it writes anything:
+Every verb with an option ``--out`` calls one of two functions before it writes anything:
 
-- `require_output_folder(out, FolderKind.RESULTS)`: ``out`` is a folder, and becomes a folder of that kind. It may be absent,
-  empty, or of that kind already (then the verb decides whether it goes on, adds to it or refuses). With no kind it must
-  be absent or empty. The kind of what is there is returned; None: nothing.
+- `require_output_folder(out, FolderKind.RESULTS)`: ``out`` becomes a folder of that kind. It may be absent, empty, or
+  of that kind already; then the verb decides whether to resume, to add to it or to refuse. Without a kind the folder
+  must be absent or empty. The function returns the kind of an existing folder, or None.
 - `require_output_file(out)`: ``out`` is one file, such as a page or a video.
 
-Both refuse a path inside a dataset, a recording, a submission or hidden truth: their content is hashed or immutable. A
-folder that an interrupted run left is of its kind too; what says so is listed with the kind (`_KINDS`). A verb whose
-output is a new kind of folder adds a row there.
+Both refuse a path inside a dataset, a recording, a submission or hidden truth, because the content of these is hashed
+or immutable. The folder of an interrupted run has its kind too: `_KINDS` lists the files that identify it. A verb that
+writes a new kind of folder adds a row to `_KINDS`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from mirror.errors import UsageError
 from mirror.schema.files import TEMPORARY
 from mirror.schema.strict_json import JsonError, decode_json
 
-_MOST_BYTES: Final = 64 * 1024 * 1024
+_MAX_BYTES: Final = 64 * 1024 * 1024
 _DATASET_NAMES: Final = frozenset(
     {"traversals", "drives", "rigs", "splits", "index", "rois.geojson", ".lock", ".staging", ".superseded"}
 )
 
 
 class FolderKind(Enum):
-    """What a folder is, in words for messages."""
+    """Kinds of folders; the values are words for messages."""
 
     DATASET = "a dataset"
     RECORDING = "a recording"
@@ -49,12 +49,13 @@ class FolderKind(Enum):
 
 @dataclass(frozen=True)
 class _Signs:
-    """How a kind is recognised.
+    """The files that identify a kind of folder.
 
     Attributes:
         documents: names of JSON files, each with the value of its key ``format``.
-        marks: files or folders whose presence alone says it: of a run that has begun and is not done.
-        sealed: nothing else may be written inside.
+        marks: files or folders that identify the kind by their presence, for instance in the folder of an unfinished
+            run.
+        sealed: no other output may be written inside.
     """
 
     documents: Mapping[str, str] = field(default_factory=dict)
@@ -80,64 +81,63 @@ _KINDS: Final[Mapping[FolderKind, _Signs]] = {
 
 
 def find_kind(folder: Path) -> FolderKind | None:
-    """What a folder is; None: it does not exist or is empty (but for what a killed process left of one file).
+    """Find the kind of a folder; None: it does not exist or is empty. Temporary files of a killed process do not count.
 
-    A document that is broken still says what the folder is if its name alone does: reading it then names what is wrong.
+    A broken document still identifies the folder if its name alone does; the verb that reads it reports the fault.
 
     Raises:
-        UsageError: it is a file.
+        UsageError: the path is a file.
     """
     if not folder.is_dir():
         if folder.exists():
             raise UsageError(f"cannot be written: {folder} is a file", file=folder, expected="a folder")
         return None
-    names = {one.name for one in folder.iterdir() if not _is_unfinished(one.name)}
+    names = {child.name for child in folder.iterdir() if not _is_temporary(child.name)}
     if not names:
         return None
-    found = next((kind for kind, signs in _KINDS.items() if _has(folder, signs)), None)
-    if found is not None:
-        return found
+    kind = next((kind for kind, signs in _KINDS.items() if _has(folder, signs)), None)
+    if kind is not None:
+        return kind
     if names <= _DATASET_NAMES and names & {"traversals", ".lock", ".staging"}:
-        # What an interrupted first ingest left: dataset.json is written with the first complete drive.
+        # The first ingest was interrupted: dataset.json is written with the first complete drive.
         return FolderKind.DATASET
-    if any((one / "recording.json").is_file() for one in folder.iterdir()):
+    if any((child / "recording.json").is_file() for child in folder.iterdir()):
         return FolderKind.RECORDINGS
     return FolderKind.OTHER
 
 
 def require_output_folder(out: Path, *kinds: FolderKind, place: str = "--out") -> FolderKind | None:
-    """Refuse an output folder that is something else.
+    """Refuse an output folder of another kind.
 
     Args:
-        out: the folder that a verb is about to write.
-        kinds: what it may be already; with none it must be absent or empty.
-        place: the option that named it.
+        out: the folder that a verb will write.
+        kinds: the kinds that an existing folder may have; without kinds it must be absent or empty.
+        place: the option that names the folder, for messages.
 
     Returns:
-        What is there; None: nothing.
+        The kind of an existing folder; None: it is absent or empty.
 
     Raises:
-        UsageError: it is a file, holds something else, or lies inside a folder that nothing may be added to.
+        UsageError: it is a file, has another kind, or lies inside a sealed folder.
     """
     _refuse_inside(out, place)
-    found = find_kind(out)
-    if found is None or found in kinds:
-        return found
-    own = ", or ".join(["a new or an empty folder", *(kind.value for kind in kinds)])
+    existing = find_kind(out)
+    if existing is None or existing in kinds:
+        return existing
     raise UsageError(
-        f"it is {found.value}: nothing was written",
+        f"it is {existing.value}: nothing was written",
         file=out,
         place=place,
-        expected=own,
+        expected=", or ".join(["a new or an empty folder", *(kind.value for kind in kinds)]),
         remedy=f"name another folder with {place}",
     )
 
 
 def require_output_file(out: Path, *, place: str = "--out") -> None:
-    """Refuse an output file that would lie inside something else, or in place of a folder.
+    """Refuse an output file inside a sealed folder, or in place of a folder.
 
     Raises:
-        UsageError: it is a folder, or lies inside a folder that nothing may be added to.
+        UsageError: it is a folder, or lies inside a sealed folder.
     """
     _refuse_inside(out, place)
     if out.is_dir():
@@ -160,22 +160,22 @@ def _refuse_inside(out: Path, place: str) -> None:
 def _has(folder: Path, signs: _Signs) -> bool:
     if any((folder / mark).exists() for mark in signs.marks):
         return True
-    return any(_says(folder / name, value) for name, value in signs.documents.items())
+    return any(_has_format(folder / name, value) for name, value in signs.documents.items())
 
 
-def _says(path: Path, value: str) -> bool:
-    """Whether a JSON document has this ``format``; a broken one with a name of ours alone counts as ours."""
-    own_name = path.name not in ("manifest.json", "run.json", "result.json", "views.json")
+def _has_format(path: Path, value: str) -> bool:
+    """Whether a JSON document has this ``format``; a broken document counts if only MIRROR uses its name."""
+    is_unique_name = path.name not in ("manifest.json", "run.json", "result.json", "views.json")
     try:
-        if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+        if not path.is_file() or path.stat().st_size > _MAX_BYTES:
             return False
         document = decode_json(path.read_bytes())
     except OSError:
         return False
     except JsonError:
-        return own_name
+        return is_unique_name
     return isinstance(document, dict) and document.get("format") == value
 
 
-def _is_unfinished(name: str) -> bool:
+def _is_temporary(name: str) -> bool:
     return name.startswith(".") and name.endswith(TEMPORARY)

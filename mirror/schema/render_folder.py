@@ -1,4 +1,4 @@
-"""Folders of rendered images that an interrupted run goes on with."""
+"""Folders of rendered images: an interrupted run resumes in its own folder."""
 
 from __future__ import annotations
 
@@ -13,39 +13,42 @@ from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 
 UNFINISHED_MARK: Final = ".rendering"
-"""In a folder whose files are not all there yet: a hash of what they are of."""
+"""Name of a file in a folder that is not complete: a hash of the settings that decide its files."""
 
 
-def start_render_folder(out: Path, of: Sequence[str] | None, *, last: str | None = None) -> None:
-    """See that a folder is new or empty, or that the same work was interrupted in it.
+def start_render_folder(out: Path, settings: Sequence[str] | None, *, last: str | None = None) -> None:
+    """Require that a folder is new or empty, or holds an interrupted run with the same settings.
 
     Args:
-        out: the folder; it is made.
-        of: what decides its files; None: nothing goes on.
-        last: name of the file that is written last; None: there is none.
+        out: the folder; it is created.
+        settings: the settings that decide the files of the folder; None: an interrupted run is not resumed.
+        last: name of the file that is written last; None: there is no such file.
 
     Raises:
-        UsageError: it holds something else.
-        DatasetError: it cannot be written.
+        UsageError: the folder holds other files, a complete submission, or an interrupted run with other settings.
+        DatasetError: the folder cannot be written.
     """
-    mark = hashlib.sha256(json.dumps(of).encode()).hexdigest()
-    begun = out / UNFINISHED_MARK
+    digest = hashlib.sha256(json.dumps(settings).encode()).hexdigest()
+    mark = out / UNFINISHED_MARK
     if require_output_folder(out, FolderKind.SUBMISSION) is None:
-        if of is not None:
-            write_bytes(begun, mark.encode())
+        if settings is not None:
+            write_bytes(mark, digest.encode())
         return
     if last is not None and (out / last).is_file():
         raise UsageError(
-            "a submission is there already", file=out, place="--out", remedy="take it, or name a new folder with --out"
+            "it holds a submission already", file=out, place="--out", remedy="use it, or name a new folder with --out"
         )
-    if of is None or not begun.is_file():
+    if settings is None or not mark.is_file():
         raise UsageError("not an empty folder", file=out, place="--out", remedy="name a new one with --out")
-    if begun.read_text() != mark:
+    if mark.read_text() != digest:
         raise UsageError(
-            "renders of something else began here", file=out, place="--out", remedy="name a new one with --out"
+            "it holds an interrupted run with other settings",
+            file=out,
+            place="--out",
+            remedy="name a new one with --out",
         )
 
 
 def finish_render_folder(out: Path) -> None:
-    """Note that all files of a folder are there."""
+    """Mark a folder as complete."""
     (out / UNFINISHED_MARK).unlink(missing_ok=True)

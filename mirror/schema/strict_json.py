@@ -1,4 +1,4 @@
-"""The one reader of JSON: what has two meanings is refused, whoever wrote it."""
+"""The only reader of JSON: it refuses documents that JSON readers interpret in different ways."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 
 class JsonError(ValueError):
-    """Text that is no JSON, or has two meanings.
+    """Text that is not JSON, or that repeats a key.
 
     Args:
         problem: what is wrong.
-        place: line and column, where they are known.
+        place: line and column; None: not known.
     """
 
     def __init__(self, problem: str, place: str | None = None) -> None:
@@ -20,15 +20,15 @@ class JsonError(ValueError):
 
 
 def decode_json(data: str | bytes, *, constants: bool = True) -> Any:
-    """The value of a JSON text.
+    """Decode a JSON text.
 
     Args:
         data: the text, or its bytes in UTF-8, UTF-16 or UTF-32.
-        constants: take NaN and Infinity, which JSON does not have and many programs write.
+        constants: accept NaN and Infinity, which many programs write although JSON does not have them.
 
     Raises:
-        JsonError: it is no JSON, is nested too deep, or an object has a key twice: one reader takes the first value,
-            another the last.
+        JsonError: the text is not JSON, is nested too deep, or repeats a key in an object: some readers take the first
+            value of such a key, others the last.
     """
     try:
         return json.loads(data, object_pairs_hook=_object, parse_constant=None if constants else _refused)
@@ -41,7 +41,7 @@ def decode_json(data: str | bytes, *, constants: bool = True) -> Any:
     except JsonError:
         raise
     except ValueError as error:
-        # A whole number of thousands of digits.
+        # An integer with thousands of digits.
         raise JsonError(f"not valid JSON ({error})") from error
 
 

@@ -1,8 +1,9 @@
 """The tables of a dataset: these pyarrow schemas are the specification.
 
-Every field carries its documentation in the field metadata; ``docs/schema.md`` is generated from here
-(``python -m mirror.schema.document``). Recorded and layer tables live in a traversal's folder; index tables are
-derived from them, with the keys ``scene_id`` and ``traversal_id`` in front.
+Every field has its documentation in the field metadata; ``python -m mirror.schema.document`` generates
+``docs/schema.md`` from it. The metadata is a part of each Parquet file: other words change the bytes and hashes of new
+files, so change them only with the schema version. Recorded and layer tables lie in a traversal's folder; index tables
+are derived from them, with the keys ``scene_id`` and ``traversal_id`` in front.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ BBOX: Final = pa.struct([(name, pa.float64()) for name in ("xmin", "ymin", "xmax
 
 @dataclass(frozen=True)
 class Table:
-    """One table: its name, what a row is, its fields and its order.
+    """The specification of one table.
 
     Attributes:
         name: file stem and name in the API.
-        row: what one row is.
-        place: where the file lies, relative to the dataset's root.
+        row: a description of one row.
+        place: path of the file, relative to the dataset's root.
         schema: the pyarrow schema; each field has its documentation under the metadata key ``doc``.
         sorted_by: the columns that order the rows.
     """
@@ -78,7 +79,7 @@ EGO_POSES: Final = Table(
 
 IMAGES: Final = Table(
     name="images",
-    row="one picture of one camera",
+    row="one image of one camera",
     place="traversals/<traversal_id>/recorded/images.parquet",
     schema=pa.schema(
         [
@@ -192,7 +193,7 @@ BOXES: Final = Table(
 
 MASKS: Final = Table(
     name="masks",
-    row="one mask of one picture",
+    row="one mask of one image",
     place="traversals/<traversal_id>/layers/masks/<source>@<version>/masks.parquet",
     schema=pa.schema(
         [
@@ -211,7 +212,7 @@ MASKS: Final = Table(
 
 DEPTH: Final = Table(
     name="depth",
-    row="the depth map of one picture",
+    row="the depth map of one image",
     place="traversals/<traversal_id>/layers/depth/<source>@<version>/depth.parquet",
     schema=pa.schema(
         [

@@ -1,4 +1,4 @@
-"""The version of the on-disk format, and the one place that refuses another."""
+"""The version of the on-disk format, and the check of stored versions."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from mirror.installation import upgrade_command
 SCHEMA_VERSION: Final = "1.0.0"
 
 
-def require_readable(found: object, file: str | PurePath) -> None:
+def require_readable(stored: object, file: str | PurePath) -> None:
     """Refuse a schema version that this toolkit cannot read.
 
-    Same major and no newer minor is readable (semver).
+    A version is readable if its major number is the same and its minor number is not greater (semver).
 
     Args:
-        found: the version string as stored.
-        file: the file that carries it, for the message.
+        stored: the version string as stored.
+        file: the file that holds it, for the message.
 
     Raises:
-        SchemaError: naming the file, both versions and the way out.
+        SchemaError: the version is not readable; file, both versions and the remedy are named.
     """
     ours = tuple(int(part) for part in SCHEMA_VERSION.split("."))
     try:
-        theirs = tuple(int(part) for part in str(found).split("."))
+        theirs = tuple(int(part) for part in str(stored).split("."))
     except ValueError:
         theirs = ()
     if len(theirs) != 3:
         raise SchemaError(
-            f"schema version {found!r} is not a version",
+            f"schema version {stored!r} is not a version",
             file=file,
             place="schema_version",
             expected=f"three numbers such as {SCHEMA_VERSION}",
@@ -38,7 +38,7 @@ def require_readable(found: object, file: str | PurePath) -> None:
         )
     if theirs[:2] > ours[:2]:
         raise SchemaError(
-            f"schema version {found} is newer than this toolkit's",
+            f"schema version {stored} is newer than this toolkit's",
             file=file,
             place="schema_version",
             expected=f"at most {ours[0]}.{ours[1]}.x",
@@ -46,7 +46,7 @@ def require_readable(found: object, file: str | PurePath) -> None:
         )
     if theirs[0] < ours[0]:
         raise SchemaError(
-            f"schema version {found} is older than this toolkit reads",
+            f"schema version {stored} is older than this toolkit reads",
             file=file,
             place="schema_version",
             expected=f"{ours[0]}.x.x",

@@ -145,7 +145,7 @@ def test_the_submission_is_sound_and_scored(dataset: Dataset, protocol: Protocol
     # One flat colour against another: the mean square is known.
     error = np.mean((COLOURS["near"] - COLOURS["new"]) ** 2.0)
     assert values["novel"] == pytest.approx(10 * np.log10(255**2 / error), abs=0.2)
-    with pytest.raises(UsageError, match="a submission is there already"):
+    with pytest.raises(UsageError, match="it holds a submission already"):
         write_submission(dataset, plan, render, METHOD, APPEARANCE, out)
 
 

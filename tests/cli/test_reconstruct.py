@@ -602,13 +602,13 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
     assert main([str(word) for word in (*words, "--out", out)]) == 130
     assert "run the same command again" in capsys.readouterr().err and not (out / "manifest.json").exists()
     other = said(capsys, *words, "--appearance", "mean", "--out", out, code=ExitCode.COULD_NOT_RUN)
-    assert "something else began here" in other["problem"]
+    assert "an interrupted run with other settings" in other["problem"]
     said(capsys, *words, "--out", out)
     files = {path.relative_to(whole): path.read_bytes() for path in whole.rglob("*.png")}
     assert {path.relative_to(out): path.read_bytes() for path in out.rglob("*.png")} == files
     assert len(drawn) == len(files) + 1 and not (out / ".rendering").exists()
     # Done is done: nothing goes on there.
-    done = "a submission is there already" if where == "split" else "a folder with other files"
+    done = "it holds a submission already" if where == "split" else "a folder with other files"
     assert done in said(capsys, *words, "--out", out, code=ExitCode.COULD_NOT_RUN)["problem"]
 
 

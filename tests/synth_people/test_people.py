@@ -102,11 +102,11 @@ def test_who_stands_is_as_tall_as_stated() -> None:
 
 def test_who_moves_steps_by_the_way_gone() -> None:
     body = _somebody(0)
-    still = body.posed(Placement(0.0, 0.0, 0.0, 0.0))
+    still = body.model_at(Placement(0.0, 0.0, 0.0, 0.0))
     assert still is body.model
-    steps = [body.posed(Placement(0.0, 0.0, 0.0, 0.0, speed_mps=1.2, along_m=along)) for along in (0.0, 0.3)]
+    steps = [body.model_at(Placement(0.0, 0.0, 0.0, 0.0, speed_mps=1.2, along_m=along)) for along in (0.0, 0.3)]
     assert _bytes(steps[0]) != _bytes(steps[1])
-    round_ = body.posed(Placement(0.0, 0.0, 0.0, 0.0, speed_mps=1.2, along_m=0.3 + body.stride_m))
+    round_ = body.model_at(Placement(0.0, 0.0, 0.0, 0.0, speed_mps=1.2, along_m=0.3 + body.stride_m))
     np.testing.assert_allclose(round_.rounds["centre"], steps[1].rounds["centre"], atol=1e-9)
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from mirror.errors import UsageError
 from mirror.synth.model import Label, Material, Model, block, merged
-from mirror.synth.street.foliage import Species, crown_share, foliage, leaf_seeds
-from mirror.synth.street.plants import TREES, hedge, tree
+from mirror.synth.street.foliage import Species, apply_season, crown_share, draw_leaf_seeds
+from mirror.synth.street.plants import TREES, build_hedge, build_tree
 
 _DECIDUOUS = ("lime", "plane", "birch", "poplar", "cherry", "oak")
 
@@ -19,12 +19,12 @@ def _leaves(model: Model) -> int:
 
 @pytest.fixture(scope="module", params=_DECIDUOUS)
 def deciduous(request: pytest.FixtureRequest) -> Model:
-    return tree(np.random.default_rng(11), request.param)
+    return build_tree(np.random.default_rng(11), request.param)
 
 
 def test_leaves_come_out_in_spring_and_fall_in_autumn(deciduous: Model) -> None:
-    spring = [_leaves(foliage(deciduous, season, 0)) for season in np.linspace(0.2, 0.45, 26)]
-    autumn = [_leaves(foliage(deciduous, season, 0)) for season in np.linspace(0.65, 0.999, 36)]
+    spring = [_leaves(apply_season(deciduous, season, 0)) for season in np.linspace(0.2, 0.45, 26)]
+    autumn = [_leaves(apply_season(deciduous, season, 0)) for season in np.linspace(0.65, 0.999, 36)]
     assert spring == sorted(spring)
     assert autumn == sorted(autumn, reverse=True)
     assert spring[0] == autumn[-1] == 0
@@ -32,7 +32,7 @@ def test_leaves_come_out_in_spring_and_fall_in_autumn(deciduous: Model) -> None:
 
 
 def test_winter_leaves_the_wood_alone(deciduous: Model) -> None:
-    bare = foliage(deciduous, 0.05, 3)
+    bare = apply_season(deciduous, 0.05, 3)
     wood = deciduous.faces["material"] == Material.BARK
     assert len(bare.faces) == wood.sum()
     assert len(bare.rounds) == 0
@@ -44,7 +44,9 @@ def test_winter_leaves_the_wood_alone(deciduous: Model) -> None:
 
 
 def test_twigs_are_hidden_while_in_full_leaf(deciduous: Model) -> None:
-    wood = [int((foliage(deciduous, season, 0).faces["material"] == Material.BARK).sum()) for season in (0.05, 0.55)]
+    wood = [
+        int((apply_season(deciduous, season, 0).faces["material"] == Material.BARK).sum()) for season in (0.05, 0.55)
+    ]
     assert wood[0] == (deciduous.faces["material"] == Material.BARK).sum()
     assert 12 <= wood[1] < wood[0]
 
@@ -52,30 +54,30 @@ def test_twigs_are_hidden_while_in_full_leaf(deciduous: Model) -> None:
 def test_leaves_that_are_there_match_the_share_that_is_expected(deciduous: Model) -> None:
     seeds = deciduous.faces["seed"][deciduous.faces["material"] == Material.LEAVES]
     for season in (0.29, 0.5, 0.82, 0.86):
-        there = _leaves(foliage(deciduous, season, 1)) / len(seeds)
+        there = _leaves(apply_season(deciduous, season, 1)) / len(seeds)
         assert abs(there - 0.965 * crown_share(seeds[:1], season)[0]) < 0.12
 
 
 @pytest.mark.parametrize("kind", ["spruce", "cypress", "pine"])
 def test_evergreens_stay(kind: str) -> None:
-    model = tree(np.random.default_rng(2), kind)  # type: ignore[arg-type]
-    winter, summer = foliage(model, 0.02, 4), foliage(model, 0.5, 4)
+    model = build_tree(np.random.default_rng(2), kind)  # type: ignore[arg-type]
+    winter, summer = apply_season(model, 0.02, 4), apply_season(model, 0.5, 4)
     assert _leaves(winter) == _leaves(summer)
     np.testing.assert_array_equal(winter.faces["colour"], summer.faces["colour"])
 
 
 def test_two_visits_differ_by_a_few_percent() -> None:
-    model = merged([tree(np.random.default_rng(n), TREES[n % len(TREES)]) for n in range(12)])
-    one, other = (set(foliage(model, 0.5, visit).faces["seed"].tolist()) for visit in (0, 1))
+    model = merged([build_tree(np.random.default_rng(n), TREES[n % len(TREES)]) for n in range(12)])
+    one, other = (set(apply_season(model, 0.5, visit).faces["seed"].tolist()) for visit in (0, 1))
     differing = len(one ^ other) / len(one | other)
     assert 0.03 < differing < 0.12
-    again = foliage(model, 0.5, 1)
-    assert again.faces.tobytes() == foliage(model, 0.5, 1).faces.tobytes()
+    again = apply_season(model, 0.5, 1)
+    assert again.faces.tobytes() == apply_season(model, 0.5, 1).faces.tobytes()
 
 
 def test_autumn_turns_green_to_warm_colours() -> None:
-    model = tree(np.random.default_rng(3), "birch")
-    leaves = foliage(model, 0.79, 0).faces
+    model = build_tree(np.random.default_rng(3), "birch")
+    leaves = apply_season(model, 0.79, 0).faces
     leaves = leaves[leaves["material"] == Material.LEAVES]["colour"]
     summer = model.faces[model.faces["material"] == Material.LEAVES]["colour"]
     assert (leaves[:, 0] / leaves[:, 1]).mean() > 1.4 * (summer[:, 0] / summer[:, 1]).mean()
@@ -84,23 +86,23 @@ def test_autumn_turns_green_to_warm_colours() -> None:
 
 def test_all_that_is_no_leaf_stays_as_it_is() -> None:
     wall = block((0.0, 0.0, 1.0), (4.0, 1.0, 2.0), (0.5, 0.5, 0.5), Material.BRICK, Label.WALL)
-    after = foliage(wall, 0.1, 9)
+    after = apply_season(wall, 0.1, 9)
     assert after.faces.tobytes() == wall.faces.tobytes()
     assert after.corners.tobytes() == wall.corners.tobytes()
-    assert len(foliage(Model.empty(), 0.5, 0)) == 0
+    assert len(apply_season(Model.empty(), 0.5, 0)) == 0
 
 
 def test_the_inside_of_a_hedge_stays_on_every_visit() -> None:
-    model = hedge(np.random.default_rng(4), 6.0)
+    model = build_hedge(np.random.default_rng(4), 6.0)
     body = int((model.faces["two_sided"] == 0).sum())
     assert body == 5
     for visit in range(60):
-        assert (foliage(model, 0.04 + 0.015 * visit, visit).faces["two_sided"] == 0).sum() == body
+        assert (apply_season(model, 0.04 + 0.015 * visit, visit).faces["two_sided"] == 0).sum() == body
 
 
 def test_plain_seeds_are_evergreen_and_seasons_outside_a_year_are_refused() -> None:
     assert (crown_share(np.arange(5), 0.0) == 1.0).all()
-    assert (leaf_seeds(np.random.default_rng(0), Species.OAK, 9) >> 24 == Species.OAK).all()
+    assert (draw_leaf_seeds(np.random.default_rng(0), Species.OAK, 9) >> 24 == Species.OAK).all()
     for season in (-0.1, 1.0, float("nan")):
         with pytest.raises(UsageError, match="fraction of the year"):
-            foliage(Model.empty(), season, 0)
+            apply_season(Model.empty(), season, 0)

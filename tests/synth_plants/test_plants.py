@@ -9,15 +9,21 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.synth.model import Label, Material, Model
-from mirror.synth.street.foliage import foliage
-from mirror.synth.street.plants import PASSING_M, TREES, bush, crops, hedge, reeds, tree
+from mirror.synth.street.foliage import apply_season
+from mirror.synth.street.plants import PASSING_M, TREES, build_bush, build_crops, build_hedge, build_reeds, build_tree
 
 _SEEDS = st.integers(0, 2**32 - 1)
 
 
 def _grown(seed: int) -> list[Model]:
     rng = np.random.default_rng(seed)
-    return [*(tree(rng, kind) for kind in TREES), bush(rng), hedge(rng, 5.0), crops(rng, 6.0), reeds(rng, 3.0)]
+    return [
+        *(build_tree(rng, kind) for kind in TREES),
+        build_bush(rng),
+        build_hedge(rng, 5.0),
+        build_crops(rng, 6.0),
+        build_reeds(rng, 3.0),
+    ]
 
 
 def _bytes(model: Model) -> tuple[bytes, bytes, bytes]:
@@ -33,9 +39,9 @@ def test_the_same_seed_grows_the_same_bytes() -> None:
 @pytest.mark.parametrize("kind", TREES)
 def test_trees_keep_to_their_budget_and_size(kind: str) -> None:
     for seed in range(6):
-        model = tree(np.random.default_rng(seed), kind)  # type: ignore[arg-type]
+        model = build_tree(np.random.default_rng(seed), kind)  # type: ignore[arg-type]
         low, high = model.bounds()
-        assert all(40 <= len(foliage(model, season, 0)) <= 360 for season in (0.0, 0.3, 0.5, 0.8))
+        assert all(40 <= len(apply_season(model, season, 0)) <= 360 for season in (0.0, 0.3, 0.5, 0.8))
         assert 3.9 < high[2] < 18.0
         assert low[2] > -0.7
         assert np.abs(np.r_[low[:2], high[:2]]).max() < 0.62 * high[2]
@@ -45,7 +51,7 @@ def test_trees_keep_to_their_budget_and_size(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["lime", "plane", "birch", "cherry"])
 def test_one_walks_under_the_crowns_of_street_trees(kind: str) -> None:
     for seed in range(6):
-        model = tree(np.random.default_rng(seed), kind)  # type: ignore[arg-type]
+        model = build_tree(np.random.default_rng(seed), kind)  # type: ignore[arg-type]
         leaves = model.faces[model.faces["material"] == Material.LEAVES]
         lowest = min(float(model.corners[f : f + n, 2].min()) for f, n in zip(leaves["first"], leaves["count"]))
         assert lowest > 1.4
@@ -54,7 +60,7 @@ def test_one_walks_under_the_crowns_of_street_trees(kind: str) -> None:
 @settings(max_examples=25, deadline=None)
 @given(_SEEDS, st.sampled_from(TREES), st.floats(0.8, 3.0))
 def test_nothing_hangs_low_over_the_carriageway(seed: int, kind: str, road_m: float) -> None:
-    model = tree(np.random.default_rng(seed), kind, road_m=road_m)  # type: ignore[arg-type]
+    model = build_tree(np.random.default_rng(seed), kind, road_m=road_m)  # type: ignore[arg-type]
     for first, count, material in zip(model.faces["first"], model.faces["count"], model.faces["material"]):
         corners = model.corners[first : first + count]
         over = np.hypot(corners[:, 0], corners[:, 1]) > road_m + 0.05
@@ -80,7 +86,7 @@ def test_every_polygon_is_planar_and_convex(seed: int) -> None:
 
 
 def test_hedges_keep_to_their_measures() -> None:
-    model = hedge(np.random.default_rng(1), 7.0, 1.5, 0.8)
+    model = build_hedge(np.random.default_rng(1), 7.0, 1.5, 0.8)
     low, high = model.bounds()
     np.testing.assert_allclose(low[:2], [-3.5, -0.4], atol=0.08)
     np.testing.assert_allclose(high, [3.5, 0.4, 1.5], atol=0.08)
@@ -90,4 +96,4 @@ def test_hedges_keep_to_their_measures() -> None:
 
 def test_a_tree_of_no_kind_is_refused() -> None:
     with pytest.raises(UsageError, match="one of lime"):
-        tree(np.random.default_rng(0), "baobab")  # type: ignore[arg-type]
+        build_tree(np.random.default_rng(0), "baobab")  # type: ignore[arg-type]

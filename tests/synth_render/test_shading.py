@@ -88,7 +88,7 @@ def test_wet_ground_shows_things_upside_down_at_their_places() -> None:
     assert (dry[..., 3][view.label == Label.ROAD] > 0).all()
     wet = add_reflections(dry, scene, lens, AHEAD, origin)
     below = rasterize_view(
-        surroundings(merged([board.placed(np.diag([1.0, 1.0, -1.0]), np.zeros(3))])), lens, AHEAD, origin
+        surroundings(merged([board.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3))])), lens, AHEAD, origin
     )
     there = np.zeros(dry.shape[:2], bool)
     mirrored = polygon(

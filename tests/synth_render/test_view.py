@@ -129,7 +129,7 @@ def test_shares_of_a_pixel_are_the_areas_that_surfaces_cover() -> None:
 def test_only_what_a_view_can_see_is_tried() -> None:
     rng = np.random.default_rng(2)
     near = random_model(rng, 20)
-    behind = random_model(rng, 60).standing(-120.0, 0.0)
+    behind = random_model(rng, 60).place(-120.0, 0.0)
     alone, both = (
         rasterize_view(surroundings(model), lens_of("pinhole"), AHEAD, np.zeros(3))
         for model in (near, merged([near, behind]))
@@ -164,7 +164,7 @@ def test_the_same_view_is_the_same_to_the_bit_on_any_number_of_threads() -> None
 def test_a_place_far_from_the_origin_is_seen_alike(shift: float) -> None:
     model, move = random_model(np.random.default_rng(6)), np.array([shift, -shift, 0.0])
     here = rasterize_view(surroundings(model), lens_of("pinhole"), AHEAD, np.zeros(3))
-    there = rasterize_view(surroundings(model.placed(np.eye(3), move)), lens_of("pinhole"), AHEAD, move)
+    there = rasterize_view(surroundings(model.transform(np.eye(3), move)), lens_of("pinhole"), AHEAD, move)
     assert (here.surface != there.surface).mean() < 1e-3
     same = (here.surface == there.surface) & (here.surface != SKY)
     assert np.abs(here.distance_m[same] - there.distance_m[same]).max() < 1e-4

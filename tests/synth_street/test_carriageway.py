@@ -11,21 +11,21 @@ from mirror.synth.render.carriageway import carriageway, mark_share, share
 from mirror.synth.roads.markings import (
     MOST_MARKS,
     Mark,
-    dashes,
-    hatched,
-    layout_table,
+    dashed_line,
+    hatched_area,
+    pack_layouts,
     parking_bays,
-    solid,
+    solid_line,
     stop_line,
     yield_line,
-    zebra,
+    zebra_marks,
 )
 
 MARKS = {
-    "solid": solid(0.3, 0.06),
-    "dashes": dashes(0.0, 0.06, 9.0, 3.0),
+    "solid": solid_line(0.3, 0.06),
+    "dashes": dashed_line(0.0, 0.06, 9.0, 3.0),
     "bays": parking_bays(3.6, 5.8)[1],
-    "zebra": zebra((-1.0, 2.0), 4.0),
+    "zebra": zebra_marks((-1.0, 2.0), 4.0),
     "stop": stop_line((0.2, 0.7), (-3.4, -0.2)),
     "yield": yield_line((0.2, 0.7), (-3.4, -0.2)),
 }
@@ -47,20 +47,20 @@ def sampled(mark, u, v, fu, fv, count=400):
 @given(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0), st.floats(0.01, 8.0), st.floats(0.01, 2.0))
 def test_share_of_a_mark_is_exact(name, u, v, fu, fv):
     mark = MARKS[name]
-    row = layout_table([[mark]])[0]
+    row = pack_layouts([[mark]])[0]
     assert mark_share(row[0], u, v, fu, fv) == pytest.approx(sampled(mark, u, v, fu, fv), abs=0.006)
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-2.0, 2.0), st.floats(-0.8, 0.8), st.floats(0.01, 0.3), st.floats(0.01, 0.3))
 def test_share_of_slanted_stripes(u, v, fu, fv):
-    mark = hatched((-5.0, 5.0), (-1.0, 1.0), 0.8)
-    row = layout_table([[mark]])[0]
+    mark = hatched_area((-5.0, 5.0), (-1.0, 1.0), 0.8)
+    row = pack_layouts([[mark]])[0]
     assert mark_share(row[0], u, v, fu, fv) == pytest.approx(sampled(mark, u, v, fu, fv), abs=0.13)
 
 
 def test_mean_over_pixels_is_kept_at_every_footprint():
-    row = layout_table([[MARKS["dashes"]]])[0]
+    row = pack_layouts([[MARKS["dashes"]]])[0]
     for fu in (0.05, 0.5, 2.0, 7.0):
         at = np.linspace(0.0, 90.0, 2000, endpoint=False)
         mean = np.mean([mark_share(row[0], u, 0.0, fu, 0.1) for u in at])
@@ -81,7 +81,7 @@ def face():
 
 
 def test_paint_is_bright_asphalt_dark_and_far_away_it_is_their_mean():
-    table = layout_table([(), (solid(0.0, 1.0),)])
+    table = pack_layouts([(), (solid_line(0.0, 1.0),)])
     rng = np.random.default_rng(0)
     on = np.array([carriageway(face(), table, 1.0, u, 0.0, 0.05, 0.05) for u in rng.uniform(0, 500, 400)])
     off = np.array([carriageway(face(), table, 1.0, u, 3.0, 0.05, 0.05) for u in rng.uniform(0, 500, 400)])
@@ -94,7 +94,9 @@ def test_paint_is_bright_asphalt_dark_and_far_away_it_is_their_mean():
 
 
 def test_a_footprint_is_the_mean_of_the_small_ones_within_it():
-    table = layout_table([(), (dashes(0.0, 0.06, 6.0, 3.0), *parking_bays(1.6, 3.8), zebra((2.0, 5.0), 4.0))])
+    table = pack_layouts(
+        [(), (dashed_line(0.0, 0.06, 6.0, 3.0), *parking_bays(1.6, 3.8), zebra_marks((2.0, 5.0), 4.0))]
+    )
     rng = np.random.default_rng(3)
     for _ in range(12):
         u, v, fu, fv = rng.uniform(0, 40), rng.uniform(-3, 3), rng.uniform(0.3, 3.0), rng.uniform(0.1, 0.8)
@@ -107,4 +109,4 @@ def test_a_footprint_is_the_mean_of_the_small_ones_within_it():
 
 def test_too_many_marks_are_refused():
     with pytest.raises(UsageError, match="marks"):
-        layout_table([[Mark((0.0, 1.0), (0.0, 1.0))] * (MOST_MARKS + 1)])
+        pack_layouts([[Mark((0.0, 1.0), (0.0, 1.0))] * (MOST_MARKS + 1)])

@@ -6,13 +6,13 @@ import shapely
 
 from mirror.errors import UsageError
 from mirror.synth.model import Label, Material
-from mirror.synth.roads.standing import standing_on
+from mirror.synth.roads.ground_index import build_ground_index
 from tests.synth_street.scenes import KINDS, plan
 
 
 def level_faces(scene):
     """Numbers (T,) of all faces of the ground but kerbs' upright ones and bridges."""
-    return np.flatnonzero(scene.ground.faces["count"] == 3)[: len(scene.standing.triangles)]
+    return np.flatnonzero(scene.ground.faces["count"] == 3)[: len(scene.ground_index.triangles)]
 
 
 def triangles_of(scene):
@@ -176,16 +176,16 @@ def test_places_off_the_ground_are_refused():
 
 def test_one_triangle_and_its_edges():
     triangle = np.array([[[0.0, 0.0, 1.0], [10.0, 0.0, 2.0], [0.0, 10.0, 3.0]]])
-    standing = standing_on(triangle)
+    index = build_ground_index(triangle)
     np.testing.assert_allclose(
-        standing.height_m([0.0, 10.0, 0.0, 5.0, 2.0], [0.0, 0.0, 10.0, 5.0, 3.0]), [1, 2, 3, 2.5, 1.8]
+        index.height_m([0.0, 10.0, 0.0, 5.0, 2.0], [0.0, 0.0, 10.0, 5.0, 3.0]), [1, 2, 3, 2.5, 1.8]
     )
     with pytest.raises(UsageError):
-        standing.height_m(6.0, 6.0)
+        index.height_m(6.0, 6.0)
 
 
 def test_where_a_kerb_stands_the_higher_side_counts():
     low = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
     high = np.array([[4.0, 0.0, 0.1], [4.0, 4.0, 0.1], [0.0, 4.0, 0.1]])
-    standing = standing_on(np.stack([low, high]))
-    np.testing.assert_allclose(standing.height_m([2.0, 1.9, 2.1], [2.0, 1.9, 2.1]), [0.1, 0.0, 0.1])
+    index = build_ground_index(np.stack([low, high]))
+    np.testing.assert_allclose(index.height_m([2.0, 1.9, 2.1], [2.0, 1.9, 2.1]), [0.1, 0.0, 0.1])

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mirror.synth.roads.line import Bend, curved
+from mirror.synth.roads.line import Bend, build_line
 
 BENDS = (Bend(-40.0, 90.0, 0.5), Bend(70.0, 80.0, -0.6))
-LINE = curved((3.0, -2.0), 0.4, -150.0, 160.0, BENDS)
+LINE = build_line((3.0, -2.0), 0.4, -150.0, 160.0, BENDS)
 
 
 def test_begins_where_it_is_told_and_turns_by_its_bends():
@@ -58,7 +58,7 @@ def test_goes_straight_on_beyond_its_ends():
 
 
 def test_a_line_of_one_place_and_a_huge_offset():
-    far = curved((5e6, -4e6), 1.0, 0.0, 30.0)
+    far = build_line((5e6, -4e6), 1.0, 0.0, 30.0)
     np.testing.assert_allclose(far.at(30.0), (5e6 + 30 * math.cos(1.0), -4e6 + 30 * math.sin(1.0)), atol=1e-6)
     station, offset = far.locate(far.at(np.array([12.0]), np.array([2.0])))
     assert station[0] == pytest.approx(12.0, abs=1e-5) and offset[0] == pytest.approx(2.0, abs=1e-5)

@@ -5,13 +5,13 @@ import pytest
 
 from mirror.synth.model import FACE, Material, flat
 from mirror.synth.render.carriageway import carriageway
-from mirror.synth.roads.markings import MARK, narrowed
+from mirror.synth.roads.markings import MARK, restrict_layouts
 from tests.synth_street.scenes import plan
 
 
 def test_narrowed_layouts_paint_every_piece_as_the_whole_ones_do() -> None:
     scene = plan("urban")
-    model, short = narrowed(scene.ground, scene.layouts)
+    model, short = restrict_layouts(scene.ground, scene.layouts)
     rng = np.random.default_rng(7)
     paved = np.flatnonzero(scene.ground.faces["material"] == Material.ASPHALT)
     long, narrow = scene.layouts.view(flat(MARK)), short.view(flat(MARK))

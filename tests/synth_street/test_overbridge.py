@@ -5,14 +5,14 @@ import pytest
 import shapely
 
 from mirror.synth.model import FACE, Label, Model
-from mirror.synth.roads.overbridge import overbridge
+from mirror.synth.roads.overbridge import build_overbridge
 from tests.synth_street.scenes import plan
 
 
 @pytest.fixture(scope="module")
 def bridge() -> Model:
     scene = plan("highway")
-    return overbridge(scene.streets[0], -9.6, float(scene.height_m(*scene.streets[0].line.at(-9.6)))).model
+    return build_overbridge(scene.streets[0], -9.6, float(scene.height_m(*scene.streets[0].line.at(-9.6)))).model
 
 
 def test_normals_point_away_from_what_is_solid(bridge):
@@ -44,7 +44,7 @@ def test_vehicles_pass_below(bridge):
 
 def test_nothing_is_built_in_its_way():
     scene = plan("highway")
-    outline = overbridge(scene.streets[0], -9.6, 0.0).outline
+    outline = build_overbridge(scene.streets[0], -9.6, 0.0).outline
     assert not any(shapely.intersects(outline, lot.outline()) for lot in scene.lots)
     inside = [spot.kind for spot in scene.spots if shapely.contains_xy(outline, *spot.place[:2])]
     assert not inside

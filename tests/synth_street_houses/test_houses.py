@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mirror.synth.model import Label, Material, Model
-from mirror.synth.street.houses import HouseStyle, far_houses, far_woods, house
-from mirror.synth.street.houses.windows import PATTERNS, Windows, grid
+from mirror.synth.street.houses import HouseStyle, build_far_houses, build_far_woods, build_house
+from mirror.synth.street.houses.windows import PATTERNS, Windows, window_grid
 from tests.synth_street_houses.rays import seen_from_behind
 
 STYLES = get_args(HouseStyle)
@@ -20,7 +20,7 @@ OVER_M = 1.35
 
 
 def built(style: HouseStyle, seed: int, length: float = 16.0, depth: float = 12.0) -> Model:
-    return house(np.random.default_rng(seed), style, length, depth)
+    return build_house(np.random.default_rng(seed), style, length, depth)
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -47,7 +47,7 @@ def test_few_faces(style: HouseStyle) -> None:
     counts = [len(built(style, seed)) for seed in range(12)]
     assert np.mean(counts) <= 130
     assert max(counts) <= 210
-    plain = house(np.random.default_rng(1), style, 16.0, 12.0, detailed=False)
+    plain = build_house(np.random.default_rng(1), style, 16.0, 12.0, detailed=False)
     assert len(plain) <= 126
 
 
@@ -73,7 +73,7 @@ def test_walls_with_windows_hold_whole_storeys(style: HouseStyle) -> None:
     walls = model.faces[(model.faces["material"] == Material.FACADE) & (np.abs(model.faces["normal"][:, 2]) < 0.1)]
     for wall in walls:
         pattern = PATTERNS[Windows(int(wall["layout"]))]
-        columns, storeys = grid(Windows(int(wall["layout"])), 2 * wall["half"][0], 2 * wall["half"][1])
+        columns, storeys = window_grid(Windows(int(wall["layout"])), 2 * wall["half"][0], 2 * wall["half"][1])
         if pattern.width_m:
             assert 2 * wall["half"][1] / storeys > pattern.sill_m + pattern.height_m - 0.35
             assert 2 * wall["half"][0] / columns > 0.75 * pattern.width_m
@@ -98,8 +98,8 @@ def slope(x: float, y: float) -> np.float64:
 
 def test_far_things_stand_all_round() -> None:
     for model in (
-        far_houses(np.random.default_rng(2), 300.0, 420.0, (9.0, 30.0), slope),
-        far_woods(np.random.default_rng(2), 300.0, 450.0, (9.0, 15.0), slope),
+        build_far_houses(np.random.default_rng(2), 300.0, 420.0, (9.0, 30.0), slope),
+        build_far_woods(np.random.default_rng(2), 300.0, 450.0, (9.0, 15.0), slope),
     ):
         assert len(model) < 900
         upright = np.abs(model.faces["normal"][:, 2]) < 1e-6

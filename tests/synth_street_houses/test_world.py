@@ -89,7 +89,7 @@ def test_signals_burn_by_group_and_time() -> None:
             (end + 4.0, light.red),
             (start + network.cycle_s + 0.5, light.green),
         ):
-            burning = set(found.burning(float(time)).tolist())
+            burning = set(found.find_lit_lamps(float(time)).tolist())
             own = burning & {int(n) for part in (light.red, light.amber, light.green) for n in part}
             assert own == set(expected.tolist())
     assert (found.model.faces["lights"] == 0).all()

@@ -19,11 +19,11 @@ def box(x: float, y: float, size: tuple[float, float, float], z: float = 1.5) ->
     return PosedObject(model, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[x, y, z]])), size)
 
 
-def drawn(standing: dict[int, PosedObject], camera: Camera = CAMERA, pose: Poses = FORWARD) -> np.ndarray:
+def drawn(posed_objects: dict[int, PosedObject], camera: Camera = CAMERA, pose: Poses = FORWARD) -> np.ndarray:
     """The numbers of the objects at the pixels' centres."""
     rays = (camera.rays().direction @ matrix_from_quaternion(pose.rotation)[0].T).reshape(-1, 3)
     nearest, numbers = np.full(len(rays), np.inf), np.full(len(rays), -1, np.int32)
-    for number, one in standing.items():
+    for number, one in posed_objects.items():
         distance = cast_rays(one.model, pose.translation[0], rays)[0]
         numbers[distance < nearest] = number
         nearest = np.minimum(nearest, distance)
@@ -31,8 +31,8 @@ def drawn(standing: dict[int, PosedObject], camera: Camera = CAMERA, pose: Poses
 
 
 def test_what_nothing_hides_is_seen_wholly_and_has_its_projection_for_bounds() -> None:
-    standing = {7: box(11.0, 0.0, (2.0, 1.0, 1.0))}
-    seen = measure_visibility(drawn(standing), CAMERA, FORWARD, standing)
+    posed_objects = {7: box(11.0, 0.0, (2.0, 1.0, 1.0))}
+    seen = measure_visibility(drawn(posed_objects), CAMERA, FORWARD, posed_objects)
     # The front face at 10 m, half a metre to each side: 6 pixels.
     assert seen.number.tolist() == [7]
     assert seen.visibility.tolist() == [1.0]
@@ -41,12 +41,12 @@ def test_what_nothing_hides_is_seen_wholly_and_has_its_projection_for_bounds() -
 
 
 def test_a_half_hidden_one_is_seen_by_half_and_a_hidden_one_not_at_all() -> None:
-    standing = {
+    posed_objects = {
         0: box(21.0, 0.0, (2.0, 2.0, 2.0)),
         1: box(10.5, -2.0, (1.0, 4.0, 4.0)),
         2: box(16.5, -2.0, (1.0, 1.0, 1.0)),
     }
-    seen = measure_visibility(drawn(standing), CAMERA, FORWARD, standing)
+    seen = measure_visibility(drawn(posed_objects), CAMERA, FORWARD, posed_objects)
     assert seen.number.tolist() == [0, 1, 2]
     assert seen.visibility.tolist() == [0.5, 1.0, 0.0]
     assert seen.pixels[2] == 0
@@ -64,19 +64,21 @@ def test_what_lies_outside_the_raster_counts_in_neither() -> None:
 
 def test_large_ones_are_judged_by_a_coarser_grid() -> None:
     camera = Camera("kannala_brandt", 640, 480, 300.0, 300.0, 320.0, 240.0, (-0.01, 0.0, 0.0, 0.0))
-    standing = {0: box(4.0, 0.3, (2.0, 3.0, 2.5)), 1: box(2.2, 0.0, (0.2, 0.4, 3.0))}
-    numbers = drawn(standing, camera)
-    seen = measure_visibility(numbers, camera, FORWARD, standing)
-    alone = drawn({0: standing[0]}, camera) == 0
+    posed_objects = {0: box(4.0, 0.3, (2.0, 3.0, 2.5)), 1: box(2.2, 0.0, (0.2, 0.4, 3.0))}
+    numbers = drawn(posed_objects, camera)
+    seen = measure_visibility(numbers, camera, FORWARD, posed_objects)
+    alone = drawn({0: posed_objects[0]}, camera) == 0
     assert seen.visibility[0] == pytest.approx((numbers == 0).sum() / alone.sum(), abs=0.01)
     assert seen.pixels.tolist() == [(numbers == 0).sum(), (numbers == 1).sum()]
 
 
 def test_an_object_within_another_box_and_round_ones_are_told_apart() -> None:
     ball = ellipsoid((12.0, 1.0, 1.5), (1.0, 1.0, 1.0), GREY, Material.PLAIN, Label.PERSON)
-    standing = {3: PosedObject(ball, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[12.0, 1.0, 1.5]])), (1.0, 1.0, 1.0))}
-    numbers = drawn(standing)
-    seen = measure_visibility(numbers, CAMERA, FORWARD, standing)
+    posed_objects = {
+        3: PosedObject(ball, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[12.0, 1.0, 1.5]])), (1.0, 1.0, 1.0))
+    }
+    numbers = drawn(posed_objects)
+    seen = measure_visibility(numbers, CAMERA, FORWARD, posed_objects)
     assert seen.visibility.tolist() == [1.0]
     v, u = np.nonzero(numbers == 3)
     assert seen.bounds_px[0].tolist() == [u.min(), v.min(), u.max() + 1, v.max() + 1]

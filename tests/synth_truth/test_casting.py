@@ -95,7 +95,7 @@ def test_moving_everything_changes_nothing(seed: int, shift: float, yaw: float) 
     first = cast_rays(model, np.zeros(3), directions)
     cos, sin = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1.0]])
-    moved = model.placed(turn, np.array([shift, -shift, 1.0]))
+    moved = model.transform(turn, np.array([shift, -shift, 1.0]))
     again = cast_rays(moved, np.array([shift, -shift, 1.0]), directions @ turn.T)
     assert (first[1] != again[1]).sum() <= 1
     same = (first[1] == again[1]) & (first[1] != NOTHING)

@@ -60,7 +60,7 @@ def test_points_of_a_sphere_and_a_floor_land_on_themselves(offset_m: float) -> N
     first = Poses(STILL.rotation, shift[None])
     later = Poses(moved(0.02, -0.05, 0.03, 0.3, 0.1, 0.4).rotation, np.array([[0.3, 0.1, 0.4]]) + shift)
     models = [ball((0.2, 0.1, 6.0), 1.5), square(30.0, 9.0, two_sided=True)]
-    scene = [model.placed(np.eye(3), shift) for model in models]
+    scene = [model.transform(np.eye(3), shift) for model in models]
 
     def distances(camera: Camera, pose: Poses, uv: np.ndarray | None = None) -> np.ndarray:
         direction = (camera.rays() if uv is None else camera.unproject(uv)).direction

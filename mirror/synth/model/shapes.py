@@ -228,7 +228,7 @@ def block(
         for side, corners in sides.items()
         if side not in without and not _flat(corners)
     ]
-    return merged(parts).standing(middle_x, middle_y, middle_z, yaw)
+    return merged(parts).place(middle_x, middle_y, middle_z, yaw)
 
 
 def _flat(corners: npt.ArrayLike) -> bool:

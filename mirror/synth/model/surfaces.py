@@ -115,7 +115,7 @@ class Model:
     def __len__(self) -> int:
         return len(self.faces) + len(self.rounds)
 
-    def placed(self, rotation: Float64, translation: Float64, number: int | None = None) -> Model:
+    def transform(self, rotation: Float64, translation: Float64, number: int | None = None) -> Model:
         """Transform the model into another frame.
 
         Args:
@@ -136,13 +136,11 @@ class Model:
             faces["object"], rounds["object"] = number, number
         return Model(faces, self.corners @ rotation.T + translation, rounds)
 
-    def standing(
-        self, x_m: float, y_m: float, z_m: float = 0.0, yaw_rad: float = 0.0, number: int | None = None
-    ) -> Model:
+    def place(self, x_m: float, y_m: float, z_m: float = 0.0, yaw_rad: float = 0.0, number: int | None = None) -> Model:
         """Translate the model, after a counter-clockwise rotation about the vertical."""
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        return self.placed(turn, np.array([x_m, y_m, z_m]), number)
+        return self.transform(turn, np.array([x_m, y_m, z_m]), number)
 
     def bounds(self) -> tuple[Float64, Float64]:
         """Return the least and greatest coordinates (3,) of all surfaces."""

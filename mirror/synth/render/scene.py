@@ -34,8 +34,8 @@ from mirror.synth.render.surroundings import (
 from mirror.synth.render.view import RasterizedView, rasterize_view
 from mirror.synth.render.wet import add_reflections
 from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
-from mirror.synth.roads.markings import MARK, narrowed
-from mirror.synth.street.foliage import foliage
+from mirror.synth.roads.markings import MARK, restrict_layouts
+from mirror.synth.street.foliage import apply_season
 
 _LAMP_REACH_M: Final = 22.0
 _DRAWN_WITHIN_M: Final = 220.0
@@ -75,7 +75,7 @@ class Place(Protocol):
         """Return the heights of the ground, metres."""
         ...
 
-    def burning(self, time_s: float) -> Int64:
+    def find_lit_lamps(self, time_s: float) -> Int64:
         """Return the faces of traffic lights that are lit at a time of the signal cycle."""
         ...
 
@@ -142,11 +142,11 @@ class Scene:
     @cached_property
     def _static(self) -> _StaticScene:
         world, condition = self.world, self.condition
-        model = foliage(
+        model = apply_season(
             world.model, float(self.light.record["season"]), condition.visit if condition.effects.foliage else 0
         )
         _change_images(model, condition.visit if condition.effects.billboards else 0)
-        model, layouts = narrowed(model, world.layouts)
+        model, layouts = restrict_layouts(model, world.layouts)
         # Parked vehicles and other static road users are placed once.
         model = merged(
             [
@@ -181,7 +181,7 @@ class Scene:
         """Return the world ``time_s`` after the start, around the recording vehicle at a pose."""
         ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
         moving, placements = self._moving(time_s, ego)
-        own = self.own.placed(turn, ego, NO_OBJECT)
+        own = self.own.transform(turn, ego, NO_OBJECT)
         own.faces["label"], own.rounds["label"] = Label.EGO, Label.EGO
         beam = np.concatenate([ego + turn @ _HEADLIGHTS_M, turn @ _AHEAD])
         return self._instant(time_s, merged([moving, own]), moving, placements, ego, beam)
@@ -203,7 +203,9 @@ class Scene:
         drawn = []
         for number, place in placements.items():
             if not _is_static(self.road_users[number]):
-                model = self.road_users[number].body.posed(place).placed(place.rotation, place.translation, number)
+                model = (
+                    self.road_users[number].body.model_at(place).transform(place.rotation, place.translation, number)
+                )
                 model.faces["lights"] = 1
                 drawn.append(model)
         return merged(drawn), placements
@@ -211,7 +213,7 @@ class Scene:
     @staticmethod
     def _stand_model(number: int, user: RoadUser) -> Model:
         place = user.motion.at(0.0)
-        return user.body.posed(place).placed(place.rotation, place.translation, number)
+        return user.body.model_at(place).transform(place.rotation, place.translation, number)
 
     def render(
         self,
@@ -259,7 +261,7 @@ class Scene:
         static, record = self._static, self.light.at(time_s)
         model = merged([static.model, there])
         faces = model.faces
-        faces["lights"][self.world.burning(self.clock_s + time_s)] = 1
+        faces["lights"][self.world.find_lit_lamps(self.clock_s + time_s)] = 1
         # Ellipsoids come after all faces, so the spheres of both models are interleaved.
         spheres = bounding_spheres(there.faces.view(flat(FACE)), there.corners, there.rounds.view(flat(ROUND)))
         split, first = len(static.model.faces), len(there.faces)

@@ -27,7 +27,7 @@ class Body:
     size_m: tuple[float, float, float]
     model: Model
 
-    def posed(self, placement: Placement) -> Model:
+    def model_at(self, placement: Placement) -> Model:
         """The model in the pose of a placement, within the box: people walk, all others are rigid."""
         return self.model
 
@@ -37,7 +37,7 @@ def boxed(category: str, model: Model) -> Body:
     low, high = model.bounds()
     middle = 0.5 * (low[0] + high[0])
     size = float(high[0] - low[0]), 2.0 * float(max(high[1], -low[1])), float(high[2])
-    return Body(category, size, model.standing(-middle, 0.0))
+    return Body(category, size, model.place(-middle, 0.0))
 
 
 @dataclass(frozen=True)

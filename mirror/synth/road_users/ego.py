@@ -78,7 +78,7 @@ def make_ego_body(kind: EgoKind, measures: Measures) -> Model:
     model = sheets.model()
     screen = (model.faces["material"] == Material.GLASS) & (model.faces["side"] == Side.FRONT)
     bare = Model(model.faces[~screen], model.corners, model.rounds)
-    return bare.standing(0.5 * measures.length - measures.rear, 0.0)
+    return bare.place(0.5 * measures.length - measures.rear, 0.0)
 
 
 def _cowl(sheets: Sheets, shape: Shape, paint: Finish) -> None:

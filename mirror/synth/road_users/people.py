@@ -51,7 +51,7 @@ class Pedestrian(Body):
         """Length of a gait cycle: two steps at full pace."""
         return STRIDE * self.person.height_m
 
-    def posed(self, placement: Placement) -> Model:
+    def model_at(self, placement: Placement) -> Model:
         """The walking or standing pose, rounded to a fixed set of poses; steps are shorter at low speed."""
         phase = round(_PHASES * placement.along_m / self.stride_m) % _PHASES
         pace = round(_PACES * min(placement.speed_mps / _FULL_PACE_MPS, 1.0))

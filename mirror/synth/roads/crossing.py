@@ -131,7 +131,7 @@ class Crossing:
         return np.vstack([corner.inner, start, arc, end])
 
 
-def crossing(name: str, arms: Sequence[Arm], control: Control, radius_m: float = 6.0) -> Crossing:
+def build_crossing(name: str, arms: Sequence[Arm], control: Control, radius_m: float = 6.0) -> Crossing:
     """Build a crossing with rounded kerbs.
 
     Args:
@@ -153,15 +153,15 @@ def crossing(name: str, arms: Sequence[Arm], control: Control, radius_m: float =
         if control == "joint" or turn > _STRAIGHT_RAD:
             continue
         half, beyond = arm.street.section.half_m, other.street.section.half_m
-        out, far = _meeting(arm, other, half + radius_m, beyond + radius_m)
-        inside, _ = _meeting(arm, other, half - _INSIDE_M, beyond - _INSIDE_M)
+        out, far = _intersect(arm, other, half + radius_m, beyond + radius_m)
+        inside, _ = _intersect(arm, other, half - _INSIDE_M, beyond - _INSIDE_M)
         centre, inner = arm.at(out, half + radius_m), arm.at(inside, half - _INSIDE_M)
         corners.append(Corner(number, after, radius_m, centre, inner, out, far))
         reach[number], reach[after] = max(reach[number], out), max(reach[after], far)
     return Crossing(name, ordered, control, arms[0].street.name, tuple(corners), tuple(reach))
 
 
-def _meeting(arm: Arm, other: Arm, left_m: float, right_m: float) -> tuple[float, float]:
+def _intersect(arm: Arm, other: Arm, left_m: float, right_m: float) -> tuple[float, float]:
     """Distances out where the line ``left_m`` left of an arm meets the line ``right_m`` right of another."""
     turn = (other.heading_rad - arm.heading_rad) % (2.0 * math.pi)
     sin, cos = math.sin(turn), math.cos(turn)

@@ -82,7 +82,7 @@ class Ground:
     outlines: Outlines
 
 
-def outlines(
+def merge_outlines(
     streets: Sequence[Street], stations: Sequence[Float64], crossings: Sequence[Crossing], kerbs: bool
 ) -> Outlines:
     """Merge the outlines of all roads, with rounded corners at the crossings.
@@ -103,7 +103,7 @@ def outlines(
             bands = [(-outer, outer)]
             if section.median_m and beside == "none":
                 bands = [(-outer, -section.median_m), (section.median_m, outer)]
-            parts += [_strip(street, at, low, high, kerbs) for low, high in bands]
+            parts += [_street_band(street, at, low, high, kerbs) for low, high in bands]
         for crossing in crossings:
             for corner in crossing.corners:
                 narrow = min(crossing.arms[arm].street.section.pavement_m for arm in (corner.first, corner.second))
@@ -117,16 +117,16 @@ def outlines(
     return Outlines(*grown)
 
 
-def _steps(section: Section, kerbs: bool) -> Float64:
+def _boundary_offsets(section: Section, kerbs: bool) -> Float64:
     """Offsets (N,) of the boundaries within a cross-section, from right to left."""
     kerb = section.half_m + (_KERB_TOP_M if kerbs else 0.0)
     half = np.array([section.median_m, section.half_m, kerb, section.half_m + section.pavement_m])
     return np.unique(np.concatenate([-half, [0.0], half]))
 
 
-def _strip(street: Street, stations: Float64, low_m: float, high_m: float, kerbs: bool) -> shapely.Geometry:
+def _street_band(street: Street, stations: Float64, low_m: float, high_m: float, kerbs: bool) -> shapely.Geometry:
     """A band along a street; its two ends have a vertex at every boundary of the cross-section."""
-    steps = _steps(street.section, kerbs)
+    steps = _boundary_offsets(street.section, kerbs)
     across = steps[(steps > low_m) & (steps < high_m)]
     first, last = stations[0], stations[-1]
     return shapely.Polygon(
@@ -172,37 +172,37 @@ def build_ground(
     lines += _cross_lines(streets, stations, relief)
     grid = shapely.multilinestrings(shapely.linestrings(_grid_lines(yaw_rad, *extent_m)))
     lines.append(shapely.difference(grid, roads.roads, grid_size=_GRID_M))
-    plane, number = _triangulated(lines)
+    plane, number = _triangulate(lines)
     places = [street.line.locate(plane) for street in streets]
     low, high = relief.heights_m(plane, places)
-    owner, along = _owned(streets, places, number)
+    owner, along = _assign_streets(streets, places, number)
     middle = plane[number].mean(axis=1)
-    driven = _inside(roads.carriageway, middle)
+    driven = _contains(roads.carriageway, middle)
     height = np.where(driven[:, None], low[number], high[number])
     triangles = np.concatenate([plane[number], height[:, :, None]], axis=2)
     parts = [
-        *_carriageways(triangles[driven], along[driven], owner[driven], streets, stretches),
+        *_carriageway_models(triangles[driven], along[driven], owner[driven], streets, stretches),
         _kerb_faces(number, driven, plane, low, high),
     ]
     free = ~driven
-    kerb_top = free & _inside(roads.kerbs, middle)
+    kerb_top = free & _contains(roads.kerbs, middle)
     if relief.kerb_m > 0.0:
         parts.append(polygons(triangles[kerb_top], _KERB_GREY, Material.KERB, Label.PAVEMENT, texture=along[kerb_top]))
         free &= ~kerb_top
     for cover in covers:
-        here = free & _inside(cover.outline, middle)
+        here = free & _contains(cover.outline, middle)
         free &= ~here
-        texture = along[here] if cover.label == Label.PAVEMENT else _turned(triangles[here], yaw_rad)
-        parts.append(_covered(cover, triangles[here], texture, 1.0, seed))
-    texture = _turned(triangles[free], yaw_rad)
-    dealt, shade = _dealt(texture.mean(axis=1), len(parcels), seed)
+        texture = along[here] if cover.label == Label.PAVEMENT else _land_texture(triangles[here], yaw_rad)
+        parts.append(_cover_model(cover, triangles[here], texture, 1.0, seed))
+    texture = _land_texture(triangles[free], yaw_rad)
+    dealt, shade = _assign_parcels(texture.mean(axis=1), len(parcels), seed)
     for which, cover in enumerate(parcels):
         mine = dealt == which
-        parts.append(_covered(cover, triangles[free][mine], texture[mine], shade[mine, None], seed + which))
+        parts.append(_cover_model(cover, triangles[free][mine], texture[mine], shade[mine, None], seed + which))
     return Ground(merged(parts), triangles, roads)
 
 
-def _triangulated(lines: Sequence[shapely.Geometry]) -> tuple[Float64, Int64]:
+def _triangulate(lines: Sequence[shapely.Geometry]) -> tuple[Float64, Int64]:
     """Corners (P, 2) and counter-clockwise triangles (T, 3) of the arrangement of the lines."""
     mesh = shapely.unary_union(np.array(lines), grid_size=_GRID_M)
     cells = shapely.get_parts(shapely.polygonize([mesh]))
@@ -215,7 +215,7 @@ def _triangulated(lines: Sequence[shapely.Geometry]) -> tuple[Float64, Int64]:
     return points * _GRID_M, number.reshape(-1, 3)
 
 
-def _inside(region: shapely.Geometry, points: Float64) -> Bool:
+def _contains(region: shapely.Geometry, points: Float64) -> Bool:
     shapely.prepare(region)
     return np.asarray(shapely.contains_xy(region, points[:, 0], points[:, 1]))
 
@@ -228,14 +228,16 @@ def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief:
         section, level = street.section, relief.level_at[number]
         inside = np.any((at[:, None] > level[:, 0] + 1e-6) & (at[:, None] < level[:, 1] - 1e-6), axis=1)
         ends = (at == at[0]) | (at == at[-1])
-        steps = _steps(section, relief.kerb_m > 0.0)
+        steps = _boundary_offsets(section, relief.kerb_m > 0.0)
         lines = [shapely.LineString(street.line.at(station, steps)) for station in at[~(inside | ends)]]
         between = 0.5 * (at[1:] + at[:-1])
         crowned = ~((between[:, None] > level[:, 0]) & (between[:, None] < level[:, 1])).any(axis=1)
         crown = street.line.at(at, 0.0)
         lines += [shapely.LineString(crown[i : i + 2]) for i in np.flatnonzero(crowned)]
         found.append(shapely.difference(shapely.MultiLineString(lines), older, grid_size=_GRID_M))
-        older = shapely.union(older, _strip(street, at, steps[0], steps[-1], relief.kerb_m > 0.0), grid_size=_GRID_M)
+        older = shapely.union(
+            older, _street_band(street, at, steps[0], steps[-1], relief.kerb_m > 0.0), grid_size=_GRID_M
+        )
     return found
 
 
@@ -255,7 +257,7 @@ def _grid_lines(yaw_rad: float, fine_m: float, extent_m: float) -> AnyArray:
     return lines @ np.array([[cos, sin], [-sin, cos]])
 
 
-def _owned(
+def _assign_streets(
     streets: Sequence[Street], places: Sequence[tuple[Float64, Float64]], number: Int64
 ) -> tuple[Int64, Float64]:
     """Assign each triangle to a street, and compute its corners' stations and offsets there.
@@ -280,7 +282,7 @@ def _owned(
     return owner, table[owner[:, None], number]
 
 
-def _carriageways(
+def _carriageway_models(
     triangles: Float64, texture: Float64, owner: Int64, streets: Sequence[Street], stretches: Sequence[Stretch]
 ) -> Iterator[Model]:
     station = texture[:, :, 0].mean(axis=1)
@@ -324,20 +326,20 @@ def _kerb_faces(number: Int64, driven: Bool, plane: Float64, low: Float64, high:
     return polygons(corners, _KERB_GREY, Material.KERB, Label.PAVEMENT)
 
 
-def _turned(triangles: Float64, yaw_rad: float) -> Float64:
+def _land_texture(triangles: Float64, yaw_rad: float) -> Float64:
     """Texture coordinates (T, 3, 2) along the axes of the land's grid, metres."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     return triangles[:, :, :2] @ np.array([[cos, -sin], [sin, cos]])
 
 
-def _covered(cover: Cover, triangles: Float64, texture: Float64, shade: Float64 | float, seed: int) -> Model:
+def _cover_model(cover: Cover, triangles: Float64, texture: Float64, shade: Float64 | float, seed: int) -> Model:
     if not len(triangles):
         return Model.empty()
     colours = np.asarray(cover.colour) * shade
     return polygons(triangles, colours, cover.material, cover.label, texture=texture, seeds=seed % 1000)
 
 
-def _dealt(middle: Float64, count: int, seed: int) -> tuple[Int64, Float64]:
+def _assign_parcels(middle: Float64, count: int, seed: int) -> tuple[Int64, Float64]:
     """For each centroid, the cover index (T,) of its parcel and a tone (T,) from 0.85 to 1.15."""
     row, column = (np.floor(middle / (_CELL_M * np.array(_PARCEL_CELLS))).astype(np.int64)).T
     mixed = (row * 73856093) ^ (column * 19349663) ^ (seed * 83492791)

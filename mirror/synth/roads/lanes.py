@@ -11,7 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.roads.crossing import Crossing, Street
-from mirror.synth.roads.layouts import Approach, approaches
+from mirror.synth.roads.layouts import Approach, find_approaches
 from mirror.synth.roads.section import Track
 from mirror.synth.street.network import Lane
 
@@ -56,7 +56,7 @@ class _Limit:
     approach: Approach | None = None
 
 
-def lanes_along(street: Street, crossings: Sequence[Crossing], feet: bool) -> Iterator[tuple[Lane, tuple[Port, ...]]]:
+def build_lanes(street: Street, crossings: Sequence[Crossing], feet: bool) -> Iterator[tuple[Lane, tuple[Port, ...]]]:
     """Build the lanes of a street, with their ends at crossings.
 
     Args:
@@ -64,11 +64,11 @@ def lanes_along(street: Street, crossings: Sequence[Crossing], feet: bool) -> It
         crossings: all crossings of the scene.
         feet: whether the street has pavements with walking lanes.
     """
-    for number, (low, high) in enumerate(_stretches(street, crossings)):
+    for number, (low, high) in enumerate(_split_street(street, crossings)):
         name = f"{street.name}.{number}"
         tracks = street.section.tracks
         for track in tracks:
-            yield _lane(street, name, track, tracks, low, high)
+            yield _build_lane(street, name, track, tracks, low, high)
         if feet:
             offset = street.section.half_m + _WALK_SHARE * street.section.pavement_m
             width = 0.6 * street.section.pavement_m
@@ -76,15 +76,15 @@ def lanes_along(street: Street, crossings: Sequence[Crossing], feet: bool) -> It
                 for way in (1, -1):
                     track = Track(f"walk{'+' if way > 0 else '-'}{'l' if side > 0 else 'r'}", "walk", side * offset,
                                   width, way, WALK_MPS)  # fmt: skip
-                    yield _lane(street, name, track, (), low, high)
+                    yield _build_lane(street, name, track, (), low, high)
 
 
-def _stretches(street: Street, crossings: Sequence[Crossing]) -> list[tuple[_Limit, _Limit]]:
+def _split_street(street: Street, crossings: Sequence[Crossing]) -> list[tuple[_Limit, _Limit]]:
     """Split a street into the stretches between its ends and crossings."""
     ends: list[_Limit] = []
     starts: list[_Limit] = []
     for crossing in crossings:
-        for number, (arm, approach) in enumerate(zip(crossing.arms, approaches(crossing))):
+        for number, (arm, approach) in enumerate(zip(crossing.arms, find_approaches(crossing))):
             if arm.street is street:
                 limit = _Limit(arm.station(approach.begin_m), crossing.name, number, approach)
                 (starts if arm.way > 0 else ends).append(limit)
@@ -98,14 +98,14 @@ def _stretches(street: Street, crossings: Sequence[Crossing]) -> list[tuple[_Lim
     return list(zip(starts, ends))
 
 
-def _lane(
+def _build_lane(
     street: Street, name: str, track: Track, beside: Sequence[Track], low: _Limit, high: _Limit
 ) -> tuple[Lane, tuple[Port, ...]]:
     """Build one lane of a stretch, and its ports."""
-    begin, end = (_trimmed(limit, track, sign) for limit, sign in ((low, 1), (high, -1)))
+    begin, end = (_lane_end_m(limit, track, sign) for limit, sign in ((low, 1), (high, -1)))
     if track.use == "park" and end - begin < _LEAST_M:
         end = begin + _LEAST_M
-    line = _stepped(street, begin, end, track.offset_m)[:: track.way]
+    line = _sample_line(street, begin, end, track.offset_m)[:: track.way]
     lane_id = f"{name}.{track.name}"
     ports = []
     for limit, station, arrives in ((low, begin, track.way < 0), (high, end, track.way > 0)):
@@ -119,7 +119,7 @@ def _lane(
     if goal.approach is not None and goal.approach.stop_m is not None and track.use in ("drive", "cycle"):
         length = float(np.hypot(*np.diff(line, axis=0).T).sum())
         stop = length - (goal.approach.stop_m - goal.approach.begin_m)
-    left_id, right_id = (_neighbour(name, track, beside, side) for side in (1, -1))
+    left_id, right_id = (_neighbour_id(name, track, beside, side) for side in (1, -1))
     lane = Lane(
         lane_id, track.use, line, track.width_m, track.speed_mps, left=left_id, right=right_id,
         stop_m=None if stop is None else max(stop, 0.0),
@@ -127,7 +127,7 @@ def _lane(
     return lane, tuple(ports)
 
 
-def _stepped(street: Street, begin: float, end: float, offset_m: float) -> Float64:
+def _sample_line(street: Street, begin: float, end: float, offset_m: float) -> Float64:
     """A line (N, 2) at an offset from the street's middle, in steps of at most ``_STEP_M`` along it."""
     longest = _STEP_M
     count = 0
@@ -138,7 +138,7 @@ def _stepped(street: Street, begin: float, end: float, offset_m: float) -> Float
     return line
 
 
-def _trimmed(limit: _Limit, track: Track, inwards: int) -> float:
+def _lane_end_m(limit: _Limit, track: Track, inwards: int) -> float:
     """The station at which a lane ends: parking keeps clear of crossings, walking continues up to the zebra."""
     approach = limit.approach
     if approach is None:
@@ -146,16 +146,16 @@ def _trimmed(limit: _Limit, track: Track, inwards: int) -> float:
     if track.use == "park":
         return approach.arm.station(approach.end_m) + inwards * _PARK_CLEAR_M
     if track.use == "walk":
-        return approach.arm.station(walks_from(approach))
+        return approach.arm.station(pavement_begin_m(approach))
     return limit.station_m
 
 
-def walks_from(approach: Approach) -> float:
+def pavement_begin_m(approach: Approach) -> float:
     """Distance from the crossing's centre at which an arm's pavements begin: the middle of its zebra, if it has one."""
     return approach.begin_m + 0.5 if approach.zebra_m is None else 0.5 * sum(approach.zebra_m)
 
 
-def _neighbour(name: str, track: Track, beside: Sequence[Track], side: int) -> str | None:
+def _neighbour_id(name: str, track: Track, beside: Sequence[Track], side: int) -> str | None:
     """Id of the lane to change to, on the left (side 1) or right (side -1) of the driver; None if there is none."""
     if track.use != "drive":
         return None

@@ -14,7 +14,7 @@ from mirror.arrays import Float64, Records
 from mirror.synth.model import Material
 from mirror.synth.roads.crossing import Arm, Crossing, Street
 from mirror.synth.roads.ground import Stretch
-from mirror.synth.roads.markings import Mark, dashes, layout_table, stop_line, yield_line, zebra
+from mirror.synth.roads.markings import Mark, dashed_line, pack_layouts, stop_line, yield_line, zebra_marks
 from mirror.synth.roads.relief import Dip
 from mirror.synth.roads.section import MOTORWAY_EDGE_M, SLIP_EDGE_M, SLIP_ROAD
 
@@ -27,7 +27,7 @@ _PIECE_M: Final = 6.0
 _PIECE_RAD: Final = 0.045
 _LEAST_PIECE_M: Final = 1.5
 _SAME_M: Final = 0.3
-_SLIP_LINE: Final = dashes(-MOTORWAY_EDGE_M, 0.15, 12.0, 6.0)
+_SLIP_LINE: Final = dashed_line(-MOTORWAY_EDGE_M, 0.15, 12.0, 6.0)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Approach:
     end_m: float
 
 
-def approaches(crossing: Crossing) -> tuple[Approach, ...]:
+def find_approaches(crossing: Crossing) -> tuple[Approach, ...]:
     """The approaches of a crossing, in the order of its arms."""
     found = []
     for arm, reach in zip(crossing.arms, crossing.reach_m):
@@ -77,7 +77,7 @@ class Layouts:
     stations: tuple[Float64, ...]
 
 
-def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts:
+def build_layouts(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts:
     """Assign markings to the streets, and divide the streets into pieces."""
     rows: list[Sequence[Mark]] = [()]
     stretches: list[Stretch] = []
@@ -93,13 +93,13 @@ def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts
         strict = len(rows) - 1
         for crossing in crossings:
             if crossing.control == "joint":
-                beside = _beside_slip_road(street, crossing)
+                beside = _merging_stations(street, crossing)
                 if beside is not None:
                     rows.append((*section.marks, *section.middle[:1], _SLIP_LINE))
-                    stretches.append(_stretch(number, *beside, len(rows) - 1))
+                    stretches.append(_make_stretch(number, *beside, len(rows) - 1))
                     cuts += beside
                 continue
-            for approach in approaches(crossing):
+            for approach in find_approaches(crossing):
                 arm = approach.arm
                 if arm.street is not street:
                     continue
@@ -107,24 +107,24 @@ def lay_out(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts
                 far = arm.station(approach.end_m + _STRICT_M)
                 cuts += [arm.station_m, begin, end, far]
                 if paved:
-                    stretches.append(_stretch(number, end, far, strict))
+                    stretches.append(_make_stretch(number, end, far, strict))
                     if end != begin:
-                        rows.append(_before_crossing(approach, crossing.control == "signal"))
-                        stretches.append(_stretch(number, begin, end, len(rows) - 1))
+                        rows.append(_approach_marks(approach, crossing.control == "signal"))
+                        stretches.append(_make_stretch(number, begin, end, len(rows) - 1))
                 within = 0
                 if paved and crossing.control == "priority" and not arm.minor:
-                    rows.append(_through(crossing, street))
+                    rows.append(_priority_marks(crossing, street))
                     within = len(rows) - 1
-                stretches.append(_stretch(number, arm.station_m, begin, within))
+                stretches.append(_make_stretch(number, arm.station_m, begin, within))
                 if approach.zebra_m is not None:
                     low, high = sorted(arm.station(out) for out in approach.zebra_m)
                     dips.append(Dip(number, low, high))
                     cuts += [low - _RAMP_M, low, high, high + _RAMP_M]
-        stations.append(_pieces(street, np.array(cuts)))
-    return Layouts(layout_table(rows), tuple(stretches), tuple(dips), tuple(stations))
+        stations.append(_piece_stations(street, np.array(cuts)))
+    return Layouts(pack_layouts(rows), tuple(stretches), tuple(dips), tuple(stations))
 
 
-def _beside_slip_road(street: Street, crossing: Crossing) -> tuple[float, float] | None:
+def _merging_stations(street: Street, crossing: Crossing) -> tuple[float, float] | None:
     """Stations between which traffic may cross a motorway's right edge line to or from a slip road, or None."""
     slip = next((arm for arm in crossing.arms if arm.street.section is SLIP_ROAD), None)
     main = next((arm for arm in crossing.arms if arm.street is street), None)
@@ -137,11 +137,11 @@ def _beside_slip_road(street: Street, crossing: Crossing) -> tuple[float, float]
     return main.station_m, float(station[parted])
 
 
-def _stretch(street: int, one_m: float, other_m: float, layout: int) -> Stretch:
+def _make_stretch(street: int, one_m: float, other_m: float, layout: int) -> Stretch:
     return Stretch(street, min(one_m, other_m), max(one_m, other_m), layout)
 
 
-def _through(crossing: Crossing, street: Street) -> tuple[Mark, ...]:
+def _priority_marks(crossing: Crossing, street: Street) -> tuple[Mark, ...]:
     """Marks of the priority street inside a crossing: wear, middle line, edge lines where no street joins."""
     heading = next(arm.heading_rad for arm in crossing.arms if arm.street is street and arm.way > 0)
     comes_in = {math.sin(arm.heading_rad - heading) > 0.0 for arm in crossing.arms if arm.street is not street}
@@ -151,7 +151,7 @@ def _through(crossing: Crossing, street: Street) -> tuple[Mark, ...]:
     return (*traces, *section.middle, *(mark for mark in edges if (sum(mark.v_m) > 0.0) not in comes_in))
 
 
-def _before_crossing(approach: Approach, signal: bool) -> tuple[Mark, ...]:
+def _approach_marks(approach: Approach, signal: bool) -> tuple[Mark, ...]:
     """The marks between a crossing and the stretch with the street's usual markings."""
     arm, section = approach.arm, approach.arm.street.section
     begin, end = sorted((arm.station(approach.begin_m), arm.station(approach.end_m)))
@@ -159,7 +159,7 @@ def _before_crossing(approach: Approach, signal: bool) -> tuple[Mark, ...]:
     stop = approach.stop_m
     if approach.zebra_m is not None:
         low, high = sorted(arm.station(out) for out in approach.zebra_m)
-        marks.append(zebra((low, high), section.half_m))
+        marks.append(zebra_marks((low, high), section.half_m))
     if stop is not None:
         # Arriving traffic keeps right: it is on the left, seen outwards.
         coming = [track for track in section.tracks if track.way == -arm.way and track.use in ("drive", "cycle")]
@@ -170,17 +170,17 @@ def _before_crossing(approach: Approach, signal: bool) -> tuple[Mark, ...]:
         marks.append(bar((near, far), (min(sides), max(sides))))
     if approach.zebra_m is not None:
         edge = sorted((arm.station(approach.zebra_m[1]), end if arm.way > 0 else begin))
-        marks += [_within(mark, (edge[0], edge[1])) for mark in section.strict]
+        marks += [_cut_mark(mark, (edge[0], edge[1])) for mark in section.strict]
     else:
         marks += list(section.strict)
     return tuple(marks)
 
 
-def _within(mark: Mark, u_m: tuple[float, float]) -> Mark:
+def _cut_mark(mark: Mark, u_m: tuple[float, float]) -> Mark:
     return Mark(u_m, mark.v_m, mark.u_stripes, mark.v_stripes, mark.slant, mark.colour, mark.strength, mark.worn)
 
 
-def _pieces(street: Street, cuts: Float64) -> Float64:
+def _piece_stations(street: Street, cuts: Float64) -> Float64:
     """Stations at which a street's pieces end: at all cuts, and in between at steps that shrink with the curvature."""
     line = street.line
     cuts = np.unique(np.clip(cuts, line.first_m, line.last_m))

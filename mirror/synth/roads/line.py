@@ -99,7 +99,9 @@ class Line:
         return Line(float(stations[0]), float(stations[-1]), stations, self.points[kept], self.headings[kept])
 
 
-def curved(place: npt.ArrayLike, heading_rad: float, first_m: float, last_m: float, bends: Sequence[Bend] = ()) -> Line:
+def build_line(
+    place: npt.ArrayLike, heading_rad: float, first_m: float, last_m: float, bends: Sequence[Bend] = ()
+) -> Line:
     """Build a line with bends.
 
     Args:
@@ -111,8 +113,8 @@ def curved(place: npt.ArrayLike, heading_rad: float, first_m: float, last_m: flo
     """
     before, after = math.ceil(-first_m / _STEP_M), math.ceil(last_m / _STEP_M)
     stations: Float64 = _STEP_M * np.arange(-before, after + 1, dtype=np.float64)
-    heading = heading_rad + _turned(stations, bends) - _turned(np.zeros(1), bends)
-    middle = heading_rad + _turned(stations[:-1] + 0.5 * _STEP_M, bends) - _turned(np.zeros(1), bends)
+    heading = heading_rad + _heading_change(stations, bends) - _heading_change(np.zeros(1), bends)
+    middle = heading_rad + _heading_change(stations[:-1] + 0.5 * _STEP_M, bends) - _heading_change(np.zeros(1), bends)
     points = np.zeros((len(stations), 2))
     for axis, part in enumerate((np.cos, np.sin)):
         # Simpson's rule over every step.
@@ -122,7 +124,7 @@ def curved(place: npt.ArrayLike, heading_rad: float, first_m: float, last_m: flo
     return Line(float(stations[0]), float(stations[-1]), stations, points, heading)
 
 
-def _turned(stations: Float64, bends: Sequence[Bend]) -> Float64:
+def _heading_change(stations: Float64, bends: Sequence[Bend]) -> Float64:
     total = np.zeros_like(stations)
     for bend in bends:
         x = np.clip((stations - bend.at_m) / bend.length_m, -0.5, 0.5)

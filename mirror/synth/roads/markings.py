@@ -71,21 +71,21 @@ class Mark:
 _ALONG: Final = (-FAR_M, FAR_M)
 
 
-def solid(v_m: float, half_m: float) -> Mark:
+def solid_line(v_m: float, half_m: float) -> Mark:
     """A continuous line at offset v."""
     return Mark(_ALONG, (v_m - half_m, v_m + half_m))
 
 
-def dashes(v_m: float, half_m: float, period_m: float, length_m: float) -> Mark:
+def dashed_line(v_m: float, half_m: float, period_m: float, length_m: float) -> Mark:
     """A dashed line at offset v."""
-    return replace(solid(v_m, half_m), u_stripes=(period_m, length_m / period_m, 0.0))
+    return replace(solid_line(v_m, half_m), u_stripes=(period_m, length_m / period_m, 0.0))
 
 
 def parking_bays(inner_m: float, outer_m: float) -> tuple[Mark, ...]:
     """Parking bays beside the lane: a dashed line, and ticks between the bays."""
     low, high = min(inner_m, outer_m), max(inner_m, outer_m)
     return (
-        replace(dashes(inner_m, 0.05, 6.0, 1.6), worn=0.5),
+        replace(dashed_line(inner_m, 0.05, 6.0, 1.6), worn=0.5),
         Mark(_ALONG, (low, high), u_stripes=(6.0, 0.10 / 6.0, -0.75), worn=0.5),
     )
 
@@ -94,11 +94,11 @@ def cycle_lane(low_m: float, high_m: float) -> tuple[Mark, ...]:
     """A red cycle lane between two white lines."""
     return (
         Mark(_ALONG, (low_m, high_m), colour=RED, strength=0.85, worn=0.3),
-        dashes(low_m if low_m > 0 else high_m, 0.06, 2.0, 1.0),
+        dashed_line(low_m if low_m > 0 else high_m, 0.06, 2.0, 1.0),
     )
 
 
-def tracks_of_wheels(v_m: float) -> tuple[Mark, ...]:
+def wheel_tracks(v_m: float) -> tuple[Mark, ...]:
     """Polished wheel tracks of a lane with its middle at v."""
     return tuple(
         Mark(
@@ -109,12 +109,12 @@ def tracks_of_wheels(v_m: float) -> tuple[Mark, ...]:
     )  # fmt: skip
 
 
-def oil(v_m: float) -> Mark:
+def oil_stain(v_m: float) -> Mark:
     """The oil stain along the middle of a lane."""
     return Mark(_ALONG, (v_m - 0.3, v_m + 0.3), colour=(0.05, 0.05, 0.05), strength=0.24, worn=0.7, soft_m=0.4)
 
 
-def zebra(u_m: tuple[float, float], half_m: float) -> Mark:
+def zebra_marks(u_m: tuple[float, float], half_m: float) -> Mark:
     """A zebra crossing between two stations, over a carriageway of width ``2 * half_m``."""
     return Mark(u_m, (-half_m + 0.25, half_m - 0.25), v_stripes=(1.0, 0.5, 0.25))
 
@@ -129,12 +129,12 @@ def yield_line(u_m: tuple[float, float], v_m: tuple[float, float]) -> Mark:
     return Mark(u_m, v_m, v_stripes=(0.75, 0.5 / 0.75, v_m[0] + 0.12))
 
 
-def hatched(u_m: tuple[float, float], v_m: tuple[float, float], slant: float) -> Mark:
+def hatched_area(u_m: tuple[float, float], v_m: tuple[float, float], slant: float) -> Mark:
     """A hatched area that is closed to traffic."""
     return Mark(u_m, v_m, u_stripes=(2.0, 0.4, 0.0), slant=slant)
 
 
-def layout_table(rows: Sequence[Sequence[Mark]]) -> Records:
+def pack_layouts(rows: Sequence[Sequence[Mark]]) -> Records:
     """Pack layouts into a table (L, MOST_MARKS) MARK.
 
     Raises:
@@ -152,7 +152,7 @@ def layout_table(rows: Sequence[Sequence[Mark]]) -> Records:
     return table
 
 
-def narrowed(model: Model, table: Records) -> tuple[Model, Records]:
+def restrict_layouts(model: Model, table: Records) -> tuple[Model, Records]:
     """Give each piece of carriageway a layout with only the marks that reach it, so that a pixel tests fewer marks.
 
     Args:

@@ -10,8 +10,8 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.roads.crossing import Crossing, Street
-from mirror.synth.roads.lanes import Port, lanes_along
-from mirror.synth.roads.turnings import footways, joined, ruled, turnings
+from mirror.synth.roads.lanes import Port, build_lanes
+from mirror.synth.roads.turnings import assign_right_of_way, build_footways, build_turnings, link_lanes
 from mirror.synth.street.network import Lane, Network
 
 _CYCLE_S: Final = 60.0
@@ -37,29 +37,29 @@ def build_network(
     lanes: dict[str, Lane] = {}
     ports: dict[str, list[Port]] = {crossing.name: [] for crossing in crossings}
     for street in streets:
-        for lane, meets in lanes_along(street, crossings, feet):
+        for lane, meets in build_lanes(street, crossings, feet):
             lanes[lane.lane_id] = lane
             for port in meets:
                 ports[port.crossing].append(port)
     for crossing in crossings:
-        _cross(crossing, ports[crossing.name], lanes, feet)
-    lifted = {name: replace(lane, line=_lifted(lane.line, height_m)) for name, lane in lanes.items()}
+        _add_crossing_lanes(crossing, ports[crossing.name], lanes, feet)
+    lifted = {name: replace(lane, line=_add_heights(lane.line, height_m)) for name, lane in lanes.items()}
     signals = any(crossing.control == "signal" for crossing in crossings)
     return Network(lifted, _GREEN_S if signals else np.zeros((0, 2)), _CYCLE_S)
 
 
-def _cross(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane], feet: bool) -> None:
+def _add_crossing_lanes(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane], feet: bool) -> None:
     """Add the lanes of a crossing; set successors, signals and right of way of the lanes that arrive at it."""
     if crossing.control == "joint":
-        _join(crossing, ports, lanes)
+        _link_joint(crossing, ports, lanes)
         return
     walks = [port for port in ports if lanes[port.lane_id].use == "walk"]
     wheels = [port for port in ports if lanes[port.lane_id].use in ("drive", "cycle")]
     footpaths: list[Lane] = []
     over: dict[int, tuple[str, ...]] = {}
     if feet:
-        footpaths, over = footways(crossing, walks, [arm.zebra for arm in crossing.arms])
-    through = ruled(crossing, turnings(crossing, wheels, lanes), over)
+        footpaths, over = build_footways(crossing, walks, [arm.zebra for arm in crossing.arms])
+    through = assign_right_of_way(crossing, build_turnings(crossing, wheels, lanes), over)
     signal = crossing.control == "signal"
     groups = {name: _ON_FOOT + crossing.group(arm) for arm, names in over.items() for name in names if signal}
     footpaths = [replace(lane, signal=groups.get(lane.lane_id)) for lane in footpaths]
@@ -82,9 +82,9 @@ def _cross(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane], fe
         )
 
 
-def _join(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane]) -> None:
+def _link_joint(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane]) -> None:
     """Link the lanes at a junction without crossing traffic; merging traffic yields."""
-    after = joined(ports)
+    after = link_lanes(ports)
     for port in ports:
         if port.arrives:
             rivals = tuple(
@@ -93,16 +93,16 @@ def _join(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane]) -> 
                 if other.arrives
                 and other.arm != port.arm
                 and set(after[other.lane_id]) & set(after[port.lane_id])
-                and crossing.arms[port.arm].street is not _main(crossing)
+                and crossing.arms[port.arm].street is not _through_street(crossing)
             )
             lanes[port.lane_id] = replace(lanes[port.lane_id], successors=after[port.lane_id], yields_to=rivals)
 
 
-def _main(crossing: Crossing) -> Street:
+def _through_street(crossing: Crossing) -> Street:
     """The street that continues through the crossing."""
     names = [arm.street.name for arm in crossing.arms]
     return next(arm.street for arm in crossing.arms if names.count(arm.street.name) == 2)
 
 
-def _lifted(line: Float64, height_m: Callable[[Float64, Float64], Float64]) -> Float64:
+def _add_heights(line: Float64, height_m: Callable[[Float64, Float64], Float64]) -> Float64:
     return np.c_[line, height_m(line[:, 0], line[:, 1])]

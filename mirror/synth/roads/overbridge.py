@@ -42,7 +42,7 @@ class Overbridge:
     outline: shapely.Geometry
 
 
-def overbridge(street: Street, station_m: float, height_m: float) -> Overbridge:
+def build_overbridge(street: Street, station_m: float, height_m: float) -> Overbridge:
     """Build a bridge at right angles over a street.
 
     Args:
@@ -69,16 +69,16 @@ def overbridge(street: Street, station_m: float, height_m: float) -> Overbridge:
                   Material.CONCRETE, Label.WALL)
             for x in (0.0, span - _BACK_M - 2.3, _BACK_M + 2.3 - span)
         ),
-        *(_embankment(span).standing(0.0, 0.0, 0.0, turn) for turn in (0.0, np.pi)),
+        *(_build_embankment(span).place(0.0, 0.0, 0.0, turn) for turn in (0.0, np.pi)),
     ]  # fmt: skip
     x, y = street.line.at(station_m)
     yaw = float(street.line.heading(station_m)) + 0.5 * np.pi
-    model = merged(parts).standing(float(x), float(y), height_m, yaw)
+    model = merged(parts).place(float(x), float(y), height_m, yaw)
     low = model.corners[model.corners[:, 2] < height_m - 1.5]
     return Overbridge(model, shapely.convex_hull(shapely.multipoints(low[:, :2])))
 
 
-def _embankment(span_m: float) -> Model:
+def _build_embankment(span_m: float) -> Model:
     """The embankment on the +x side of a bridge over the origin; its crest descends evenly to below the ground."""
     high, low = _RISE_M, -_BELOW_M
     end = span_m + _FALL_M * (high - low) / high

@@ -39,7 +39,7 @@ class Land:
         return np.sin(points @ self.waves[:, :2].T + self.waves[:, 2]) @ self.waves[:, 3]
 
 
-def land(rng: np.random.Generator, slope: float, steepest: float) -> Land:
+def draw_land(rng: np.random.Generator, slope: float, steepest: float) -> Land:
     """Draw a random land surface.
 
     Args:
@@ -112,20 +112,20 @@ class Relief:
         wide = section.half_m - section.median_m
         across = np.clip(aside - section.median_m, 0.0, wide) * section.crossfall
         beyond = aside - section.half_m - section.pavement_m
-        beside = _smooth(1.0 - beyond / _BESIDE_M)
+        beside = _smoothstep(1.0 - beyond / _BESIDE_M)
         crown = np.ones_like(station)
         for low, high in self.level_at[number]:
             gap = np.maximum(low - station, station - high)
-            crown = np.minimum(crown, _smooth(gap / _FADE_M))
+            crown = np.minimum(crown, _smoothstep(gap / _FADE_M))
         return across * beside * crown
 
 
-def _smooth(x: Float64) -> Float64:
+def _smoothstep(x: Float64) -> Float64:
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)
 
 
-def level_stretches(street: Street, crossings: Sequence[Crossing]) -> Float64:
+def find_level_stretches(street: Street, crossings: Sequence[Crossing]) -> Float64:
     """Stretches (K, 2) of a street's stations that lie inside crossings."""
     stretches = []
     for crossing in crossings:

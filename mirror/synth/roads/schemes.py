@@ -12,9 +12,9 @@ import shapely
 
 from mirror.arrays import Float64
 from mirror.synth.model import Label, Material
-from mirror.synth.roads.crossing import Arm, Crossing, Street, crossing
+from mirror.synth.roads.crossing import Arm, Crossing, Street, build_crossing
 from mirror.synth.roads.ground import Cover
-from mirror.synth.roads.line import Bend, Line, curved
+from mirror.synth.roads.line import Bend, Line, build_line
 from mirror.synth.roads.section import (
     CAMPUS_STREET,
     COUNTRY_ROAD,
@@ -75,12 +75,12 @@ class Scheme:
     bridge_m: float | None = None
 
 
-def _wound(length_m: float, least_radius_m: float, most_rad: float) -> float:
+def _bend_angle(length_m: float, least_radius_m: float, most_rad: float) -> float:
     """The largest change of heading of a bend of a given length and least radius, at most ``most_rad``."""
     return min(most_rad, length_m / (2.0 * least_radius_m))
 
 
-def _through(street: Street, station: float, *, zebra: bool = False, minor: bool = False) -> tuple[Arm, Arm]:
+def _straight_arms(street: Street, station: float, *, zebra: bool = False, minor: bool = False) -> tuple[Arm, Arm]:
     return Arm(street, station, 1, minor, zebra), Arm(street, station, -1, minor, zebra)
 
 
@@ -90,108 +90,123 @@ def _edge_street(main: Line, radius: float, section: Section, extent: float) -> 
     headings, points = main.heading(stations), main.at(stations)
     distance = -(points[:, 0] * np.cos(headings) + points[:, 1] * np.sin(headings))
     station = float(stations[int(np.argmin(np.abs(distance - EDGE * radius)))])
-    line = curved(main.at(station), float(main.heading(station)) + 0.5 * math.pi, -2.0 * extent, 2.0 * extent)
+    line = build_line(main.at(station), float(main.heading(station)) + 0.5 * math.pi, -2.0 * extent, 2.0 * extent)
     return Street("edge", line.until(extent), section), station
 
 
-def _across(
+def _cross_street(
     name: str, main: Line, station: float, turn: float, section: Section, extent: float, bends: tuple[Bend, ...] = ()
 ) -> Street:
     """A street that crosses the main street at an angle of ``turn``."""
-    line = curved(main.at(station), float(main.heading(station)) + turn, -2.0 * extent, 2.0 * extent, bends)
+    line = build_line(main.at(station), float(main.heading(station)) + turn, -2.0 * extent, 2.0 * extent, bends)
     return Street(name, line.until(extent), section)
 
 
-def _branch(
+def _branch_street(
     name: str, main: Line, station: float, turn: float, section: Section, extent: float, bends: tuple[Bend, ...] = ()
 ) -> Street:
     """A street that begins at the main street's middle."""
-    line = curved(main.at(station), float(main.heading(station)) + turn, 0.0, 2.0 * extent, bends)
+    line = build_line(main.at(station), float(main.heading(station)) + turn, 0.0, 2.0 * extent, bends)
     far = np.hypot(*line.points.T) > extent
     stop = int(np.argmax(far)) if far.any() else len(far)
     kept = Line(0.0, float(line.stations[stop - 1]), line.stations[:stop], line.points[:stop], line.headings[:stop])
     return Street(name, kept, section)
 
 
-def _land(material: Material, label: Label, colour: tuple[float, float, float]) -> Cover:
+def _land_cover(material: Material, label: Label, colour: tuple[float, float, float]) -> Cover:
     return Cover(_NOWHERE, material, label, colour)
 
 
-def _paved(colour: tuple[float, float, float] = _SLABS) -> Cover:
-    return _land(Material.PAVING, Label.PAVEMENT, colour)
+def _paved_cover(colour: tuple[float, float, float] = _SLABS) -> Cover:
+    return _land_cover(Material.PAVING, Label.PAVEMENT, colour)
 
 
-def _urban(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
+def _urban_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
     extent = radius + BEYOND_M
     side = float(rng.choice((-1.0, 1.0)))
     first, second = 0.60 * radius, 0.50 * radius
     bends = (
-        Bend(-0.32 * radius, first, side * _wound(first, 60.0, rng.uniform(0.42, 0.55))),
-        Bend(0.66 * radius, second, -side * _wound(second, 60.0, rng.uniform(0.30, 0.42))),
+        Bend(-0.32 * radius, first, side * _bend_angle(first, 60.0, rng.uniform(0.42, 0.55))),
+        Bend(0.66 * radius, second, -side * _bend_angle(second, 60.0, rng.uniform(0.30, 0.42))),
     )
-    place = _away(yaw, rng.uniform(-2.0, 2.0))
-    main = Street("main", curved(place, yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MAIN_STREET)
+    place = _offset_from_centre(yaw, rng.uniform(-2.0, 2.0))
+    main = Street("main", build_line(place, yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MAIN_STREET)
     at = 0.28 * radius
-    cross = _across("cross", main.line, at, 0.5 * math.pi + rng.uniform(-0.07, 0.07), CYCLE_STREET, extent)
+    cross = _cross_street("cross", main.line, at, 0.5 * math.pi + rng.uniform(-0.07, 0.07), CYCLE_STREET, extent)
     edge, edge_at = _edge_street(main.line, radius, OUTER_STREET, extent)
     streets, crossings = (
         [main, cross, edge],
         [
-            crossing("signals", (*_through(main, at, zebra=True), *_through(cross, 0.0, zebra=True)), "signal", 7.0),
-            crossing("corner", (*_through(main, edge_at), *_through(edge, 0.0, minor=True)), "priority", 7.0),
+            build_crossing(
+                "signals",
+                (*_straight_arms(main, at, zebra=True), *_straight_arms(cross, 0.0, zebra=True)),
+                "signal",
+                7.0,
+            ),
+            build_crossing(
+                "corner", (*_straight_arms(main, edge_at), *_straight_arms(edge, 0.0, minor=True)), "priority", 7.0
+            ),
         ],
     )
     if radius >= 100.0:
         station = -0.47 * radius
         turn = -side * 0.5 * math.pi
-        bend = Bend(0.5 * radius, 0.6 * radius, side * _wound(0.6 * radius, 60.0, 0.3))
-        lane = _branch("side", main.line, station, turn, SIDE_STREET, extent, (bend,))
+        bend = Bend(0.5 * radius, 0.6 * radius, side * _bend_angle(0.6 * radius, 60.0, 0.3))
+        lane = _branch_street("side", main.line, station, turn, SIDE_STREET, extent, (bend,))
         streets.append(lane)
-        arms = (*_through(main, station), Arm(lane, 0.0, 1, minor=True, zebra=True))
-        crossings.append(crossing("branch", arms, "priority", 5.5))
+        arms = (*_straight_arms(main, station), Arm(lane, 0.0, 1, minor=True, zebra=True))
+        crossings.append(build_crossing("branch", arms, "priority", 5.5))
     ground = (
-        _land(Material.PAVING, Label.PAVEMENT, _YARD),
-        _land(Material.GRASS, Label.TERRAIN, GRASS),
-        _land(Material.GRAVEL, Label.TERRAIN, _DIRT),
-        _land(Material.GRASS, Label.TERRAIN, _MEADOW),
+        _land_cover(Material.PAVING, Label.PAVEMENT, _YARD),
+        _land_cover(Material.GRASS, Label.TERRAIN, GRASS),
+        _land_cover(Material.GRAVEL, Label.TERRAIN, _DIRT),
+        _land_cover(Material.GRASS, Label.TERRAIN, _MEADOW),
     )
-    return Scheme(tuple(streets), tuple(crossings), 0.12, 0.010, 0.016, _paved(), 5.0, (), ground)
+    return Scheme(tuple(streets), tuple(crossings), 0.12, 0.010, 0.016, _paved_cover(), 5.0, (), ground)
 
 
-def _campus(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
+def _campus_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
     extent = radius + BEYOND_M
     side = float(rng.choice((-1.0, 1.0)))
     first, second = 0.66 * radius, 0.46 * radius
     bends = (
-        Bend(-0.30 * radius, first, side * _wound(first, 45.0, rng.uniform(0.30, 0.40))),
-        Bend(0.64 * radius, second, -side * _wound(second, 45.0, rng.uniform(0.35, 0.50))),
+        Bend(-0.30 * radius, first, side * _bend_angle(first, 45.0, rng.uniform(0.30, 0.40))),
+        Bend(0.64 * radius, second, -side * _bend_angle(second, 45.0, rng.uniform(0.35, 0.50))),
     )
-    main = Street("main", curved(_away(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), CAMPUS_STREET)
+    main = Street(
+        "main",
+        build_line(_offset_from_centre(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent),
+        CAMPUS_STREET,
+    )
     at = 0.28 * radius
-    cross = _across("cross", main.line, at, 0.5 * math.pi + rng.uniform(-0.1, 0.1), CAMPUS_STREET, extent)
+    cross = _cross_street("cross", main.line, at, 0.5 * math.pi + rng.uniform(-0.1, 0.1), CAMPUS_STREET, extent)
     edge, edge_at = _edge_street(main.line, radius, OUTER_STREET, extent)
     crossings = (
-        crossing(
-            "middle", (*_through(main, at, zebra=True), *_through(cross, 0.0, minor=True, zebra=True)), "priority"
+        build_crossing(
+            "middle",
+            (*_straight_arms(main, at, zebra=True), *_straight_arms(cross, 0.0, minor=True, zebra=True)),
+            "priority",
         ),
-        crossing("corner", (*_through(main, edge_at), *_through(edge, 0.0, minor=True)), "priority"),
+        build_crossing("corner", (*_straight_arms(main, edge_at), *_straight_arms(edge, 0.0, minor=True)), "priority"),
     )
     centre, reach = main.line.at(0.08 * radius, -side * (CAMPUS_STREET.half_m + 0.125 * radius)), 0.13 * radius
     plaza = shapely.Point(*centre).buffer(reach, quad_segs=6)
     covers = (Cover(plaza, Material.PAVING, Label.PAVEMENT, (0.36, 0.33, 0.29)),)
     parcels = (
-        _land(Material.GRASS, Label.TERRAIN, GRASS),
-        _land(Material.GRASS, Label.TERRAIN, _MEADOW),
-        _land(Material.GRASS, Label.TERRAIN, GRASS),
+        _land_cover(Material.GRASS, Label.TERRAIN, GRASS),
+        _land_cover(Material.GRASS, Label.TERRAIN, _MEADOW),
+        _land_cover(Material.GRASS, Label.TERRAIN, GRASS),
     )
-    return Scheme((main, cross, edge), crossings, 0.10, 0.012, 0.020, _paved((0.33, 0.31, 0.28)), 0.0, covers, parcels)
+    return Scheme(
+        (main, cross, edge), crossings, 0.10, 0.012, 0.020, _paved_cover((0.33, 0.31, 0.28)), 0.0, covers, parcels
+    )
 
 
-def _rural(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
+def _rural_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
     extent = radius + BEYOND_M
     side = float(rng.choice((-1.0, 1.0)))
     bends = tuple(
-        Bend(place * radius, length * radius, side * turn * _wound(length * radius, 55.0, most))
+        Bend(place * radius, length * radius, side * turn * _bend_angle(length * radius, 55.0, most))
         for place, length, turn, most in (
             (-0.62, 0.42, 1.0, 0.45),
             (-0.18, 0.46, -1.0, 0.70),
@@ -199,20 +214,26 @@ def _rural(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
             (0.74, 0.40, -1.0, 0.50),
         )
     )
-    main = Street("main", curved(_away(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), COUNTRY_ROAD)
+    main = Street(
+        "main",
+        build_line(_offset_from_centre(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent),
+        COUNTRY_ROAD,
+    )
     track_at, lane_at = -0.16 * radius, 0.50 * radius
-    bend = Bend(0.45 * radius, 0.5 * radius, side * _wound(0.5 * radius, 40.0, 0.5))
-    track = _branch("track", main.line, track_at, -side * 0.5 * math.pi, FARM_TRACK, extent, (bend,))
-    lane = _branch("lane", main.line, lane_at, side * (0.5 * math.pi + 0.12), COUNTRY_ROAD, extent)
+    bend = Bend(0.45 * radius, 0.5 * radius, side * _bend_angle(0.5 * radius, 40.0, 0.5))
+    track = _branch_street("track", main.line, track_at, -side * 0.5 * math.pi, FARM_TRACK, extent, (bend,))
+    lane = _branch_street("lane", main.line, lane_at, side * (0.5 * math.pi + 0.12), COUNTRY_ROAD, extent)
     edge, edge_at = _edge_street(main.line, radius, COUNTRY_ROAD, extent)
     crossings = (
-        crossing("gate", (*_through(main, track_at), Arm(track, 0.0, 1, minor=True)), "priority", 5.0),
-        crossing("fork", (*_through(main, lane_at), Arm(lane, 0.0, 1, minor=True)), "priority", 9.0),
-        crossing("corner", (*_through(main, edge_at), *_through(edge, 0.0, minor=True)), "priority", 9.0),
+        build_crossing("gate", (*_straight_arms(main, track_at), Arm(track, 0.0, 1, minor=True)), "priority", 5.0),
+        build_crossing("fork", (*_straight_arms(main, lane_at), Arm(lane, 0.0, 1, minor=True)), "priority", 9.0),
+        build_crossing(
+            "corner", (*_straight_arms(main, edge_at), *_straight_arms(edge, 0.0, minor=True)), "priority", 9.0
+        ),
     )
-    shoulder = _land(Material.GRAVEL, Label.TERRAIN, (0.22, 0.20, 0.16))
+    shoulder = _land_cover(Material.GRAVEL, Label.TERRAIN, (0.22, 0.20, 0.16))
     parcels = tuple(
-        _land(material, Label.TERRAIN, colour)
+        _land_cover(material, Label.TERRAIN, colour)
         for material, colour in (
             (Material.GRASS, _MEADOW),
             (Material.GRASS, _CROP),
@@ -224,18 +245,22 @@ def _rural(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
     return Scheme((main, lane, edge, track), crossings, 0.0, 0.018, 0.035, shoulder, 0.0, (), parcels)
 
 
-def _highway(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
+def _highway_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Scheme:
     extent = radius + BEYOND_M
     length = 1.6 * radius
     # The motorway curves to the left, away from its slip roads.
-    bends = (Bend(0.1 * radius, length, _wound(length, 350.0, rng.uniform(0.15, 0.35))),)
-    main = Street("main", curved(_away(yaw, -9.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MOTORWAY)
-    verge = _land(Material.GRASS, Label.TERRAIN, GRASS)
+    bends = (Bend(0.1 * radius, length, _bend_angle(length, 350.0, rng.uniform(0.15, 0.35))),)
+    main = Street(
+        "main",
+        build_line(_offset_from_centre(yaw, -9.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent),
+        MOTORWAY,
+    )
+    verge = _land_cover(Material.GRASS, Label.TERRAIN, GRASS)
     parcels = (
-        _land(Material.GRASS, Label.TERRAIN, GRASS),
-        _land(Material.GRASS, Label.TERRAIN, _MEADOW),
-        _land(Material.GRASS, Label.TERRAIN, _STUBBLE),
-        _land(Material.GRASS, Label.TERRAIN, _CROP),
+        _land_cover(Material.GRASS, Label.TERRAIN, GRASS),
+        _land_cover(Material.GRASS, Label.TERRAIN, _MEADOW),
+        _land_cover(Material.GRASS, Label.TERRAIN, _STUBBLE),
+        _land_cover(Material.GRASS, Label.TERRAIN, _CROP),
     )
     streets, crossings = _slip_roads(main, radius, extent)
     return Scheme((main, *streets), crossings, 0.0, 0.006, 0.014, verge, 0.0, (), parcels, -0.08 * radius)
@@ -245,20 +270,23 @@ def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Stree
     """The entry and the exit after it, on the right of the carriageway along the line."""
     lane = next(track.offset_m for track in MOTORWAY.tracks if track.name == "drive1+")
     join, leave = -0.32 * radius, 0.10 * radius
-    out = curved(
+    out = build_line(
         main.line.at(leave, lane), float(main.line.heading(leave)), 0.0, 2.0 * extent, (Bend(70.0, 110.0, -_SLIP_RAD),)
     )
-    back = curved(
+    back = build_line(
         main.line.at(join, lane), float(main.line.heading(join)), -2.0 * extent, 0.0, (Bend(-70.0, 110.0, -_SLIP_RAD),)
     )
-    exits, entries = Street("exit", _cut(out, extent), SLIP_ROAD), Street("entry", _cut(back, extent), SLIP_ROAD)
+    exits, entries = (
+        Street("exit", _clip_line(out, extent), SLIP_ROAD),
+        Street("entry", _clip_line(back, extent), SLIP_ROAD),
+    )
     return (exits, entries), (
-        crossing("leave", (*_through(main, leave), Arm(exits, 0.0, 1)), "joint"),
-        crossing("join", (*_through(main, join), Arm(entries, 0.0, -1)), "joint"),
+        build_crossing("leave", (*_straight_arms(main, leave), Arm(exits, 0.0, 1)), "joint"),
+        build_crossing("join", (*_straight_arms(main, join), Arm(entries, 0.0, -1)), "joint"),
     )
 
 
-def _cut(line: Line, extent: float) -> Line:
+def _clip_line(line: Line, extent: float) -> Line:
     near = np.hypot(*line.points.T) <= extent
     kept = np.flatnonzero(near)
     part = slice(int(kept[0]), int(kept[-1]) + 1)
@@ -266,13 +294,13 @@ def _cut(line: Line, extent: float) -> Line:
     return Line(float(stations[0]), float(stations[-1]), stations, line.points[part], line.headings[part])
 
 
-def _away(yaw: float, left_m: float) -> Float64:
+def _offset_from_centre(yaw: float, left_m: float) -> Float64:
     return left_m * np.array([-math.sin(yaw), math.cos(yaw)])
 
 
 SCHEMES: Final[dict[str, Callable[[float, float, np.random.Generator], Scheme]]] = {
-    "urban": _urban,
-    "campus": _campus,
-    "rural": _rural,
-    "highway": _highway,
+    "urban": _urban_scheme,
+    "campus": _campus_scheme,
+    "rural": _rural_scheme,
+    "highway": _highway_scheme,
 }

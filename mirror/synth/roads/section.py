@@ -9,11 +9,11 @@ from mirror.synth.model import Material
 from mirror.synth.roads.markings import (
     Mark,
     cycle_lane,
-    dashes,
-    oil,
+    dashed_line,
+    oil_stain,
     parking_bays,
-    solid,
-    tracks_of_wheels,
+    solid_line,
+    wheel_tracks,
 )
 from mirror.synth.street.network import Use
 
@@ -68,7 +68,7 @@ class Section:
     colour: tuple[float, float, float] = (0.100, 0.100, 0.104)
 
 
-def _both(use: Use, offset: float, width: float, speed: float, number: int = 1) -> tuple[Track, Track]:
+def _track_pair(use: Use, offset: float, width: float, speed: float, number: int = 1) -> tuple[Track, Track]:
     """One lane on each side; traffic keeps right."""
     return (
         Track(f"{use}{number}+", use, -offset, width, 1, speed),
@@ -76,66 +76,66 @@ def _both(use: Use, offset: float, width: float, speed: float, number: int = 1) 
     )
 
 
-def _worn(*offsets: float) -> tuple[Mark, ...]:
+def _wear_marks(*offsets: float) -> tuple[Mark, ...]:
     """Wheel tracks and oil stains of lanes at offsets on both sides."""
     lanes = [side * offset for offset in offsets for side in (1.0, -1.0)]
-    return tuple(mark for lane in lanes for mark in (*tracks_of_wheels(lane), oil(lane)))
+    return tuple(mark for lane in lanes for mark in (*wheel_tracks(lane), oil_stain(lane)))
 
 
 MAIN_STREET: Final = Section(
     5.9,
-    (*_both("drive", 1.75, 3.4, 13.9), *_both("park", 4.75, 2.2, 3.0)),
-    marks=(*_worn(1.75), *parking_bays(3.6, 5.85), *parking_bays(-3.6, -5.85)),
-    middle=(dashes(0.0, 0.06, 9.0, 3.0),),
-    strict=(solid(0.0, 0.06),),
+    (*_track_pair("drive", 1.75, 3.4, 13.9), *_track_pair("park", 4.75, 2.2, 3.0)),
+    marks=(*_wear_marks(1.75), *parking_bays(3.6, 5.85), *parking_bays(-3.6, -5.85)),
+    middle=(dashed_line(0.0, 0.06, 9.0, 3.0),),
+    strict=(solid_line(0.0, 0.06),),
     pavement_m=3.8,
 )
 CYCLE_STREET: Final = Section(
     5.5,
-    (*_both("drive", 1.7, 3.3, 13.9), *_both("cycle", 4.4, 1.8, 7.0)),
-    marks=(*_worn(1.7), *cycle_lane(3.5, 5.3), *cycle_lane(-5.3, -3.5)),
-    middle=(dashes(0.0, 0.06, 9.0, 3.0),),
-    strict=(solid(0.0, 0.06),),
+    (*_track_pair("drive", 1.7, 3.3, 13.9), *_track_pair("cycle", 4.4, 1.8, 7.0)),
+    marks=(*_wear_marks(1.7), *cycle_lane(3.5, 5.3), *cycle_lane(-5.3, -3.5)),
+    middle=(dashed_line(0.0, 0.06, 9.0, 3.0),),
+    strict=(solid_line(0.0, 0.06),),
     pavement_m=3.2,
     colour=(0.088, 0.088, 0.092),
 )
 SIDE_STREET: Final = Section(
     3.3,
-    _both("drive", 1.6, 3.1, 8.3),
-    marks=_worn(1.5),
+    _track_pair("drive", 1.6, 3.1, 8.3),
+    marks=_wear_marks(1.5),
     pavement_m=2.6,
     colour=(0.125, 0.122, 0.118),
 )
 OUTER_STREET: Final = Section(
     5.0,
-    _both("drive", 1.85, 3.5, 13.9),
-    marks=(*_worn(1.85), *(solid(side * 4.6, 0.06) for side in (1, -1))),
-    middle=(dashes(0.0, 0.06, 9.0, 3.0),),
-    strict=(solid(0.0, 0.06),),
+    _track_pair("drive", 1.85, 3.5, 13.9),
+    marks=(*_wear_marks(1.85), *(solid_line(side * 4.6, 0.06) for side in (1, -1))),
+    middle=(dashed_line(0.0, 0.06, 9.0, 3.0),),
+    strict=(solid_line(0.0, 0.06),),
     pavement_m=3.0,
     colour=(0.110, 0.110, 0.110),
 )
 CAMPUS_STREET: Final = Section(
     3.7,
-    _both("drive", 1.8, 3.4, 8.3),
-    marks=_worn(1.8),
-    middle=(dashes(0.0, 0.05, 6.0, 2.0),),
-    strict=(solid(0.0, 0.05),),
+    _track_pair("drive", 1.8, 3.4, 8.3),
+    marks=_wear_marks(1.8),
+    middle=(dashed_line(0.0, 0.05, 6.0, 2.0),),
+    strict=(solid_line(0.0, 0.05),),
     pavement_m=2.8,
     colour=(0.135, 0.133, 0.130),
 )
 COUNTRY_ROAD: Final = Section(
     3.4,
-    _both("drive", 1.65, 3.2, 19.4),
-    marks=(*_worn(1.65), *(solid(side * 3.1, 0.06) for side in (1, -1))),
-    middle=(dashes(0.0, 0.06, 12.0, 4.0),),
-    strict=(solid(0.0, 0.06),),
+    _track_pair("drive", 1.65, 3.2, 19.4),
+    marks=(*_wear_marks(1.65), *(solid_line(side * 3.1, 0.06) for side in (1, -1))),
+    middle=(dashed_line(0.0, 0.06, 12.0, 4.0),),
+    strict=(solid_line(0.0, 0.06),),
     pavement_m=1.0,
     colour=(0.115, 0.114, 0.112),
 )
 FARM_TRACK: Final = Section(
     1.9,
-    _both("drive", 0.8, 1.6, 5.6),
+    _track_pair("drive", 0.8, 1.6, 5.6),
     pavement_m=0.6,
     crossfall=0.02,
     material=Material.GRAVEL,
@@ -149,15 +149,15 @@ MOTORWAY: Final = Section(
     16.6,
     tuple(
         track for number, offset in enumerate((12.0, 8.25, 4.5), start=1)
-        for track in _both("drive", offset, 3.75, 33.0, number)
+        for track in _track_pair("drive", offset, 3.75, 33.0, number)
     ),
     marks=(
-        *_worn(12.0, 8.25, 4.5),
-        *(dashes(side * offset, 0.075, 18.0, 6.0) for offset in (6.375, 10.125) for side in (1, -1)),
-        *(solid(side * 2.55, 0.075) for side in (1, -1)),
+        *_wear_marks(12.0, 8.25, 4.5),
+        *(dashed_line(side * offset, 0.075, 18.0, 6.0) for offset in (6.375, 10.125) for side in (1, -1)),
+        *(solid_line(side * 2.55, 0.075) for side in (1, -1)),
     ),
-    middle=tuple(solid(side * MOTORWAY_EDGE_M, 0.15) for side in (1, -1)),
-    strict=tuple(solid(side * MOTORWAY_EDGE_M, 0.15) for side in (1, -1)),
+    middle=tuple(solid_line(side * MOTORWAY_EDGE_M, 0.15) for side in (1, -1)),
+    strict=tuple(solid_line(side * MOTORWAY_EDGE_M, 0.15) for side in (1, -1)),
     median_m=2.1,
     pavement_m=2.0,
     colour=(0.120, 0.120, 0.120),
@@ -165,7 +165,7 @@ MOTORWAY: Final = Section(
 SLIP_ROAD: Final = Section(
     3.6,
     (Track("drive1+", "drive", 0.0, 4.0, 1, 16.7),),
-    marks=(*tracks_of_wheels(0.0), *(solid(side * SLIP_EDGE_M, 0.1) for side in (1, -1))),
+    marks=(*wheel_tracks(0.0), *(solid_line(side * SLIP_EDGE_M, 0.1) for side in (1, -1))),
     crossfall=0.0,
     pavement_m=1.5,
     colour=(0.118, 0.118, 0.118),

@@ -39,11 +39,11 @@ class Turning:
     turn_rad: float
 
 
-def curve(
+def cubic_curve(
     start: Float64, heading_rad: float, goal: Float64, goal_heading_rad: float, step_m: float = _STEP_M
 ) -> Float64:
     """A cubic curve (N, 2) between two positions with headings; an arc if both are equally far from their corner."""
-    turn = _wrapped(goal_heading_rad - heading_rad)
+    turn = _wrap_angle(goal_heading_rad - heading_rad)
     ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
     after = np.array([math.cos(goal_heading_rad), math.sin(goal_heading_rad)])
     gap = goal - start
@@ -57,14 +57,14 @@ def curve(
         least = 0.2 * float(np.hypot(*gap))
         first, second = max(first, least), max(second, least)
     control = np.array([start, start + first * ahead, goal - second * after, goal])
-    fine = _cubic(control, np.linspace(0.0, 1.0, 257))
+    fine = _evaluate_cubic(control, np.linspace(0.0, 1.0, 257))
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
     count = max(math.ceil(along[-1] / step_m), 2)
     share_at = np.interp(np.linspace(0.0, along[-1], count + 1), along, np.linspace(0.0, 1.0, 257))
-    return _cubic(control, share_at)
+    return _evaluate_cubic(control, share_at)
 
 
-def _cubic(control: Float64, share: Float64) -> Float64:
+def _evaluate_cubic(control: Float64, share: Float64) -> Float64:
     t = share[:, None]
     return (
         (1 - t) ** 3 * control[0]
@@ -74,11 +74,11 @@ def _cubic(control: Float64, share: Float64) -> Float64:
     )
 
 
-def _wrapped(angle: float) -> float:
+def _wrap_angle(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane]) -> list[Turning]:
+def build_turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane]) -> list[Turning]:
     """Build vehicle lanes through a crossing: from each arriving lane to those of the same use on other arms."""
     found = []
     for start in ports:
@@ -88,8 +88,8 @@ def turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane
         for goal in ports:
             if goal.arrives or goal.arm == start.arm or lanes[goal.lane_id].use != use:
                 continue
-            line = curve(start.place, start.heading_rad, goal.place, goal.heading_rad)
-            turn = _wrapped(goal.heading_rad - start.heading_rad)
+            line = cubic_curve(start.place, start.heading_rad, goal.place, goal.heading_rad)
+            turn = _wrap_angle(goal.heading_rad - start.heading_rad)
             before, after = lanes[start.lane_id], lanes[goal.lane_id]
             fastest = min(before.speed_mps, after.speed_mps)
             speed = fastest if abs(turn) < _STRAIGHT_RAD else min(fastest, _TURN_MPS)
@@ -101,7 +101,7 @@ def turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane
     return found
 
 
-def joined(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
+def link_lanes(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
     """Successors of each lane that continues directly in another one, as where lanes branch off and merge."""
     return {
         start.lane_id: tuple(
@@ -112,7 +112,9 @@ def joined(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
     }
 
 
-def ruled(crossing: Crossing, found: Sequence[Turning], crosses: Mapping[int, tuple[str, ...]]) -> list[Lane]:
+def assign_right_of_way(
+    crossing: Crossing, found: Sequence[Turning], crosses: Mapping[int, tuple[str, ...]]
+) -> list[Lane]:
     """Convert turnings to lanes that name the lanes they yield to.
 
     Args:
@@ -148,20 +150,20 @@ def _goes_first(crossing: Crossing, other: Turning, mine: Turning) -> bool:
     return mine.turn_rad > _STRAIGHT_RAD and other.turn_rad <= _STRAIGHT_RAD
 
 
-def _round(start: Port, goal: Port, corner: Corner | None) -> Float64:
+def _corner_path(start: Port, goal: Port, corner: Corner | None) -> Float64:
     """The walking path around a corner, close to its kerb; a straight line where there is no corner."""
     if corner is None:
-        return curve(start.place, start.heading_rad, goal.place, goal.heading_rad)
+        return cubic_curve(start.place, start.heading_rad, goal.place, goal.heading_rad)
     out = corner.inner - corner.centre
     out = out / np.hypot(*out)
     middle = corner.centre + (corner.radius_m - _FROM_KERB_M) * out
-    turn = _wrapped(goal.heading_rad - start.heading_rad)
+    turn = _wrap_angle(goal.heading_rad - start.heading_rad)
     heading = math.atan2(out[1], out[0]) - math.copysign(0.5 * math.pi, -turn)
-    before = curve(start.place, start.heading_rad, middle, heading)
-    return np.vstack([before, curve(middle, heading, goal.place, goal.heading_rad)[1:]])
+    before = cubic_curve(start.place, start.heading_rad, middle, heading)
+    return np.vstack([before, cubic_curve(middle, heading, goal.place, goal.heading_rad)[1:]])
 
 
-def footways(
+def build_footways(
     crossing: Crossing, ports: Sequence[Port], zebras: Sequence[bool]
 ) -> tuple[list[Lane], dict[int, tuple[str, ...]]]:
     """Build walking lanes around a crossing's corners and over its zebras, linked with each other and the pavements.
@@ -181,7 +183,7 @@ def footways(
         after = (number + 1) % len(crossing.arms)
         corner = next((corner for corner in crossing.corners if corner.first == number), None)
         for start, goal in (((number, True), (after, False)), ((after, False), (number, True))):
-            line = _round(at[(*start, True)], at[(*goal, False)], corner)
+            line = _corner_path(at[(*start, True)], at[(*goal, False)], corner)
             name = f"{crossing.name}.walk{start[0]}{'l' if start[1] else 'r'}>{goal[0]}{'l' if goal[1] else 'r'}"
             made.append((Lane(name, "walk", line, 1.5, WALK_MPS), start, goal))
         if zebras[number]:

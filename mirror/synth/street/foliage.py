@@ -75,12 +75,12 @@ _DENSE: Final = 0.85
 """A crown with more than this share of its leaves hides its twigs."""
 
 
-def leaf_seeds(rng: np.random.Generator, species: Species, number: int) -> Int64:
+def draw_leaf_seeds(rng: np.random.Generator, species: Species, number: int) -> Int64:
     """Draw seeds (number,) for the leaves of one plant."""
     return (int(species) << 24) + rng.integers(1 << 24, size=number)
 
 
-def foliage(model: Model, season: float, visit: int) -> Model:
+def apply_season(model: Model, season: float, visit: int) -> Model:
     """Return a model with its leaves as they are at a time of the year.
 
     Args:
@@ -100,26 +100,26 @@ def foliage(model: Model, season: float, visit: int) -> Model:
     leafy = faces["material"] == Material.LEAVES
     leaves = np.flatnonzero(leafy & (faces["two_sided"] != 0))
     seeds = faces["seed"][leaves]
-    shown[leaves] = _dressed(faces, leaves, season, _draw(seeds, 0), _draw(seeds, 1))
-    shown[leaves] &= _draw(seeds, 2 + visit) >= _MOST_GONE
+    shown[leaves] = _color_leaves(faces, leaves, season, _hash_unit(seeds, 0), _hash_unit(seeds, 1))
+    shown[leaves] &= _hash_unit(seeds, 2 + visit) >= _MOST_GONE
     bodies = np.flatnonzero(leafy & (faces["two_sided"] == 0))
-    shown[bodies] = _filled(faces, bodies, season) >= _THIN
+    shown[bodies] = _color_insides(faces, bodies, season) >= _THIN
     twigs = np.flatnonzero((faces["material"] == Material.BARK) & (faces["seed"] >= 1 << 24))
     shown[twigs] = crown_share(faces["seed"][twigs], season) < _DENSE
     stays = np.ones(len(rounds), np.bool_)
     inner = np.flatnonzero(rounds["material"] == Material.LEAVES)
-    share = _filled(rounds, inner, season)
+    share = _color_insides(rounds, inner, season)
     # The inside shrinks faster than the leaves fall, and lies in their shade.
     rounds["half"][inner] *= share[:, None]
     rounds["colour"][inner] *= (0.5 + 0.5 * share)[:, None]
     stays[inner] = share >= _THIN
-    return _without(model, faces, shown, rounds[stays])
+    return _keep_faces(model, faces, shown, rounds[stays])
 
 
-def _filled(pieces: Records, bodies: Int64, season: float) -> Float64:
+def _color_insides(pieces: Records, bodies: Int64, season: float) -> Float64:
     """Colour the insides of crowns and hedges in place; return the share of leaves that each still has."""
     middling = np.full(len(bodies), 0.5)
-    _dressed(pieces, bodies, season, middling, middling)
+    _color_leaves(pieces, bodies, season, middling, middling)
     return crown_share(pieces["seed"][bodies], season)
 
 
@@ -133,7 +133,7 @@ def crown_share(seeds: Int64, season: float) -> Float64:
     return share
 
 
-def _dressed(pieces: Records, leaves: Int64, season: float, early: Float64, late: Float64) -> Bool:
+def _color_leaves(pieces: Records, leaves: Int64, season: float, early: Float64, late: Float64) -> Bool:
     """Colour leaves for the season in place; return which of them are present.
 
     Args:
@@ -159,7 +159,7 @@ def _dressed(pieces: Records, leaves: Int64, season: float, early: Float64, late
     return there
 
 
-def _draw(seeds: Int64, turn: int) -> Float64:
+def _hash_unit(seeds: Int64, turn: int) -> Float64:
     """Pseudo-random numbers (N,) in [0, 1), hashed from the seeds and the turn (xor-shift multiply)."""
     shift = np.uint64(turn * 0xC2B2AE3D27D4EB4F & 0xFFFFFFFFFFFFFFFF)
     mixed = seeds.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + shift
@@ -168,7 +168,7 @@ def _draw(seeds: Int64, turn: int) -> Float64:
     return (mixed >> np.uint64(40)).astype(np.float64) / (1 << 24)
 
 
-def _without(model: Model, faces: Records, shown: Bool, rounds: Records) -> Model:
+def _keep_faces(model: Model, faces: Records, shown: Bool, rounds: Records) -> Model:
     """The model with only the shown faces and the corners that they use."""
     kept = faces[shown]
     index = np.repeat(kept["first"] - np.cumsum(kept["count"]) + kept["count"], kept["count"])

@@ -63,7 +63,7 @@ BUILDINGS: Final[dict[str, tuple[Building, ...]]] = {
 }
 
 
-def lay_lots(
+def place_lots(
     streets: Sequence[Street],
     taken: shapely.Geometry,
     kind: str,
@@ -87,13 +87,13 @@ def lay_lots(
             if building.streets and street.name not in building.streets:
                 continue
             for side in (1, -1):
-                for lot, outline in _row(_side(street, side), building, taken, outlines, rng):
+                for lot, outline in _build_row(_sample_side(street, side), building, taken, outlines, rng):
                     lots.append(lot)
                     outlines.append(outline)
-    return tuple(_standing(lot, height_m) for lot in lots)
+    return tuple(_place_on_ground(lot, height_m) for lot in lots)
 
 
-def _standing(lot: Lot, height_m: Callable[[npt.ArrayLike, npt.ArrayLike], Float64]) -> Lot:
+def _place_on_ground(lot: Lot, height_m: Callable[[npt.ArrayLike, npt.ArrayLike], Float64]) -> Lot:
     x, y = lot.origin
     return replace(lot, origin=np.array([x, y, float(height_m(x, y))]))
 
@@ -129,13 +129,13 @@ class _Side:
         return Lot(0.5 * (front[0] + front[-1]) + bulge * away, yaw, length - 2.0 * _CLEAR_M, depth, kind)
 
 
-def _side(street: Street, side: int) -> _Side:
+def _sample_side(street: Street, side: int) -> _Side:
     stations = np.arange(street.line.first_m, street.line.last_m, _GRID_M)
     middle, beside = street.line.at(stations), street.line.at(stations, float(side))
     return _Side(middle, beside - middle, street.section.half_m + street.section.pavement_m, side)
 
 
-def _row(
+def _build_row(
     beside: _Side,
     building: Building,
     taken: shapely.Geometry,
@@ -143,7 +143,7 @@ def _row(
     rng: np.random.Generator,
 ) -> Iterator[tuple[Lot, shapely.Geometry]]:
     """Yield lots for one side of a street; the caller appends accepted outlines to ``built``."""
-    at, (count, depth, back, gap) = 0, _wish(building, rng)
+    at, (count, depth, back, gap) = 0, _draw_lot(building, rng)
     while at + count < len(beside.middle):
         for deep in (depth, 0.75 * depth):
             lot = beside.lot(at, at + count, deep, back, building.kind)
@@ -151,17 +151,17 @@ def _row(
                 continue
             outline = lot.outline()
             if not shapely.intersects(taken, outline) and not shapely.intersects(built, outline).any():
-                if building.kind == "front" and _at_corner(beside, at, at + count, taken):
+                if building.kind == "front" and _is_at_corner(beside, at, at + count, taken):
                     lot = replace(lot, kind="corner")
                 yield lot, outline
                 at += count + gap
-                count, depth, back, gap = _wish(building, rng)
+                count, depth, back, gap = _draw_lot(building, rng)
                 break
         else:
             at += _STEP
 
 
-def _at_corner(beside: _Side, first: int, last: int, taken: shapely.Geometry) -> bool:
+def _is_at_corner(beside: _Side, first: int, last: int, taken: shapely.Geometry) -> bool:
     """Whether another street runs beside a lot."""
     places = np.array(
         [
@@ -172,7 +172,7 @@ def _at_corner(beside: _Side, first: int, last: int, taken: shapely.Geometry) ->
     return bool(shapely.contains_xy(taken, places[:, 0], places[:, 1]).any())
 
 
-def _wish(building: Building, rng: np.random.Generator) -> tuple[int, float, float, int]:
+def _draw_lot(building: Building, rng: np.random.Generator) -> tuple[int, float, float, int]:
     """Draw length, depth, distance from the pavement and gap of a lot; length and gap are counted in grid steps."""
     length, depth = rng.uniform(*building.length_m), rng.uniform(*building.depth_m)
     back, gap = rng.uniform(*building.set_back_m), rng.uniform(*building.gap_m)

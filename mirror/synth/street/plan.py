@@ -15,17 +15,17 @@ from mirror.errors import UsageError
 from mirror.schema.documents import Roi
 from mirror.synth.model import Model, merged
 from mirror.synth.roads.crossing import Crossing, Street
-from mirror.synth.roads.ground import build_ground, outlines
-from mirror.synth.roads.layouts import lay_out
+from mirror.synth.roads.ground import build_ground, merge_outlines
+from mirror.synth.roads.ground_index import GroundIndex, build_ground_index
+from mirror.synth.roads.layouts import build_layouts
 from mirror.synth.roads.networks import build_network
-from mirror.synth.roads.overbridge import overbridge
-from mirror.synth.roads.relief import Relief, land, level_stretches
+from mirror.synth.roads.overbridge import build_overbridge
+from mirror.synth.roads.relief import Relief, draw_land, find_level_stretches
 from mirror.synth.roads.schemes import BEYOND_M, SCHEMES
-from mirror.synth.roads.standing import Standing, standing_on
-from mirror.synth.street.frontages import lay_lots
+from mirror.synth.street.frontages import place_lots
 from mirror.synth.street.lots import Lot, Rail, Spot
 from mirror.synth.street.network import Network
-from mirror.synth.street.spots import lay_rails, lay_spots
+from mirror.synth.street.spots import place_rails, place_spots
 
 _FIELDS_M: Final = 260.0
 _FORECOURT_M: Final = 0.4
@@ -49,7 +49,7 @@ class Plan:
         lots: places for houses.
         spots: places for lamps, trees, signs and lights.
         rails: rails beside the streets.
-        standing: heights of the ground.
+        ground_index: heights of the ground.
         driven: area of the carriageways on the ground plane.
         roads: area of the carriageways with pavements or shoulders, squares and bridges.
         built: area of the lots.
@@ -66,7 +66,7 @@ class Plan:
     lots: tuple[Lot, ...]
     spots: tuple[Spot, ...]
     rails: tuple[Rail, ...]
-    standing: Standing
+    ground_index: GroundIndex
     driven: shapely.Geometry
     roads: shapely.Geometry
     built: shapely.Geometry
@@ -77,7 +77,7 @@ class Plan:
         Raises:
             UsageError: a position is outside the ground, or not finite.
         """
-        return self.standing.height_m(x_m, y_m)
+        return self.ground_index.height_m(x_m, y_m)
 
     def is_free(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, clear_m: float = 0.0) -> Bool:
         """Whether positions (...,) are open land, at least ``clear_m`` from every road, square and lot."""
@@ -108,15 +108,15 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
     scheme = SCHEMES[kind](roi.radius_m, yaw, layout_rng)
     feet = scheme.kerb_m > 0.0
     streets, crossings = scheme.streets, scheme.crossings
-    layouts = lay_out(streets, crossings)
+    layouts = build_layouts(streets, crossings)
     relief = Relief(
-        land(land_rng, scheme.slope, scheme.steepest),
+        draw_land(land_rng, scheme.slope, scheme.steepest),
         streets,
-        tuple(level_stretches(street, crossings) for street in streets),
+        tuple(find_level_stretches(street, crossings) for street in streets),
         scheme.kerb_m,
         layouts.dips,
     )
-    roads = outlines(streets, layouts.stations, crossings, feet)
+    roads = merge_outlines(streets, layouts.stations, crossings, feet)
     covers = [replace(scheme.pavement, outline=roads.roads), *scheme.covers]
     if scheme.forecourt_m:
         forecourt = roads.roads.buffer(scheme.forecourt_m, join_style="bevel").simplify(_FORECOURT_M)
@@ -125,21 +125,21 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
     ground = build_ground(
         streets, layouts.stations, roads, relief, layouts.stretches, covers, scheme.parcels, yaw, extent, seed
     )
-    standing = standing_on(ground.triangles)
+    ground_index = build_ground_index(ground.triangles)
     surfaces, squares = [ground.model], [cover.outline for cover in scheme.covers]
     if scheme.bridge_m is not None:
         under = streets[0].line.at(scheme.bridge_m)
-        bridge = overbridge(streets[0], scheme.bridge_m, float(standing.height_m(*under)))
+        bridge = build_overbridge(streets[0], scheme.bridge_m, float(ground_index.height_m(*under)))
         surfaces.append(bridge.model)
         squares.append(bridge.outline)
     taken = shapely.union_all([roads.roads, *squares])
-    lots = lay_lots(streets, taken, kind, standing.height_m, lot_rng)
+    lots = place_lots(streets, taken, kind, ground_index.height_m, lot_rng)
     built = shapely.union_all([lot.outline() for lot in lots])
     for geometry in (taken, built):
         shapely.prepare(geometry)
     return Plan(
         roi, kind, yaw, streets, crossings, merged(surfaces), layouts.table,
-        build_network(streets, crossings, feet, standing.height_m), lots,
-        lay_spots(streets, crossings, kind, shapely.union_all([roads.carriageway, *squares]), standing, spot_rng),
-        lay_rails(streets, layouts.stations, kind, standing), standing, roads.carriageway, taken, built,
+        build_network(streets, crossings, feet, ground_index.height_m), lots,
+        place_spots(streets, crossings, kind, shapely.union_all([roads.carriageway, *squares]), ground_index, spot_rng),
+        place_rails(streets, layouts.stations, kind, ground_index), ground_index, roads.carriageway, taken, built,
     )  # fmt: skip

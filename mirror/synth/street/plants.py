@@ -12,7 +12,7 @@ from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.synth.model import Label, Material, Model, block, merged, polygons
 from mirror.synth.model.batches import ellipsoids, tubes
-from mirror.synth.street.foliage import Colour, Species, leaf_seeds
+from mirror.synth.street.foliage import Colour, Species, draw_leaf_seeds
 
 Kind = Literal["lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", "cherry", "oak"]
 
@@ -103,7 +103,7 @@ _HABITS: Final[dict[Kind, _Habit]] = {
 }  # fmt: skip
 
 
-def tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf) -> Model:
+def build_tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf) -> Model:
     """Build a tree in full leaf; the foot of its trunk is the origin.
 
     Args:
@@ -118,15 +118,15 @@ def tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf) -> M
         raise UsageError(f"a tree of kind {kind!r}", expected=f"one of {', '.join(TREES)}")
     habit = _HABITS[kind]
     height = rng.uniform(*habit.height_m)
-    centres, halves = _lobes(rng, habit, height, road_m)
-    wood = _wood(rng, habit, height, centres, halves)
+    centres, halves = _draw_lobes(rng, habit, height, road_m)
+    wood = _wood_model(rng, habit, height, centres, halves)
     leaf = np.array(habit.leaf) * rng.uniform(0.85, 1.15) * rng.uniform(0.92, 1.08, 3)
-    seeds = leaf_seeds(rng, habit.species, habit.leaves + len(centres))
-    crown = _leaves(rng, centres, halves, habit.leaves, habit.narrow, habit.hang, leaf, seeds, road_m)
-    return merged([wood, crown, _insides(centres, halves, leaf, seeds[habit.leaves :])])
+    seeds = draw_leaf_seeds(rng, habit.species, habit.leaves + len(centres))
+    crown = _spray_model(rng, centres, halves, habit.leaves, habit.narrow, habit.hang, leaf, seeds, road_m)
+    return merged([wood, crown, _inside_model(centres, halves, leaf, seeds[habit.leaves :])])
 
 
-def bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
+def build_bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
     """Build a bush of about 1 to 2 m, centred at the origin."""
     size = rng.uniform(0.5, 1.0)
     spots = rng.normal(0.0, 0.35 * size, (4, 2))
@@ -134,20 +134,20 @@ def bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
     centres = np.c_[spots, 0.75 * halves[:, 2]]
     species = Species.EVERGREEN if evergreen else Species.SHRUB
     leaf = np.array((0.04, 0.08, 0.03) if evergreen else (0.07, 0.12, 0.03)) * rng.uniform(0.8, 1.2)
-    seeds = leaf_seeds(rng, species, 84)
-    crown = _leaves(rng, centres, halves, 80, 0.6, 0.0, leaf, seeds)
-    parts = [crown, _insides(centres, halves, leaf, seeds[80:])]
+    seeds = draw_leaf_seeds(rng, species, 84)
+    crown = _spray_model(rng, centres, halves, 80, 0.6, 0.0, leaf, seeds)
+    parts = [crown, _inside_model(centres, halves, leaf, seeds[80:])]
     if not evergreen:
         roots = np.c_[0.3 * spots, np.full(4, -0.1)]
-        parts.append(_twigs(rng, species, _BROWN, centres, halves, roots))
+        parts.append(_twig_model(rng, species, _BROWN, centres, halves, roots))
     return merged(parts)
 
 
-def hedge(rng: np.random.Generator, length_m: float, height_m: float = 1.3, width_m: float = 0.7) -> Model:
+def build_hedge(rng: np.random.Generator, length_m: float, height_m: float = 1.3, width_m: float = 0.7) -> Model:
     """Build a clipped evergreen hedge along x, centred at the origin; it extends 0.4 m into the ground."""
     leaf = np.array((0.035, 0.072, 0.028)) * rng.uniform(0.85, 1.3)
     number = max(12, round(9.0 * length_m * (height_m + 0.5 * width_m)))
-    seeds = leaf_seeds(rng, Species.EVERGREEN, number + 1)
+    seeds = draw_leaf_seeds(rng, Species.EVERGREEN, number + 1)
     inside = block(
         (0.0, 0.0, 0.5 * (height_m - 0.47)), (length_m - 0.1, width_m - 0.14, height_m + 0.33), 0.6 * leaf,
         Material.LEAVES, Label.VEGETATION, seed=int(seeds[number]),
@@ -160,33 +160,33 @@ def hedge(rng: np.random.Generator, length_m: float, height_m: float = 1.3, widt
     outward = np.zeros((number, 3))
     outward[np.arange(number), axis] = sign
     places[np.arange(number), axis] = sign * (extent[axis] - rng.uniform(0.03, 0.09, number))
-    corners = _sprays(rng, places, outward, np.full(number, 0.17), 0.75, 0.0, 0.35)
+    corners = _draw_sprays(rng, places, outward, np.full(number, 0.17), 0.75, 0.0, 0.35)
     least, most = [-0.5 * length_m, -0.5 * width_m, 0.0], extent
     corners += np.maximum(least - corners.min(axis=1), 0.0)[:, None]
     corners -= np.maximum(corners.max(axis=1) - most, 0.0)[:, None]
-    return merged([inside, _painted(rng, corners, leaf * _depth(places[:, 2], height_m), seeds)])
+    return merged([inside, _leaf_model(rng, corners, leaf * _height_shade(places[:, 2], height_m), seeds)])
 
 
-def crops(rng: np.random.Generator, length_m: float) -> Model:
+def build_crops(rng: np.random.Generator, length_m: float) -> Model:
     """Build a row of corn along x, centred at the origin."""
     number = max(2, round(2.4 * length_m))
-    seeds = leaf_seeds(rng, Species.CROP, number)
+    seeds = draw_leaf_seeds(rng, Species.CROP, number)
     place = np.c_[(np.arange(number) + rng.uniform(0.2, 0.8, number)) / number - 0.5, np.zeros(number)]
     foot = place * length_m + rng.normal(0.0, 0.03, (number, 2))
     turn = rng.normal(0.0, 0.35, number)
-    return _blades(rng, foot, turn, 0.40, rng.uniform(0.75, 1.05, number), (0.085, 0.15, 0.035), seeds)
+    return _tuft_model(rng, foot, turn, 0.40, rng.uniform(0.75, 1.05, number), (0.085, 0.15, 0.035), seeds)
 
 
-def reeds(rng: np.random.Generator, length_m: float, width_m: float = 0.8) -> Model:
+def build_reeds(rng: np.random.Generator, length_m: float, width_m: float = 0.8) -> Model:
     """Build reeds or tall grass along x, centred at the origin."""
     number = max(3, round(8.0 * length_m * width_m))
-    seeds = leaf_seeds(rng, Species.REED, number)
+    seeds = draw_leaf_seeds(rng, Species.REED, number)
     foot = rng.uniform(-0.5, 0.5, (number, 2)) * (length_m, width_m)
     turn = rng.uniform(0.0, math.pi, number)
-    return _blades(rng, foot, turn, 0.11, rng.uniform(0.5, 1.3, number), (0.15, 0.16, 0.06), seeds)
+    return _tuft_model(rng, foot, turn, 0.11, rng.uniform(0.5, 1.3, number), (0.15, 0.16, 0.06), seeds)
 
 
-def _blades(
+def _tuft_model(
     rng: np.random.Generator,
     foot_m: Float64,
     turn: Float64,
@@ -204,10 +204,10 @@ def _blades(
     top = foot + lean + np.c_[np.zeros((number, 2)), 0.1 + height_m]
     drop = np.c_[np.zeros((number, 2)), rng.uniform(0.12, 0.3, number) * height_m]
     corners = np.stack([foot - 0.5 * aside, foot + 0.5 * aside, top + aside - drop, top, top - aside - drop], axis=1)
-    return _painted(rng, corners, np.tile(colour, (number, 1)), seeds)
+    return _leaf_model(rng, corners, np.tile(colour, (number, 1)), seeds)
 
 
-def _lobes(rng: np.random.Generator, habit: _Habit, height: float, road_m: float) -> tuple[Float64, Float64]:
+def _draw_lobes(rng: np.random.Generator, habit: _Habit, height: float, road_m: float) -> tuple[Float64, Float64]:
     """Centres and half axes (L, 3) of a crown's ellipsoids."""
     number = habit.lobes
     low, high = min(habit.crown_m * rng.uniform(0.95, 1.1), 0.6 * height), height
@@ -227,7 +227,7 @@ def _lobes(rng: np.random.Generator, habit: _Habit, height: float, road_m: float
     return np.c_[off * np.cos(turn), off * np.sin(turn), up], np.c_[across, across, tall]
 
 
-def _leaves(
+def _spray_model(
     rng: np.random.Generator,
     centres: Float64,
     halves: Float64,
@@ -253,19 +253,19 @@ def _leaves(
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     size = math.sqrt(_COVER * area.sum() * outer.mean() / (number * 0.76 * math.pi * narrow))
     sizes = size * rng.uniform(0.55, 1.35, len(places))
-    corners = _sprays(rng, places, outward, sizes, narrow, hang, 0.65)
+    corners = _draw_sprays(rng, places, outward, sizes, narrow, hang, 0.65)
     reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1)
     clear = (corners[..., 2].min(axis=1) > 0.0) & ((reach < road_m) | (corners[..., 2].min(axis=1) >= PASSING_M))
-    bright = _depth(places[:, 2], float(centres[:, 2].max() + halves[:, 2].max()))
-    return _painted(rng, corners[clear], (colour * bright)[clear], seeds[: len(places)][clear])
+    bright = _height_shade(places[:, 2], float(centres[:, 2].max() + halves[:, 2].max()))
+    return _leaf_model(rng, corners[clear], (colour * bright)[clear], seeds[: len(places)][clear])
 
 
-def _depth(up_m: Float64, top_m: float) -> Float64:
+def _height_shade(up_m: Float64, top_m: float) -> Float64:
     """Brightness (N, 1) of leaves by their height: lower leaves are shaded by higher ones."""
     return (0.72 + 0.36 * np.clip(up_m / top_m, 0.0, 1.0))[:, None]
 
 
-def _sprays(
+def _draw_sprays(
     rng: np.random.Generator,
     places: Float64,
     outward: Float64,
@@ -288,7 +288,7 @@ def _sprays(
     return places[:, None] + x[..., None] * along[:, None] + y[..., None] * aside[:, None]
 
 
-def _painted(rng: np.random.Generator, corners: Float64, colours: Float64, seeds: Int64) -> Model:
+def _leaf_model(rng: np.random.Generator, corners: Float64, colours: Float64, seeds: Int64) -> Model:
     number = len(corners)
     shades = colours * rng.uniform(0.78, 1.22, (number, 1)) * rng.uniform(0.93, 1.07, (number, 3))
     return polygons(
@@ -296,12 +296,12 @@ def _painted(rng: np.random.Generator, corners: Float64, colours: Float64, seeds
     )  # fmt: skip
 
 
-def _insides(centres: Float64, halves: Float64, colour: Float64, seeds: Int64) -> Model:
+def _inside_model(centres: Float64, halves: Float64, colour: Float64, seeds: Int64) -> Model:
     """The dark inside of each ellipsoid, so that a crown in leaf is not transparent."""
     return ellipsoids(centres, 0.84 * halves, 0.65 * colour, Material.LEAVES, Label.VEGETATION, seeds=seeds)
 
 
-def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float64, halves: Float64) -> Model:
+def _wood_model(rng: np.random.Generator, habit: _Habit, height: float, centres: Float64, halves: Float64) -> Model:
     """Trunk, a limb to every second ellipsoid, and twigs in each."""
     thick = habit.trunk * height
     fork = min(habit.crown_m + 0.5, 0.5 * height)
@@ -324,10 +324,10 @@ def _wood(rng: np.random.Generator, habit: _Habit, height: float, centres: Float
     )  # fmt: skip
     if habit.species == Species.EVERGREEN:
         return merged([trunk, limbs])
-    return merged([trunk, limbs, _twigs(rng, habit.species, habit.bark, centres, halves, starts)])
+    return merged([trunk, limbs, _twig_model(rng, habit.species, habit.bark, centres, halves, starts)])
 
 
-def _twigs(
+def _twig_model(
     rng: np.random.Generator, species: Species, bark: Colour, centres: Float64, halves: Float64, starts: Float64
 ) -> Model:
     """Thin triangles from the limbs to the outside of the ellipsoids: the twigs that are visible in winter."""
@@ -342,7 +342,7 @@ def _twigs(
     across *= 0.025 / np.linalg.norm(across, axis=1, keepdims=True)
     corners = np.stack([roots - across, roots + across, ends], axis=1)
     # The species in their seeds decides when leaves hide the twigs.
-    seeds = leaf_seeds(rng, species, number)
+    seeds = draw_leaf_seeds(rng, species, number)
     return polygons(
         corners, 0.8 * np.array(bark), Material.BARK, Label.VEGETATION, seeds=seeds, two_sided=True
     )  # fmt: skip

@@ -12,9 +12,9 @@ import shapely
 
 from mirror.arrays import Float64
 from mirror.synth.roads.crossing import Crossing, Street
-from mirror.synth.roads.layouts import approaches
-from mirror.synth.roads.relief import level_stretches
-from mirror.synth.roads.standing import Standing
+from mirror.synth.roads.ground_index import GroundIndex
+from mirror.synth.roads.layouts import find_approaches
+from mirror.synth.roads.relief import find_level_stretches
 from mirror.synth.street.lots import Rail, RailKind, Spot, SpotKind
 
 _KERB_SIDE_M: Final = 0.65
@@ -84,12 +84,12 @@ class _Place:
         )  # fmt: skip
 
 
-def lay_spots(
+def place_spots(
     streets: Sequence[Street],
     crossings: Sequence[Crossing],
     kind: str,
     taken: shapely.Geometry,
-    standing: Standing,
+    ground_index: GroundIndex,
     rng: np.random.Generator,
 ) -> tuple[Spot, ...]:
     """Place spots on both sides of the streets, outside all carriageways.
@@ -99,26 +99,26 @@ def lay_spots(
         crossings: the crossings.
         kind: kind of scene.
         taken: carriageways and other areas to keep free.
-        standing: heights of the ground.
+        ground_index: heights of the ground.
         rng: random generator.
     """
-    places = [place for crossing in crossings for place in _at_crossing(crossing)]
+    places = [place for crossing in crossings for place in _crossing_places(crossing)]
     if kind == "highway":
-        places += _over_motorway(streets[0])
+        places += _gantry_places(streets[0])
     furnishing = FURNISHINGS[kind]
     for street in streets:
-        found = _lined(street, furnishing, rng)
+        found = _street_places(street, furnishing, rng)
         if street is streets[0] and furnishing.poles_m:
-            found += _regular(street, "pole", furnishing.poles_m, 1, _POLE_ASIDE_M)
+            found += _even_places(street, "pole", furnishing.poles_m, 1, _POLE_ASIDE_M)
         others = [other for other in streets if other is not street]
-        places += _off_streets(found, street, level_stretches(street, crossings), others)
+        places += _drop_on_streets(found, street, find_level_stretches(street, crossings), others)
     points = np.array([place.street.line.at(place.station_m, place.offset_m) for place in places])
     free = shapely.distance(taken, shapely.points(points)) > _LEAST_M
-    heights = standing.height_m(points[:, 0], points[:, 1])
+    heights = ground_index.height_m(points[:, 0], points[:, 1])
     return tuple(place.spot(float(height)) for place, height, kept in zip(places, heights, free) if kept)
 
 
-def _off_streets(found: Sequence[_Place], street: Street, level: Float64, others: Sequence[Street]) -> list[_Place]:
+def _drop_on_streets(found: Sequence[_Place], street: Street, level: Float64, others: Sequence[Street]) -> list[_Place]:
     """The places beside a street that are outside its crossings and outside other streets, pavements and medians."""
     at = np.array([place.station_m for place in found])
     points = street.line.at(at, np.array([place.offset_m for place in found]))
@@ -131,9 +131,9 @@ def _off_streets(found: Sequence[_Place], street: Street, level: Float64, others
     return [place for place, kept in zip(found, free) if kept]
 
 
-def _at_crossing(crossing: Crossing) -> Iterator[_Place]:
+def _crossing_places(crossing: Crossing) -> Iterator[_Place]:
     """Yield places for lights and signs before a crossing, on the right of arriving traffic."""
-    for number, approach in enumerate(approaches(crossing)):
+    for number, approach in enumerate(find_approaches(crossing)):
         arm = approach.arm
         if approach.stop_m is None:
             continue
@@ -148,7 +148,7 @@ def _at_crossing(crossing: Crossing) -> Iterator[_Place]:
             yield _Place(arm.street, station, offset, "crosswalk")
 
 
-def _over_motorway(street: Street) -> list[_Place]:
+def _gantry_places(street: Street) -> list[_Place]:
     """Places for gantries over both carriageways."""
     aside = street.section.half_m + 1.4
     length = street.line.last_m - street.line.first_m
@@ -158,26 +158,26 @@ def _over_motorway(street: Street) -> list[_Place]:
     ]
 
 
-def _lined(street: Street, furnishing: Furnishing, rng: np.random.Generator) -> list[_Place]:
+def _street_places(street: Street, furnishing: Furnishing, rng: np.random.Generator) -> list[_Place]:
     """Lamps alternating between both sides, trees between them, and signs and small objects in the gaps."""
     found: list[_Place] = []
     for side in (1, -1):
         lamps = []
         if furnishing.lamps_m:
-            lamps = _regular(street, "lamp", furnishing.lamps_m, side, furnishing.aside_m)
+            lamps = _even_places(street, "lamp", furnishing.lamps_m, side, furnishing.aside_m)
         if furnishing.trees_m:
-            trees = _regular(street, "tree", furnishing.trees_m, side, furnishing.tree_aside_m, rng, 0.22)
-            trees = [tree for tree in trees if _apart(tree, lamps, _TREE_APART_M) and rng.random() < _TREE_SHARE]
+            trees = _even_places(street, "tree", furnishing.trees_m, side, furnishing.tree_aside_m, rng, 0.22)
+            trees = [tree for tree in trees if _is_apart(tree, lamps, _TREE_APART_M) and rng.random() < _TREE_SHARE]
         else:
             trees = []
-        things = _regular(street, "furniture", furnishing.things_m, side, furnishing.aside_m, rng, 0.4)
-        things = [thing for thing in things if _apart(thing, [*lamps, *trees], _THING_APART_M)]
+        things = _even_places(street, "furniture", furnishing.things_m, side, furnishing.aside_m, rng, 0.4)
+        things = [thing for thing in things if _is_apart(thing, [*lamps, *trees], _THING_APART_M)]
         kinds = rng.choice(["furniture", "sign"], len(things), p=[0.7, 0.3])
         found += [*lamps, *trees, *(replace(thing, kind=kind) for thing, kind in zip(things, kinds.tolist()))]
     return found
 
 
-def _regular(
+def _even_places(
     street: Street,
     kind: SpotKind,
     step_m: float,
@@ -193,12 +193,12 @@ def _regular(
     return [_Place(street, float(at), side * (street.section.half_m + aside_m), kind) for at in stations]
 
 
-def _apart(place: _Place, others: Sequence[_Place], least_m: float) -> bool:
+def _is_apart(place: _Place, others: Sequence[_Place], least_m: float) -> bool:
     return all(abs(place.station_m - other.station_m) > least_m for other in others)
 
 
-def lay_rails(
-    streets: Sequence[Street], stations: Sequence[Float64], kind: str, standing: Standing
+def place_rails(
+    streets: Sequence[Street], stations: Sequence[Float64], kind: str, ground_index: GroundIndex
 ) -> tuple[Rail, ...]:
     """Place rails along the main street, interrupted where other streets join.
 
@@ -206,7 +206,7 @@ def lay_rails(
         streets: the streets, the main street first.
         stations: for each street, the stations at which its pieces end.
         kind: kind of scene.
-        standing: heights of the ground.
+        ground_index: heights of the ground.
     """
     main, at = streets[0], stations[0]
     others = shapely.union_all(
@@ -223,5 +223,5 @@ def lay_rails(
             for part in shapely.get_parts(shapely.difference(line, others)):
                 if part.length > _LEAST_RAIL_M:
                     points = shapely.get_coordinates(part)
-                    rails.append(Rail(np.c_[points, standing.height_m(points[:, 0], points[:, 1])], rail))
+                    rails.append(Rail(np.c_[points, ground_index.height_m(points[:, 0], points[:, 1])], rail))
     return tuple(rails)

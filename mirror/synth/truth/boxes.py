@@ -54,7 +54,7 @@ class ObjectVisibility:
 
 
 def measure_visibility(
-    objects: Int32, camera: Camera, world_SE3_camera: Poses, standing: Mapping[int, PosedObject]
+    objects: Int32, camera: Camera, world_SE3_camera: Poses, posed_objects: Mapping[int, PosedObject]
 ) -> ObjectVisibility:
     """Measure the visibility of each object in an image.
 
@@ -62,17 +62,17 @@ def measure_visibility(
         objects: (H, W) number of the object at the centre of each pixel, below 0 where there is none.
         camera: camera of the image.
         world_SE3_camera: one pose of the camera.
-        standing: the objects, by number.
+        posed_objects: the objects, by number.
 
     Returns:
         The objects that would cover a pixel without occluders. The visibility of large objects is estimated on a
         regular grid of some thousands of pixels.
     """
-    numbers = np.array(sorted(standing), np.int64)
+    numbers = np.array(sorted(posed_objects), np.int64)
     counts, bounds = _extents(objects, numbers)
     if not len(numbers):
         return ObjectVisibility(numbers, counts, np.zeros(0), bounds)
-    ones = [standing[int(number)] for number in numbers]
+    ones = [posed_objects[int(number)] for number in numbers]
     world_SE3_box = Poses(
         np.concatenate([one.world_SE3_box.rotation for one in ones]),
         np.concatenate([one.world_SE3_box.translation for one in ones]),

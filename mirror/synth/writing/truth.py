@@ -113,14 +113,14 @@ def _box_rows(
     numbers, places = list(instant.placements), list(instant.placements.values())
     road_users = [drive.road_users[number] for number in numbers]
     boxes = world_SE3_boxes(road_users, places)
-    standing = {
+    posed_objects = {
         number: PosedObject(
-            user.body.posed(place).placed(place.rotation, place.translation, number), boxes[row], user.body.size_m
+            user.body.model_at(place).transform(place.rotation, place.translation, number), boxes[row], user.body.size_m
         )
         for row, (number, user, place) in enumerate(zip(numbers, road_users, places))
     }
     camera = drive.vehicle.cameras[request.camera]
-    found = measure_visibility(image.view.object, camera, world_SE3_camera, standing)
+    found = measure_visibility(image.view.object, camera, world_SE3_camera, posed_objects)
     columns = boxes.to_columns()
     rows = []
     for index, number in enumerate(found.number.tolist()):

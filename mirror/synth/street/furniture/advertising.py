@@ -8,7 +8,7 @@ import numpy as np
 
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
 from mirror.synth.street.furniture.lamps import FOOT_M
-from mirror.synth.street.furniture.signs import plate
+from mirror.synth.street.furniture.signs import add_sign
 from mirror.synth.textures.catalogue import BILLBOARDS, POSTERS, Sign
 
 _TURNS: Final = 4
@@ -99,6 +99,6 @@ def bus_shelter(rng: np.random.Generator) -> Model:
         pieces.block((back + 0.3, y - 0.03, -0.2), (back + 0.4, y + 0.03, 0.42), steel, without=("-z", "+z"))
     pole = Pieces()
     pole.tube((0, 0, FOOT_M), (0, 0, 2.9), 0.04, _STEEL, cap=True)
-    plate(pole, Sign.BUS_STOP, 2.6, 0.28)
-    pieces.add(pole.model().standing(front - 0.1, -half - 0.8, 0.0, -0.5 * np.pi))
+    add_sign(pole, Sign.BUS_STOP, 2.6, 0.28)
+    pieces.add(pole.model().place(front - 0.1, -half - 0.8, 0.0, -0.5 * np.pi))
     return pieces.model()

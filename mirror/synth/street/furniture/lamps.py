@@ -46,7 +46,7 @@ def lamp_post(kind: LampKind, *, height_m: float, reach_m: float = 1.8) -> LampP
         pieces.tube((0, 0, FOOT_M), (0, 0, 1.0), 0.11, _STEEL)
         pieces.tube((0, 0, 1.0), (0, 0, height_m), 0.085, _STEEL, end_radius_m=0.055, cap=True)
         for way in ways:
-            _arm(pieces, height_m, way * reach_m)
+            _add_arm(pieces, height_m, way * reach_m)
         return LampPost(pieces.model(), np.array([(way * reach_m, 0.0, height_m) for way in ways]))
     if kind == "column":
         pieces.tube((0, 0, FOOT_M), (0, 0, height_m - 0.3), 0.06, _STEEL)
@@ -64,7 +64,7 @@ def lamp_post(kind: LampKind, *, height_m: float, reach_m: float = 1.8) -> LampP
     return LampPost(pieces.model(), np.array([[0.0, 0.0, height_m - 0.1]]))
 
 
-def _arm(pieces: Pieces, height_m: float, end_m: float) -> None:
+def _add_arm(pieces: Pieces, height_m: float, end_m: float) -> None:
     pieces.tube((0, 0, height_m - 0.25), (0.85 * end_m, 0, height_m + 0.06), 0.045, _STEEL, corners=5)
     near, far = sorted((0.8 * end_m, 0.8 * end_m + np.copysign(0.75, end_m)))
     low, high = height_m, height_m + 0.12

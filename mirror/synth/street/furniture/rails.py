@@ -19,7 +19,7 @@ _POLE: Final = Finish((0.17, 0.12, 0.08), Material.BARK, Label.POLE)
 _WIRE: Final = Finish((0.03, 0.03, 0.03), Material.PLAIN, Label.POLE)
 
 
-def _spaced(line: Float64, step_m: float) -> Float64:
+def _space_evenly(line: Float64, step_m: float) -> Float64:
     """Evenly spaced points (N, 3) on a line, about ``step_m`` apart."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     count = max(round(along[-1] / step_m), 1) + 1
@@ -27,13 +27,13 @@ def _spaced(line: Float64, step_m: float) -> Float64:
     return np.stack([np.interp(at, along, line[:, axis]) for axis in range(3)], axis=1)
 
 
-def _aside(start: Float64, end: Float64) -> Float64:
+def _left_normal(start: Float64, end: Float64) -> Float64:
     """Horizontal unit vector to the left of a segment."""
     step = (end - start)[:2]
     return np.array([-step[1], step[0], 0.0]) / np.linalg.norm(step)
 
 
-def _sheet(pieces: Pieces, start: Float64, end: Float64, low_m: float, high_m: float, finish: Finish) -> None:
+def _add_sheet(pieces: Pieces, start: Float64, end: Float64, low_m: float, high_m: float, finish: Finish) -> None:
     """Add an upright sheet above a segment; its front is on the segment's right."""
     low, high = low_m * _UP, high_m * _UP
     pieces.face(np.array([start + low, end + low, end + high, start + high]), finish)
@@ -46,13 +46,13 @@ def guard_rail(line: Float64) -> Model:
         line: (N, 3) points on the ground, metres.
     """
     pieces = Pieces()
-    points = _spaced(line, 4.0)
+    points = _space_evenly(line, 4.0)
     for start, end in pairwise(points):
-        aside = _aside(start, end)
+        aside = _left_normal(start, end)
         for (a, low), (b, high) in pairwise(_BEAM):
             first, last = a * aside + low * _UP, b * aside + high * _UP
             pieces.face(np.array([start + first, end + first, end + last, start + last]), _ZINC)
-        _sheet(pieces, start - 0.06 * aside, start - 0.06 * aside + 0.1 * (end - start) / 4.0, -0.3, 0.8, _ZINC)
+        _add_sheet(pieces, start - 0.06 * aside, start - 0.06 * aside + 0.1 * (end - start) / 4.0, -0.3, 0.8, _ZINC)
     return pieces.model()
 
 
@@ -68,10 +68,10 @@ def fence(rng: np.random.Generator, line: Float64) -> Model:
     colour = (0.24, 0.18, 0.12) if wooden else (0.08, 0.10, 0.09)
     board = Finish(colour, Material.WOOD if wooden else Material.METAL, Label.FURNITURE, two_sided=True)
     rails = ((0.35, 0.50), (0.75, 0.90)) if wooden else ((0.12, 0.17), (0.50, 0.54), (0.95, 1.0))
-    points = _spaced(line, 2.5)
+    points = _space_evenly(line, 2.5)
     for start, end in pairwise(points):
         for low, high in rails:
-            _sheet(pieces, start, end, low, high, board)
+            _add_sheet(pieces, start, end, low, high, board)
     for place in points:
         pieces.tube(
             place - 0.3 * _UP,
@@ -101,19 +101,19 @@ def garden_wall(rng: np.random.Generator, line: Float64, *, high_m: float = 1.1)
     colour, material = kinds[int(rng.integers(len(kinds)))]
     wall = Finish(colour, material, Label.WALL, int(rng.integers(1 << 20)))
     stone = Finish((0.40, 0.39, 0.36), Material.CONCRETE, Label.WALL)
-    points = _spaced(line, 4.0)
+    points = _space_evenly(line, 4.0)
     for start, end in pairwise(points):
-        aside = 0.12 * _aside(start, end)
-        _sheet(pieces, start - aside, end - aside, -0.5, high_m, wall)
-        _sheet(pieces, end + aside, start + aside, -0.5, high_m, wall)
+        aside = 0.12 * _left_normal(start, end)
+        _add_sheet(pieces, start - aside, end - aside, -0.5, high_m, wall)
+        _add_sheet(pieces, end + aside, start + aside, -0.5, high_m, wall)
         rim = 1.4 * aside
-        _sheet(pieces, start - rim, end - rim, high_m, high_m + 0.09, stone)
-        _sheet(pieces, end + rim, start + rim, high_m, high_m + 0.09, stone)
+        _add_sheet(pieces, start - rim, end - rim, high_m, high_m + 0.09, stone)
+        _add_sheet(pieces, end + rim, start + rim, high_m, high_m + 0.09, stone)
         top = (high_m + 0.09) * _UP
         pieces.face(np.array([start - rim, end - rim, end + rim, start + rim]) + top, stone)
     for place, other in ((points[0], points[1]), (points[-1], points[-2])):
-        rim = 0.168 * _aside(place, other)
-        _sheet(pieces, place + rim, place - rim, -0.5, high_m + 0.09, stone)
+        rim = 0.168 * _left_normal(place, other)
+        _add_sheet(pieces, place + rim, place - rim, -0.5, high_m + 0.09, stone)
     return pieces.model()
 
 
@@ -130,7 +130,7 @@ def power_line(places: Float64, *, height_m: float = 8.5, sag_m: float = 0.5) ->
     ends = []
     for number, place in enumerate(places):
         before, after = places[max(number - 1, 0)], places[min(number + 1, count - 1)]
-        aside = _aside(before, after) if count > 1 else np.array([0.0, 1.0, 0.0])
+        aside = _left_normal(before, after) if count > 1 else np.array([0.0, 1.0, 0.0])
         top = place + height_m * _UP
         pieces.tube(place - 0.6 * _UP, top, 0.15, _POLE, end_radius_m=0.10, cap=True)
         arm = top - 0.4 * _UP

@@ -45,16 +45,16 @@ def traffic_light(reach_m: float = 0.0) -> SignalHead:
     lamps: list[list[int]] = [[], [], []]
     high = 6.0 if reach_m else 3.35
     pieces.tube((0, 0, FOOT_M), (0, 0, high), 0.085 if reach_m else 0.06, _POLE, cap=True)
-    _head(pieces, lamps, 0.0, 2.15)
+    _add_head(pieces, lamps, 0.0, 2.15)
     if reach_m:
         end = reach_m + np.copysign(0.3, reach_m)
         pieces.tube((0, 0, high - 0.2), (0, end, high - 0.05), 0.065, _POLE, end_radius_m=0.045, cap=True)
-        _head(pieces, lamps, reach_m, 5.0)
+        _add_head(pieces, lamps, reach_m, 5.0)
     red, amber, green = (np.array(numbers, np.int64) for numbers in lamps)
     return SignalHead(pieces.model(), red, amber, green)
 
 
-def _head(pieces: Pieces, lamps: list[list[int]], y: float, foot_m: float) -> None:
+def _add_head(pieces: Pieces, lamps: list[list[int]], y: float, foot_m: float) -> None:
     """Add a case with three hooded lamps in front of the pole or arm."""
     pieces.block((0.07, y - 0.16, foot_m), (0.26, y + 0.16, foot_m + 0.96), _CASE, without=())
     angle = 2.0 * np.pi * (np.arange(10) + 0.5) / 10 - 0.5 * np.pi

@@ -20,7 +20,7 @@ _ROUND: Final = frozenset(
 _WARNING: Final = frozenset((Sign.BEND, Sign.CHILDREN, Sign.ROADWORKS, Sign.CROSSING_AHEAD))
 
 
-def _outline(sign: Sign) -> Float64:
+def _sign_outline(sign: Sign) -> Float64:
     """Corners (N, 2) of a sign's outline, counter-clockwise, from -1 to 1 on both axes, as in its image."""
     if sign in _ROUND or sign == Sign.STOP:
         count = 8 if sign == Sign.STOP else 16
@@ -49,13 +49,13 @@ def traffic_sign(signs: tuple[Sign, ...], *, low_m: float = 2.1, size_m: float =
     half = 0.5 * size_m
     for number, sign in enumerate(signs):
         middle = top - 0.03 - half - number * (size_m + 0.05)
-        plate(pieces, sign, middle, half)
+        add_sign(pieces, sign, middle, half)
     return pieces.model()
 
 
-def plate(pieces: Pieces, sign: Sign, middle_m: float, half_m: float, *, x: float = 0.05) -> None:
+def add_sign(pieces: Pieces, sign: Sign, middle_m: float, half_m: float, *, x: float = 0.05) -> None:
     """Add one sign with its grey back, facing +x."""
-    outline = _outline(sign)
+    outline = _sign_outline(sign)
     front = np.c_[np.full(len(outline), x), half_m * outline[:, 0], middle_m + half_m * outline[:, 1]]
     # The outline is a polygon, so the texture's u axis is set level explicitly.
     pieces.add(polygon(front, (0.5, 0.5, 0.5), Material.IMAGE, Label.TRAFFIC_SIGN, image=int(sign)))
@@ -68,11 +68,11 @@ def direction_sign(rng: np.random.Generator, *, width_m: float = 3.0, low_m: flo
     high = 0.5 * width_m
     for y in (-0.32 * width_m, 0.32 * width_m):
         pieces.tube((0, y, FOOT_M), (0, y, low_m + high), 0.055, _POLE, cap=True)
-    _board(pieces, rng, 0.0, 0.5 * width_m, low_m)
+    _add_board(pieces, rng, 0.0, 0.5 * width_m, low_m)
     return pieces.model()
 
 
-def _board(pieces: Pieces, rng: np.random.Generator, y: float, half_m: float, low_m: float) -> None:
+def _add_board(pieces: Pieces, rng: np.random.Generator, y: float, half_m: float, low_m: float) -> None:
     """Add a direction sign that is twice as wide as high."""
     left, right, high = y - half_m, y + half_m, low_m + half_m
     panel = Finish((0.5, 0.5, 0.5), Material.IMAGE, Label.TRAFFIC_SIGN, image=int(rng.choice(DIRECTION_SIGNS)))
@@ -108,5 +108,5 @@ def gantry(rng: np.random.Generator, span_m: float, boards: int = 2) -> Model:
     for number in range(boards):
         middle = left + (right - left) * (number + 1) / (boards + 1)
         half = min(0.42 * (right - left) / (boards + 1), 2.6)
-        _board(pieces, rng, middle, half, 0.5 * (low + high) - 0.5 * half + 0.3)
+        _add_board(pieces, rng, middle, half, 0.5 * (low + high) - 0.5 * half + 0.3)
     return pieces.model()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mirror.synth.street.houses.house import house
-from mirror.synth.street.houses.skyline import far_houses, far_woods
+from mirror.synth.street.houses.house import build_house
+from mirror.synth.street.houses.skyline import build_far_houses, build_far_woods
 from mirror.synth.street.houses.styles import HouseStyle
 
-__all__ = ["HouseStyle", "far_houses", "far_woods", "house"]
+__all__ = ["HouseStyle", "build_far_houses", "build_far_woods", "build_house"]

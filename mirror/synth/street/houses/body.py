@@ -9,7 +9,7 @@ import numpy as np
 
 from mirror.synth.model import Finish, Label, Material, Pieces
 from mirror.synth.street.houses.styles import Colour
-from mirror.synth.street.houses.windows import Windows, grid
+from mirror.synth.street.houses.windows import Windows, window_grid
 from mirror.synth.textures.catalogue import BILLBOARDS, GRAFFITI, POSTERS
 
 FOOT_M: Final = -1.5
@@ -58,7 +58,7 @@ class Body:
 
     def columns(self) -> tuple[list[float], int]:
         """Positions x of the front's window columns above the ground floor, and the number of storeys."""
-        columns, storeys = grid(self.front_windows, self.right - self.left, self.eaves_m - self.ground_m)
+        columns, storeys = window_grid(self.front_windows, self.right - self.left, self.eaves_m - self.ground_m)
         pitch = (self.right - self.left) / columns
         return [self.left + (number + 0.5) * pitch for number in range(columns)], storeys
 
@@ -86,13 +86,15 @@ def raise_walls(pieces: Pieces, body: Body, rng: np.random.Generator, *, sides_s
             continue
         pieces.wall(start, end, 0.0, body.eaves_m, body.plain(0.9))
         if rng.random() < 0.4:
-            _paint(pieces, start, end, rng)
+            _add_painting(pieces, start, end, rng)
     foot = Finish(STONE, Material.CONCRETE, Label.BUILDING, body.seed)
     low, high = (left, front, FOOT_M), (right, back, 0.0)
     pieces.block(low, high, foot, without=("-y", "+z", "-z"))
 
 
-def _paint(pieces: Pieces, start: tuple[float, float], end: tuple[float, float], rng: np.random.Generator) -> None:
+def _add_painting(
+    pieces: Pieces, start: tuple[float, float], end: tuple[float, float], rng: np.random.Generator
+) -> None:
     """Add graffiti, posters or a billboard to a side wall, near the street."""
     x, ahead = start[0], 1.0 if end[1] > start[1] else -1.0
     out = x + 0.02 * ahead
@@ -115,7 +117,7 @@ def _paint(pieces: Pieces, start: tuple[float, float], end: tuple[float, float],
         pieces.wall(*ends, low, low + height, sheet)
 
 
-def cornice(pieces: Pieces, body: Body, proud_m: float = 0.35, high_m: float = 0.35) -> None:
+def add_cornice(pieces: Pieces, body: Body, proud_m: float = 0.35, high_m: float = 0.35) -> None:
     """Add a ledge along the top of the front."""
     low = (body.left, body.front - proud_m, body.eaves_m - high_m)
     pieces.block(low, (body.right, body.front, body.eaves_m), body.plain(1.15), without=("+y",))

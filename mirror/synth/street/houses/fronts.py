@@ -52,10 +52,10 @@ def add_balconies(pieces: Pieces, body: Body, rng: np.random.Generator, taken: s
     for column in chosen:
         taken.add(column)
         for storey in range(first, storeys):
-            balcony(pieces, columns[column], body.front, body.floor_m(storey), half, deep, slab, railing)
+            add_balcony(pieces, columns[column], body.front, body.floor_m(storey), half, deep, slab, railing)
 
 
-def balcony(
+def add_balcony(
     pieces: Pieces, x: float, y: float, floor_m: float, half_m: float, deep_m: float, slab: Finish, railing: Finish
 ) -> None:
     """Add a slab with a railing on three sides.

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from mirror.synth.model import Material, Model, Pieces
-from mirror.synth.street.houses.body import FOOT_M, Body, cornice, raise_walls
+from mirror.synth.street.houses.body import FOOT_M, Body, add_cornice, raise_walls
 from mirror.synth.street.houses.fronts import add_balconies, add_bay
 from mirror.synth.street.houses.roofs import add_roof
-from mirror.synth.street.houses.sheds import farm, petrol_station, warehouse
+from mirror.synth.street.houses.sheds import build_farm, build_petrol_station, build_warehouse
 from mirror.synth.street.houses.shops import add_flats, add_lobby, add_shops
 from mirror.synth.street.houses.styles import BRICKS, STYLES, HouseStyle, Style
 from mirror.synth.street.houses.windows import PATTERNS, Windows
 from mirror.synth.textures.catalogue import Grain
 
 
-def house(
+def build_house(
     rng: np.random.Generator,
     style: HouseStyle,
     length_m: float,
@@ -37,21 +37,21 @@ def house(
         detailed: whether the house is visible from nearby; otherwise it has no shops, doors and balconies.
     """
     if style == "farm":
-        return farm(rng, length_m, depth_m)
+        return build_farm(rng, length_m, depth_m)
     if style == "warehouse":
-        return warehouse(rng, length_m, depth_m)
+        return build_warehouse(rng, length_m, depth_m)
     if style == "station":
-        return petrol_station(rng, length_m, depth_m)
+        return build_petrol_station(rng, length_m, depth_m)
     kind = STYLES[style]
-    body = _body(rng, kind, length_m, depth_m)
+    body = _draw_body(rng, kind, length_m, depth_m)
     pieces = Pieces()
     raise_walls(pieces, body, rng, sides_seen=corner or kind.free)
     if detailed:
         ground = kind.ground[int(rng.integers(len(kind.ground)))]
         {"shops": add_shops, "flats": add_flats, "lobby": add_lobby}[ground](pieces, body, rng)
-        _front(pieces, body, kind, rng)
+        _add_front(pieces, body, kind, rng)
         if kind.cornice:
-            cornice(pieces, body)
+            add_cornice(pieces, body)
     else:
         pieces.wall((body.left, body.front), (body.right, body.front), FOOT_M, 0.0, body.plain(0.8))
         pieces.wall(
@@ -61,7 +61,7 @@ def house(
     return pieces.model()
 
 
-def _body(rng: np.random.Generator, style: Style, length_m: float, depth_m: float) -> Body:
+def _draw_body(rng: np.random.Generator, style: Style, length_m: float, depth_m: float) -> Body:
     front = min(rng.uniform(*style.set_back_m), max(depth_m - style.depth_m[0], 0.0))
     back = min(front + rng.uniform(*style.depth_m), depth_m)
     half = 0.5 * length_m - (rng.uniform(0.8, 2.5) if style.free else 0.0)
@@ -91,7 +91,7 @@ def _body(rng: np.random.Generator, style: Style, length_m: float, depth_m: floa
     )
 
 
-def _front(pieces: Pieces, body: Body, style: Style, rng: np.random.Generator) -> None:
+def _add_front(pieces: Pieces, body: Body, style: Style, rng: np.random.Generator) -> None:
     """Add bay windows and balconies."""
     columns, storeys = body.columns()
     taken: set[int] = set()

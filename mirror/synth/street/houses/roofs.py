@@ -23,25 +23,27 @@ def add_roof(pieces: Pieces, body: Body, kind: RoofKind, rng: np.random.Generato
     tiles = Finish(TILES[int(rng.integers(len(TILES)))], Material.ROOF, Label.BUILDING, body.seed)
     deep = body.back - body.front
     if kind == "flat":
-        _flat(pieces, body, rng)
+        _add_flat_roof(pieces, body, rng)
     elif kind == "hip":
-        _hip(pieces, body, tiles, math.tan(math.radians(rng.uniform(28.0, 36.0))))
+        _add_hip_roof(pieces, body, tiles, math.tan(math.radians(rng.uniform(28.0, 36.0))))
     elif kind == "gable":
         slope = math.tan(math.radians(rng.uniform(36.0, 46.0)))
         ridge = 0.5 * deep * slope
-        _along(pieces, body, tiles, [(0.0, 0.0), (0.5 * deep, ridge), (deep, 0.0)])
+        _add_profile(pieces, body, tiles, [(0.0, 0.0), (0.5 * deep, ridge), (deep, 0.0)])
         if deep > 7.5 and rng.random() < 0.75:
-            _dormers(pieces, body, tiles, slope, 0.0, rng)
-        _chimneys(pieces, body, ridge, rng)
+            _add_dormers(pieces, body, tiles, slope, 0.0, rng)
+        _add_chimneys(pieces, body, ridge, rng)
     else:
         steep, foot = 2.5, 0.9
         top = steep + 0.22 * (0.5 * deep - foot)
-        _along(pieces, body, tiles, [(0.0, 0.0), (foot, steep), (0.5 * deep, top), (deep - foot, steep), (deep, 0.0)])
-        _dormers(pieces, body, tiles, steep / foot, 0.45, rng)
-        _chimneys(pieces, body, top, rng)
+        _add_profile(
+            pieces, body, tiles, [(0.0, 0.0), (foot, steep), (0.5 * deep, top), (deep - foot, steep), (deep, 0.0)]
+        )
+        _add_dormers(pieces, body, tiles, steep / foot, 0.45, rng)
+        _add_chimneys(pieces, body, top, rng)
 
 
-def _along(pieces: Pieces, body: Body, tiles: Finish, profile: list[tuple[float, float]]) -> None:
+def _add_profile(pieces: Pieces, body: Body, tiles: Finish, profile: list[tuple[float, float]]) -> None:
     """Extrude a convex profile (distance from the front, height above the eaves) along the street, with fascias."""
     over = 0.35
     base = body.eaves_m + _FASCIA_M
@@ -54,19 +56,19 @@ def _along(pieces: Pieces, body: Body, tiles: Finish, profile: list[tuple[float,
     gutter = Finish(_GUTTER, Material.METAL, Label.BUILDING)
     pieces.block((left, edges[0][0], body.eaves_m), (right, edges[-1][0], base), gutter, without=("-z", "+z"))
     soffit = body.plain(0.9, Material.PLASTER)
-    _under(pieces, (left, edges[0][0]), (right, edges[-1][0]), body.eaves_m, soffit)
+    _add_soffit(pieces, (left, edges[0][0]), (right, edges[-1][0]), body.eaves_m, soffit)
     for x in (left, right):
         outline = [(x, y, z) for y, z in edges]
         pieces.face(outline if x == left else outline[::-1], body.plain())
 
 
-def _under(pieces: Pieces, low: tuple[float, float], high: tuple[float, float], z: float, finish: Finish) -> None:
+def _add_soffit(pieces: Pieces, low: tuple[float, float], high: tuple[float, float], z: float, finish: Finish) -> None:
     """Add a horizontal rectangle that faces down."""
     (a, b), (c, d) = low, high
     pieces.face(((a, d, z), (c, d, z), (c, b, z), (a, b, z)), finish)
 
 
-def _hip(pieces: Pieces, body: Body, tiles: Finish, slope: float) -> None:
+def _add_hip_roof(pieces: Pieces, body: Body, tiles: Finish, slope: float) -> None:
     over = 0.45
     left, right, front, back = body.left - over, body.right + over, body.front - over, body.back + over
     low = body.eaves_m + _FASCIA_M
@@ -89,10 +91,12 @@ def _hip(pieces: Pieces, body: Body, tiles: Finish, slope: float) -> None:
         pieces.face(corners, tiles)
     gutter = Finish(_GUTTER, Material.METAL, Label.BUILDING)
     pieces.block((left, front, body.eaves_m), (right, back, low), gutter, without=("-z", "+z"))
-    _under(pieces, (left, front), (right, back), body.eaves_m, body.plain(0.9, Material.PLASTER))
+    _add_soffit(pieces, (left, front), (right, back), body.eaves_m, body.plain(0.9, Material.PLASTER))
 
 
-def _dormers(pieces: Pieces, body: Body, tiles: Finish, slope: float, above_m: float, rng: np.random.Generator) -> None:
+def _add_dormers(
+    pieces: Pieces, body: Body, tiles: Finish, slope: float, above_m: float, rng: np.random.Generator
+) -> None:
     """Add dormers to the front slope, above columns of windows."""
     columns, _ = body.columns()
     chosen = columns[int(rng.integers(2)) :: 2][:4]
@@ -112,7 +116,7 @@ def _dormers(pieces: Pieces, body: Body, tiles: Finish, slope: float, above_m: f
         pieces.block(*roof, cheek, without=("+y",))
 
 
-def _chimneys(pieces: Pieces, body: Body, ridge_m: float, rng: np.random.Generator) -> None:
+def _add_chimneys(pieces: Pieces, body: Body, ridge_m: float, rng: np.random.Generator) -> None:
     brick = Finish((0.28, 0.14, 0.10), Material.BRICK, Label.BUILDING, body.seed)
     middle = 0.5 * (body.front + body.back)
     top = body.eaves_m + _FASCIA_M + ridge_m
@@ -121,7 +125,7 @@ def _chimneys(pieces: Pieces, body: Body, ridge_m: float, rng: np.random.Generat
         pieces.block((x - 0.4, y - 0.3, top - 1.4), (x + 0.4, y + 0.3, top + rng.uniform(0.5, 1.0)), brick)
 
 
-def _flat(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
+def _add_flat_roof(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
     """Add a parapet, and on some roofs a set-back storey, a shaft, air conditioners or an antenna."""
     left, right, front, back = body.left, body.right, body.front, body.back
     top = body.eaves_m + 0.55

@@ -16,7 +16,7 @@ _BARNS: Final[tuple[Colour, ...]] = ((0.24, 0.07, 0.05), (0.20, 0.14, 0.09), (0.
 _SHEETS: Final[tuple[Colour, ...]] = ((0.52, 0.53, 0.53), (0.30, 0.36, 0.42), (0.42, 0.40, 0.36), (0.22, 0.30, 0.25))
 
 
-def _shed(
+def _add_shed(
     pieces: Pieces,
     low: tuple[float, float],
     high: tuple[float, float],
@@ -49,7 +49,7 @@ def _shed(
         pieces.face((at(p, left, eaves_m), at(p, right, eaves_m), at(p, middle, top)), gable)
 
 
-def farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
+def build_farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
     """Build a barn with a large door, a silo, and a farmhouse where there is room.
 
     Args:
@@ -70,7 +70,9 @@ def farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
     front, back = 0.25 * depth_m, min(0.25 * depth_m + rng.uniform(9.0, 13.0), depth_m - 0.5)
     eaves = rng.uniform(3.8, 5.0)
     low, high = (ends[0], front), (ends[1], back)
-    _shed(pieces, low, high, eaves, 0.28 * (back - front) + 0.8, boards, boards._replace(material=Material.WOOD), tiles)
+    _add_shed(
+        pieces, low, high, eaves, 0.28 * (back - front) + 0.8, boards, boards._replace(material=Material.WOOD), tiles
+    )
     middle = 0.5 * (ends[0] + ends[1])
     gate = Finish((0.08, 0.07, 0.06), Material.WOOD, Label.BUILDING, seed)
     pieces.wall((middle - 2.0, front - 0.04), (middle + 2.0, front - 0.04), 0.05, 3.5, gate)
@@ -82,7 +84,7 @@ def farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
         roof = tiles._replace(seed=seed + 1)
         start, end = 0.12 * depth_m, min(0.12 * depth_m + 8.0, depth_m - 0.5)
         gable = plaster._replace(material=Material.PLASTER)
-        _shed(pieces, (ends[0], start), (ends[1], end), 5.6, 3.4, plaster, gable, roof)
+        _add_shed(pieces, (ends[0], start), (ends[1], end), 5.6, 3.4, plaster, gable, roof)
         x, y = 0.5 * (ends[0] + ends[1]) + 1.5, 0.5 * (start + end)
         brick = Finish((0.28, 0.14, 0.10), Material.BRICK, Label.BUILDING, seed)
         pieces.block((x - 0.35, y - 0.35, 8.0), (x + 0.35, y + 0.35, 9.8), brick)
@@ -95,7 +97,7 @@ def farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
     return pieces.model()
 
 
-def warehouse(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
+def build_warehouse(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
     """Build a hall of metal sheets with gates, an office corner and a company sign.
 
     Args:
@@ -110,7 +112,7 @@ def warehouse(rng: np.random.Generator, length_m: float, depth_m: float) -> Mode
     colour = _SHEETS[int(rng.integers(len(_SHEETS)))]
     sheets = Finish(colour, Material.FACADE, Label.BUILDING, seed, int(Windows.CLADDING))
     roof = Finish((0.36, 0.36, 0.36), Material.METAL, Label.BUILDING, seed)
-    _shed(pieces, (-half, front), (half, back), high, 1.4, sheets, sheets._replace(material=Material.METAL), roof)
+    _add_shed(pieces, (-half, front), (half, back), high, 1.4, sheets, sheets._replace(material=Material.METAL), roof)
     band = Finish((0.25, 0.05, 0.04) if rng.random() < 0.5 else (0.05, 0.10, 0.25), Material.METAL, Label.BUILDING)
     pieces.wall((-half, front - 0.03), (half, front - 0.03), high - 0.9, high - 0.4, band)
     office = min(9.0, 0.4 * length_m)
@@ -133,7 +135,7 @@ def warehouse(rng: np.random.Generator, length_m: float, depth_m: float) -> Mode
     return pieces.model()
 
 
-def petrol_station(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
+def build_petrol_station(rng: np.random.Generator, length_m: float, depth_m: float) -> Model:
     """Build a canopy over pumps, a shop behind it, and a price mast.
 
     Args:
@@ -153,7 +155,7 @@ def petrol_station(rng: np.random.Generator, length_m: float, depth_m: float) ->
         (-half - 0.02, near - 0.02, under + 0.15), (half + 0.02, far + 0.02, under + 0.45), colour, without=("-z", "+z")
     )
     lamp = Finish((0.7, 0.7, 0.68), Material.STREET_LAMP, Label.BUILDING)
-    _lights(pieces, (-half, near), (half, far), under - 0.02, lamp)
+    _add_lights(pieces, (-half, near), (half, far), under - 0.02, lamp)
     middle = 0.5 * (near + far)
     for x in np.linspace(-0.65 * half, 0.65 * half, 3):
         pieces.block((x - 0.18, middle - 0.18, FOOT_M), (x + 0.18, middle + 0.18, under), white, without=("-z", "+z"))
@@ -183,11 +185,11 @@ def petrol_station(rng: np.random.Generator, length_m: float, depth_m: float) ->
         pieces.wall((a, front - 0.03), (a + (2 * wide - 0.8) / 3, front - 0.03), 0.05, 2.8, shop)
     sign = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BUILDING, image=int(rng.choice(SHOP_SIGNS)))
     pieces.wall((-2.0, front - 0.05), (2.0, front - 0.05), 3.0, 3.8, sign)
-    _mast(pieces, 0.5 * length_m - 1.3, 1.0, int(rng.choice(BILLBOARDS)), white)
+    _add_mast(pieces, 0.5 * length_m - 1.3, 1.0, int(rng.choice(BILLBOARDS)), white)
     return pieces.model()
 
 
-def _lights(pieces: Pieces, low: tuple[float, float], high: tuple[float, float], z_m: float, lamp: Finish) -> None:
+def _add_lights(pieces: Pieces, low: tuple[float, float], high: tuple[float, float], z_m: float, lamp: Finish) -> None:
     """Add lamps under the canopy."""
     for x in np.linspace(0.8 * low[0], 0.8 * high[0], 4):
         for y in (low[1] + 1.5, high[1] - 1.5):
@@ -195,7 +197,7 @@ def _lights(pieces: Pieces, low: tuple[float, float], high: tuple[float, float],
             pieces.face(((left, far, z_m), (right, far, z_m), (right, near, z_m), (left, near, z_m)), lamp)
 
 
-def _mast(pieces: Pieces, x: float, y: float, image: int, finish: Finish) -> None:
+def _add_mast(pieces: Pieces, x: float, y: float, image: int, finish: Finish) -> None:
     """Add a pole with an advertisement that is visible from both directions of the street."""
     pieces.tube((x, y, FOOT_M), (x, y, 5.0), 0.12, finish)
     panel = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BILLBOARD, image=image)

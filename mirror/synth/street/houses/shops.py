@@ -38,7 +38,7 @@ def add_shops(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
     entrance = right - at > 9.0
     door_at = rng.uniform(0.3, 0.7) * (right - at) + at
     if entrance:
-        _entrance_bay(pieces, body, rng, door_at - 1.1, door_at + 1.1)
+        _add_entrance(pieces, body, rng, door_at - 1.1, door_at + 1.1)
         stretches = [(at, door_at - 1.1), (door_at + 1.1, right)]
     else:
         stretches = [(at, right)]
@@ -46,10 +46,10 @@ def add_shops(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
         count = max(round((end - start) / 5.5), 1)
         width = (end - start) / count
         for number in range(count):
-            _shop(pieces, body, rng, start + number * width, start + (number + 1) * width)
+            _add_shop(pieces, body, rng, start + number * width, start + (number + 1) * width)
 
 
-def _shop(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, right: float) -> None:
+def _add_shop(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, right: float) -> None:
     front, back, high = body.front, body.front + _RECESS_M, body.ground_m
     seed = int(rng.integers(1 << 20))
     frame = _FRAMES[int(rng.integers(len(_FRAMES)))]
@@ -70,12 +70,12 @@ def _shop(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, rig
     sign = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BUILDING, image=int(rng.choice(SHOP_SIGNS)))
     pieces.wall((middle - width / 2, front - 0.11), (middle + width / 2, front - 0.11), low, low + width / 5, sign)
     if rng.random() < 0.35:
-        _awning(pieces, left + 0.25, right - 0.25, front - 0.09, fascia_m + 0.02, rng)
+        _add_awning(pieces, left + 0.25, right - 0.25, front - 0.09, fascia_m + 0.02, rng)
     elif rng.random() < 0.4:
-        _blade(pieces, left + 0.2, front, fascia_m - 0.05, rng)
+        _add_blade_sign(pieces, left + 0.2, front, fascia_m - 0.05, rng)
 
 
-def _awning(pieces: Pieces, left: float, right: float, wall: float, high: float, rng: np.random.Generator) -> None:
+def _add_awning(pieces: Pieces, left: float, right: float, wall: float, high: float, rng: np.random.Generator) -> None:
     colour = _AWNINGS[int(rng.integers(len(_AWNINGS)))]
     cloth = Finish(colour, Material.CLOTH, Label.BUILDING, int(rng.integers(1 << 20)), two_sided=True)
     out, low = wall - rng.uniform(0.8, 1.1), high - rng.uniform(0.45, 0.65)
@@ -85,7 +85,7 @@ def _awning(pieces: Pieces, left: float, right: float, wall: float, high: float,
     pieces.face(((right, out, low), (right, wall, low), (right, wall, high)), cloth)
 
 
-def _blade(pieces: Pieces, x: float, wall: float, low: float, rng: np.random.Generator) -> None:
+def _add_blade_sign(pieces: Pieces, x: float, wall: float, low: float, rng: np.random.Generator) -> None:
     """Add a sign at right angles to the wall, visible from both sides."""
     poster = Finish((0.6, 0.6, 0.6), Material.LIT_IMAGE, Label.BUILDING, image=int(rng.choice(POSTERS)))
     edge = Finish((0.05, 0.05, 0.05), Material.METAL, Label.BUILDING)
@@ -95,7 +95,7 @@ def _blade(pieces: Pieces, x: float, wall: float, low: float, rng: np.random.Gen
     pieces.wall((x - 0.05, near), (x - 0.05, far), low, high, poster)
 
 
-def _entrance_bay(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, right: float) -> None:
+def _add_entrance(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, right: float) -> None:
     """Add a part of the wall with the house's door."""
     front = body.front
     pieces.wall((left, front), (right, front), 0.0, body.ground_m, body.plain())
@@ -125,7 +125,7 @@ def add_flats(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
     plinth = Finish(STONE, Material.CONCRETE, Label.BUILDING, body.seed)
     columns, _ = body.columns()
     door = min(max(columns[int(rng.integers(len(columns)))], left + 1.1), right - 1.1)
-    _entrance_bay(pieces, body, rng, door - 1.1, door + 1.1)
+    _add_entrance(pieces, body, rng, door - 1.1, door + 1.1)
     for number, (start, end) in enumerate(((left, door - 1.1), (door + 1.1, right))):
         if end - start < 0.01:
             continue

@@ -15,7 +15,7 @@ Height = Callable[[float, float], Float64]
 """Height of the ground at (x, y), metres."""
 
 
-def far_houses(
+def build_far_houses(
     rng: np.random.Generator, near_m: float, far_m: float, tall_m: tuple[float, float], height_m: Height
 ) -> Model:
     """Build a ring of house blocks around the origin, in two rows, with the higher blocks in the outer row.
@@ -58,12 +58,12 @@ def far_houses(
                     gable = [(0.0, y, tall), (deep, y, tall), (ridge, y, tall + rise)]
                     block.face(gable if y < 0 else gable[::-1], wall._replace(material=Material.PLASTER))
             x, y = at * math.cos(bearing), at * math.sin(bearing)
-            pieces.add(block.model().standing(x, y, float(height_m(x, y)), bearing))
+            pieces.add(block.model().place(x, y, float(height_m(x, y)), bearing))
             bearing += (wide + rng.uniform(0.0, 6.0)) / at
     return pieces.model()
 
 
-def far_woods(
+def build_far_woods(
     rng: np.random.Generator, near_m: float, far_m: float, tall_m: tuple[float, float], height_m: Height
 ) -> Model:
     """Build rings of trees around the origin as upright outlines that face inwards, paler with distance.

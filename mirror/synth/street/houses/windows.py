@@ -154,7 +154,7 @@ def pattern_table() -> Records:
     return np.array([tuple(PATTERNS[row]) for row in Windows], kind)
 
 
-def grid(windows: Windows, width_m: float, height_m: float) -> tuple[int, int]:
+def window_grid(windows: Windows, width_m: float, height_m: float) -> tuple[int, int]:
     """Numbers of columns and storeys of windows on a face; the renderer computes the same numbers."""
     pattern = PATTERNS[windows]
     return max(int(width_m / pattern.pitch_m + 0.5), 1), max(int(height_m / pattern.storey_m + 0.5), 1)

@@ -79,51 +79,51 @@ def furnish(plan: Plan, seed: int) -> Furniture:
     """
     lamps: list[LampPost] = []
     signals: list[tuple[int, SignalHead]] = []
-    others: list[Model] = [_rail(plan, number, seed) for number in range(len(plan.rails))]
+    others: list[Model] = [_build_rail(plan, number, seed) for number in range(len(plan.rails))]
     shelters = 0
     for number, spot in enumerate(plan.spots):
         rng = np.random.default_rng([seed, 22, number])
         if spot.kind == "lamp":
-            lamps.append(_lamp(plan, spot))
+            lamps.append(_build_lamp(plan, spot))
         elif spot.kind == "signal":
-            head = furniture.traffic_light(_aside(spot) * spot.reach_m)
-            placed = SignalHead(_at(spot, head.model, spot.facing_rad), head.red, head.amber, head.green)
+            head = furniture.traffic_light(_road_side(spot) * spot.reach_m)
+            placed = SignalHead(_place_at(spot, head.model, spot.facing_rad), head.red, head.amber, head.green)
             signals.append((0 if spot.group is None else spot.group, placed))
         elif spot.kind == "bus_stop" or (
             spot.kind == "furniture" and plan.kind == "urban" and shelters < _SHELTERS and _is_main(spot)
             and rng.random() < 0.12
         ):  # fmt: skip
             shelters += 1
-            others.append(_at(spot, furniture.bus_shelter(rng), spot.yaw_rad, away_m=0.45))
+            others.append(_place_at(spot, furniture.bus_shelter(rng), spot.yaw_rad, away_m=0.45))
         elif spot.kind not in ("tree", "pole"):
-            others.append(_thing(plan, spot, rng))
+            others.append(_build_thing(plan, spot, rng))
     poles = [spot.place for spot in plan.spots if spot.kind == "pole"]
     if poles:
         others.append(furniture.power_line(np.array(poles)))
     return Furniture(tuple(lamps), tuple(signals), tuple(others))
 
 
-def _thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
+def _build_thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
     """A sign or small object at a spot."""
     if spot.kind == "furniture":
         makers = _THINGS[plan.kind]
         maker = makers[int(rng.integers(len(makers)))]
         yaw = spot.facing_rad if maker in _TO_TRAFFIC else spot.yaw_rad
-        return _at(spot, maker(rng), yaw, away_m=_AWAY_M.get(maker, 0.0))
+        return _place_at(spot, maker(rng), yaw, away_m=_AWAY_M.get(maker, 0.0))
     if spot.kind == "gantry":
-        return _at(spot, furniture.gantry(rng, _aside(spot) * spot.reach_m), spot.facing_rad)
+        return _place_at(spot, furniture.gantry(rng, _road_side(spot) * spot.reach_m), spot.facing_rad)
     if spot.kind == "exit":
-        return _at(spot, furniture.direction_sign(rng), spot.facing_rad)
+        return _place_at(spot, furniture.direction_sign(rng), spot.facing_rad)
     if spot.kind == "sign":
         if rng.random() < 0.12:
-            return _at(spot, furniture.direction_sign(rng, width_m=1.6, low_m=2.2), spot.facing_rad)
+            return _place_at(spot, furniture.direction_sign(rng, width_m=1.6, low_m=2.2), spot.facing_rad)
         kinds = _SIGNS[plan.kind]
-        return _at(spot, _signs(kinds[int(rng.integers(len(kinds)))]), spot.facing_rad)
+        return _place_at(spot, _cached_signs(kinds[int(rng.integers(len(kinds)))]), spot.facing_rad)
     sign = {"yield": Sign.YIELD, "stop": Sign.STOP, "crosswalk": Sign.CROSSWALK}[spot.kind]
-    return _at(spot, _signs((sign,)), spot.facing_rad)
+    return _place_at(spot, _cached_signs((sign,)), spot.facing_rad)
 
 
-def _rail(plan: Plan, number: int, seed: int) -> Model:
+def _build_rail(plan: Plan, number: int, seed: int) -> Model:
     rail, rng = plan.rails[number], np.random.default_rng([seed, 23, number])
     if rail.kind == "guard":
         return furniture.guard_rail(rail.line)
@@ -132,25 +132,25 @@ def _rail(plan: Plan, number: int, seed: int) -> Model:
     return furniture.garden_wall(rng, rail.line)
 
 
-def _lamp(plan: Plan, spot: Spot) -> LampPost:
+def _build_lamp(plan: Plan, spot: Spot) -> LampPost:
     if plan.kind == "campus":
-        post = _post("column", 4.6, 0.0)
+        post = _cached_lamp_post("column", 4.6, 0.0)
     elif _is_main(spot):
-        post = _post("arm", 8.0, round(min(0.7 * spot.reach_m, 2.4), 1))
+        post = _cached_lamp_post("arm", 8.0, round(min(0.7 * spot.reach_m, 2.4), 1))
     else:
-        post = _post("lantern", 4.4, 0.0)
+        post = _cached_lamp_post("lantern", 4.4, 0.0)
     cos, sin = math.cos(spot.yaw_rad), math.sin(spot.yaw_rad)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return LampPost(_at(spot, post.model, spot.yaw_rad), post.lights @ turn.T + spot.place)
+    return LampPost(_place_at(spot, post.model, spot.yaw_rad), post.lights @ turn.T + spot.place)
 
 
 @cache
-def _post(kind: LampKind, height_m: float, reach_m: float) -> LampPost:
+def _cached_lamp_post(kind: LampKind, height_m: float, reach_m: float) -> LampPost:
     return furniture.lamp_post(kind, height_m=height_m, reach_m=reach_m)
 
 
 @cache
-def _signs(signs: tuple[Sign, ...]) -> Model:
+def _cached_signs(signs: tuple[Sign, ...]) -> Model:
     return furniture.traffic_sign(signs)
 
 
@@ -158,12 +158,12 @@ def _is_main(spot: Spot) -> bool:
     return spot.reach_m > _MAIN_REACH_M
 
 
-def _aside(spot: Spot) -> float:
+def _road_side(spot: Spot) -> float:
     """The side, 1 or -1 along y, on which an object that faces the traffic has the road."""
     return math.copysign(1.0, math.sin(spot.yaw_rad - spot.facing_rad))
 
 
-def _at(spot: Spot, model: Model, yaw_rad: float, *, away_m: float = 0.0) -> Model:
+def _place_at(spot: Spot, model: Model, yaw_rad: float, *, away_m: float = 0.0) -> Model:
     """A model moved to a spot, or ``away_m`` farther from the road."""
     place: Float64 = spot.place - away_m * np.array([math.cos(spot.yaw_rad), math.sin(spot.yaw_rad), 0.0])
-    return model.standing(float(place[0]), float(place[1]), float(place[2]), yaw_rad)
+    return model.place(float(place[0]), float(place[1]), float(place[2]), yaw_rad)

@@ -20,11 +20,11 @@ from mirror.synth.textures.catalogue import PLATES
 _BAY_M: Final = 6.2
 _TAKEN: Final = 0.62
 _VANS: Final = 0.12
-_MADE: Final = 16
+_BODIES: Final = 16
 """Number of different bodies; each is parked at several places with different number plates."""
 
 
-def parked_on(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
+def place_parked_vehicles(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
     """Place vehicles on a plan's parking lanes, in driving direction.
 
     Args:
@@ -35,10 +35,10 @@ def parked_on(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
     if not lanes:
         return ()
     rng = np.random.default_rng([seed, 27])
-    made = [van(rng) if rng.random() < _VANS else car(rng) for _ in range(_MADE)]
+    made = [van(rng) if rng.random() < _VANS else car(rng) for _ in range(_BODIES)]
     placements = [place for lane in lanes for place in _bays(plan, lane, rng)]
     return tuple(
-        RoadUser(f"parked-{number:03d}", _plated(made[int(rng.integers(_MADE))], rng), StaticMotion(place))
+        RoadUser(f"parked-{number:03d}", _with_plate(made[int(rng.integers(_BODIES))], rng), StaticMotion(place))
         for number, place in enumerate(placements)
     )
 
@@ -63,7 +63,7 @@ def _bays(plan: Plan, lane: Lane, rng: np.random.Generator) -> Iterator[Placemen
         yield Placement(float(middle[0]), float(middle[1]), float(heights.mean()), yaw, pitch, roll)
 
 
-def _plated(body: Body, rng: np.random.Generator) -> Body:
+def _with_plate(body: Body, rng: np.random.Generator) -> Body:
     """The same body with another number plate."""
     faces = body.model.faces.copy()
     plates = (faces["material"] == Material.IMAGE) & np.isin(faces["image"], PLATES) & (faces["label"] >= Label.CAR)

@@ -13,22 +13,22 @@ import shapely
 from mirror.arrays import Float64
 from mirror.synth.model import Material, Model
 from mirror.synth.street.plan import Plan
-from mirror.synth.street.plants import STREET_TREES, Kind, bush, hedge, tree
+from mirror.synth.street.plants import STREET_TREES, Kind, build_bush, build_hedge, build_tree
 
 _FIELD_TREES: Final[tuple[Kind, ...]] = ("oak", "birch", "poplar", "spruce", "pine", "lime")
 _GARDEN_TREES: Final[tuple[Kind, ...]] = ("oak", "plane", "birch", "cherry", "pine", "cypress")
-_GROWN: Final = 4
+_MODELS_PER_KIND: Final = 4
 """Number of models per kind of tree; each is planted at many places with random rotations."""
-_LOOSE: Final = {"urban": (30, 30), "campus": (90, 70), "rural": (110, 60), "highway": (90, 50)}
+_OPEN_LAND_PLANTS: Final = {"urban": (30, 30), "campus": (90, 70), "rural": (110, 60), "highway": (90, 50)}
 """Numbers of trees and of bushes on open land."""
 _CLEAR_M: Final = {"urban": 2.5, "campus": 4.0, "rural": 5.0, "highway": 12.0}
 """Smallest distance of these from roads and houses, metres."""
-_SEEN_WELL_M: Final = 25.0
+_DETAIL_RANGE_M: Final = 25.0
 _ROAD_M: Final = {"urban": 0.9, "campus": 0.9, "rural": 3.0, "highway": 8.0}
 """Distance of the trees at spots from the carriageway, metres."""
 
 
-def plants_of(plan: Plan, seed: int) -> Iterator[Model]:
+def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
     """Yield trees, bushes and hedges in full leaf, in the world frame.
 
     Args:
@@ -40,34 +40,34 @@ def plants_of(plan: Plan, seed: int) -> Iterator[Model]:
     kinds = (
         _FIELD_TREES if plan.kind in ("rural", "highway") else tuple(kind for kind in STREET_TREES if kind in streets)
     )
-    row = [tree(rng, kind, road_m=_ROAD_M[plan.kind]) for kind in kinds for _ in range(_GROWN)]
-    thin_row = [_thinned(model) for model in row]
+    row = [build_tree(rng, kind, road_m=_ROAD_M[plan.kind]) for kind in kinds for _ in range(_MODELS_PER_KIND)]
+    thin_row = [_thin_leaves(model) for model in row]
     for number, spot in enumerate(plan.spots):
         if spot.kind == "tree" and plan.driven.distance(shapely.Point(spot.place[:2])) > 0.8 * _ROAD_M[plan.kind]:
             own = np.random.default_rng([seed, 25, number])
             kept = row if _is_near(plan, spot.place) else thin_row
-            yield _turned(kept[int(own.integers(len(kept)))], spot.place, own)
+            yield _place_tree(kept[int(own.integers(len(kept)))], spot.place, own)
     loose = _FIELD_TREES if plan.kind in ("rural", "highway") else _GARDEN_TREES
-    grown = [tree(rng, kind) for kind in loose for _ in range(_GROWN // 2)]
-    bushes = [bush(rng, evergreen=bool(number % 2)) for number in range(6)]
-    trees, shrubs = _LOOSE[plan.kind]
-    thin = [_thinned(model) for model in grown]
+    grown = [build_tree(rng, kind) for kind in loose for _ in range(_MODELS_PER_KIND // 2)]
+    bushes = [build_bush(rng, evergreen=bool(number % 2)) for number in range(6)]
+    trees, shrubs = _OPEN_LAND_PLANTS[plan.kind]
+    thin = [_thin_leaves(model) for model in grown]
     for place in _open_places(plan, trees, rng):
-        yield _turned((grown if _is_near(plan, place) else thin)[int(rng.integers(len(grown)))], place, rng)
+        yield _place_tree((grown if _is_near(plan, place) else thin)[int(rng.integers(len(grown)))], place, rng)
     for place in _open_places(plan, shrubs, rng):
-        yield _turned(bushes[int(rng.integers(len(bushes)))], place, rng)
+        yield _place_tree(bushes[int(rng.integers(len(bushes)))], place, rng)
     for number, rail in enumerate(plan.rails):
         if rail.kind == "hedge":
-            yield from _hedges(rail.line, np.random.default_rng([seed, 26, number]))
+            yield from _hedge_row(rail.line, np.random.default_rng([seed, 26, number]))
 
 
 def _is_near(plan: Plan, place: Float64) -> bool:
     """Whether a position is visible from nearby: within or just outside the ROI, and near the roads."""
-    within = float(np.hypot(place[0], place[1])) < plan.roi.radius_m + _SEEN_WELL_M
-    return within and plan.roads.distance(shapely.Point(place[:2])) < _SEEN_WELL_M
+    within = float(np.hypot(place[0], place[1])) < plan.roi.radius_m + _DETAIL_RANGE_M
+    return within and plan.roads.distance(shapely.Point(place[:2])) < _DETAIL_RANGE_M
 
 
-def _thinned(model: Model) -> Model:
+def _thin_leaves(model: Model) -> Model:
     """A cheaper tree for distant places: a third of its leaves around a larger inside."""
     leaves = np.flatnonzero(model.faces["material"] == Material.LEAVES)
     kept = np.ones(len(model.faces), np.bool_)
@@ -81,8 +81,8 @@ def _thinned(model: Model) -> Model:
     return Model(faces, corners, rounds)
 
 
-def _turned(model: Model, place: Float64, rng: np.random.Generator) -> Model:
-    return model.standing(float(place[0]), float(place[1]), float(place[2]), float(rng.uniform(0.0, 2.0 * math.pi)))
+def _place_tree(model: Model, place: Float64, rng: np.random.Generator) -> Model:
+    return model.place(float(place[0]), float(place[1]), float(place[2]), float(rng.uniform(0.0, 2.0 * math.pi)))
 
 
 def _open_places(plan: Plan, number: int, rng: np.random.Generator) -> Float64:
@@ -95,11 +95,11 @@ def _open_places(plan: Plan, number: int, rng: np.random.Generator) -> Float64:
     return np.c_[near, plan.height_m(near[:, 0], near[:, 1])]
 
 
-def _hedges(line: Float64, rng: np.random.Generator) -> Iterator[Model]:
+def _hedge_row(line: Float64, rng: np.random.Generator) -> Iterator[Model]:
     """Yield hedges along the segments of a line."""
     for start, end in pairwise(line):
         step = end - start
         length = float(np.hypot(step[0], step[1]))
         if length > 0.5:
             x, y, z = (0.5 * (start + end)).tolist()
-            yield hedge(rng, length).standing(x, y, z, math.atan2(step[1], step[0]))
+            yield build_hedge(rng, length).place(x, y, z, math.atan2(step[1], step[0]))

@@ -13,13 +13,13 @@ from mirror.arrays import Float64, Int64, Records
 from mirror.schema.documents import Roi
 from mirror.synth.model import Model, merged
 from mirror.synth.road_users.body import RoadUser
-from mirror.synth.street.houses import far_houses, far_woods
+from mirror.synth.street.houses import build_far_houses, build_far_woods
 from mirror.synth.street.network import Network
 from mirror.synth.street.plan import Plan, plan_scene
 from mirror.synth.street.world.furnishing import Furniture, furnish
-from mirror.synth.street.world.parking import parked_on
-from mirror.synth.street.world.planting import plants_of
-from mirror.synth.street.world.settling import houses_of
+from mirror.synth.street.world.housing import build_houses
+from mirror.synth.street.world.parking import place_parked_vehicles
+from mirror.synth.street.world.planting import build_plants
 
 AMBER_S: Final = 3.0
 """Duration of amber after a signal's green."""
@@ -91,7 +91,7 @@ class World:
         """
         return self.plan.height_m(x_m, y_m)
 
-    def burning(self, time_s: float) -> Int64:
+    def find_lit_lamps(self, time_s: float) -> Int64:
         """Faces of traffic lights that are lit at a time of the signals' cycle."""
         network, found = self.plan.network, [np.zeros(0, np.int64)]
         for group, lights in self.lights.items():
@@ -121,23 +121,23 @@ def build_world(roi: Roi, yaw_deg: float, seed: int) -> World:
     """
     plan = plan_scene(roi, yaw_deg, seed)
     things = furnish(plan, seed)
-    lights = _lights(things)
+    lights = _collect_lights(things)
     model = merged(
         [
             *(head.model for _, head in things.signals),
             plan.ground,
-            *houses_of(plan, seed),
+            *build_houses(plan, seed),
             *(lamp.model for lamp in things.lamps),
             *things.others,
-            *_backdrop(plan, seed),
-            *plants_of(plan, seed),
+            *_build_skyline(plan, seed),
+            *build_plants(plan, seed),
         ]
     )
     lamps = np.concatenate([np.zeros((0, 3)), *(lamp.lights for lamp in things.lamps)])
-    return World(plan, model, lamps, lights, parked_on(plan, seed), seed)
+    return World(plan, model, lamps, lights, place_parked_vehicles(plan, seed), seed)
 
 
-def _lights(things: Furniture) -> dict[int, Lights]:
+def _collect_lights(things: Furniture) -> dict[int, Lights]:
     """Lamps of the traffic lights by signal group; their faces come first in the world's model."""
     found: dict[int, list[tuple[Int64, Int64, Int64]]] = {}
     first = 0
@@ -147,18 +147,18 @@ def _lights(things: Furniture) -> dict[int, Lights]:
     return {group: Lights(*(np.concatenate(part) for part in zip(*parts))) for group, parts in found.items()}
 
 
-def _backdrop(plan: Plan, seed: int) -> list[Model]:
+def _build_skyline(plan: Plan, seed: int) -> list[Model]:
     """The skyline on all sides."""
     rng = np.random.default_rng([seed, 28])
     radius = plan.roi.radius_m
     if plan.kind == "urban":
         return [
-            far_houses(rng, radius + 100.0, radius + 225.0, (9.0, 34.0), plan.height_m),
-            far_woods(rng, radius + 232.0, radius + 256.0, (10.0, 16.0), plan.height_m),
+            build_far_houses(rng, radius + 100.0, radius + 225.0, (9.0, 34.0), plan.height_m),
+            build_far_woods(rng, radius + 232.0, radius + 256.0, (10.0, 16.0), plan.height_m),
         ]
     if plan.kind == "campus":
         return [
-            far_houses(rng, radius + 140.0, radius + 230.0, (8.0, 22.0), plan.height_m),
-            far_woods(rng, radius + 110.0, radius + 250.0, (10.0, 17.0), plan.height_m),
+            build_far_houses(rng, radius + 140.0, radius + 230.0, (8.0, 22.0), plan.height_m),
+            build_far_woods(rng, radius + 110.0, radius + 250.0, (10.0, 17.0), plan.height_m),
         ]
-    return [far_woods(rng, radius + 120.0, radius + 256.0, (9.0, 17.0), plan.height_m)]
+    return [build_far_woods(rng, radius + 120.0, radius + 256.0, (9.0, 17.0), plan.height_m)]

@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.synth.model import Model
 from mirror.synth.street.furniture import fence, garden_wall
-from mirror.synth.street.houses import HouseStyle, house
+from mirror.synth.street.houses import HouseStyle, build_house
 from mirror.synth.street.lots import Lot
 from mirror.synth.street.plan import Plan
 
@@ -31,11 +31,11 @@ _STYLES: Final[dict[str, dict[str, Shares]]] = {
 }
 """Shares of the house styles, by kind of scene and kind of lot."""
 
-_SEEN_WELL_M: Final = 30.0
+_DETAIL_RANGE_M: Final = 30.0
 """Houses up to this distance outside the ROI are detailed."""
 
 
-def houses_of(plan: Plan, seed: int) -> Iterator[Model]:
+def build_houses(plan: Plan, seed: int) -> Iterator[Model]:
     """Yield a house for each lot, in the world frame; distant ones have less detail.
 
     Args:
@@ -46,21 +46,21 @@ def houses_of(plan: Plan, seed: int) -> Iterator[Model]:
         rng = np.random.default_rng([seed, 21, number])
         shares = _STYLES[plan.kind][lot.kind]
         style: HouseStyle = rng.choice(list(shares), p=list(shares.values())).item()
-        near = float(np.hypot(*lot.origin[:2])) < plan.roi.radius_m + _SEEN_WELL_M and lot.kind != "yard"
-        model = house(
+        near = float(np.hypot(*lot.origin[:2])) < plan.roi.radius_m + _DETAIL_RANGE_M and lot.kind != "yard"
+        model = build_house(
             rng, style, lot.length_m, lot.depth_m, corner=lot.kind != "front", detailed=near or plan.kind != "urban"
         )
-        yield _standing(plan, lot, model)
+        yield _place_house(plan, lot, model)
         if style == "detached" and near:
             yield _front_fence(plan, lot, rng)
 
 
-def _standing(plan: Plan, lot: Lot, model: Model) -> Model:
+def _place_house(plan: Plan, lot: Lot, model: Model) -> Model:
     """A house in the world frame, at the highest ground along its front."""
     along = np.array([math.cos(lot.yaw_rad), math.sin(lot.yaw_rad)])
     places = lot.origin[:2] + 0.5 * lot.length_m * np.array([[-1.0], [-0.5], [0.0], [0.5], [1.0]]) * along
     height = float(plan.height_m(places[:, 0], places[:, 1]).max())
-    return model.standing(lot.origin[0], lot.origin[1], height, lot.yaw_rad)
+    return model.place(lot.origin[0], lot.origin[1], height, lot.yaw_rad)
 
 
 def _front_fence(plan: Plan, lot: Lot, rng: np.random.Generator) -> Model:

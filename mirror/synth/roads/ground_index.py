@@ -18,7 +18,7 @@ _MARGIN: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class Standing:
+class GroundIndex:
     """The ground's triangles, indexed by the cells of a grid.
 
     Attributes:
@@ -44,7 +44,7 @@ class Standing:
         x, y = np.broadcast_arrays(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
         shape = x.shape
         points = np.stack([x.ravel(), y.ravel()], axis=1)
-        found = _heights(self.triangles, self.low, self.shape[0], self.shape[1], self.first, self.members, points)
+        found = _find_heights(self.triangles, self.low, self.shape[0], self.shape[1], self.first, self.members, points)
         if np.isnan(found).any():
             place = points[int(np.argmax(np.isnan(found)))]
             raise UsageError(
@@ -55,17 +55,17 @@ class Standing:
         return found.reshape(shape)
 
 
-def standing_on(triangles: Float64) -> Standing:
+def build_ground_index(triangles: Float64) -> GroundIndex:
     """Build the grid of cells over triangles (T, 3, 3)."""
     low = triangles[:, :, :2].min(axis=(0, 1))
     span = triangles[:, :, :2].max(axis=(0, 1)) - low
     nx, ny = (int(n) for n in np.ceil(span / _CELL_M + 1e-9))
-    first, members = _binned(np.ascontiguousarray(triangles), low, max(nx, 1), max(ny, 1))
-    return Standing(triangles, low, (max(nx, 1), max(ny, 1)), first, members)
+    first, members = _bin_triangles(np.ascontiguousarray(triangles), low, max(nx, 1), max(ny, 1))
+    return GroundIndex(triangles, low, (max(nx, 1), max(ny, 1)), first, members)
 
 
 @njit(cache=True, nogil=True)
-def _reaches(triangle: Float64, left: float, bottom: float) -> bool:
+def _overlaps_cell(triangle: Float64, left: float, bottom: float) -> bool:
     """Whether a triangle (3, 3) overlaps the cell with this lower left corner; tests its edges' half planes."""
     for corner in range(3):
         other = (corner + 1) % 3
@@ -80,7 +80,7 @@ def _reaches(triangle: Float64, left: float, bottom: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _span(triangle: Float64, axis: int, low: float, count: int) -> tuple[int, int]:
+def _cell_range(triangle: Float64, axis: int, low: float, count: int) -> tuple[int, int]:
     least = min(triangle[0, axis], triangle[1, axis], triangle[2, axis])
     most = max(triangle[0, axis], triangle[1, axis], triangle[2, axis])
     start = math.floor((least - low - 1e-6) / _CELL_M)
@@ -89,18 +89,18 @@ def _span(triangle: Float64, axis: int, low: float, count: int) -> tuple[int, in
 
 
 @njit(cache=True, nogil=True)
-def _binned(triangles: Float64, low: Float64, nx: int, ny: int) -> tuple[Int64, Int64]:
+def _bin_triangles(triangles: Float64, low: Float64, nx: int, ny: int) -> tuple[Int64, Int64]:
     first = np.zeros(nx * ny + 1, np.int64)
     members = np.zeros(0, np.int64)
     for turn in range(2):
         fill = first[:-1].copy()
         for number in range(len(triangles)):
             triangle = triangles[number]
-            i0, i1 = _span(triangle, 0, low[0], nx)
-            j0, j1 = _span(triangle, 1, low[1], ny)
+            i0, i1 = _cell_range(triangle, 0, low[0], nx)
+            j0, j1 = _cell_range(triangle, 1, low[1], ny)
             for j in range(j0, j1 + 1):
                 for i in range(i0, i1 + 1):
-                    if _reaches(triangle, low[0] + i * _CELL_M, low[1] + j * _CELL_M):
+                    if _overlaps_cell(triangle, low[0] + i * _CELL_M, low[1] + j * _CELL_M):
                         if turn == 0:
                             first[j * nx + i + 1] += 1
                         else:
@@ -113,7 +113,7 @@ def _binned(triangles: Float64, low: Float64, nx: int, ny: int) -> tuple[Int64, 
 
 
 @njit(cache=True, nogil=True)
-def _heights(
+def _find_heights(
     triangles: Float64, low: Float64, nx: int, ny: int, first: Int64, members: Int64, points: Float64
 ) -> Float64:
     found = np.full(len(points), np.nan)

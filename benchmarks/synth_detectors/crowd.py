@@ -19,8 +19,8 @@ from mirror.synth.model import FACE, ROUND
 from mirror.synth.render.rendering import render
 from mirror.synth.render.view import RasterizedView
 from mirror.synth.road_users.body import Placement, RoadUser, StaticMotion
-from mirror.synth.road_users.cars import car
-from mirror.synth.road_users.people import pedestrian
+from mirror.synth.road_users.cars import build_car
+from mirror.synth.road_users.people import draw_pedestrian
 from mirror.synth.street.world import World, build_world
 from mirror.synth.textures.catalogue import FACES, PLATES
 
@@ -138,7 +138,7 @@ def _placed(
         else:
             continue
         taken.append((x, y, radius))
-        body = car(rng) if is_car else pedestrian(rng, child=rng.random() < 0.15, warm=rng.random() < 0.5)
+        body = build_car(rng) if is_car else draw_pedestrian(rng, child=rng.random() < 0.15, warm=rng.random() < 0.5)
         back = is_car and rng.random() < 0.5
         yaw = bearing + (0.0 if back else math.pi) + math.radians(rng.uniform(-50.0, 50.0))
         place = Placement(x, y, float(world.height_m(x, y)), yaw)

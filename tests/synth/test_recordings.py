@@ -21,7 +21,7 @@ from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.model import Label
 from mirror.synth.truth import Truth
-from mirror.synth.writing.journal import journal
+from mirror.synth.writing.journal import open_journal
 from mirror.synth.writing.poses import write_poses
 from mirror.synth.writing.truth import TRUTH_KINDS
 
@@ -296,9 +296,9 @@ def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: SynthReport
 
 def test_two_runs_do_not_write_the_same_recordings(tmp_path: Path) -> None:
     with (
-        journal(tmp_path / "out", {"seed": "0"}),
+        open_journal(tmp_path / "out", {"seed": "0"}),
         pytest.raises(DatasetError, match="another run is writing"),
-        journal(tmp_path / "out", {"seed": "0"}),
+        open_journal(tmp_path / "out", {"seed": "0"}),
     ):
         pass
 

@@ -5,7 +5,7 @@ import pytest
 
 from mirror.errors import UsageError
 from mirror.schema.documents import Roi
-from mirror.synth.driving.routes import ROUTES, make_route, routes_in
+from mirror.synth.driving.routes import ROUTES, available_routes, make_route
 from mirror.synth.street.plan import plan_scene
 from tests.synth_driving import street
 
@@ -22,7 +22,7 @@ def turned_deg(route) -> float:
 
 
 def test_the_names_make_sense() -> None:
-    found = {name: make_route(name, NETWORK, street.RADIUS) for name in routes_in(NETWORK, street.RADIUS)}
+    found = {name: make_route(name, NETWORK, street.RADIUS) for name in available_routes(NETWORK, street.RADIUS)}
     assert set(found) == set(ROUTES) - {"other", "change", "leave", "join"}
     assert turned_deg(found["along"]) == pytest.approx(0.0, abs=1.0)
     assert turned_deg(found["turn"]) == pytest.approx(-90.0, abs=2.0)
@@ -69,7 +69,7 @@ def test_planned_scenes_have_their_routes(kind, radius, missing) -> None:
     plan = plan_scene(
         Roi(scene_id="a", longitude_deg=8.0, latitude_deg=49.0, radius_m=radius, scene_type=kind), 24.0, 3
     )
-    assert set(routes_in(plan.network, radius)) >= set(ROUTES) - missing
+    assert set(available_routes(plan.network, radius)) >= set(ROUTES) - missing
     for name in sorted(set(ROUTES) - missing):
         way = make_route(name, plan.network, radius).way
         bend = np.abs(np.diff(way.heading_rad)) / 0.5

@@ -14,7 +14,7 @@ from mirror.synth.driving.participants import Manner, Participant, simulate_part
 from mirror.synth.driving.signals import Signal, signal_state
 from mirror.synth.driving.trace import Aside, Chassis, Schedule
 from mirror.synth.driving.ways import Piece, build_way, follow_lanes
-from mirror.synth.driving.zones import zones
+from mirror.synth.driving.zones import find_zones
 from tests.synth_driving import street
 
 NETWORK = street.network()
@@ -37,7 +37,7 @@ def run(*participants, clock_s=0.0, longest_s=90.0) -> list[Schedule]:
 
 
 def test_lines_that_cross_meet_in_a_square() -> None:
-    (zone,) = zones(EAST, NORTH, 2.0)
+    (zone,) = find_zones(EAST, NORTH, 2.0)
     corner = (street.CROSS + 1.75 + street.EXTENT, -1.75 + street.EXTENT)
     assert zone.begin_m == pytest.approx([at - 2.0 for at in corner], abs=1.1)
     assert zone.end_m == pytest.approx([at + 2.0 for at in corner], abs=1.1)
@@ -45,7 +45,7 @@ def test_lines_that_cross_meet_in_a_square() -> None:
 
 
 def test_lines_that_run_together_are_followed() -> None:
-    (zone,) = zones(EAST, LEFT, 2.0)
+    (zone,) = find_zones(EAST, LEFT, 2.0)
     assert zone.along
     assert zone.begin_m == (0.0, 0.0)
     # Behind somebody whose rear end is at 100 m one comes to 98 m.
@@ -54,15 +54,15 @@ def test_lines_that_run_together_are_followed() -> None:
 
 
 def test_who_turns_left_lets_the_oncoming_go() -> None:
-    (zone,) = zones(LEFT, WEST, 2.0)
+    (zone,) = find_zones(LEFT, WEST, 2.0)
     assert zone.first == 1
-    assert zones(WEST, LEFT, 2.0)[0].first == 0
+    assert find_zones(WEST, LEFT, 2.0)[0].first == 0
 
 
 def test_far_lines_do_not_meet() -> None:
     other = build_way([Piece(np.array([[0.0, 500.0], [300.0, 500.0]]), 10.0)])
-    assert zones(EAST, other, 3.0) == []
-    assert zones(EAST, WEST, 3.0) == []
+    assert find_zones(EAST, other, 3.0) == []
+    assert find_zones(EAST, WEST, 3.0) == []
 
 
 def test_signals_go_round() -> None:
@@ -104,7 +104,7 @@ def test_the_second_keeps_behind_the_first() -> None:
 def test_nobody_turns_left_into_the_oncoming() -> None:
     oncoming = [car(WEST, enter_s=3.0 * number) for number in range(6)]
     turning, *_ = schedules = run(car(LEFT, enter_m=150.0), *oncoming)
-    (zone,) = zones(LEFT, WEST, 2.4)
+    (zone,) = find_zones(LEFT, WEST, 2.4)
     inside = [turning.time_of(at) for at in (zone.begin_m[0], zone.end_m[0] + CAR.length_m)]
     for schedule in schedules[1:]:
         passes = [schedule.time_of(at) for at in (zone.begin_m[1], zone.end_m[1] + CAR.length_m)]
@@ -116,7 +116,7 @@ def test_who_turns_waits_for_people_who_cross() -> None:
         "pedestrian", 0, ZEBRA, Chassis(0.9, 0.5, 0.4, 0.25, 0.2), Manner(1.0, 1.4, 0.9, 1.2, 0.4), Aside(), 0.0,
         street.CROSS - 9.0 + street.EXTENT,
     )  # fmt: skip
-    (zone,) = zones(LEFT, ZEBRA, 1.7)
+    (zone,) = find_zones(LEFT, ZEBRA, 1.7)
     assert zone.first == 1
     turning, walking = run(car(LEFT, enter_m=200.0), person)
     inside = turning.time_of(zone.begin_m[0]), turning.time_of(zone.end_m[0] + CAR.length_m)

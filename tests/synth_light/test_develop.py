@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.synth.light.condition import Condition, Effects
-from mirror.synth.light.lighting import LIGHTING, lighting
+from mirror.synth.light.lighting import LIGHTING, compute_lighting
 from mirror.synth.light.sun import instant_of
-from mirror.synth.render.develop import CameraResponse, compute_exposure, develop, draw_camera_response, lens_drops
+from mirror.synth.render.develop import CameraResponse, compute_exposure, develop, draw_camera_response, draw_lens_drops
 from mirror.synth.render.develop.curve import film, film_table, gaussian_table
 from mirror.synth.render.develop.drops import DROP, refract_drops
 from mirror.synth.render.develop.glare import glare
@@ -23,7 +23,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def record(light: str = "day", weather: str = "clear") -> np.ndarray:
-    return lighting(Condition(instant_of("2025-05-10", light, 8.4, 49.0), light, weather), 8.4, 49.0).record
+    return compute_lighting(Condition(instant_of("2025-05-10", light, 8.4, 49.0), light, weather), 8.4, 49.0).record
 
 
 def fixed(exposure: float, read: float = 0.0, shot: float = 0.0) -> np.ndarray:
@@ -127,7 +127,7 @@ def test_images_have_other_noise_and_nothing_else() -> None:
 
 
 def test_threads_make_the_same_bytes() -> None:
-    one, look, drops = record("night", "rain"), draw_camera_response(4), lens_drops(1, 0.5)
+    one, look, drops = record("night", "rain"), draw_camera_response(4), draw_lens_drops(1, 0.5)
     motion = np.random.default_rng(0).normal(0.0, 3.0, (90, 160, 2)).astype(np.float32)
 
     def made(seed: int) -> bytes:
@@ -142,7 +142,7 @@ def test_threads_make_the_same_bytes() -> None:
 def test_a_switch_that_is_off_is_as_if_there_were_no_such_thing(effect: str) -> None:
     radiance, one, look = street(), record("night", "rain"), draw_camera_response(7)
     radiance[40:44, 70:90] = 40.0
-    drops, motion = lens_drops(1, 90 / 160), np.full((90, 160, 2), 5.0, np.float32)
+    drops, motion = draw_lens_drops(1, 90 / 160), np.full((90, 160, 2), 5.0, np.float32)
     assert len(drops)
     usual = replace(Effects(), exposure=False)
     off = develop(radiance, one, look, replace(usual, **{effect: False}), 3, motion=motion, drops=drops)
@@ -201,7 +201,7 @@ def test_glare_is_made_only_where_something_is_brighter_than_white() -> None:
 
 
 def test_drops_change_nothing_beside_them() -> None:
-    assert sum(len(lens_drops(seed, 0.5625)) == 0 for seed in range(200)) == pytest.approx(80, abs=25)
+    assert sum(len(draw_lens_drops(seed, 0.5625)) == 0 for seed in range(200)) == pytest.approx(80, abs=25)
     radiance = street()
     drops = np.zeros(1, DROP)
     drops[0] = (0.5, 0.25, 0.06, 0.08, 0.2, 0.9)
@@ -221,7 +221,9 @@ def test_drops_change_nothing_beside_them() -> None:
 def test_the_smallest_images_come_out(shape: tuple[int, int]) -> None:
     radiance = np.full((*shape, 3), 3.0, np.float32)
     motion = np.full((*shape, 2), 2.0, np.float32)
-    out = develop(radiance, record(), draw_camera_response(1), Effects(), 0, motion=motion, drops=lens_drops(1, 1.0))
+    out = develop(
+        radiance, record(), draw_camera_response(1), Effects(), 0, motion=motion, drops=draw_lens_drops(1, 1.0)
+    )
     assert out.shape == (*shape, 3)
     assert out.min() > 100
 

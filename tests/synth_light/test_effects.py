@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mirror.synth.light.condition import Condition, Effects
-from mirror.synth.light.lighting import LIGHTING, lighting
+from mirror.synth.light.lighting import LIGHTING, compute_lighting
 from mirror.synth.light.sun import instant_of
 
 PLACE = (8.4, 49.0)
@@ -37,19 +37,19 @@ def test_none_has_nothing_and_the_default_everything() -> None:
 @pytest.mark.parametrize("effect", [effect.name for effect in fields(Effects)])
 def test_a_switch_changes_nothing_but_its_own_light(effect: str) -> None:
     for light, weather in (("night", "rain"), ("day", "clear")):
-        whole = lighting(condition(light, weather), *PLACE)
-        without = lighting(condition(light, weather, replace(ALL, **{effect: False})), *PLACE)
+        whole = compute_lighting(condition(light, weather), *PLACE)
+        without = compute_lighting(condition(light, weather, replace(ALL, **{effect: False})), *PLACE)
         changed = {name for name in LIGHTING.names if not np.array_equal(whole.record[name], without.record[name])}
         assert changed <= OWN.get(effect, set())
         assert np.array_equal(whole.dome, without.dome)
     if effect in OWN and effect not in ("sun_shadows", "season"):
-        night = lighting(condition("night", "rain", replace(ALL, **{effect: False})), *PLACE).record
+        night = compute_lighting(condition("night", "rain", replace(ALL, **{effect: False})), *PLACE).record
         assert all(not np.any(night[name]) for name in OWN[effect])
 
 
 def test_lamps_burn_in_the_dark_and_shadows_need_the_sun() -> None:
     day, rain, dusk, night = (
-        lighting(condition(*what), *PLACE).record
+        compute_lighting(condition(*what), *PLACE).record
         for what in (("day", "clear"), ("day", "rain"), ("dusk", "clear"), ("night", "clear"))
     )
     assert day["sunlight"].min() > 0.5
@@ -63,7 +63,7 @@ def test_lamps_burn_in_the_dark_and_shadows_need_the_sun() -> None:
 
 def test_visits_have_other_clouds_and_the_same_light_as_before() -> None:
     first, again, second = (
-        lighting(replace(condition("day", "clear"), visit=visit), *PLACE).record for visit in (1, 1, 2)
+        compute_lighting(replace(condition("day", "clear"), visit=visit), *PLACE).record for visit in (1, 1, 2)
     )
     assert first.tobytes() == again.tobytes()
     assert not np.array_equal(first["cloud_shift"], second["cloud_shift"])

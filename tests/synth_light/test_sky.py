@@ -9,7 +9,7 @@ from mirror.synth.light import atmosphere
 from mirror.synth.light.atmosphere import clear_dome, dome_directions, dome_weights
 from mirror.synth.light.clouds import LEVELS, SIDE, cloud_field
 from mirror.synth.light.condition import Condition
-from mirror.synth.light.lighting import LIGHTING, Lighting, lighting
+from mirror.synth.light.lighting import LIGHTING, Lighting, compute_lighting
 from mirror.synth.light.sky import sky
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import flat
@@ -18,7 +18,7 @@ PLACE = (8.4, 49.0)
 
 
 def lit(light: str, weather: str) -> Lighting:
-    return lighting(Condition(instant_of("2025-05-10", light, *PLACE), light, weather), *PLACE)
+    return compute_lighting(Condition(instant_of("2025-05-10", light, *PLACE), light, weather), *PLACE)
 
 
 def seen(one: Lighting, direction: np.ndarray, spread: float = 0.002) -> np.ndarray:
@@ -89,7 +89,7 @@ def test_more_light_comes_from_a_higher_sun() -> None:
     noon = int(np.datetime64("2025-03-20T12:07", "ns").astype(np.int64))
     total = []
     for minutes in range(0, 441, 40):
-        record = lighting(Condition(noon - (440 - minutes) * 60_000_000_000, "day", "clear"), 0.0, 0.0).record
+        record = compute_lighting(Condition(noon - (440 - minutes) * 60_000_000_000, "day", "clear"), 0.0, 0.0).record
         level = max(record["sun"][2], 0.0) * record["sunlight"] + record["sky_light"]
         total.append(level @ [0.2126, 0.7152, 0.0722])
     # Towns light the clouds of the night, which is not the sun's doing.

@@ -9,7 +9,7 @@ import pytest
 
 from mirror.errors import UsageError
 from mirror.synth.textures.catalogue import FACES
-from mirror.synth.textures.faces import HEAD_ASPECT, face_image, features
+from mirror.synth.textures.faces import HEAD_ASPECT, draw_features, face_image
 
 
 def test_the_same_face_is_painted_each_time() -> None:
@@ -36,7 +36,7 @@ def test_a_small_image_is_the_large_one_reduced() -> None:
 def test_other_images_and_sizes_are_refused() -> None:
     for number in (FACES.start - 1, FACES.stop):
         with pytest.raises(UsageError, match="156 to 187"):
-            features(number)
+            draw_features(number)
     with pytest.raises(UsageError, match="16"):
         face_image(FACES.start, 8)
 

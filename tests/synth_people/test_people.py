@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from mirror.synth.model import Label, Model
 from mirror.synth.road_users.body import Placement, Saddle
-from mirror.synth.road_users.people import Pedestrian, pedestrian, person, rider
-from mirror.synth.road_users.skeleton import STRIDE, Skeleton, head_half_m, riding, walking
+from mirror.synth.road_users.people import Pedestrian, build_rider, draw_pedestrian, draw_person
+from mirror.synth.road_users.skeleton import STRIDE, Skeleton, head_half_m, riding_skeleton, walking_skeleton
 from mirror.synth.textures.catalogue import FACES
 
 _SADDLE = Saddle((-0.20, 0.0, 0.94), (0.42, 0.28, 1.02), (-0.02, 0.12, 0.12), (0.02, -0.12, 0.46))
@@ -19,7 +19,7 @@ _SEEDS = st.integers(0, 2**32 - 1)
 
 def _somebody(seed: int) -> Pedestrian:
     rng = np.random.default_rng(seed)
-    return pedestrian(rng, child=seed % 4 == 3, umbrella=seed % 5 == 4, warm=seed % 2 == 1)
+    return draw_pedestrian(rng, child=seed % 4 == 3, umbrella=seed % 5 == 4, warm=seed % 2 == 1)
 
 
 def _bytes(model: Model) -> bytes:
@@ -29,7 +29,7 @@ def _bytes(model: Model) -> bytes:
 def test_the_same_seed_makes_the_same_person() -> None:
     assert _bytes(_somebody(4).walking(0.3)) == _bytes(_somebody(4).walking(0.3))
     assert _bytes(_somebody(4).walking(0.3)) != _bytes(_somebody(5).walking(0.3))
-    one, other = (rider(np.random.default_rng(2), _SADDLE) for _ in range(2))
+    one, other = (build_rider(np.random.default_rng(2), _SADDLE) for _ in range(2))
     assert _bytes(one) == _bytes(other)
 
 
@@ -72,30 +72,30 @@ def _bones(pose: Skeleton) -> np.ndarray:
 
 
 def test_bones_keep_their_lengths_while_walking() -> None:
-    bones = np.array([_bones(walking(1.7, phase, 1.0)) for phase in np.linspace(0.0, 1.0, 60)])
+    bones = np.array([_bones(walking_skeleton(1.7, phase, 1.0)) for phase in np.linspace(0.0, 1.0, 60)])
     np.testing.assert_allclose(bones, np.broadcast_to(bones[0, :, :1], bones.shape), atol=1e-9)
 
 
 def test_a_foot_stands_still_while_it_carries() -> None:
     height = 1.75
     for phase in np.linspace(0.02, 0.35, 12):
-        one, other = walking(height, phase, 1.0), walking(height, phase + 0.02, 1.0)
+        one, other = walking_skeleton(height, phase, 1.0), walking_skeleton(height, phase + 0.02, 1.0)
         moved = other.ankles[0, 0] + 0.02 * STRIDE * height - one.ankles[0, 0]
         assert abs(moved) < 1e-9
         assert one.ankles[0, 2] == pytest.approx(0.041 * height)
 
 
 def test_the_gait_repeats_and_mirrors_after_half_a_stride() -> None:
-    left, right = walking(1.6, 0.2, 1.0), walking(1.6, 0.7, 1.0)
+    left, right = walking_skeleton(1.6, 0.2, 1.0), walking_skeleton(1.6, 0.7, 1.0)
     for name in ("hips", "knees", "ankles", "elbows", "wrists"):
         mirrored = getattr(right, name)[::-1] * [1.0, -1.0, 1.0]
         np.testing.assert_allclose(getattr(left, name), mirrored, atol=1e-9)
-    np.testing.assert_allclose(walking(1.6, 1.2, 1.0).ankles, left.ankles, atol=1e-9)
+    np.testing.assert_allclose(walking_skeleton(1.6, 1.2, 1.0).ankles, left.ankles, atol=1e-9)
 
 
 def test_who_stands_is_as_tall_as_stated() -> None:
     for height in (1.05, 1.5, 1.9):
-        pose = walking(height, 0.0, 0.0)
+        pose = walking_skeleton(height, 0.0, 0.0)
         assert pose.head[2] + head_half_m(height) == pytest.approx(height, abs=0.013)
         assert np.ptp(pose.ankles[:, 0]) < 1e-9
 
@@ -112,12 +112,12 @@ def test_who_moves_steps_by_the_way_gone() -> None:
 
 def test_riders_reach_grips_and_pedals() -> None:
     for height in (1.7, 1.78, 1.9):
-        pose = riding(height, _SADDLE)
+        pose = riding_skeleton(height, _SADDLE)
         assert np.abs(_bones(pose)[1] - 0.246 * height).max() < 0.02
         grips = np.array([_SADDLE.hand, np.array(_SADDLE.hand) * [1, -1, 1]])
         assert np.linalg.norm(pose.wrists - grips, axis=1).max() < 0.12
         assert pose.head[2] > pose.hips[0, 2] + 0.4
-    model = rider(np.random.default_rng(8), _SADDLE, motorcycle=True)
+    model = build_rider(np.random.default_rng(8), _SADDLE, motorcycle=True)
     assert (model.rounds["image"] < 0).all()
     assert (model.rounds["label"] == Label.RIDER).all()
     assert len(model) <= 40
@@ -125,8 +125,8 @@ def test_riders_reach_grips_and_pedals() -> None:
 
 def test_children_are_small_and_the_rain_brings_umbrellas() -> None:
     rng = np.random.default_rng(0)
-    assert all(person(rng, child=True).height_m < 1.46 for _ in range(20))
-    assert person(rng, umbrella=True).umbrella is not None
-    garments = {person(rng, warm=True).garment for _ in range(60)}
+    assert all(draw_person(rng, child=True).height_m < 1.46 for _ in range(20))
+    assert draw_person(rng, umbrella=True).umbrella is not None
+    garments = {draw_person(rng, warm=True).garment for _ in range(60)}
     assert "shirt" in garments
     assert "coat" not in garments

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mirror.errors import UsageError
-from mirror.synth.model import Label, Material, Model, block, merged
+from mirror.synth.model import Label, Material, Model, block, merge_models
 from mirror.synth.street.foliage import Species, apply_season, crown_share, draw_leaf_seeds
 from mirror.synth.street.plants import TREES, build_hedge, build_tree
 
@@ -67,7 +67,7 @@ def test_evergreens_stay(kind: str) -> None:
 
 
 def test_two_visits_differ_by_a_few_percent() -> None:
-    model = merged([build_tree(np.random.default_rng(n), TREES[n % len(TREES)]) for n in range(12)])
+    model = merge_models([build_tree(np.random.default_rng(n), TREES[n % len(TREES)]) for n in range(12)])
     one, other = (set(apply_season(model, 0.5, visit).faces["seed"].tolist()) for visit in (0, 1))
     differing = len(one ^ other) / len(one | other)
     assert 0.03 < differing < 0.12

@@ -9,9 +9,9 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.geometry.cameras import Camera
 from mirror.synth.light.condition import Condition, Effects
-from mirror.synth.light.lighting import LIGHTING, lighting
+from mirror.synth.light.lighting import LIGHTING, compute_lighting
 from mirror.synth.light.sun import instant_of
-from mirror.synth.model import FACE, ROUND, Label, Material, Model, block, ellipsoid, flat, merged, polygons, tube
+from mirror.synth.model import FACE, ROUND, Label, Material, Model, block, ellipsoid, flat, merge_models, polygons, tube
 from mirror.synth.render.binning import bounding_spheres
 from mirror.synth.render.lens import Lens, make_lens
 from mirror.synth.render.shadows import ShadowMap, sun_axes
@@ -51,7 +51,7 @@ def random_model(rng: np.random.Generator, count: int = 60, spread_m: float = 25
     leaves = middle + np.cos(angle) * first + np.sin(angle) * second
     parts.append(polygons(leaves, (0.1, 0.3, 0.05), Material.LEAVES, Label.VEGETATION, two_sided=True))
     parts.append(ground(40.0, 7))
-    return merged(parts)
+    return merge_models(parts)
 
 
 def ground(reach_m: float, pieces: int, height_m: float = -1.5) -> Model:
@@ -78,7 +78,7 @@ def surroundings(
 ) -> Surroundings:
     """A model in a condition, with no shadows but those given, and level ground."""
     start = instant_of("2025-06-01", light, 8.4, 49.0)  # type: ignore[arg-type]
-    given = lighting(Condition(start, light, weather, effects=effects), 8.4, 49.0)  # type: ignore[arg-type]
+    given = compute_lighting(Condition(start, light, weather, effects=effects), 8.4, 49.0)  # type: ignore[arg-type]
     maps = np.zeros(1, MAPS)
     maps["sun_axes"] = sun_axes(np.array(given.record["sun"]))
     shadow = ShadowMap.none() if shadow is None else shadow

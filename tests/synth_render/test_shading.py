@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mirror.synth.light.condition import Effects
-from mirror.synth.model import Label, Material, Model, block, merged, polygon
+from mirror.synth.model import Label, Material, Model, block, merge_models, polygon
 from mirror.synth.render.shadows import CELL_M, render_shadow_map, sun_axes, sun_visibility
 from mirror.synth.render.surroundings import GROUND_CELL_M
 from mirror.synth.render.view import rasterize_view
@@ -77,7 +77,7 @@ def test_wet_ground_shows_things_upside_down_at_their_places() -> None:
     floor = ground(60.0, 9, height_m=0.0)
     origin = np.array([0.0, 0.0, 2.0])
     effects = replace(Effects.none(), wet_road=True)
-    scene = surroundings(merged([board, floor]), weather="rain", effects=effects)
+    scene = surroundings(merge_models([board, floor]), weather="rain", effects=effects)
     cells = np.zeros((60, 60), np.float32)
     maps = scene.maps.copy()
     maps["ground_origin_0"], maps["ground_origin_1"] = -60.0, -60.0
@@ -88,7 +88,7 @@ def test_wet_ground_shows_things_upside_down_at_their_places() -> None:
     assert (dry[..., 3][view.label == Label.ROAD] > 0).all()
     wet = add_reflections(dry, scene, lens, AHEAD, origin)
     below = rasterize_view(
-        surroundings(merged([board.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3))])), lens, AHEAD, origin
+        surroundings(merge_models([board.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3))])), lens, AHEAD, origin
     )
     there = np.zeros(dry.shape[:2], bool)
     mirrored = polygon(

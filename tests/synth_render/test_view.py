@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from mirror.synth.model import Label, Material, Model, block, ellipsoid, merged, polygon
+from mirror.synth.model import Label, Material, Model, block, ellipsoid, merge_models, polygon
 from mirror.synth.render.coverage import SKY
 from mirror.synth.render.view import rasterize_view
 from mirror.synth.truth.casting import cast_rays
@@ -86,7 +86,7 @@ def test_no_ray_slips_between_faces_that_share_an_edge() -> None:
             polygon([a, b, middle], (0.5, 0.5, 0.5), Material.PLAIN, Label.BUILDING)
             for a, b in zip(corners, np.roll(corners, -1, axis=0))
         ]
-    scene = surroundings(merged(pieces))
+    scene = surroundings(merge_models(pieces))
     rng = np.random.default_rng(3)
     for name in ("pinhole", "kannala_brandt", "brown_conrady"):
         for _ in range(5):
@@ -132,7 +132,7 @@ def test_only_what_a_view_can_see_is_tried() -> None:
     behind = random_model(rng, 60).place(-120.0, 0.0)
     alone, both = (
         rasterize_view(surroundings(model), lens_of("pinhole"), AHEAD, np.zeros(3))
-        for model in (near, merged([near, behind]))
+        for model in (near, merge_models([near, behind]))
     )
     assert both.counts["surfaces"] > 3 * alone.counts["surfaces"]
     assert both.counts["tried"] <= 1.02 * alone.counts["tried"]
@@ -140,9 +140,9 @@ def test_only_what_a_view_can_see_is_tried() -> None:
     wall = polygon(
         [(2, 50, -50), (2, -50, -50), (2, -50, 50), (2, 50, 50)], (0.5, 0.5, 0.5), Material.PLAIN, Label.WALL
     )
-    far = merged([block((x, y, 0), (1, 1, 4), (0.5, 0.5, 0.5), Material.PLAIN, Label.BUILDING)
+    far = merge_models([block((x, y, 0), (1, 1, 4), (0.5, 0.5, 0.5), Material.PLAIN, Label.BUILDING)
                   for x in range(8, 60, 4) for y in range(-30, 30, 3)])  # fmt: skip
-    hidden = rasterize_view(surroundings(merged([far, wall])), lens_of("pinhole"), AHEAD, np.zeros(3))
+    hidden = rasterize_view(surroundings(merge_models([far, wall])), lens_of("pinhole"), AHEAD, np.zeros(3))
     assert (hidden.label == Label.WALL).all()
     assert hidden.counts["facing"] > 100
     assert hidden.counts["tried"] == hidden.counts["near"] == hidden.counts["tiles"]
@@ -185,7 +185,7 @@ def test_a_camera_on_a_plane_within_a_ball_and_among_slivers_sees_no_nonsense() 
     slivers = polygon([(5, 0, 0), (5, 1e-4, 0), (5, 0, 3)], (0.5, 0.5, 0.5), Material.PLAIN, Label.POLE, two_sided=True)
     level = ground(20.0, 3, height_m=0.0)
     ball = ellipsoid((0, 0, 0), (1, 1, 1), (0.5, 0.5, 0.5), Material.PLAIN, Label.FURNITURE)
-    view = rasterize_view(surroundings(merged([slivers, level, ball])), lens_of("pinhole"), AHEAD, np.zeros(3))
+    view = rasterize_view(surroundings(merge_models([slivers, level, ball])), lens_of("pinhole"), AHEAD, np.zeros(3))
     assert np.isfinite(view.radiance()).all()
     assert (view.distance_m[view.surface != SKY] > 0).all()
     assert not (view.surface >= len(slivers.faces) + len(level.faces)).any()

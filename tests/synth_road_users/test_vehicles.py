@@ -13,18 +13,38 @@ from mirror.arrays import Float64
 from mirror.synth.model import Label, Material, Model
 from mirror.synth.road_users import buses, cars, trucks, two_wheelers, vans
 from mirror.synth.road_users.body import Body
-from mirror.synth.road_users.coachwork.fittings import car_paint
+from mirror.synth.road_users.coachwork.fittings import draw_car_paint
 from mirror.synth.road_users.ego import EgoKind, Measures, make_ego_body
 from mirror.synth.textures.catalogue import PLATES
 
 Maker = Callable[[np.random.Generator], Body]
 
 _CARS: list[Maker] = [
-    cars.hatchback, cars.saloon, cars.estate, cars.suv, cars.city_car, cars.coupe, cars.pickup, cars.taxi,
-    vans.delivery_van, vans.compact_van, vans.minibus,
-]  # fmt: skip
-_LARGE: list[Maker] = [buses.city_bus, buses.coach, trucks.box_truck, trucks.tipper, trucks.articulated_truck]
-_TWO: list[Maker] = [two_wheelers.roadster, two_wheelers.scooter, two_wheelers.city_bicycle, two_wheelers.cargo_bike]
+    cars.build_hatchback,
+    cars.build_saloon,
+    cars.build_estate,
+    cars.build_suv,
+    cars.build_city_car,
+    cars.build_coupe,
+    cars.build_pickup,
+    cars.build_taxi,
+    vans.build_delivery_van,
+    vans.build_compact_van,
+    vans.build_minibus,
+]
+_LARGE: list[Maker] = [
+    buses.build_city_bus,
+    buses.build_coach,
+    trucks.build_box_truck,
+    trucks.build_tipper,
+    trucks.build_articulated_truck,
+]
+_TWO: list[Maker] = [
+    two_wheelers.build_roadster,
+    two_wheelers.build_scooter,
+    two_wheelers.build_city_bicycle,
+    two_wheelers.build_cargo_bike,
+]
 _SEEDS = range(6)
 
 every = pytest.mark.parametrize("make", [*_CARS, *_LARGE, *_TWO], ids=lambda make: make.__name__)
@@ -183,9 +203,11 @@ def test_lamps_are_in_pairs_where_they_belong(make: Maker) -> None:
 
 def test_every_body_has_its_class() -> None:
     classes = {
-        "car": (Label.CAR, [cars.car]), "van": (Label.VAN, [vans.van]), "truck": (Label.TRUCK, [trucks.truck]),
-        "bus": (Label.BUS, [buses.bus]),
-    }  # fmt: skip
+        "car": (Label.CAR, [cars.build_car]),
+        "van": (Label.VAN, [vans.build_van]),
+        "truck": (Label.TRUCK, [trucks.build_truck]),
+        "bus": (Label.BUS, [buses.build_bus]),
+    }
     for category, (label, makers) in classes.items():
         for make in makers:
             for seed in _SEEDS:
@@ -195,7 +217,7 @@ def test_every_body_has_its_class() -> None:
 
 
 def test_two_wheelers_are_ridden_or_parked() -> None:
-    for make in (two_wheelers.city_bicycle, two_wheelers.cargo_bike):
+    for make in (two_wheelers.build_city_bicycle, two_wheelers.build_cargo_bike):
         ridden, parked = make(np.random.default_rng(1)), make(np.random.default_rng(1), ridden=False)
         assert (ridden.category, parked.category) == ("cyclist", "bicycle")
         assert Label.RIDER in ridden.model.rounds["label"]
@@ -205,7 +227,7 @@ def test_two_wheelers_are_ridden_or_parked() -> None:
 
 def test_colours_are_as_often_as_on_streets() -> None:
     rng = np.random.default_rng(0)
-    colours = np.array([car_paint(rng).colour for _ in range(600)])
+    colours = np.array([draw_car_paint(rng).colour for _ in range(600)])
     grey = colours.max(axis=1) - colours.min(axis=1) < 0.05
     assert 0.72 < grey.mean() < 0.92
     assert (colours > 0.0).all()

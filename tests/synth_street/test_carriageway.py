@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.synth.model import FACE, flat
-from mirror.synth.render.carriageway import carriageway, mark_share, share
+from mirror.synth.render.carriageway import carriageway, mark_share, stripe_share
 from mirror.synth.roads.markings import (
     MOST_MARKS,
     Mark,
@@ -68,10 +68,10 @@ def test_mean_over_pixels_is_kept_at_every_footprint():
 
 
 def test_extremes():
-    assert share(0.0, 1e9, -1.0, 1.0, 0.0, 1.0, 0.0) == pytest.approx(2e-9)
-    assert share(5.0, 1e-9, 0.0, 10.0, 0.0, 1.0, 0.0) == pytest.approx(1.0)
-    assert share(-5.0, 1.0, 0.0, 10.0, 2.0, 0.5, 0.0) == 0.0
-    assert share(1e6 + 0.25, 0.1, -1e7, 1e7, 1.0, 0.5, 0.0) == pytest.approx(1.0, abs=1e-6)
+    assert stripe_share(0.0, 1e9, -1.0, 1.0, 0.0, 1.0, 0.0) == pytest.approx(2e-9)
+    assert stripe_share(5.0, 1e-9, 0.0, 10.0, 0.0, 1.0, 0.0) == pytest.approx(1.0)
+    assert stripe_share(-5.0, 1.0, 0.0, 10.0, 2.0, 0.5, 0.0) == 0.0
+    assert stripe_share(1e6 + 0.25, 0.1, -1e7, 1e7, 1.0, 0.5, 0.0) == pytest.approx(1.0, abs=1e-6)
 
 
 def face():

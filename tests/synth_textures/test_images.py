@@ -9,7 +9,7 @@ import pytest
 from mirror.errors import UsageError
 from mirror.synth.textures.catalogue import PLATES, TRAFFIC_SIGNS, Sign
 from mirror.synth.textures.images import draw_image
-from mirror.synth.textures.images.drawing import glow, plain, rounded, weather
+from mirror.synth.textures.images.drawing import glow, new_image, rounded_rectangle, weather
 from mirror.synth.textures.images.lettering import glyph, letter, write
 from mirror.synth.textures.plates import plate_image, plate_text
 
@@ -29,7 +29,7 @@ def test_plates_all_differ_and_read_as_plates_do() -> None:
 
 def stamp(sign: str) -> np.ndarray:
     """A character as a reader would learn it: another size than the plate's."""
-    image = plain(60, 100, (226, 226, 221))
+    image = new_image(60, 100, (226, 226, 221))
     letter(image, sign, (0, 0, 60 if sign.isalpha() else 57, 100), (26, 26, 28), 13)
     return cv2.resize(image, (24, 40), interpolation=cv2.INTER_AREA)[..., 0].astype(np.float32)
 
@@ -95,7 +95,7 @@ def test_signs_have_their_colours() -> None:
 @pytest.mark.parametrize("words", ["A", "Bäckerei Mohnblatt", "-30 %", "青松茶馆"])
 @pytest.mark.parametrize("box", [(10, 10, 290, 90), (10, 40, 290, 60), (100, 10, 140, 90)])
 def test_words_stay_in_their_box(words: str, box: tuple[int, int, int, int]) -> None:
-    image = plain(300, 100, (0, 0, 0))
+    image = new_image(300, 100, (0, 0, 0))
     write(image, words, box, (255, 255, 255), weight=700, style="uni" if ord(words[0]) > 999 else "sans")
     rows, columns = np.flatnonzero(image.any(axis=(1, 2))), np.flatnonzero(image.any(axis=(0, 2)))
     assert len(rows) > 0
@@ -110,18 +110,18 @@ def test_letters_fill_their_box() -> None:
         lines = np.concatenate(glyph(sign, 0.6))
         assert lines.min() > -0.05 and lines[:, 0].max() < 0.65 and lines[:, 1].max() < 1.05
         assert np.ptp(lines[:, 1]) > 0.9
-        image = plain(60, 100, (255, 255, 255))
+        image = new_image(60, 100, (255, 255, 255))
         letter(image, sign, (5, 5, 55, 95), (0, 0, 0), 10)
         dark = np.flatnonzero((image < 128).any(axis=(1, 2)))
         assert abs(dark[0] - 5) <= 3 and abs(dark[-1] - 94) <= 3
 
 
 def test_drawing_on_edges_and_on_nothing() -> None:
-    image = plain(40, 30, (10, 20, 30))
-    rounded(image, (5, 5, 5, 5), 8, (200, 0, 0))
+    image = new_image(40, 30, (10, 20, 30))
+    rounded_rectangle(image, (5, 5, 5, 5), 8, (200, 0, 0))
     glow(image, -100.0, 50.0, 5.0, 1.0)
     glow(image, 0.0, 0.0, 20.0, 1.0)
     assert image[0, 0].min() > 150 and (image[29, 39] == (10, 20, 30)).all()
-    white = plain(40, 30, (255, 255, 255))
+    white = new_image(40, 30, (255, 255, 255))
     weather(white, np.random.default_rng(0), 0.5)
     assert white.max() == 255

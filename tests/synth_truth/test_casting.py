@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from mirror.synth.model import Label, Material, Model, block, ellipsoid, merged, polygon
+from mirror.synth.model import Label, Material, Model, block, ellipsoid, merge_models, polygon
 from mirror.synth.truth.casting import NOTHING, cast_rays, ego_mask
 
 GREY = (0.5, 0.5, 0.5)
@@ -65,7 +65,7 @@ def test_an_ellipsoid_far_away_keeps_its_distance() -> None:
 
 
 def test_the_nearest_surface_wins_and_rounds_count_on_after_faces() -> None:
-    model = merged([square(z=0.0), square(z=-3.0), ball((0, 0, 4.0), 1.0)])
+    model = merge_models([square(z=0.0), square(z=-3.0), ball((0, 0, 4.0), 1.0)])
     down, up = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 2.0]])
     assert [value[0] for value in cast_rays(model, np.array([0.1, 0.0, 2.0]), down)] == [2.0, 0]
     distance, index = cast_rays(model, np.array([0.0, 0.0, 2.0]), up)
@@ -88,7 +88,7 @@ def test_nothing_stands_in_an_empty_model_and_rays_may_be_none() -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.1, 30.0), st.floats(-3.0, 3.0))
 def test_moving_everything_changes_nothing(seed: int, shift: float, yaw: float) -> None:
-    model = merged(
+    model = merge_models(
         [block((4, 0, 1), (2, 3, 2), GREY, Material.PLAIN, Label.CAR, slope=(0.2, 0.1)), ball((-5, 1, 0), 2)]
     )
     directions = rays(200, seed)

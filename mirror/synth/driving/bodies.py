@@ -32,25 +32,25 @@ def get_body(kind: Kind, number: int, umbrella: bool = False, warm: bool = False
     """
     rng = np.random.default_rng([7, KINDS.index(kind), number])
     if kind == "pedestrian":
-        from mirror.synth.road_users.people import pedestrian
+        from mirror.synth.road_users.people import draw_pedestrian
 
-        return pedestrian(rng, child=rng.random() < _CHILD, umbrella=umbrella, warm=warm)
+        return draw_pedestrian(rng, child=rng.random() < _CHILD, umbrella=umbrella, warm=warm)
     if kind == "car":
-        from mirror.synth.road_users.cars import car
+        from mirror.synth.road_users.cars import build_car
 
-        return car(rng)
+        return build_car(rng)
     if kind == "van":
-        from mirror.synth.road_users.vans import van
+        from mirror.synth.road_users.vans import build_van
 
-        return van(rng)
+        return build_van(rng)
     if kind == "truck":
-        from mirror.synth.road_users.trucks import truck
+        from mirror.synth.road_users.trucks import build_truck
 
-        return truck(rng)
+        return build_truck(rng)
     if kind == "bus":
-        from mirror.synth.road_users.buses import bus
+        from mirror.synth.road_users.buses import build_bus
 
-        return bus(rng)
-    from mirror.synth.road_users.two_wheelers import bicycle, motorcycle
+        return build_bus(rng)
+    from mirror.synth.road_users.two_wheelers import build_bicycle, build_motorcycle
 
-    return motorcycle(rng) if kind == "motorcycle" else bicycle(rng)
+    return build_motorcycle(rng) if kind == "motorcycle" else build_bicycle(rng)

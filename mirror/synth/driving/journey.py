@@ -14,7 +14,7 @@ from mirror.errors import MirrorError
 from mirror.synth.driving.bodies import get_body
 from mirror.synth.driving.drive import Drive
 from mirror.synth.driving.overlaps import select_non_overlapping
-from mirror.synth.driving.parking import Parked, place_parked_cars
+from mirror.synth.driving.parking import ParkedCar, place_parked_cars
 from mirror.synth.driving.participants import Manner, Participant, simulate_participants
 from mirror.synth.driving.routes import Route, make_route
 from mirror.synth.driving.simulation import TICK_S
@@ -23,7 +23,7 @@ from mirror.synth.driving.trace import Aside, Chassis, Schedule, TraceMotion, bu
 from mirror.synth.driving.vehicles import Ways, make_cyclists, make_leaving_cars, make_vehicles
 from mirror.synth.driving.walkers import make_walkers, place_standing_people
 from mirror.synth.driving.ways import STEP_M
-from mirror.synth.driving.zones import zones
+from mirror.synth.driving.zones import find_zones
 from mirror.synth.road_users.body import Body, Motion, RoadUser
 
 _WARM_UP_S: Final = 60.0
@@ -112,18 +112,18 @@ def _attempt(
     aside_m: float,
     bustle: TrafficDensity,
 ) -> Journey | None:
-    own = _recorder(route, chassis, rng, fastest_mps, aside_m)
+    own = _recording_vehicle(route, chassis, rng, fastest_mps, aside_m)
     until = _WARM_UP_S + min(_longest_s(own), _LONGEST_S)
     ways = Ways()
     cars = list(place_parked_cars(site, scene_seed, rng))
-    off = _leaving(cars, rng)
+    off = _drop_blocking_cars(cars, rng)
     others = [
         *make_vehicles(site, bustle, until, ways, rng),
         *make_leaving_cars(site, [car.leaves for car in off if car.leaves], ways, (_WARM_UP_S, _WARM_UP_S + 50.0), rng),
         *make_cyclists(site, bustle, until, ways, rng),
     ]
     if route.first:
-        others = _out_of_the_way(route, others)
+        others = _drop_near_route(route, others)
     on_foot = list(make_walkers(site, bustle, ways, rng))
     clock = float(rng.uniform(0.0, site.network.cycle_s))
     schedules = simulate_participants(
@@ -149,7 +149,7 @@ def _attempt(
     )
 
 
-def _recorder(
+def _recording_vehicle(
     route: Route, chassis: Chassis, rng: np.random.Generator, fastest_mps: float, aside_m: float
 ) -> Participant:
     """The recording vehicle."""
@@ -179,13 +179,13 @@ def _longest_s(own: Participant) -> float:
     return 40.0 + own.pause_s + 3.0 * float((STEP_M / np.minimum(stretch, own.manner.fastest_mps)).sum())
 
 
-def _leaving(cars: Sequence[Parked], rng: np.random.Generator) -> list[Parked]:
+def _drop_blocking_cars(cars: Sequence[ParkedCar], rng: np.random.Generator) -> list[ParkedCar]:
     """Select cars to drive off among those that may and that have room to pull out."""
-    movable = [car for car in cars if car.leaves is not None and not any(_blocks(car, other) for other in cars)]
+    movable = [car for car in cars if car.leaves is not None and not any(_is_blocking(car, other) for other in cars)]
     return [movable[int(place)] for place in rng.permutation(len(movable))[:_LEAVE]]
 
 
-def _blocks(car: Parked, other: Parked) -> bool:
+def _is_blocking(car: ParkedCar, other: ParkedCar) -> bool:
     """Whether another car is parked directly in front of a car."""
     own, there = car.motion.placement, other.motion.placement
     dx, dy = there.x_m - own.x_m, there.y_m - own.y_m
@@ -193,14 +193,14 @@ def _blocks(car: Parked, other: Parked) -> bool:
     return 1.0 < cos * dx + sin * dy < _PULL_OUT_M and abs(cos * dy - sin * dx) < 1.5
 
 
-def _out_of_the_way(route: Route, others: Sequence[Participant]) -> list[Participant]:
+def _drop_near_route(route: Route, others: Sequence[Participant]) -> list[Participant]:
     """Participants that never drive ahead of the recording vehicle on a route that has to keep its times."""
     follows: dict[int, bool] = {}
     for other in others:
         if id(other.way) not in follows:
             follows[id(other.way)] = any(
                 zone.along and zone.begin_m[0] < route.end_m and zone.end_m[0] > route.comes_from_m
-                for zone in zones(route.way, other.way, _BESIDE_M)
+                for zone in find_zones(route.way, other.way, _BESIDE_M)
             )
     return [other for other in others if not follows[id(other.way)]]
 
@@ -225,7 +225,7 @@ def _make_road_users(
     everybody = [*driven, *parked_cars, *walking, *standing_people]
     times = np.arange(0.0, drive.duration_s + TICK_S, TICK_S)
     places = np.empty((len(everybody) + 1, len(times), 3))
-    places[0] = _middles(drive, chassis, times)
+    places[0] = _vehicle_centres(drive, chassis, times)
     for number, (_, motion) in enumerate(everybody, start=1):
         if isinstance(motion, TraceMotion):
             placed, _ = motion.trace.at(motion.schedule.at(times)[0])
@@ -246,7 +246,7 @@ def _make_road_users(
     return tuple(road_users)
 
 
-def _middles(drive: Drive, chassis: Chassis, times: Float64) -> Float64:
+def _vehicle_centres(drive: Drive, chassis: Chassis, times: Float64) -> Float64:
     """(T, 3) x, y and yaw of the middle of the recording vehicle."""
     placed, _ = drive.trace.at(drive.schedule.at(times)[0])
     ahead = 0.5 * chassis.length_m - chassis.rear_overhang_m - chassis.origin_m

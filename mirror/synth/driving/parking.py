@@ -22,7 +22,7 @@ _LONGEST_M: Final = 5.5
 
 
 @dataclass(frozen=True, eq=False)
-class Parked:
+class ParkedCar:
     """A parked car.
 
     Attributes:
@@ -36,7 +36,7 @@ class Parked:
     leaves: tuple[Lane, float, int] | None
 
 
-def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterator[Parked]:
+def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterator[ParkedCar]:
     """Place the parked cars of a traversal.
 
     Args:
@@ -49,10 +49,10 @@ def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterat
     for name in sorted(lanes):
         lane = lanes[name]
         for place in np.arange(0.5 * _PITCH_M, lane.length_m - 0.5 * _PITCH_M + 1e-6, _PITCH_M):
-            stays, changes = _choice(always)
-            once, aside, skew, number, kind = _car(always)
+            stays, changes = _choose_car(always)
+            once, aside, skew, number, kind = _build_car(always)
             if not stays:
-                taken, aside, skew, number, kind = _car(rng)
+                taken, aside, skew, number, kind = _build_car(rng)
                 if not changes or taken > _TAKEN:
                     continue
             at = place + once * 0.5
@@ -60,15 +60,15 @@ def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterat
             if body.size_m[0] > _LONGEST_M:
                 continue
             leaves = None if stays or kind != "car" else (lane, at, number)
-            yield Parked(body, StaticMotion(_placed(site, lane, at, aside, skew, body)), leaves)
+            yield ParkedCar(body, StaticMotion(_place_car(site, lane, at, aside, skew, body)), leaves)
 
 
-def _choice(rng: np.random.Generator) -> tuple[bool, bool]:
+def _choose_car(rng: np.random.Generator) -> tuple[bool, bool]:
     share = rng.random()
     return share < _STAYS, share < _STAYS + _CHANGES
 
 
-def _car(rng: np.random.Generator) -> tuple[float, float, float, int, Kind]:
+def _build_car(rng: np.random.Generator) -> tuple[float, float, float, int, Kind]:
     kind: Kind = "car" if rng.random() < 0.9 else "van"
     return (
         float(rng.random()), float(rng.uniform(-0.08, 0.08)), float(rng.normal(0.0, 0.012)),
@@ -76,7 +76,7 @@ def _car(rng: np.random.Generator) -> tuple[float, float, float, int, Kind]:
     )  # fmt: skip
 
 
-def _placed(site: Site, lane: Lane, at: float, aside: float, skew: float, body: Body) -> Placement:
+def _place_car(site: Site, lane: Lane, at: float, aside: float, skew: float, body: Body) -> Placement:
     half = 0.3 * body.size_m[0]
     along = np.array([at - half, at, at + half])
     x, y = (np.interp(along, lane.along_m, lane.line[:, axis]) for axis in (0, 1))

@@ -15,7 +15,7 @@ from mirror.synth.driving.simulation import TICK_S, simulate
 from mirror.synth.driving.trace import Aside, Chassis, Schedule
 from mirror.synth.driving.ways import Way
 from mirror.synth.driving.yielding import Meetings, State
-from mirror.synth.driving.zones import Zone, zones
+from mirror.synth.driving.zones import Zone, find_zones
 from mirror.synth.street.network import Network
 
 _NEVER: Final = 1e9
@@ -103,7 +103,7 @@ def simulate_participants(
             ways.append(participant.way)
     number = {id(way): place for place, way in enumerate(ways)}
     road_users = _make_road_users(participants, number)
-    meetings = _meetings(participants, ways, number)
+    meetings = _find_meetings(participants, ways, number)
     if first_goes_first:
         own = np.argmax(meetings.road_users == 0, axis=1)
         meetings = meetings._replace(major=np.where((meetings.road_users == 0).any(axis=1), own, meetings.major))
@@ -111,7 +111,7 @@ def simulate_participants(
     ticks = int(longest_s / TICK_S)
     now = State(*np.zeros((len(State._fields), len(participants))))
     lengths, speeds = simulate(
-        _ways(ways), road_users, meetings, now, green, network.cycle_s, clock_s, ticks, first_goes_first
+        _pack_ways(ways), road_users, meetings, now, green, network.cycle_s, clock_s, ticks, first_goes_first
     )
     found: list[Schedule | None] = []
     for place in range(len(participants)):
@@ -127,7 +127,7 @@ def simulate_participants(
     return found
 
 
-def _ways(ways: Sequence[Way]) -> Ways:
+def _pack_ways(ways: Sequence[Way]) -> Ways:
     halts = [halt for way in ways for halt in way.halts]
     return Ways(
         np.cumsum([0, *(len(way.points) for way in ways)], dtype=np.int64),
@@ -162,7 +162,7 @@ def _make_road_users(participants: Sequence[Participant], number: dict[int, int]
     return Users(ways, *np.ascontiguousarray(np.array(rows, np.float64).T))
 
 
-def _meetings(participants: Sequence[Participant], ways: Sequence[Way], number: dict[int, int]) -> Meetings:
+def _find_meetings(participants: Sequence[Participant], ways: Sequence[Way], number: dict[int, int]) -> Meetings:
     """All meetings of two participants; the zones of each pair of ways are computed once."""
     known: dict[tuple[int, int, float], list[int]] = {}
     found: list[Zone] = []
@@ -184,7 +184,7 @@ def _meetings(participants: Sequence[Participant], ways: Sequence[Way], number: 
             p, q = (i, j) if place[i] <= place[j] else (j, i)
             key = (place[p], place[q], room)
             if key not in known:
-                new = zones(ways[key[0]], ways[key[1]], room)
+                new = find_zones(ways[key[0]], ways[key[1]], room)
                 known[key] = list(range(len(found), len(found) + len(new)))
                 found += new
             pairs += [(p, q)] * len(known[key])
@@ -195,9 +195,9 @@ def _meetings(participants: Sequence[Participant], ways: Sequence[Way], number: 
     tables = np.concatenate([[0], np.cumsum(counts)[:-1]]) if limits else counts
     return Meetings(
         np.array(pairs, np.int64).reshape(-1, 2),
-        _pairs([one_zone.begin_m for one_zone in found])[zone],
-        _pairs([one_zone.end_m for one_zone in found])[zone],
-        _pairs([one_zone.hold_m for one_zone in found])[zone],
+        _close_pairs([one_zone.begin_m for one_zone in found])[zone],
+        _close_pairs([one_zone.end_m for one_zone in found])[zone],
+        _close_pairs([one_zone.hold_m for one_zone in found])[zone],
         tables.astype(np.int64).reshape(-1, 2)[zone],
         counts.reshape(-1, 2)[zone],
         np.array([one_zone.along for one_zone in found], np.uint8)[zone],
@@ -206,5 +206,5 @@ def _meetings(participants: Sequence[Participant], ways: Sequence[Way], number: 
     )
 
 
-def _pairs(values: list[tuple[float, float]]) -> Float64:
+def _close_pairs(values: list[tuple[float, float]]) -> Float64:
     return np.array(values, np.float64).reshape(-1, 2)

@@ -75,7 +75,7 @@ def select_lanes(network: Network, *uses: Use) -> dict[str, Lane]:
     return {lane_id: lane for lane_id, lane in network.lanes.items() if lane.use in uses}
 
 
-def sources(lanes: dict[str, Lane]) -> list[Lane]:
+def source_lanes(lanes: dict[str, Lane]) -> list[Lane]:
     """Return the entry lanes of the network, ordered by id: street lanes without a predecessor."""
     reached = {name for lane in lanes.values() for name in lane.successors}
     return [lanes[name] for name in sorted(lanes) if name not in reached and lanes[name].use not in ("turn", "cross")]
@@ -115,7 +115,7 @@ def draw_path(
             for name in path[-1].successors
             if name in lanes and all(lanes[name] is not lane for lane in path)
         ]
-        wide = [lane for lane in following if _radius_m(lane) >= least_bend_m]
+        wide = [lane for lane in following if _bend_radius_m(lane) >= least_bend_m]
         following = wide or following
         if not following:
             break
@@ -129,5 +129,5 @@ def beside_m(lane: Lane, point: Sequence[float] | Float64) -> float:
     return float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - np.asarray(point)[:2]) ** 2, axis=1))])
 
 
-def _radius_m(lane: Lane) -> float:
+def _bend_radius_m(lane: Lane) -> float:
     return lane.length_m / max(abs(turn_rad(lane)), 1e-3)

@@ -11,7 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.synth.driving.paths import Path, beside_m, iterate_paths, select_lanes, sources, turn_rad
+from mirror.synth.driving.paths import Path, beside_m, iterate_paths, select_lanes, source_lanes, turn_rad
 from mirror.synth.driving.trace import trail_rear_axle
 from mirror.synth.driving.turning import build_turn_around, point_and_direction_at
 from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, change_lane_pieces, lane_piece
@@ -68,7 +68,7 @@ class Streets:
         self.radius_m = radius_m
         self.wheelbase_m = wheelbase_m
         lanes = select_lanes(network, "drive", "turn")
-        every = [path for start in sources(lanes) for path in iterate_paths(lanes, start)]
+        every = [path for start in source_lanes(lanes) for path in iterate_paths(lanes, start)]
         ends = [(np.hypot(*path.line[0]), np.hypot(*path.line[-1])) for path in every]
         self.paths = [path for path, near in zip(every, ends) if min(near) > radius_m]
         through = [path for path in self.paths if not path.turns and path.inside_m(radius_m) > radius_m]
@@ -85,7 +85,7 @@ class Streets:
 
     def _from_right(self, paths: Sequence[Path]) -> list[Path]:
         """Order parallel paths from right to left."""
-        return sorted(paths, key=lambda path: (float(_cross(path.chord, path.line[0])), path.lane_ids))
+        return sorted(paths, key=lambda path: (float(_cross_lines(path.chord, path.line[0])), path.lane_ids))
 
     def across(self) -> list[Path]:
         """Return straight paths that cross the main street, those with the longest part in the ROI first."""
@@ -93,7 +93,7 @@ class Streets:
         found = [
             path
             for path in self.paths
-            if not path.turns and abs(_cross(chord, path.chord)) > 0.7 and path.closest_m < _EDGE * self.radius_m
+            if not path.turns and abs(_cross_lines(chord, path.chord)) > 0.7 and path.closest_m < _EDGE * self.radius_m
         ]
         return sorted(found, key=lambda path: (-round(path.inside_m(self.radius_m)), path.lane_ids))
 
@@ -168,11 +168,11 @@ def _joins(path: Path, begin: Float64, end: Float64) -> bool:
     return bool(np.hypot(*(path.line[0] - begin)) < _BESIDE_M and np.hypot(*(path.line[-1] - end)) < _BESIDE_M)
 
 
-def _cross(a: Float64, b: Float64) -> float:
+def _cross_lines(a: Float64, b: Float64) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
-def _pick(paths: Sequence[Path], variant: int, route: str) -> Path:
+def _pick_path(paths: Sequence[Path], variant: int, route: str) -> Path:
     if not paths:
         raise UsageError(
             f"no route {route!r} in this scene",
@@ -187,51 +187,51 @@ def _make_through_route(path: Path, streets: Streets, speed_mps: float | None = 
     pieces = [lane_piece(lane) for lane in path.lanes]
     if speed_mps is not None:
         pieces = [replace(piece, speed_mps=speed_mps) for piece in pieces]
-    return _through(build_way(pieces), streets)
+    return _through_way(build_way(pieces), streets)
 
 
-def _through(way: Way, streets: Streets) -> Route:
+def _through_way(way: Way, streets: Streets) -> Route:
     inside = STEP_M * np.flatnonzero(np.hypot(*way.points.T) < streets.radius_m)
     return Route(way, max(float(inside[0]) - LEAD_M, 0.0), min(float(inside[-1]) + LEAD_M + 6.0, way.length_m))
 
 
-def _along(streets: Streets, variant: int) -> Route:
+def _along_route(streets: Streets, variant: int) -> Route:
     """The whole main street."""
-    return _make_through_route(_pick(streets.along, variant, "along"), streets)
+    return _make_through_route(_pick_path(streets.along, variant, "along"), streets)
 
 
-def _back(streets: Streets, variant: int) -> Route:
+def _back_route(streets: Streets, variant: int) -> Route:
     """The whole main street, in the other direction."""
-    return _make_through_route(_pick(streets.back, variant, "back"), streets)
+    return _make_through_route(_pick_path(streets.back, variant, "back"), streets)
 
 
-def _turn(streets: Streets, variant: int) -> Route:
+def _turn_route(streets: Streets, variant: int) -> Route:
     """Along the main street, then right at a crossing."""
-    return _make_through_route(_pick(streets.turning(-1.0), variant, "turn"), streets)
+    return _make_through_route(_pick_path(streets.turning(-1.0), variant, "turn"), streets)
 
 
-def _left(streets: Streets, variant: int) -> Route:
+def _left_route(streets: Streets, variant: int) -> Route:
     """Along the main street, then left at a crossing."""
-    return _make_through_route(_pick(streets.turning(1.0), variant, "left"), streets)
+    return _make_through_route(_pick_path(streets.turning(1.0), variant, "left"), streets)
 
 
-def _across(streets: Streets, variant: int) -> Route:
+def _across_route(streets: Streets, variant: int) -> Route:
     """Straight across the main street."""
-    return _make_through_route(_pick(streets.across(), variant, "across"), streets)
+    return _make_through_route(_pick_path(streets.across(), variant, "across"), streets)
 
 
-def _other(streets: Streets, variant: int) -> Route:
+def _other_direction_route(streets: Streets, variant: int) -> Route:
     """The main street, not on the rightmost lane."""
-    return _make_through_route(_pick(streets.along[1:], variant, "other"), streets)
+    return _make_through_route(_pick_path(streets.along[1:], variant, "other"), streets)
 
 
-def _change(streets: Streets, variant: int) -> Route:
+def _lane_change_route(streets: Streets, variant: int) -> Route:
     """The main street, with a change to the left lane and back."""
-    path = _pick([path for path in streets.along if path.lanes[0].left], variant, "change")
+    path = _pick_path([path for path in streets.along if path.lanes[0].left], variant, "change")
     lanes = streets.network.lanes
     usable = [n for n, lane in enumerate(path.lanes) if lane.left and lane.length_m > 2.0 * _CHANGE_M]
     if not usable:
-        _pick([], 0, "change")
+        _pick_path([], 0, "change")
     out, home = usable[0], usable[-1]
     pieces: list[Piece] = []
     for number, lane in enumerate(path.lanes):
@@ -245,22 +245,22 @@ def _change(streets: Streets, variant: int) -> Route:
             pieces += change_lane_pieces(left, lane, begin_m, _CHANGE_M)
         else:
             pieces.append(lane_piece(lane))
-    return _through(build_way(pieces), streets)
+    return _through_way(build_way(pieces), streets)
 
 
-def _leave(streets: Streets, variant: int) -> Route:
+def _leave_route(streets: Streets, variant: int) -> Route:
     """Off the main carriageway by a slip road."""
-    return _make_through_route(_pick(streets.slip(leaving=True), variant, "leave"), streets)
+    return _make_through_route(_pick_path(streets.slip(leaving=True), variant, "leave"), streets)
 
 
-def _join(streets: Streets, variant: int) -> Route:
+def _join_route(streets: Streets, variant: int) -> Route:
     """Onto the main carriageway by a slip road."""
-    return _make_through_route(_pick(streets.slip(leaving=False), variant, "join"), streets)
+    return _make_through_route(_pick_path(streets.slip(leaving=False), variant, "join"), streets)
 
 
-def _edge(streets: Streets, variant: int) -> Route:
+def _edge_route(streets: Streets, variant: int) -> Route:
     """The street at the edge of the ROI: inside for 8 s."""
-    path = _pick(streets.edge(), variant, "edge")
+    path = _pick_path(streets.edge(), variant, "edge")
     speed = path.inside_m(streets.radius_m) / _PASS_S
     route = _make_through_route(path, streets, speed)
     lead = 3.0 * speed + LEAD_M
@@ -270,14 +270,14 @@ def _edge(streets: Streets, variant: int) -> Route:
     )  # fmt: skip
 
 
-def _corner(streets: Streets, variant: int) -> Route:
+def _corner_route(streets: Streets, variant: int) -> Route:
     """Touches the ROI: along the street at its edge, then away from it."""
-    return replace(_make_through_route(_pick(streets.skimming(), variant, "corner"), streets), first=True)
+    return replace(_make_through_route(_pick_path(streets.skimming(), variant, "corner"), streets), first=True)
 
 
-def _still(streets: Streets, variant: int) -> Route:
+def _stationary_route(streets: Streets, variant: int) -> Route:
     """Stands in the ROI, then drives 14 m."""
-    path = _pick(streets.along, variant, "still")
+    path = _pick_path(streets.along, variant, "still")
     way = build_way([lane_piece(lane) for lane in path.lanes])
     free = [halt.at_m for halt in way.halts]
     middle = way.nearest_m(np.zeros(2))
@@ -287,7 +287,7 @@ def _still(streets: Streets, variant: int) -> Route:
     return Route(way, begin, begin + 14.0, begin, fastest_mps=2.0, stands_s=35.0, first=True)
 
 
-def _twice(streets: Streets, variant: int) -> Route:
+def _repeated_route(streets: Streets, variant: int) -> Route:
     """Leaves the ROI, turns around and enters it again."""
     out, home = streets.out_and_home(streets.radius_m + 34.0)
     way, swing = build_turn_around(out, home, streets.radius_m + 34.0)
@@ -299,7 +299,7 @@ def _twice(streets: Streets, variant: int) -> Route:
     return Route(way, begin, end, max(begin - 40.0, 0.0), fastest_mps=_QUIET_MPS, first=True)
 
 
-def _uturn(streets: Streets, variant: int) -> Route:
+def _uturn_route(streets: Streets, variant: int) -> Route:
     """Turns around at the edge of the ROI: less than 3 s outside between two short visits."""
     out, home = streets.out_and_home(streets.radius_m)
     low, high = streets.radius_m - 16.0, streets.radius_m + 8.0
@@ -316,20 +316,20 @@ def _uturn(streets: Streets, variant: int) -> Route:
 
 
 ROUTES: Final[dict[str, Callable[[Streets, int], Route]]] = {
-    "along": _along,
-    "back": _back,
-    "turn": _turn,
-    "left": _left,
-    "across": _across,
-    "other": _other,
-    "change": _change,
-    "leave": _leave,
-    "join": _join,
-    "edge": _edge,
-    "corner": _corner,
-    "still": _still,
-    "twice": _twice,
-    "uturn": _uturn,
+    "along": _along_route,
+    "back": _back_route,
+    "turn": _turn_route,
+    "left": _left_route,
+    "across": _across_route,
+    "other": _other_direction_route,
+    "change": _lane_change_route,
+    "leave": _leave_route,
+    "join": _join_route,
+    "edge": _edge_route,
+    "corner": _corner_route,
+    "still": _stationary_route,
+    "twice": _repeated_route,
+    "uturn": _uturn_route,
 }
 
 
@@ -351,7 +351,7 @@ def make_route(name: str, network: Network, radius_m: float, variant: int = 0, w
     return ROUTES[name](Streets(network, radius_m, wheelbase_m), variant)
 
 
-def routes_in(network: Network, radius_m: float) -> tuple[str, ...]:
+def available_routes(network: Network, radius_m: float) -> tuple[str, ...]:
     """Return the names of the routes that exist in a network."""
     streets = Streets(network, radius_m, 2.8)
     found = []

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Int64
-from mirror.synth.driving.simulation import signal
+from mirror.synth.driving.simulation import signal_at
 from mirror.synth.street.network import Network
 
 
@@ -34,6 +34,6 @@ def signal_state(network: Network, clock_s: npt.ArrayLike) -> Int64:
     clocks = np.asarray(clock_s, np.float64)
     green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
     shown = [
-        signal(green, network.cycle_s, group, float(clock)) for clock in clocks.flat for group in range(len(green))
+        signal_at(green, network.cycle_s, group, float(clock)) for clock in clocks.flat for group in range(len(green))
     ]
     return np.array(shown, np.int64).reshape(*clocks.shape, len(green))

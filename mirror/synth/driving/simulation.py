@@ -21,7 +21,7 @@ _SIFT: Final = 10
 
 
 @njit(cache=True, nogil=True)
-def signal(green_s: Float64, cycle_s: float, group: int, clock_s: float) -> int:
+def signal_at(green_s: Float64, cycle_s: float, group: int, clock_s: float) -> int:
     """State of a signal group: 0 green, 1 amber, 2 red, 3 red and amber."""
     since = (clock_s - green_s[group, 0]) % cycle_s
     green = green_s[group, 1] - green_s[group, 0]
@@ -81,7 +81,7 @@ def simulate(
                 now.wish[u] = free_acceleration(u, ways, road_users, now.s[u], now.v[u])
                 now.stop[u], now.shut[u], now.lead[u], now.lead_speed[u] = FAR, FAR, FAR, 0.0
         if change_lane_pieces or tick % _SIFT == 0:
-            lives = _alive(road_users, meetings, there, now.s, live)
+            lives = _is_active(road_users, meetings, there, now.s, live)
             change_lane_pieces = False
         for e in live[:lives]:
             if there[meetings.road_users[e, 0]] == _THERE and there[meetings.road_users[e, 1]] == _THERE:
@@ -90,8 +90,8 @@ def simulate(
             now.wish[0], now.stop[0], now.lead[0] = free_acceleration(0, ways, road_users, now.s[0], now.v[0]), FAR, FAR
         for u in range(count):
             if there[u] == _THERE:
-                _wait(u, ways, road_users, now, green_s, cycle_s, clock)
-                _move(u, now)
+                _wait_at_halt(u, ways, road_users, now, green_s, cycle_s, clock)
+                _advance(u, now)
                 lengths[tick, u], speeds[tick, u] = now.s[u], now.v[u]
                 if now.s[u] >= road_users.end_m[u]:
                     there[u] = _GONE
@@ -102,7 +102,7 @@ def simulate(
 
 
 @inner_njit
-def _alive(road_users: Users, meetings: Meetings, there: Int64, s: Float64, live: Int64) -> int:
+def _is_active(road_users: Users, meetings: Meetings, there: Int64, s: Float64, live: Int64) -> int:
     """Write the meetings that are not over yet to ``live``; returns their number."""
     count = 0
     for e in range(len(meetings.major)):
@@ -145,7 +145,9 @@ def _entry_speed(
 
 
 @inner_njit
-def _wait(u: int, ways: Ways, road_users: Users, now: State, green_s: Float64, cycle_s: float, clock: float) -> None:
+def _wait_at_halt(
+    u: int, ways: Ways, road_users: Users, now: State, green_s: Float64, cycle_s: float, clock: float
+) -> None:
     """Apply signals, occupied crossings and pauses to a user."""
     if road_users.pause_s[u] > now.paused[u]:
         gap = road_users.pause_m[u] - now.s[u]
@@ -161,9 +163,9 @@ def _wait(u: int, ways: Ways, road_users: Users, now: State, green_s: Float64, c
             continue
         closed = False
         if ways.halt_group[h] >= 0:
-            light = signal(green_s, cycle_s, ways.halt_group[h], clock)
+            light = signal_at(green_s, cycle_s, ways.halt_group[h], clock)
             if ways.halt_on_foot[h]:
-                closed = light != 0 or signal(green_s, cycle_s, ways.halt_group[h], clock + _LAST_CALL_S) != 0
+                closed = light != 0 or signal_at(green_s, cycle_s, ways.halt_group[h], clock + _LAST_CALL_S) != 0
             else:
                 closed = light != 0
             if light == 1 and now.v[u] * now.v[u] > 2.0 * 3.2 * max(gap, 0.1):
@@ -177,7 +179,7 @@ def _wait(u: int, ways: Ways, road_users: Users, now: State, green_s: Float64, c
 
 
 @inner_njit
-def _move(u: int, now: State) -> None:
+def _advance(u: int, now: State) -> None:
     """Advance a user by one tick; the acceleration changes gradually, and the speed is never negative."""
     a_new = min(max(now.wish[u], now.a[u] - 12.0 * TICK_S), now.a[u] + 4.0 * TICK_S)
     v_new = now.v[u] + 0.5 * (now.a[u] + a_new) * TICK_S

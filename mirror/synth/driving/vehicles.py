@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.synth.driving.bodies import POPULATION, Kind, get_body
 from mirror.synth.driving.participants import Manner, Participant
-from mirror.synth.driving.paths import Path, beside_m, draw_path, iterate_paths, select_lanes, sources
+from mirror.synth.driving.paths import Path, beside_m, draw_path, iterate_paths, select_lanes, source_lanes
 from mirror.synth.driving.site import Site, TrafficDensity
 from mirror.synth.driving.trace import Aside, Chassis
 from mirror.synth.driving.ways import Piece, Way, build_way, change_lane_pieces, lane_piece
@@ -37,7 +37,7 @@ _CHANGES: Final = 0.3
 _CHANGE_M: Final = 80.0
 
 
-def driver(kind: Kind, rng: np.random.Generator) -> Manner:
+def draw_manner(kind: Kind, rng: np.random.Generator) -> Manner:
     """Draw the driving style of a driver."""
     quick, headway = _LIVELY[kind]
     lively = rng.uniform(0.85, 1.15)
@@ -68,11 +68,11 @@ class Ways:
         """Return the way along a path with one change to the ``left`` or ``right`` lane, if there is room."""
         key = (*path.lane_ids, side)
         if key not in self._known:
-            self._known[key] = build_way(_changing(path, network, side))
+            self._known[key] = build_way(_lane_change_pieces(path, network, side))
         return self._known[key]
 
 
-def _changing(path: Path, network: Network, side: str) -> list[Piece]:
+def _lane_change_pieces(path: Path, network: Network, side: str) -> list[Piece]:
     names = [lane.left if side == "left" else lane.right for lane in path.lanes]
     for number, (lane, name) in enumerate(zip(path.lanes, names)):
         if name is None or lane.length_m < 2.0 * _CHANGE_M:
@@ -97,7 +97,7 @@ def make_vehicles(
         rng: random numbers.
     """
     lanes = select_lanes(site.network, "drive", "turn")
-    for start in sources(lanes):
+    for start in source_lanes(lanes):
         if np.hypot(*start.line[0, :2]) < site.radius_m:
             continue
         per_hour = next(rate for speed, rate in _PER_HOUR if start.speed_mps < speed)
@@ -105,18 +105,18 @@ def make_vehicles(
         mean_s = 3600.0 / (per_hour * max(bustle.vehicles, 1e-3))
         time = rng.exponential(0.6 * mean_s)
         while time < until_s:
-            kind = _kind(start, motorway, rng)
+            kind = _draw_kind(start, motorway, rng)
             path = draw_path(lanes, start, rng, 3.5, least_bend_m=0.0 if kind in ("car", "motorcycle") else 9.0)
             sides = [side for side in ("left", "right") if any(getattr(lane, side) for lane in path.lanes)]
             if sides and kind != "truck" and rng.random() < _CHANGES:
                 way = ways.changing(path, site.network, sides[int(rng.integers(len(sides)))])
             else:
                 way = ways.along(path)
-            yield _vehicle(kind, way, site, rng, time)
+            yield _make_vehicle(kind, way, site, rng, time)
             time += _LEAST_HEADWAY_S + rng.exponential(max(mean_s - _LEAST_HEADWAY_S, 0.2))
 
 
-def _kind(start: Lane, motorway: bool, rng: np.random.Generator) -> Kind:
+def _draw_kind(start: Lane, motorway: bool, rng: np.random.Generator) -> Kind:
     mix = dict(_MOTORWAY_MIX if motorway else _MIX)
     if motorway and start.right is not None:
         mix["truck"] = 0.03
@@ -126,10 +126,10 @@ def _kind(start: Lane, motorway: bool, rng: np.random.Generator) -> Kind:
     return kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
 
 
-def _vehicle(kind: Kind, way: Way, site: Site, rng: np.random.Generator, enter_s: float) -> Participant:
+def _make_vehicle(kind: Kind, way: Way, site: Site, rng: np.random.Generator, enter_s: float) -> Participant:
     number = int(rng.integers(POPULATION[kind]))
     length, width, _ = get_body(kind, number).size_m
-    manner = driver(kind, rng)
+    manner = draw_manner(kind, rng)
     aside = Aside(rng.uniform(-0.18, 0.18), rng.uniform(0.02, 0.07), rng.uniform(0.0, 6.3))
     pause_m, pause_s = -1.0, 0.0
     if kind == "bus":
@@ -145,8 +145,8 @@ def make_cyclists(
 ) -> Iterator[Participant]:
     """Make the cyclists of a traversal: on cycle lanes, and along the kerb of slow streets."""
     tracks, streets = select_lanes(site.network, "cycle", "turn"), select_lanes(site.network, "drive", "turn")
-    starts = [(lane, tracks) for lane in sources(tracks) if lane.use == "cycle"]
-    starts += [(lane, streets) for lane in sources(streets) if _TRACK_MPS <= lane.speed_mps < 9.0]
+    starts = [(lane, tracks) for lane in source_lanes(tracks) if lane.use == "cycle"]
+    starts += [(lane, streets) for lane in source_lanes(streets) if _TRACK_MPS <= lane.speed_mps < 9.0]
     for start, lanes in starts:
         mean_s = 3600.0 / (_CYCLES_PER_HOUR * max(bustle.people, 1e-3))
         time = rng.exponential(0.5 * mean_s)
@@ -195,6 +195,14 @@ def make_leaving_cars(
         way = build_way([*out, *(lane_piece(after) for after in path.lanes[1:])])
         front = min(at, 0.5 * float(length)) + 0.5 * float(length)
         yield Participant(
-            "car", number, way, Chassis.of_box(float(length), float(width)), driver("car", rng), Aside(), 0.0, front,
-            pause_m=front, pause_s=rng.uniform(*window_s),
-        )  # fmt: skip
+            "car",
+            number,
+            way,
+            Chassis.of_box(float(length), float(width)),
+            draw_manner("car", rng),
+            Aside(),
+            0.0,
+            front,
+            pause_m=front,
+            pause_s=rng.uniform(*window_s),
+        )

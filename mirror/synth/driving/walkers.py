@@ -44,7 +44,7 @@ def make_walkers(site: Site, bustle: TrafficDensity, ways: Ways, rng: np.random.
         rng: random numbers.
     """
     lanes = select_lanes(site.network, "walk", "cross")
-    starts = [lane for lane in _by_id(lanes) if lane.use == "walk" and lane.length_m > 20.0]
+    starts = [lane for lane in _lanes_by_id(lanes) if lane.use == "walk" and lane.length_m > 20.0]
     if not starts:
         return
     lengths = np.array([lane.length_m for lane in starts])
@@ -52,7 +52,7 @@ def make_walkers(site: Site, bustle: TrafficDensity, ways: Ways, rng: np.random.
     paces = {file: rng.uniform(0.92, 1.08) for file in files}
     for _ in range(round(bustle.people * lengths.sum() / _EVERY_M)):
         start = starts[int(rng.choice(len(starts), p=lengths / lengths.sum()))]
-        way = ways.along(_stroll(lanes, start, rng))
+        way = ways.along(_draw_stroll(lanes, start, rng))
         enter = rng.uniform(0.0, start.length_m)
         if math.hypot(*way.at(enter)) > site.radius_m + _MARGIN_M:
             continue
@@ -79,7 +79,7 @@ def place_standing_people(
     """
     lanes = [
         lane
-        for lane in _by_id(select_lanes(site.network, "walk"))
+        for lane in _lanes_by_id(select_lanes(site.network, "walk"))
         if lane.length_m > 30.0 and lane.width_m > _LEAST_WIDTH_M
     ]
     roads = select_lanes(site.network, "drive", "park", "cycle")
@@ -89,7 +89,7 @@ def place_standing_people(
     for _ in range(round(bustle.people * _PAIRS)):
         lane = lanes[int(rng.integers(len(lanes)))]
         at, turn, two = rng.uniform(8.0, lane.length_m - 8.0), rng.uniform(-0.2, 0.2), rng.random() < 0.8
-        place, ahead = _place(lane, at)
+        place, ahead = _place_at(lane, at)
         kerb = road[np.argmin(np.sum((road - place) ** 2, axis=1))] - place
         by_wall = place - _WALL_M * kerb / np.hypot(*kerb)
         yaw = math.atan2(ahead[1], ahead[0])
@@ -97,14 +97,14 @@ def place_standing_people(
             spot = by_wall + 0.5 * side * _TALK_M * ahead
             yield from _place_person(site, bustle, spot, yaw + turn + (math.pi if side > 0.0 else 0.0), rng)
     for stop in site.bus_stops:
-        lane = _nearest(lanes, stop)
-        _, ahead = _place(lane, float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - stop) ** 2, axis=1))]))
+        lane = _nearest_lane(lanes, stop)
+        _, ahead = _place_at(lane, float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - stop) ** 2, axis=1))]))
         for member in range(int(rng.integers(1, 5))):
             spot = stop + (_SHELTER_M + _QUEUE_M * member) * ahead
             yield from _place_person(site, bustle, spot, math.atan2(-ahead[1], -ahead[0]) + rng.normal(0.0, 0.12), rng)
 
 
-def _place(lane: Lane, at: float) -> tuple[Float64, Float64]:
+def _place_at(lane: Lane, at: float) -> tuple[Float64, Float64]:
     """The point (2,) at a length along a lane, and the direction (2,) there."""
     low, high = (
         np.array([np.interp(at + step, lane.along_m, lane.line[:, axis]) for axis in (0, 1)]) for step in (-0.5, 0.5)
@@ -125,15 +125,15 @@ def _make_person(number: int, bustle: TrafficDensity) -> Body:
     return get_body("pedestrian", number, bustle.umbrellas, bustle.warm)
 
 
-def _by_id(lanes: dict[str, Lane]) -> list[Lane]:
+def _lanes_by_id(lanes: dict[str, Lane]) -> list[Lane]:
     return [lanes[name] for name in sorted(lanes)]
 
 
-def _nearest(lanes: list[Lane], place: Float64) -> Lane:
+def _nearest_lane(lanes: list[Lane], place: Float64) -> Lane:
     return min(lanes, key=lambda lane: float(np.min(np.sum((lane.line[:, :2] - place) ** 2, axis=1))))
 
 
-def _stroll(lanes: dict[str, Lane], start: Lane, rng: np.random.Generator) -> Path:
+def _draw_stroll(lanes: dict[str, Lane], start: Lane, rng: np.random.Generator) -> Path:
     """Draw a path along pavements, with occasional crossings."""
     path = [start]
     while sum(lane.length_m for lane in path) < _FAR_M:

@@ -166,7 +166,7 @@ def _join(pieces: Sequence[Piece]) -> tuple[Float64, Int32]:
         line = piece.line
         if piece.change_m and lines:
             line = _shift_across(lines[-1], line, piece.change_m)
-            lines[-1] = _cut(lines[-1], max(_length(lines[-1]) - piece.change_m, STEP_M))
+            lines[-1] = _cut_line(lines[-1], max(_length(lines[-1]) - piece.change_m, STEP_M))
         lines.append(line)
     points = np.vstack(lines)
     owner = np.repeat(np.arange(len(lines), dtype=np.int32), [len(line) for line in lines])
@@ -201,7 +201,7 @@ def _halts(pieces: Sequence[Piece], starts: Float64, end_m: float) -> tuple[Halt
         next_at = starts[number + 1] if number + 1 < len(pieces) else end_m
         if at > next_at + 1.0:
             continue
-        after = [n for n in range(number + 1, len(pieces)) if _of(pieces[n]) not in ("turn", "cross")]
+        after = [n for n in range(number + 1, len(pieces)) if _lane_use(pieces[n]) not in ("turn", "cross")]
         clear = float(starts[after[0]]) if after else end_m
         found.append(Halt(at, lane.signal, clear, lane.use in ("walk", "cross")))
     return tuple(found)
@@ -212,7 +212,7 @@ def _stop_m(lane: Lane) -> float | None:
     return _KERB_M if lane.stop_m is None and lane.signal is not None and lane.use == "cross" else lane.stop_m
 
 
-def _of(piece: Piece) -> str | None:
+def _lane_use(piece: Piece) -> str | None:
     return None if piece.lane is None else piece.lane.use
 
 
@@ -247,7 +247,7 @@ def _points_at(line: Float64, along_m: Float64) -> Float64:
     return np.column_stack([np.interp(along_m, length, line[:, axis]) for axis in (0, 1)])
 
 
-def _cut(line: Float64, end_m: float) -> Float64:
+def _cut_line(line: Float64, end_m: float) -> Float64:
     return _points_at(line, np.linspace(0.0, end_m, max(int(end_m / STEP_M), 2)))
 
 

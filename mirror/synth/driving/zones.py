@@ -46,7 +46,7 @@ class Zone:
     first: int
 
 
-def zones(p: Way, q: Way, clearance_m: float) -> list[Zone]:
+def find_zones(p: Way, q: Way, clearance_m: float) -> list[Zone]:
     """Find the conflict zones of two ways.
 
     Args:
@@ -60,29 +60,29 @@ def zones(p: Way, q: Way, clearance_m: float) -> list[Zone]:
     (p_low, p_high), (q_low, q_high) = p.bounds, q.bounds
     if (p_high + clearance_m < q_low).any() or (q_high + clearance_m < p_low).any():
         return []
-    runs, owner = _runs(p.points[::_STRIDE], q.points[::_STRIDE], clearance_m)
-    return [_zone(p, q, runs[owner == number]) for number in np.unique(owner)]
+    runs, owner = _find_runs(p.points[::_STRIDE], q.points[::_STRIDE], clearance_m)
+    return [_make_zone(p, q, runs[owner == number]) for number in np.unique(owner)]
 
 
-def _zone(p: Way, q: Way, runs: Int64) -> Zone:
+def _make_zone(p: Way, q: Way, runs: Int64) -> Zone:
     """The zone of runs (R, 3): index of a point of p, and of the first and the last point of q too close to it."""
     a0, a1, b0, b1 = runs[0, 0], runs[-1, 0], runs[:, 1].min(), runs[:, 2].max()
-    limits = _limits(runs, a0, a1, b0, b1)
+    limits = _zone_limits(runs, a0, a1, b0, b1)
     turned = p.heading_rad[_STRIDE * runs[:, 0]] - q.heading_rad[_STRIDE * ((runs[:, 1] + runs[:, 2]) // 2)]
     along = bool(GRID_M * min(a1 - a0, b1 - b0) > _ALONG_M and np.cos(turned).mean() > 0.7)
     begin, end = (float(GRID_M * a0), float(GRID_M * b0)), (float(GRID_M * a1), float(GRID_M * b1))
-    hold = (_hold(p, begin[0]), _hold(q, begin[1]))
-    return Zone(begin, end, limits, hold, along, _first(p, q, begin, end, along))
+    hold = (_hold_position(p, begin[0]), _hold_position(q, begin[1]))
+    return Zone(begin, end, limits, hold, along, _goes_first(p, q, begin, end, along))
 
 
-def _hold(way: Way, begin_m: float) -> float:
+def _hold_position(way: Way, begin_m: float) -> float:
     lines = [halt.at_m for halt in way.halts if begin_m - _LINE_M < halt.at_m < begin_m + 1.0]
     return min([begin_m - _KEEP_M, *lines])
 
 
-def _first(p: Way, q: Way, begin_m: tuple[float, float], end_m: tuple[float, float], along: bool) -> int:
+def _goes_first(p: Way, q: Way, begin_m: tuple[float, float], end_m: tuple[float, float], along: bool) -> int:
     """Right of way: by lane; else against users that pull out, for crossing pedestrians, for users that go straight."""
-    own, other = _lanes(p, begin_m[0], end_m[0]), _lanes(q, begin_m[1], end_m[1])
+    own, other = _zone_lanes(p, begin_m[0], end_m[0]), _zone_lanes(q, begin_m[1], end_m[1])
     p_yields = any(set(lane.yields_to) & {o.lane_id for o in other} for lane in own)
     q_yields = any(set(lane.yields_to) & {o.lane_id for o in own} for lane in other)
     if p_yields != q_yields:
@@ -93,25 +93,25 @@ def _first(p: Way, q: Way, begin_m: tuple[float, float], end_m: tuple[float, flo
     p_walks, q_walks = (any(lane.use in ("walk", "cross") for lane in lanes) for lanes in (own, other))
     if p_walks != q_walks:
         return 0 if p_walks else 1
-    p_turn, q_turn = (_turn(way, begin, end) for way, begin, end in zip((p, q), begin_m, end_m))
+    p_turn, q_turn = (_zone_turn(way, begin, end) for way, begin, end in zip((p, q), begin_m, end_m))
     if not along and abs(p_turn - q_turn) > _STRAIGHTER_RAD:
         return 0 if p_turn < q_turn else 1
     return -1
 
 
-def _lanes(way: Way, begin_m: float, end_m: float) -> list[Lane]:
+def _zone_lanes(way: Way, begin_m: float, end_m: float) -> list[Lane]:
     low = max(int((begin_m - _BEFORE_M) / STEP_M), 0)
     high = int(min(end_m, begin_m + 30.0) / STEP_M) + 1
     return [way.lanes[n] for n in np.unique(way.lane_of[low:high]) if n >= 0]
 
 
-def _turn(way: Way, begin_m: float, end_m: float) -> float:
+def _zone_turn(way: Way, begin_m: float, end_m: float) -> float:
     low, high = max(begin_m - 8.0, 0.0), min(end_m + 8.0, way.length_m)
     return float(abs(way.heading_rad[int(high / STEP_M)] - way.heading_rad[int(low / STEP_M)]))
 
 
 @njit(cache=True, nogil=True)
-def _runs(a: Float64, b: Float64, clearance: float) -> tuple[Int64, Int64]:
+def _find_runs(a: Float64, b: Float64, clearance: float) -> tuple[Int64, Int64]:
     """Find the points of two lines, sampled every `GRID_M`, that are closer than the clearance.
 
     Returns:
@@ -148,7 +148,7 @@ def _runs(a: Float64, b: Float64, clearance: float) -> tuple[Int64, Int64]:
 
 
 @njit(cache=True, nogil=True)
-def _limits(runs: Int64, a0: int, a1: int, b0: int, b1: int) -> tuple[Float64, Float64]:
+def _zone_limits(runs: Int64, a0: int, a1: int, b0: int, b1: int) -> tuple[Float64, Float64]:
     """Position up to which a user may advance on each line while the other is at, or before, a point of its line."""
     p, q = np.full(b1 - b0 + 1, np.inf), np.full(a1 - a0 + 1, np.inf)
     for i, low, high in runs:

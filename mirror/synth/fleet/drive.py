@@ -84,7 +84,7 @@ class SynthDrive:
     @property
     def world(self) -> World:
         """The static world of the scene; drives share a small cache of worlds."""
-        return _world(self.preset.name, self.scene, self.world_seed)
+        return _cached_world(self.preset.name, self.scene, self.world_seed)
 
     @cached_property
     def _journey(self) -> Journey:
@@ -127,7 +127,7 @@ class SynthDrive:
     @property
     def own(self) -> Model:
         """The parts of the vehicle that its own cameras see, in its ego frame."""
-        return _own(self.vehicle.kind)
+        return _own_model(self.vehicle.kind)
 
     @property
     def ego_masks(self) -> dict[str, UInt8]:
@@ -149,12 +149,12 @@ class SynthDrive:
     @cached_property
     def drops(self) -> dict[str, Records]:
         """Rain drops on the lenses, by camera name; empty without rain."""
-        from mirror.synth.render.develop import lens_drops
+        from mirror.synth.render.develop import draw_lens_drops
 
         if self.condition.weather != "rain":
             return {}
         return {
-            name: lens_drops([self.seed, place], camera.height_px / camera.width_px)
+            name: draw_lens_drops([self.seed, place], camera.height_px / camera.width_px)
             for place, (name, camera) in enumerate(self.vehicle.cameras.items())
         }
 
@@ -233,7 +233,7 @@ class SynthDrive:
 
 
 @lru_cache(_WORLDS_HELD)
-def _world(preset: str, scene: int, seed: int) -> World:
+def _cached_world(preset: str, scene: int, seed: int) -> World:
     from mirror.synth.street.world import build_world
 
     site = PRESETS[preset].sites[scene]
@@ -241,7 +241,7 @@ def _world(preset: str, scene: int, seed: int) -> World:
 
 
 @lru_cache(_VEHICLES_HELD)
-def _own(kind: VehicleType) -> Model:
+def _own_model(kind: VehicleType) -> Model:
     return make_ego_model(kind)
 
 
@@ -249,7 +249,7 @@ def _own(kind: VehicleType) -> Model:
 def _own_masks(vehicle: Vehicle) -> dict[str, UInt8]:
     from mirror.synth.truth.casting import ego_mask
 
-    own, mountings = _own(vehicle.kind), vehicle.ego_SE3_camera
+    own, mountings = _own_model(vehicle.kind), vehicle.ego_SE3_camera
     masks = {name: ego_mask(own, camera, mountings[name]) for name, camera in vehicle.cameras.items()}
     return {name: mask for name, mask in masks.items() if mask.any()}
 

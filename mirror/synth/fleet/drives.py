@@ -44,9 +44,10 @@ def make_drives(
     for scene in range(count):
         site = wanted.sites[scene]
         drives += [
-            _traversal(wanted, scene, place, recipe, seed) for place, recipe in enumerate(cycle_recipes(site, many))
+            _make_traversal_drive(wanted, scene, place, recipe, seed)
+            for place, recipe in enumerate(cycle_recipes(site, many))
         ]
-        drives += [_other(wanted, scene, place, recipe, seed) for place, recipe in enumerate(site.others)]
+        drives += [_make_other_drive(wanted, scene, place, recipe, seed) for place, recipe in enumerate(site.others)]
     return wanted, drives
 
 
@@ -63,20 +64,22 @@ def make_drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
         raise UsageError(f"no drive {drive_id!r} in preset {preset!r}", expected="<scene>-<number from 01>")
     place = int(number) - 1
     recipe = cycle_recipes(wanted.sites[scenes[0]], place + 1)[-1]
-    return _traversal(wanted, scenes[0], place, recipe, seed)
+    return _make_traversal_drive(wanted, scenes[0], place, recipe, seed)
 
 
-def _traversal(preset: Preset, scene: int, place: int, recipe: Recipe, seed: int) -> SynthDrive:
+def _make_traversal_drive(preset: Preset, scene: int, place: int, recipe: Recipe, seed: int) -> SynthDrive:
     site = preset.sites[scene]
     later_ns = place // len(site.recipes) * _DAYS_LATER_NS
-    return _drive(preset, scene, f"{site.roi.scene_id}-{place + 1:02d}", recipe, seed, place, later_ns)
+    return _make_drive(preset, scene, f"{site.roi.scene_id}-{place + 1:02d}", recipe, seed, place, later_ns)
 
 
-def _other(preset: Preset, scene: int, place: int, recipe: Recipe, seed: int) -> SynthDrive:
-    return _drive(preset, scene, f"{preset.sites[scene].roi.scene_id}-{recipe.route}", recipe, seed, _OTHERS + place, 0)
+def _make_other_drive(preset: Preset, scene: int, place: int, recipe: Recipe, seed: int) -> SynthDrive:
+    return _make_drive(
+        preset, scene, f"{preset.sites[scene].roi.scene_id}-{recipe.route}", recipe, seed, _OTHERS + place, 0
+    )
 
 
-def _drive(
+def _make_drive(
     preset: Preset, scene: int, drive_id: str, recipe: Recipe, seed: int, position: int, later_ns: int
 ) -> SynthDrive:
     rng = np.random.default_rng([seed, scene, position])

@@ -24,7 +24,7 @@ _SANTIAGO: Final = _City("Santiago", -70.63251, -33.43147, 612.0)
 _WUHAN: Final = _City("Wuhan", 114.36114, 30.53928, 11.0)
 
 
-def _scene(city: _City, kind: Kind, east_deg: float = 0.0, north_deg: float = 0.0) -> Roi:
+def _make_scene(city: _City, kind: Kind, east_deg: float = 0.0, north_deg: float = 0.0) -> Roi:
     return Roi(
         scene_id=f"{city.name.lower()}-{kind}",
         longitude_deg=round(city.longitude_deg + east_deg, 5),
@@ -36,16 +36,16 @@ def _scene(city: _City, kind: Kind, east_deg: float = 0.0, north_deg: float = 0.
     )
 
 
-GUANGZHOU_URBAN: Final = _scene(_GUANGZHOU, "urban")
-GUANGZHOU_HIGHWAY: Final = _scene(_GUANGZHOU, "highway", 0.09, 0.07)
-KARLSRUHE_CAMPUS: Final = _scene(_KARLSRUHE, "campus")
-KARLSRUHE_RURAL: Final = _scene(_KARLSRUHE, "rural", 0.11, -0.06)
-LYON_URBAN: Final = _scene(_LYON, "urban")
-LYON_HIGHWAY: Final = _scene(_LYON, "highway", 0.12, 0.04)
-TORONTO_URBAN: Final = _scene(_TORONTO, "urban")
-TORONTO_RURAL: Final = _scene(_TORONTO, "rural", -0.21, 0.19)
-SANTIAGO_URBAN: Final = _scene(_SANTIAGO, "urban")
-WUHAN_CAMPUS: Final = _scene(_WUHAN, "campus")
+GUANGZHOU_URBAN: Final = _make_scene(_GUANGZHOU, "urban")
+GUANGZHOU_HIGHWAY: Final = _make_scene(_GUANGZHOU, "highway", 0.09, 0.07)
+KARLSRUHE_CAMPUS: Final = _make_scene(_KARLSRUHE, "campus")
+KARLSRUHE_RURAL: Final = _make_scene(_KARLSRUHE, "rural", 0.11, -0.06)
+LYON_URBAN: Final = _make_scene(_LYON, "urban")
+LYON_HIGHWAY: Final = _make_scene(_LYON, "highway", 0.12, 0.04)
+TORONTO_URBAN: Final = _make_scene(_TORONTO, "urban")
+TORONTO_RURAL: Final = _make_scene(_TORONTO, "rural", -0.21, 0.19)
+SANTIAGO_URBAN: Final = _make_scene(_SANTIAGO, "urban")
+WUHAN_CAMPUS: Final = _make_scene(_WUHAN, "campus")
 
 
 def with_radius(roi: Roi, radius_m: float) -> Roi:

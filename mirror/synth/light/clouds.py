@@ -33,9 +33,9 @@ def cloud_field() -> Float32:
     rng = np.random.default_rng(_SEED)
     x, y = np.meshgrid(np.arange(SIDE, dtype=np.float64), np.arange(SIDE, dtype=np.float64))
     aside, along = (_noise(rng, _STEEPNESS + 0.4) for _ in range(2))
-    field = _at(_noise(rng, _STEEPNESS), y + _WARP * SIDE * along, x + _WARP * SIDE * aside)
+    field = _interpolate(_noise(rng, _STEEPNESS), y + _WARP * SIDE * along, x + _WARP * SIDE * aside)
     # The absolute value of noise has sharp valleys between round hills, like cumulus clouds.
-    field = field + 0.9 * np.abs(_at(_noise(rng, _STEEPNESS - 0.15), y + 0.6 * _WARP * SIDE * aside, x))
+    field = field + 0.9 * np.abs(_interpolate(_noise(rng, _STEEPNESS - 0.15), y + 0.6 * _WARP * SIDE * aside, x))
     level = np.searchsorted(np.sort(field[::4, ::4], axis=None), field).astype(np.float64) / (SIDE // 4) ** 2
     levels = [level]
     for _ in range(LEVELS - 1):
@@ -56,7 +56,7 @@ def _noise(rng: np.random.Generator, steepness: float) -> Float64:
     return noise / noise.std()
 
 
-def _at(values: Float64, row: Float64, column: Float64) -> Float64:
+def _interpolate(values: Float64, row: Float64, column: Float64) -> Float64:
     """Bilinear interpolation with periodic boundaries."""
     i, j = np.floor(row).astype(np.int64), np.floor(column).astype(np.int64)
     u, v = column - j, row - i

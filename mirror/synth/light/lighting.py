@@ -109,7 +109,7 @@ class Lighting:
         return record
 
 
-def lighting(condition: Condition, longitude_deg: float, latitude_deg: float) -> Lighting:
+def compute_lighting(condition: Condition, longitude_deg: float, latitude_deg: float) -> Lighting:
     """Compute the lighting of a condition at a place; the sun keeps its position at the start."""
     effects, weather = condition.effects, condition.weather
     record = np.zeros(1, LIGHTING)[0]

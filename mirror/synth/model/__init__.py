@@ -6,7 +6,7 @@ from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.pieces import Finish, Pieces
 from mirror.synth.model.shapes import block, ellipsoid, extrusion, polygon, polygons, prism, tube, wheel
-from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, flat, merged
+from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, flat, merge_models
 
 __all__ = [
     "FACE",
@@ -23,7 +23,7 @@ __all__ = [
     "ellipsoid",
     "extrusion",
     "flat",
-    "merged",
+    "merge_models",
     "polygon",
     "polygons",
     "prism",

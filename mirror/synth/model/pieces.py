@@ -13,7 +13,7 @@ from mirror.arrays import Float64
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.shapes import polygons
-from mirror.synth.model.surfaces import FACE, NO_IMAGE, Model, merged
+from mirror.synth.model.surfaces import FACE, NO_IMAGE, Model, merge_models
 
 Place = Sequence[float] | Float64
 Way = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
@@ -171,8 +171,8 @@ class Pieces:
             part.faces["images"] = [one.images for one in finishes]
             part.faces["two_sided"] = [one.two_sided for one in finishes]
             parts.append(part)
-        gathered = merged(parts)
+        gathered = merge_models(parts)
         faces = np.zeros(self._count, FACE)
         if parts:
             faces[np.concatenate(list(self._numbers.values()))] = gathered.faces
-        return merged([Model(faces, gathered.corners, gathered.rounds), *self._models])
+        return merge_models([Model(faces, gathered.corners, gathered.rounds), *self._models])

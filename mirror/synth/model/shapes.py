@@ -12,7 +12,7 @@ from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
-from mirror.synth.model.surfaces import FACE, MOST_CORNERS, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, merged
+from mirror.synth.model.surfaces import FACE, MOST_CORNERS, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, merge_models
 
 Colour = Sequence[float] | Float64
 _LEAST_AREA_M2 = 1e-8
@@ -228,7 +228,7 @@ def block(
         for side, corners in sides.items()
         if side not in without and not _flat(corners)
     ]
-    return merged(parts).place(middle_x, middle_y, middle_z, yaw)
+    return merge_models(parts).place(middle_x, middle_y, middle_z, yaw)
 
 
 def _flat(corners: npt.ArrayLike) -> bool:
@@ -282,7 +282,7 @@ def prism(
     )
     if bottom:
         parts.append(polygon(low[::-1], colour, material, label, side=Side.BOTTOM, seed=seed))
-    return merged(parts)
+    return merge_models(parts)
 
 
 def extrusion(
@@ -326,7 +326,7 @@ def extrusion(
         outward = points[i, 1] - points[j, 1], points[j, 0] - points[i, 0]
         side = _side(*outward)
         parts.append(polygon(corners, colour, (edges or {}).get(i, material), label, side=side, seed=seed))
-    return merged(parts)
+    return merge_models(parts)
 
 
 def _side(x: float, z: float) -> Side:
@@ -380,7 +380,7 @@ def tube(
         parts.append(polygon(low[::-1], colour, material, label, seed=seed))
         if end_radius_m != 0.0:
             parts.append(polygon(high, colour, material, label, seed=seed))
-    return merged(parts)
+    return merge_models(parts)
 
 
 def wheel(centre: Sequence[float], radius_m: float, width_m: float, label: Label, *, corners: int = 12) -> Model:
@@ -398,7 +398,7 @@ def wheel(centre: Sequence[float], radius_m: float, width_m: float, label: Label
     for i in range(corners):
         j = (i + 1) % corners
         parts.append(polygon([left[i], left[j], right[j], right[i]], black, Material.RUBBER, label))
-    return merged(parts)
+    return merge_models(parts)
 
 
 def ellipsoid(

@@ -124,7 +124,7 @@ class Model:
             number: object number of all surfaces; None: unchanged.
         """
         rotation, translation = np.asarray(rotation, np.float64), np.asarray(translation, np.float64)
-        faces, rounds = joined([self.faces]), joined([self.rounds])
+        faces, rounds = join_parts([self.faces]), join_parts([self.rounds])
         for name, shift in (("normal", "offset"), ("u_axis", "u0"), ("v_axis", "v0")):
             turned = self.faces[name] @ rotation.T
             faces[name] = turned
@@ -149,7 +149,7 @@ class Model:
         return ends.min(axis=0), ends.max(axis=0)
 
 
-def joined(parts: Sequence[Records]) -> Records:
+def join_parts(parts: Sequence[Records]) -> Records:
     """Concatenate records of one type; copying bytes is ten times as fast as copying fields."""
     kind = parts[0].dtype
     size = kind.itemsize
@@ -157,12 +157,12 @@ def joined(parts: Sequence[Records]) -> Records:
     return whole
 
 
-def merged(models: Iterable[Model]) -> Model:
+def merge_models(models: Iterable[Model]) -> Model:
     """Merge models into one."""
     parts = list(models)
     if not parts:
         return Model.empty()
     starts = np.cumsum([0, *(len(part.corners) for part in parts)])
-    faces = joined([part.faces for part in parts])
+    faces = join_parts([part.faces for part in parts])
     faces["first"] += np.repeat(starts[:-1], [len(part.faces) for part in parts])
-    return Model(faces, np.concatenate([part.corners for part in parts]), joined([part.rounds for part in parts]))
+    return Model(faces, np.concatenate([part.corners for part in parts]), join_parts([part.rounds for part in parts]))

@@ -12,7 +12,7 @@ from mirror.arrays import Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.model import Material, Side
 from mirror.synth.render.appearance import Appearance
-from mirror.synth.render.texture import band, chance, stripes
+from mirror.synth.render.texture import band, hash_unit, stripes
 from mirror.synth.road_users.coachwork.sheets import Panel
 
 
@@ -78,7 +78,7 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance
         low = 0.14 * band(v, -0.50, -0.19, max(fv, 0.05)) + 0.05 * band(v, -0.70, -0.50, max(fv, 0.05))
     tone = (1.0 - low) * (1.0 - 0.75 * min(seam, 1.0)) * (1.0 - 0.35 * handle)
     dust = min(max(-v - 0.42, 0.0) * 2.0, 1.0)
-    dust *= 0.45 * dust * (0.25 + 0.75 * chance(one.seed, 1, 2))
+    dust *= 0.45 * dust * (0.25 + 0.75 * hash_unit(one.seed, 1, 2))
     return (
         r * tone * (1.0 - dust) + 0.125 * dust,
         g * tone * (1.0 - dust) + 0.110 * dust,
@@ -146,7 +146,7 @@ def _rim(one: Records, u: float, v: float, footprint: float) -> Appearance:
     wheel = band(away, -1.0, 0.74, step)
     if wheel <= 0.0:
         return 0.024, 0.024, 0.025, 0.0, 0.0, 0.0, 0.01
-    kind = int(4.0 * chance(one.seed, 7, 3))
+    kind = int(4.0 * hash_unit(one.seed, 7, 3))
     count, duty = 5.0, 0.42
     if kind == 1:
         count, duty = 10.0, 0.40

@@ -12,7 +12,7 @@ from typing import Final
 from mirror.arrays import Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.render.appearance import Appearance
-from mirror.synth.render.texture import band, chance, grain, noise
+from mirror.synth.render.texture import band, grain, hash_unit, noise
 
 _BED_U_M: Final = 13.0
 _BED_V_M: Final = 3.4
@@ -31,7 +31,7 @@ def _striped_length(x: float, period: float, duty: float) -> float:
 
 
 @per_pixel(inline="always")
-def share(x: float, width: float, low: float, high: float, period: float, duty: float, phase: float) -> float:
+def stripe_share(x: float, width: float, low: float, high: float, period: float, duty: float, phase: float) -> float:
     """Share of the interval of ``width`` about x that lies on stripes between ``low`` and ``high``.
 
     Args:
@@ -54,12 +54,14 @@ def share(x: float, width: float, low: float, high: float, period: float, duty: 
 @per_pixel()
 def mark_share(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
     """Share of a footprint that a MARK covers."""
-    across = share(v, fv + mark.soft, mark.v_low, mark.v_high, mark.v_period, mark.v_duty, mark.v_phase)
+    across = stripe_share(v, fv + mark.soft, mark.v_low, mark.v_high, mark.v_period, mark.v_duty, mark.v_phase)
     if across <= 0.0:
         return 0.0
     # Over the footprint's height a slanted stripe shifts along u.
     wide = fu + abs(mark.slant) * fv
-    return across * share(u, wide, mark.u_low, mark.u_high, mark.u_period, mark.u_duty, mark.u_phase + mark.slant * v)
+    return across * stripe_share(
+        u, wide, mark.u_low, mark.u_high, mark.u_period, mark.u_duty, mark.u_phase + mark.slant * v
+    )
 
 
 @per_pixel()
@@ -110,7 +112,7 @@ def _worn_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
         tone *= _crack_tone(seed, u, v, wide)
     if wide < _COVER_RADIUS_M:
         cell = math.floor(u / _COVER_U_M)
-        luck = chance(cell, 3, seed)
+        luck = hash_unit(cell, 3, seed)
         if luck < 0.5:
             # The lower digits of the random number set the position of the cover.
             du = u - (cell + 0.1 + 0.8 * (64.0 * luck - math.floor(64.0 * luck))) * _COVER_U_M
@@ -138,14 +140,17 @@ def _crack_tone(seed: int, u: float, v: float, wide: float) -> float:
 def _patch_tone(seed: int, u: float, v: float, fu: float, fv: float) -> float:
     """Factor from rectangular patches of newer or older asphalt with a dark seam."""
     i, j = math.floor(u / _BED_U_M), math.floor(v / _BED_V_M)
-    if chance(i, j, seed + 21) >= _PATCHED:
+    if hash_unit(i, j, seed + 21) >= _PATCHED:
         return 1.0
-    length, breadth = _BED_U_M * (0.2 + 0.7 * chance(i, j, seed + 22)), _BED_V_M * (0.3 + 0.6 * chance(i, j, seed + 23))
-    left = _BED_U_M * i + (_BED_U_M - length) * chance(i, j, seed + 24)
-    low = _BED_V_M * j + (_BED_V_M - breadth) * chance(i, j, seed + 25)
+    length, breadth = (
+        _BED_U_M * (0.2 + 0.7 * hash_unit(i, j, seed + 22)),
+        _BED_V_M * (0.3 + 0.6 * hash_unit(i, j, seed + 23)),
+    )
+    left = _BED_U_M * i + (_BED_U_M - length) * hash_unit(i, j, seed + 24)
+    low = _BED_V_M * j + (_BED_V_M - breadth) * hash_unit(i, j, seed + 25)
     inside = band(u, left, left + length, fu) * band(v, low, low + breadth, fv)
     if inside <= 0.0:
         return 1.0
     inner = band(u, left + 0.04, left + length - 0.04, fu) * band(v, low + 0.04, low + breadth - 0.04, fv)
-    change = 0.80 if chance(i, j, seed + 26) < 0.65 else 1.13
+    change = 0.80 if hash_unit(i, j, seed + 26) < 0.65 else 1.13
     return 1.0 + inner * (change - 1.0) - 0.45 * (inside - inner)

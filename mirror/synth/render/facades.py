@@ -12,7 +12,7 @@ from typing import Final
 from mirror.arrays import Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.render.appearance import Appearance
-from mirror.synth.render.texture import chance, grain
+from mirror.synth.render.texture import grain, hash_unit
 
 _LINTEL_M: Final = 0.13
 """Height of the shadow below the top of a window, because panes are recessed in the wall."""
@@ -83,7 +83,7 @@ def facade(
         x0, x1 = max(left - i * pitch, 0.0), min(right - i * pitch, pitch)
         for j in range(int(low / storey), min(int(top / storey), storeys - 1) + 1):
             y0, y1 = max(low - j * storey, 0.0), min(top - j * storey, storey)
-            cell = _cell(one, row, rough, i, j, pitch, x0, x1, y0, y1, setting)
+            cell = _shade_cell(one, row, rough, i, j, pitch, x0, x1, y0, y1, setting)
             r, g, b, gloss = r + cell[0], g + cell[1], b + cell[2], gloss + cell[6]
             er, eg, eb = er + cell[3], eg + cell[4], eb + cell[5]
     share = 1.0 / ((right - left) * (top - low))
@@ -91,7 +91,7 @@ def facade(
 
 
 @per_pixel()
-def _cell(
+def _shade_cell(
     one: Records,
     row: Records,
     rough: float,
@@ -139,7 +139,7 @@ def _cell(
     trim += sill + surround
     r, g, b = cr * plain + tr * trim, cg * plain + tg * trim, cb * plain + tb * trim
     if shutter > 0.0:
-        hue = chance(one.seed, 11, 5)
+        hue = hash_unit(one.seed, 11, 5)
         r, g, b = r + shutter * (0.10 + 0.10 * hue), g + shutter * 0.16, b + shutter * (0.20 - 0.12 * hue)
     if window <= 0.0:
         return r, g, b, 0.0, 0.0, 0.0, 0.0
@@ -152,11 +152,11 @@ def _cell(
     r, g, b = r + frame, g + frame, b + 0.98 * frame
     if glass <= 0.0:
         return r, g, b, 0.0, 0.0, 0.0, 0.0
-    return _glazed(one, row, i, j, x0, x1, y0, y1, start, foot, panes_x, panes_y, setting, r, g, b)
+    return _add_interior(one, row, i, j, x0, x1, y0, y1, start, foot, panes_x, panes_y, setting, r, g, b)
 
 
 @per_pixel()
-def _glazed(
+def _add_interior(
     one: Records,
     row: Records,
     i: int,
@@ -177,7 +177,7 @@ def _glazed(
     """Add the interior behind a window's panes: curtains, blinds or a dark room, and light at night."""
     glass = panes_x * panes_y
     own = i + 89 * j
-    kind, size, hue = chance(own, 1, one.seed), chance(own, 2, one.seed), chance(own, 3, one.seed)
+    kind, size, hue = hash_unit(own, 1, one.seed), hash_unit(own, 2, one.seed), hash_unit(own, 3, one.seed)
     covered = 0.0
     if kind < 0.45 * row.curtains:
         # Curtains on both sides.
@@ -197,7 +197,7 @@ def _glazed(
     r += bare + tone * covered
     g += bare + (0.94 + 0.05 * hue) * tone * covered
     b += 1.1 * bare + (0.80 + 0.22 * hue) * tone * covered
-    if chance(own, 4, one.seed) >= setting.lit_windows * row.lit:
+    if hash_unit(own, 4, one.seed) >= setting.lit_windows * row.lit:
         return r, g, b, 0.0, 0.0, 0.0, row.gloss * glass
     room = 0.85 * (glass - covered)
     if kind >= row.curtains:
@@ -207,8 +207,8 @@ def _glazed(
         left, top = start + 0.6 * hue * row.width_m, foot + 0.5 * size * row.height_m
         stuff = _panes(max(x0, left), min(x1, left + 0.4 * row.width_m), start, row.width_m, row.panes, row.frame_m)
         room -= 0.6 * stuff * _panes_up(y0, min(y1, top), foot, row.height_m, row.transom, row.frame_m)
-    light = (room + 0.55 * covered) * (0.45 + 0.9 * chance(own, 5, one.seed))
-    if chance(own, 6, one.seed) < row.cool:
+    light = (room + 0.55 * covered) * (0.45 + 0.9 * hash_unit(own, 5, one.seed))
+    if hash_unit(own, 6, one.seed) < row.cool:
         return r, g, b, 0.46 * light, 0.50 * light, 0.48 * light, row.gloss * glass
     return r, g, b, 0.62 * light, (0.40 + 0.06 * hue) * light, (0.16 + 0.10 * hue) * light, row.gloss * glass
 
@@ -245,9 +245,9 @@ def shopfront(
     right, top = max(right, left + 1e-6), max(top, low + 1e-6)
     # The door is at one end or in the middle; panes fill the rest.
     door_wide = 1.05
-    place = int(3.0 * chance(one.seed, 21, 0))
+    place = int(3.0 * hash_unit(one.seed, 21, 0))
     door = 0.0 if place == 0 else (wide - door_wide if place == 1 else 0.5 * (wide - door_wide))
-    riser = 0.25 + 0.35 * chance(one.seed, 22, 0)
+    riser = 0.25 + 0.35 * hash_unit(one.seed, 22, 0)
     bar = high - 0.28 * high
     before, behind = door, wide - door - door_wide
     glass = 0.0
@@ -264,7 +264,7 @@ def shopfront(
     area = (right - left) * (top - low)
     glass, grip = glass / area, grip / area
     frame = 1.0 - glass
-    burn = setting.lit_windows * (1.9 if chance(one.seed, 23, 0) < 0.8 else 0.25)
+    burn = setting.lit_windows * (1.9 if hash_unit(one.seed, 23, 0) < 0.8 else 0.25)
     seen = glass - grip
     return (
         one.colour_0 * frame + 0.5 * red * seen + 0.5 * grip,

@@ -18,7 +18,7 @@ _SENT_BACK: Final = 5.0
 
 
 @per_pixel()
-def read(value: Float32, column: float, row: float) -> float:
+def read_map(value: Float32, column: float, row: float) -> float:
     """Bilinear interpolation of a map; 0 outside."""
     i, j = math.floor(row), math.floor(column)
     if not (0 <= j < value.shape[1] - 1 and 0 <= i < value.shape[0] - 1):
@@ -110,7 +110,7 @@ def shade_point(
     mirror, opening, above = 0.0, 1.0, 0.0
     facing = -(dx * nx + dy * ny + dz * nz)
     if label <= Label.TERRAIN:
-        opening = 1.0 - read(
+        opening = 1.0 - read_map(
             ambient_occlusion,
             (x - maps.ambient_occlusion_origin_0) / AMBIENT_OCCLUSION_CELL_M,
             (y - maps.ambient_occlusion_origin_1) / AMBIENT_OCCLUSION_CELL_M,
@@ -121,7 +121,9 @@ def shade_point(
             mirror = wet * (0.025 + 0.62 * (1.0 - facing) ** 6)
     else:
         # Less of the sky is visible from the foot of a wall.
-        above = z - read(ground, (x - maps.ground_origin_0) / GROUND_CELL_M, (y - maps.ground_origin_1) / GROUND_CELL_M)
+        above = z - read_map(
+            ground, (x - maps.ground_origin_0) / GROUND_CELL_M, (y - maps.ground_origin_1) / GROUND_CELL_M
+        )
         opening = 0.72 + 0.28 * min(max(above / 4.0, 0.0), 1.0)
         if gloss > 0.0:
             polish = 1.0 if material == Material.PAINT or material == Material.GLASS else 0.3
@@ -154,7 +156,7 @@ def shade_point(
                 sun *= sun_visibility(moving_shadow, column / CELL_M, row / CELL_M, height)
     if setting.lamp_light_0 > 0.0:
         at_x, at_y = x + 0.6 * nx - maps.lamps_origin_0, y + 0.6 * ny - maps.lamps_origin_1
-        lamplight = read(lamps, at_x / LAMP_CELL_M, at_y / LAMP_CELL_M)
+        lamplight = read_map(lamps, at_x / LAMP_CELL_M, at_y / LAMP_CELL_M)
         lamplight *= 0.45 + 0.55 * nz if nz > 0.0 else 0.35
         if material == Material.PAINT:
             # Paint reflects most of the grazing light of lamps specularly, away from the camera.
@@ -164,7 +166,7 @@ def shade_point(
         column, row = (x - maps.glow_origin_0) / GLOW_CELL_M, (y - maps.glow_origin_1) / GLOW_CELL_M
         # Headlights shine on the ground and on low objects.
         upright = max(nz, 0.3) if label <= Label.TERRAIN else 0.3 * min(max(1.7 - above, 0.0), 1.0)
-        beam += 0.5 * setting.headlight * read(glow, column, row) * upright
+        beam += 0.5 * setting.headlight * read_map(glow, column, row) * upright
         if label == Label.TRAFFIC_SIGN:
             # Traffic signs are retroreflective.
             beam *= _SENT_BACK

@@ -15,8 +15,8 @@ from mirror.arrays import Float32, Float64, Int64, Records, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.schema.documents import Roi
 from mirror.synth.light.condition import Condition
-from mirror.synth.light.lighting import LIGHTING, Lighting, lighting
-from mirror.synth.model import FACE, NO_IMAGE, NO_OBJECT, ROUND, Label, Model, flat, merged
+from mirror.synth.light.lighting import LIGHTING, Lighting, compute_lighting
+from mirror.synth.model import FACE, NO_IMAGE, NO_OBJECT, ROUND, Label, Model, flat, merge_models
 from mirror.synth.render.binning import bounding_spheres
 from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
@@ -137,7 +137,7 @@ class Scene:
         roi = world.roi
         self.world, self.condition, self.road_users, self.own = world, condition, tuple(road_users), own
         self.clock_s = clock_s
-        self.light: Lighting = lighting(condition, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
+        self.light: Lighting = compute_lighting(condition, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
 
     @cached_property
     def _static(self) -> _StaticScene:
@@ -148,7 +148,7 @@ class Scene:
         _change_images(model, condition.visit if condition.effects.billboards else 0)
         model, layouts = restrict_layouts(model, world.layouts)
         # Parked vehicles and other static road users are placed once.
-        model = merged(
+        model = merge_models(
             [
                 model,
                 *(self._stand_model(number, user) for number, user in enumerate(self.road_users) if _is_static(user)),
@@ -184,7 +184,7 @@ class Scene:
         own = self.own.transform(turn, ego, NO_OBJECT)
         own.faces["label"], own.rounds["label"] = Label.EGO, Label.EGO
         beam = np.concatenate([ego + turn @ _HEADLIGHTS_M, turn @ _AHEAD])
-        return self._instant(time_s, merged([moving, own]), moving, placements, ego, beam)
+        return self._instant(time_s, merge_models([moving, own]), moving, placements, ego, beam)
 
     def around(self, time_s: float, place_m: Float64) -> Instant:
         """Return the world ``time_s`` after the start, around a position (3,), without a recording vehicle."""
@@ -208,7 +208,7 @@ class Scene:
                 )
                 model.faces["lights"] = 1
                 drawn.append(model)
-        return merged(drawn), placements
+        return merge_models(drawn), placements
 
     @staticmethod
     def _stand_model(number: int, user: RoadUser) -> Model:
@@ -259,7 +259,7 @@ class Scene:
         self, time_s: float, there: Model, moving: Model, placements: dict[int, Placement], ego: Float64, beam: Float64
     ) -> Instant:
         static, record = self._static, self.light.at(time_s)
-        model = merged([static.model, there])
+        model = merge_models([static.model, there])
         faces = model.faces
         faces["lights"][self.world.find_lit_lamps(self.clock_s + time_s)] = 1
         # Ellipsoids come after all faces, so the spheres of both models are interleaved.

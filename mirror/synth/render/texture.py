@@ -14,7 +14,7 @@ _RANDOM: Final = np.random.default_rng(0).uniform(-1.0, 1.0, (_MASK + 1, _MASK +
 
 
 @per_pixel()
-def chance(i: int, j: int, seed: int) -> float:
+def hash_unit(i: int, j: int, seed: int) -> float:
     """Hash three integers to a number in [0, 1) (a xor-shift multiply hash)."""
     h = np.uint64(i * 0x9E3779B1 + j * 0x85EBCA77 + seed * 0xC2B2AE3D)
     h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)

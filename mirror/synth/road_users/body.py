@@ -32,7 +32,7 @@ class Body:
         return self.model
 
 
-def boxed(category: str, model: Model) -> Body:
+def make_body(category: str, model: Model) -> Body:
     """Make a body from a model: compute its bounding box and move the origin below the box's middle."""
     low, high = model.bounds()
     middle = 0.5 * (low[0] + high[0])

@@ -9,80 +9,87 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Label, Material, ellipsoid
-from mirror.synth.road_users.body import Body, boxed
-from mirror.synth.road_users.coachwork.design import Design, drawn, dressed
-from mirror.synth.road_users.coachwork.fittings import car_paint
+from mirror.synth.road_users.body import Body, make_body
+from mirror.synth.road_users.coachwork.design import Design, build_vehicle, design_car
+from mirror.synth.road_users.coachwork.fittings import draw_car_paint
 from mirror.synth.road_users.coachwork.sheets import Finish, Panel
 
 _CLADDING: Final = Finish((0.035, 0.035, 0.037), Material.PLAIN)
 _TAXI_PAINTS: Final = ((0.62, 0.56, 0.40), (0.55, 0.33, 0.015), (0.015, 0.015, 0.017), (0.60, 0.60, 0.59))
 
 
-def car(rng: np.random.Generator) -> Body:
+def build_car(rng: np.random.Generator) -> Body:
     """Build a car of any kind, with the shares of city traffic."""
     kinds = list(_SHARES)
     shares = np.array([_SHARES[kind] for kind in kinds])
     return kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))](rng)
 
 
-def hatchback(rng: np.random.Generator) -> Body:
+def build_hatchback(rng: np.random.Generator) -> Body:
     """Build a compact car with a steep back."""
-    return _painted(rng, _hatchback(rng))
+    return _paint_car(rng, _design_hatchback(rng))
 
 
-def saloon(rng: np.random.Generator) -> Body:
+def build_saloon(rng: np.random.Generator) -> Body:
     """Build a saloon."""
-    return _painted(rng, _saloon(rng))
+    return _paint_car(rng, _design_saloon(rng))
 
 
-def estate(rng: np.random.Generator) -> Body:
+def build_estate(rng: np.random.Generator) -> Body:
     """Build an estate: its roof extends to the rear end."""
-    return _painted(rng, _estate(rng))
+    return _paint_car(rng, _design_estate(rng))
 
 
-def suv(rng: np.random.Generator) -> Body:
+def build_suv(rng: np.random.Generator) -> Body:
     """Build a sport utility vehicle: high, with large wheels and dark sills."""
-    return _painted(rng, _suv(rng))
+    return _paint_car(rng, _design_suv(rng))
 
 
-def city_car(rng: np.random.Generator) -> Body:
+def build_city_car(rng: np.random.Generator) -> Body:
     """Build a city car: very short, with two doors."""
-    return _painted(rng, _city_car(rng))
+    return _paint_car(rng, _design_city_car(rng))
 
 
-def coupe(rng: np.random.Generator) -> Body:
+def build_coupe(rng: np.random.Generator) -> Body:
     """Build a coupe: low, with a long bonnet and a sloping back."""
-    return _painted(rng, _coupe(rng))
+    return _paint_car(rng, _design_coupe(rng))
 
 
-def pickup(rng: np.random.Generator) -> Body:
+def build_pickup(rng: np.random.Generator) -> Body:
     """Build a pickup with a double cab and a covered bed."""
-    return _painted(rng, _pickup(rng))
+    return _paint_car(rng, _design_pickup(rng))
 
 
-def taxi(rng: np.random.Generator) -> Body:
+def build_taxi(rng: np.random.Generator) -> Body:
     """Build a taxi: a saloon or an estate with a sign on its roof."""
-    design = _saloon(rng) if rng.random() < 0.5 else _estate(rng)
+    design = _design_saloon(rng) if rng.random() < 0.5 else _design_estate(rng)
     colour = _TAXI_PAINTS[int(rng.integers(len(_TAXI_PAINTS)))]
-    sheets = dressed(rng, design, Finish(colour, Material.PAINT), Label.CAR)
+    sheets = build_vehicle(rng, design, Finish(colour, Material.PAINT), Label.CAR)
     roof = design.shape.roof
     place = 0.5 * (roof[1][0] + roof[-2][0]), 0.0, max(z for _, z in roof) + 0.06
     sheets.add(ellipsoid(place, (0.16, 0.48, 0.14), (0.75, 0.6, 0.12), Material.PLAIN, Label.CAR))
-    return boxed("car", sheets.model())
+    return make_body("car", sheets.model())
 
 
 _SHARES: Final[Mapping[Callable[[np.random.Generator], Body], float]] = {
-    hatchback: 0.30, suv: 0.26, saloon: 0.14, estate: 0.12, city_car: 0.10, taxi: 0.04, coupe: 0.03, pickup: 0.01,
-}  # fmt: skip
+    build_hatchback: 0.30,
+    build_suv: 0.26,
+    build_saloon: 0.14,
+    build_estate: 0.12,
+    build_city_car: 0.10,
+    build_taxi: 0.04,
+    build_coupe: 0.03,
+    build_pickup: 0.01,
+}
 
 
-def _painted(rng: np.random.Generator, design: Design) -> Body:
-    return boxed("car", dressed(rng, design, car_paint(rng), Label.CAR).model())
+def _paint_car(rng: np.random.Generator, design: Design) -> Body:
+    return make_body("car", build_vehicle(rng, design, draw_car_paint(rng), Label.CAR).model())
 
 
-def _hatchback(rng: np.random.Generator) -> Design:
+def _design_hatchback(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.0, 4.4), rng.uniform(1.43, 1.50)
-    return drawn(
+    return design_car(
         length,
         rng.uniform(1.75, 1.81),
         height,
@@ -100,9 +107,9 @@ def _hatchback(rng: np.random.Generator) -> Design:
     )
 
 
-def _saloon(rng: np.random.Generator) -> Design:
+def _design_saloon(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.6, 4.95), rng.uniform(1.42, 1.48)
-    return drawn(
+    return design_car(
         length,
         rng.uniform(1.80, 1.87),
         height,
@@ -121,9 +128,9 @@ def _saloon(rng: np.random.Generator) -> Design:
     )
 
 
-def _estate(rng: np.random.Generator) -> Design:
+def _design_estate(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.55, 4.9), rng.uniform(1.45, 1.52)
-    return drawn(
+    return design_car(
         length,
         rng.uniform(1.80, 1.86),
         height,
@@ -141,9 +148,9 @@ def _estate(rng: np.random.Generator) -> Design:
     )
 
 
-def _suv(rng: np.random.Generator) -> Design:
+def _design_suv(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.25, 4.75), rng.uniform(1.60, 1.72)
-    design = drawn(
+    design = design_car(
         length,
         rng.uniform(1.82, 1.92),
         height,
@@ -163,9 +170,9 @@ def _suv(rng: np.random.Generator) -> Design:
     return replace(design, sill=_CLADDING if rng.random() < 0.75 else None)
 
 
-def _city_car(rng: np.random.Generator) -> Design:
+def _design_city_car(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(3.5, 3.75), rng.uniform(1.46, 1.54)
-    return drawn(
+    return design_car(
         length,
         rng.uniform(1.62, 1.68),
         height,
@@ -185,9 +192,9 @@ def _city_car(rng: np.random.Generator) -> Design:
     )
 
 
-def _coupe(rng: np.random.Generator) -> Design:
+def _design_coupe(rng: np.random.Generator) -> Design:
     length, height = rng.uniform(4.3, 4.6), rng.uniform(1.28, 1.34)
-    return drawn(
+    return design_car(
         length,
         rng.uniform(1.83, 1.90),
         height,
@@ -208,9 +215,9 @@ def _coupe(rng: np.random.Generator) -> Design:
     )
 
 
-def _pickup(rng: np.random.Generator) -> Design:
+def _design_pickup(rng: np.random.Generator) -> Design:
     height = rng.uniform(1.78, 1.86)
-    design = drawn(
+    design = design_car(
         rng.uniform(5.2, 5.4),
         rng.uniform(1.84, 1.90),
         height,

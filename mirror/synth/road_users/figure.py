@@ -9,10 +9,10 @@ from typing import Final, Literal
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.model import NO_IMAGE, Label, Material, Model, merged, polygons
+from mirror.synth.model import NO_IMAGE, Label, Material, Model, merge_models, polygons
 from mirror.synth.model.batches import ellipsoids
 from mirror.synth.road_users.skeleton import Skeleton, head_half_m
-from mirror.synth.textures.faces import HEAD_ASPECT, features
+from mirror.synth.textures.faces import HEAD_ASPECT, draw_features
 
 Colour = tuple[float, float, float]
 Garment = Literal["shirt", "jacket", "coat", "dress"]
@@ -66,7 +66,7 @@ class Person:
     seed: int
 
 
-class _Rounds:
+class _EllipsoidList:
     """Collects ellipsoids; all limbs are oriented in one vectorised step."""
 
     def __init__(self) -> None:
@@ -98,26 +98,26 @@ class _Rounds:
             np.concatenate([colours, limb_colours]),
             np.concatenate([materials, limb_materials]),
             label,
-            axes=np.concatenate([axes, _along(way / length[:, None])]),
+            axes=np.concatenate([axes, _axes_along(way / length[:, None])]),
             images=np.concatenate([images, np.full(len(starts), NO_IMAGE)]),
             seeds=seed,
         )
 
 
-def _cross(one: Float64, other: Float64) -> Float64:
+def _cross_products(one: Float64, other: Float64) -> Float64:
     """Cross products of (..., 3) vectors; `numpy.cross` is much slower for a few vectors."""
     return one[..., _NEXT] * other[..., _AFTER] - one[..., _AFTER] * other[..., _NEXT]
 
 
-def _along(way: Float64) -> Float64:
+def _axes_along(way: Float64) -> Float64:
     """Axes (N, 3, 3) as rows; the third is along each direction (N, 3)."""
     other = np.where(np.abs(way[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 0.0, -1.0]])
-    side = _cross(way, other)
+    side = _cross_products(way, other)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return np.stack([_cross(side, way), side, way], axis=1)
+    return np.stack([_cross_products(side, way), side, way], axis=1)
 
 
-def dressed(person: Person, skeleton: Skeleton, label: Label) -> Model:
+def build_person(person: Person, skeleton: Skeleton, label: Label) -> Model:
     """Build the model of a person in a pose.
 
     Args:
@@ -125,25 +125,25 @@ def dressed(person: Person, skeleton: Skeleton, label: Label) -> Model:
         skeleton: the pose, in the model's frame.
         label: PERSON or RIDER.
     """
-    rounds = _Rounds()
-    _head(rounds, person, skeleton)
-    _trunk(rounds, person, skeleton)
-    _limbs(rounds, person, skeleton)
+    rounds = _EllipsoidList()
+    _add_head(rounds, person, skeleton)
+    _add_trunk(rounds, person, skeleton)
+    _add_limbs(rounds, person, skeleton)
     if person.umbrella is not None:
-        rounds.limb(skeleton.wrists[0], _umbrella_top(person, skeleton), 0.010, _BLACK, Material.METAL, 1.0)
-    parts = [rounds.model(label, person.seed), _hem(person, skeleton, label)]
+        rounds.limb(skeleton.wrists[0], _umbrella_position(person, skeleton), 0.010, _BLACK, Material.METAL, 1.0)
+    parts = [rounds.model(label, person.seed), _hem_model(person, skeleton, label)]
     if person.hat == "cap":
-        parts.append(_brim(person, skeleton, label))
+        parts.append(_brim_model(person, skeleton, label))
     if person.bag == "handbag":
-        parts.append(_handbag(person, skeleton, label))
+        parts.append(_handbag_model(person, skeleton, label))
     if person.umbrella is not None:
-        parts.append(_umbrella(person, person.umbrella, skeleton, label))
-    return merged(parts)
+        parts.append(_umbrella_model(person, person.umbrella, skeleton, label))
+    return merge_models(parts)
 
 
-def _head(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
+def _add_head(rounds: _EllipsoidList, person: Person, skeleton: Skeleton) -> None:
     """Add skull, hair, ears, nose and hat; lengths are in half heights of the head."""
-    half, look = head_half_m(person.height_m), features(person.face)
+    half, look = head_half_m(person.height_m), draw_features(person.face)
     cos, sin = math.cos(skeleton.nod), math.sin(skeleton.nod)
     axes = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
@@ -178,7 +178,7 @@ def _head(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
         part(-0.08, 0.0, 0.72, (1.10, 0.88, 0.58), person.hat_colour, Material.PAINT)
 
 
-def _trunk(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
+def _add_trunk(rounds: _EllipsoidList, person: Person, skeleton: Skeleton) -> None:
     """Add chest, belly, pelvis, shoulders and a backpack."""
     middle, chest = skeleton.hips.mean(axis=0), skeleton.shoulders.mean(axis=0)
     axes = _trunk_axes(skeleton)
@@ -190,7 +190,7 @@ def _trunk(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
     way = chest - middle
     rounds.add(middle + 0.02 * way, (0.064 * wide, 0.094 * wide, 0.078 * size), axes, below)
     rounds.add(middle + 0.36 * way, (0.062 * wide * bulk, 0.090 * wide * bulk, 0.125 * size), axes, person.top)
-    turned = np.array([_cross(shoulder_line, axes[2]), shoulder_line, axes[2]])
+    turned = np.array([_cross_products(shoulder_line, axes[2]), shoulder_line, axes[2]])
     rounds.add(middle + 0.70 * way, (0.068 * wide * bulk, 0.106 * wide * bulk, 0.130 * size), turned, person.top)
     rounds.add(chest - 0.02 * way, (0.046 * wide, 0.128 * wide, 0.040 * size), turned, person.top)
     if person.garment in ("jacket", "coat"):
@@ -207,17 +207,17 @@ def _trunk_axes(skeleton: Skeleton) -> Float64:
     return np.array([[up[2], 0.0, -up[0]], [0.0, 1.0, 0.0], up])
 
 
-def _limbs(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
-    skin, size, wide = features(person.face).skin, person.height_m, person.height_m * person.stout
+def _add_limbs(rounds: _EllipsoidList, person: Person, skeleton: Skeleton) -> None:
+    skin, size, wide = draw_features(person.face).skin, person.height_m, person.height_m * person.stout
     sleeve = (skin, Material.SKIN) if person.garment in ("shirt", "dress") else (person.top, Material.CLOTH)
     calf = (skin, Material.SKIN) if person.garment == "dress" else (person.legs, Material.CLOTH)
     ways = skeleton.wrists - skeleton.elbows
     ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    palms = _along(ways)
+    palms = _axes_along(ways)
     ahead = skeleton.soles / np.linalg.norm(skeleton.soles, axis=1, keepdims=True)
     aside = ahead[:, [1, 0, 2]] * (-1.0, 1.0, 0.0)
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
-    shoes = np.stack([ahead, aside, _cross(ahead, aside)], axis=1)
+    shoes = np.stack([ahead, aside, _cross_products(ahead, aside)], axis=1)
     for side in (0, 1):
         knee, ankle = skeleton.knees[side], skeleton.ankles[side]
         elbow, wrist = skeleton.elbows[side], skeleton.wrists[side]
@@ -233,7 +233,7 @@ def _limbs(rounds: _Rounds, person: Person, skeleton: Skeleton) -> None:
         rounds.add(foot, (0.078 * size, 0.029 * size, 0.028 * size), shoes[side], person.shoes)
 
 
-def _hem(person: Person, skeleton: Skeleton, label: Label) -> Model:
+def _hem_model(person: Person, skeleton: Skeleton, label: Label) -> Model:
     """The part of the garment that hangs from the waist."""
     axes, size, wide = _trunk_axes(skeleton), person.height_m, person.height_m * person.stout
     middle = skeleton.hips.mean(axis=0)
@@ -245,7 +245,7 @@ def _hem(person: Person, skeleton: Skeleton, label: Label) -> Model:
     return polygons(quads, person.top, Material.CLOTH, label, seeds=person.seed, two_sided=True)
 
 
-def _brim(person: Person, skeleton: Skeleton, label: Label) -> Model:
+def _brim_model(person: Person, skeleton: Skeleton, label: Label) -> Model:
     half = head_half_m(person.height_m)
     outline = np.array([[0.62, -0.6, 0.62], [1.25, -0.4, 0.50], [1.25, 0.4, 0.50], [0.62, 0.6, 0.62]])
     return polygons(
@@ -254,7 +254,7 @@ def _brim(person: Person, skeleton: Skeleton, label: Label) -> Model:
     )  # fmt: skip
 
 
-def _handbag(person: Person, skeleton: Skeleton, label: Label) -> Model:
+def _handbag_model(person: Person, skeleton: Skeleton, label: Label) -> Model:
     """Two leaning sheets and two ends, hanging from the right hand."""
     hand = skeleton.wrists[1] - [0.0, 0.0, 0.07 * person.height_m]
     around = np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
@@ -264,16 +264,16 @@ def _handbag(person: Person, skeleton: Skeleton, label: Label) -> Model:
     return polygons(quads, person.bag_colour, Material.CLOTH, label, seeds=person.seed, two_sided=True)
 
 
-def _umbrella(person: Person, colour: Colour, skeleton: Skeleton, label: Label) -> Model:
+def _umbrella_model(person: Person, colour: Colour, skeleton: Skeleton, label: Label) -> Model:
     """An umbrella of eight panels."""
-    apex = _umbrella_top(person, skeleton)
+    apex = _umbrella_position(person, skeleton)
     angle = 2.0 * math.pi * np.arange(9) / 8
     rim = apex + np.c_[0.48 * np.cos(angle), 0.48 * np.sin(angle), np.full(9, -0.24)]
     panels = np.stack([rim[:-1], rim[1:], np.broadcast_to(apex, (8, 3))], axis=1)
     return polygons(panels, colour, Material.CLOTH, label, seeds=person.seed, two_sided=True)
 
 
-def _umbrella_top(person: Person, skeleton: Skeleton) -> Float64:
+def _umbrella_position(person: Person, skeleton: Skeleton) -> Float64:
     """Position of the umbrella's top: above the left hand, shifted a little towards the head."""
     hand = skeleton.wrists[0]
     return np.array([hand[0] + 0.05, 0.6 * hand[1], person.height_m + 0.30])

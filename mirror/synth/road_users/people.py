@@ -10,8 +10,8 @@ import numpy as np
 
 from mirror.synth.model import Label, Model
 from mirror.synth.road_users.body import Body, Placement, Saddle
-from mirror.synth.road_users.figure import Bag, Colour, Garment, Hat, Person, dressed
-from mirror.synth.road_users.skeleton import STRIDE, riding, walking
+from mirror.synth.road_users.figure import Bag, Colour, Garment, Hat, Person, build_person
+from mirror.synth.road_users.skeleton import STRIDE, riding_skeleton, walking_skeleton
 from mirror.synth.textures.catalogue import FACES
 
 _TOPS: Final[tuple[Colour, ...]] = (
@@ -55,7 +55,7 @@ class Pedestrian(Body):
         """The walking or standing pose, rounded to a fixed set of poses; steps are shorter at low speed."""
         phase = round(_PHASES * placement.along_m / self.stride_m) % _PHASES
         pace = round(_PACES * min(placement.speed_mps / _FULL_PACE_MPS, 1.0))
-        return self.model if pace <= 0 else _kept(self.person, phase, pace)
+        return self.model if pace <= 0 else _cached_pose(self.person, phase, pace)
 
     def walking(self, phase: float, pace: float = 1.0) -> Model:
         """A pose of the walk; it stays within the box at every phase and pace.
@@ -66,20 +66,20 @@ class Pedestrian(Body):
         """
         if pace <= 0.0:
             return self.model
-        return _walker(self.person, phase, pace)
+        return _build_walker(self.person, phase, pace)
 
 
 @lru_cache(_POSES_KEPT)
-def _kept(who: Person, phase: int, pace: int) -> Model:
-    return _walker(who, phase / _PHASES, pace / _PACES)
+def _cached_pose(who: Person, phase: int, pace: int) -> Model:
+    return _build_walker(who, phase / _PHASES, pace / _PACES)
 
 
-def _walker(who: Person, phase: float, pace: float) -> Model:
-    skeleton = walking(who.height_m, phase, pace, held=who.umbrella is not None)
-    return dressed(who, skeleton, Label.PERSON)
+def _build_walker(who: Person, phase: float, pace: float) -> Model:
+    skeleton = walking_skeleton(who.height_m, phase, pace, held=who.umbrella is not None)
+    return build_person(who, skeleton, Label.PERSON)
 
 
-def person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False) -> Person:
+def draw_person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False) -> Person:
     """Draw a person with clothes for the weather.
 
     Args:
@@ -110,20 +110,20 @@ def person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = Fa
     )
 
 
-def pedestrian(
+def draw_pedestrian(
     rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False
 ) -> Pedestrian:
-    """Draw a pedestrian; the arguments are those of :func:`person`."""
-    who = person(rng, child=child, umbrella=umbrella, warm=warm)
-    still = _walker(who, 0.0, 0.0)
+    """Draw a pedestrian; the arguments are those of :func:`draw_person`."""
+    who = draw_person(rng, child=child, umbrella=umbrella, warm=warm)
+    still = _build_walker(who, 0.0, 0.0)
     # Legs reach farthest as the heels come down, arms and luggage a little later, the head half-way between.
-    poses = [_walker(who, phase / _BOX_PHASES, 1.0) for phase in range(_BOX_PHASES)]
+    poses = [_build_walker(who, phase / _BOX_PHASES, 1.0) for phase in range(_BOX_PHASES)]
     ends = np.array([np.abs(model.bounds()).max(axis=0) for model in (still, *poses)]).max(axis=0)
     length, width, height = np.array([2.0, 2.0, 1.0]) * ends + _BOX_SPARE_M
     return Pedestrian("pedestrian", (float(length), float(width), float(height)), still, who)
 
 
-def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False) -> Model:
+def build_rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False) -> Model:
     """Build the rider of a two-wheeler, in the frame of the vehicle.
 
     Args:
@@ -131,7 +131,7 @@ def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False)
         saddle: contact points of the rider.
         motorcycle: whether the rider wears a full helmet and a jacket; others mostly wear a cycle helmet or none.
     """
-    who = person(rng)
+    who = draw_person(rng)
     hats: tuple[Hat, ...] = ("full helmet",) if motorcycle else ("cycle helmet", "cycle helmet", "none")
     bag: Bag = "none" if who.bag == "handbag" else who.bag
     garment: Garment = "jacket" if motorcycle or rng.random() < 0.6 else "shirt"
@@ -139,4 +139,4 @@ def rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False)
     reach = max(float(np.linalg.norm(np.subtract(saddle.hip, foot))) for foot in (saddle.foot, saddle.foot_right))
     height = max(who.height_m, reach / _RIDING_LEG)
     who = replace(who, height_m=min(height, 2.0), garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag)
-    return dressed(who, riding(who.height_m, saddle), Label.RIDER)
+    return build_person(who, riding_skeleton(who.height_m, saddle), Label.RIDER)

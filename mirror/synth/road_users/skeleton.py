@@ -54,7 +54,7 @@ class Skeleton:
     nod: float
 
 
-def _rows(x: float | Float64, y: float | Float64, z: float | Float64) -> Float64:
+def _left_right_rows(x: float | Float64, y: float | Float64, z: float | Float64) -> Float64:
     """Rows (2, 3) for left and right. Numpy's own functions are ten times slower, and each image has new poses."""
     rows = np.empty((2, 3))
     rows[:, 0], rows[:, 1], rows[:, 2] = x, y, z
@@ -66,7 +66,7 @@ def head_half_m(height_m: float) -> float:
     return 0.5 * (0.160 + 0.037 * height_m)
 
 
-def walking(height_m: float, phase: float, pace: float, *, held: bool = False) -> Skeleton:
+def walking_skeleton(height_m: float, phase: float, pace: float, *, held: bool = False) -> Skeleton:
     """Compute a pose of the walk; at full pace the feet do not slide on the ground.
 
     Args:
@@ -85,11 +85,13 @@ def walking(height_m: float, phase: float, pace: float, *, held: bool = False) -
     pitch = -0.95 * roll + 0.30 * pace * np.where(swing > 0.0, eased**3, np.clip(1.0 - 5.0 * stance, 0.0, 1.0))
     lift = 0.075 * height_m * roll + 0.035 * height_m * pace * np.sin(math.pi * swing) ** 2
     ahead = 0.03 * height_m * np.sin(roll)
-    ankles = _rows(x + ahead, np.array([0.8, -0.8]) * _HIP_OUT * height_m, _ANKLE * height_m + lift)
-    return _upright(height_m, ankles, pitch, x / (0.5 * _STANCE * STRIDE * height_m), 0.05 * pace, held)
+    ankles = _left_right_rows(x + ahead, np.array([0.8, -0.8]) * _HIP_OUT * height_m, _ANKLE * height_m + lift)
+    return _upright_skeleton(height_m, ankles, pitch, x / (0.5 * _STANCE * STRIDE * height_m), 0.05 * pace, held)
 
 
-def _upright(height_m: float, ankles: Float64, pitch: Float64, step: Float64, lean: float, held: bool) -> Skeleton:
+def _upright_skeleton(
+    height_m: float, ankles: Float64, pitch: Float64, step: Float64, lean: float, held: bool
+) -> Skeleton:
     """Place the body over its feet; the arms swing opposite to the ``step`` of their side."""
     leg = 0.995 * (_THIGH + _SHANK) * height_m
     turn = 0.025 * height_m * step
@@ -97,29 +99,29 @@ def _upright(height_m: float, ankles: Float64, pitch: Float64, step: Float64, le
     top = 0.985 * (_THIGH + _SHANK + _ANKLE) * height_m
     hip = min(float((ankles[:, 2] + np.sqrt(reach)).min()), top)
     side = np.array([1.0, -1.0])
-    hips = _rows(turn, side * _HIP_OUT * height_m, hip)
-    knees = _joint(hips, ankles, _THIGH * height_m, _SHANK * height_m, np.array([1.0, 0.0, 0.0]))
-    soles = _rows(np.cos(pitch), 0.08 * side, np.sin(pitch))
+    hips = _left_right_rows(turn, side * _HIP_OUT * height_m, hip)
+    knees = _middle_joints(hips, ankles, _THIGH * height_m, _SHANK * height_m, np.array([1.0, 0.0, 0.0]))
+    soles = _left_right_rows(np.cos(pitch), 0.08 * side, np.sin(pitch))
     middle = np.array([0.0, 0.0, hip])
     up = np.array([math.sin(lean), 0.0, math.cos(lean)])
     chest = middle + _TRUNK * height_m * up
-    shoulders = chest + _rows(-0.6 * turn, side * _SHOULDER_OUT * height_m, 0.0)
+    shoulders = chest + _left_right_rows(-0.6 * turn, side * _SHOULDER_OUT * height_m, 0.0)
     swing = 0.03 - 0.33 * step
     bend = 0.18 + np.maximum(-0.30 * step, 0.0) + 0.12 * np.abs(step)
-    arm = _rows(np.sin(swing), 0.10 * side, -np.cos(swing))
-    forearm = _rows(np.sin(swing + bend), 0.02 * side, -np.cos(swing + bend))
+    arm = _left_right_rows(np.sin(swing), 0.10 * side, -np.cos(swing))
+    forearm = _left_right_rows(np.sin(swing + bend), 0.02 * side, -np.cos(swing + bend))
     elbows = shoulders + _ARM * height_m * arm
     wrists = elbows + _FOREARM * height_m * forearm
     if held:
         wrists[0] = chest + np.array([0.13, 0.10, -0.03]) * height_m
-        elbows[:1] = _joint(
+        elbows[:1] = _middle_joints(
             shoulders[:1], wrists[:1], _ARM * height_m, _FOREARM * height_m, np.array([-0.2, 0.4, -1.0])
         )
-    neck, head = _above(height_m, chest, up)
+    neck, head = _neck_and_head(height_m, chest, up)
     return Skeleton(hips, knees, ankles, soles, shoulders, elbows, wrists, neck, head, 0.03)
 
 
-def _above(height_m: float, chest: Float64, up: Float64) -> tuple[Float64, Float64]:
+def _neck_and_head(height_m: float, chest: Float64, up: Float64) -> tuple[Float64, Float64]:
     """Positions of neck and head above the middle of the shoulders."""
     neck = chest + 0.015 * height_m * up
     # The head is as high as for a person who stands upright, hair included.
@@ -128,15 +130,15 @@ def _above(height_m: float, chest: Float64, up: Float64) -> tuple[Float64, Float
     return neck, chest + rise * np.array([0.5 * up[0], 0.0, 1.0]) / math.hypot(0.5 * up[0], 1.0) + [0.012, 0.0, 0.0]
 
 
-def riding(height_m: float, saddle: Saddle) -> Skeleton:
+def riding_skeleton(height_m: float, saddle: Saddle) -> Skeleton:
     """Compute the pose of a rider with hands on the grips and feet on the pedals."""
     side = np.array([1.0, -1.0])
     hip = np.array(saddle.hip) + np.array([0.0, 0.0, 0.055]) * height_m
-    hips = hip + _rows(0.0, side * _HIP_OUT * height_m, 0.0)
+    hips = hip + _left_right_rows(0.0, side * _HIP_OUT * height_m, 0.0)
     # The ball of the foot is on the pedal, with the heel above it.
     ankles = np.array([saddle.foot, saddle.foot_right]) + np.array([-0.055, 0.0, 0.072]) * height_m
-    knees = _joint(hips, ankles, _THIGH * height_m, _SHANK * height_m, np.array([1.0, 0.0, 0.35]))
-    grips = np.array([saddle.hand, saddle.hand]) * _rows(1.0, side, 1.0)
+    knees = _middle_joints(hips, ankles, _THIGH * height_m, _SHANK * height_m, np.array([1.0, 0.0, 0.35]))
+    grips = np.array([saddle.hand, saddle.hand]) * _left_right_rows(1.0, side, 1.0)
     wrists = grips + np.array([-0.05, 0.0, 0.02]) * height_m
     leans = np.linspace(0.0, 1.1, 45)
     ups = np.c_[np.sin(leans), np.zeros(45), np.cos(leans)]
@@ -144,15 +146,15 @@ def riding(height_m: float, saddle: Saddle) -> Skeleton:
     apart = np.linalg.norm(chests + np.array([0.0, _SHOULDER_OUT, 0.0]) * height_m - wrists[0], axis=1)
     up = ups[int(np.argmin(np.abs(apart - 0.88 * (_ARM + _FOREARM) * height_m)))]
     chest = hip + _TRUNK * height_m * up
-    shoulders = chest + _rows(0.0, side * _SHOULDER_OUT * height_m, 0.0)
-    elbows = _joint(shoulders, wrists, _ARM * height_m, _FOREARM * height_m, np.array([-0.3, 0.0, -1.0]))
-    elbows += _rows(0.0, 0.02 * side, 0.0)
-    neck, head = _above(height_m, chest, up)
+    shoulders = chest + _left_right_rows(0.0, side * _SHOULDER_OUT * height_m, 0.0)
+    elbows = _middle_joints(shoulders, wrists, _ARM * height_m, _FOREARM * height_m, np.array([-0.3, 0.0, -1.0]))
+    elbows += _left_right_rows(0.0, 0.02 * side, 0.0)
+    neck, head = _neck_and_head(height_m, chest, up)
     soles = np.tile([0.90, 0.0, -0.43], (2, 1))
     return Skeleton(hips, knees, ankles, soles, shoulders, elbows, wrists, neck, head, 0.0)
 
 
-def _joint(starts: Float64, ends: Float64, first_m: float, second_m: float, towards: Float64) -> Float64:
+def _middle_joints(starts: Float64, ends: Float64, first_m: float, second_m: float, towards: Float64) -> Float64:
     """Middle joints (N, 3) of two-bone limbs, bent towards a direction; a limb stretches as far as its bones reach."""
     way = ends - starts
     length = np.linalg.norm(way, axis=1, keepdims=True)

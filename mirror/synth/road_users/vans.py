@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from mirror.synth.model import Label, Material, Side
-from mirror.synth.road_users.body import Body, boxed
-from mirror.synth.road_users.coachwork.design import Design, dressed
-from mirror.synth.road_users.coachwork.fittings import car_paint
+from mirror.synth.road_users.body import Body, make_body
+from mirror.synth.road_users.coachwork.design import Design, build_vehicle
+from mirror.synth.road_users.coachwork.fittings import draw_car_paint
 from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
 from mirror.synth.road_users.coachwork.shell import PANE, End, Point, Shape
 from mirror.synth.textures.catalogue import LIVERIES
@@ -20,37 +20,37 @@ _WHITE = Finish((0.60, 0.60, 0.59), Material.PAINT)
 _BUMPER = Finish((0.05, 0.05, 0.052), Material.PLAIN)
 
 
-def van(rng: np.random.Generator) -> Body:
+def build_van(rng: np.random.Generator) -> Body:
     """Build a van of any kind."""
-    kinds = (delivery_van, compact_van, minibus)
+    kinds = (build_delivery_van, build_compact_van, build_minibus)
     return kinds[int(rng.choice(3, p=(0.55, 0.3, 0.15)))](rng)
 
 
-def delivery_van(rng: np.random.Generator) -> Body:
+def build_delivery_van(rng: np.random.Generator) -> Body:
     """Build a high-roofed van, mostly white, often with a company's image on its sides."""
     length, height = rng.uniform(5.4, 6.1), rng.uniform(2.42, 2.65)
-    design = drawn_van(
+    design = design_van(
         length, 2.0, height, waist=1.22, wheel=0.345, overhangs=(1.0, 1.02), cowl=0.12, screen_deg=44.0, nose=1.02
     )
-    return _van(rng, design, _WHITE if rng.random() < 0.65 else car_paint(rng), livery_m=(1.9, 0.55))
+    return _paint_van(rng, design, _WHITE if rng.random() < 0.65 else draw_car_paint(rng), livery_m=(1.9, 0.55))
 
 
-def compact_van(rng: np.random.Generator) -> Body:
+def build_compact_van(rng: np.random.Generator) -> Body:
     """Build a compact van on a car's wheels."""
     length, height = rng.uniform(4.3, 4.6), rng.uniform(1.80, 1.90)
-    design = drawn_van(
+    design = design_van(
         length, 1.82, height, waist=1.06, wheel=0.315, overhangs=(0.90, 0.75), cowl=-0.10, screen_deg=36.0, nose=0.86
     )
-    return _van(rng, design, _WHITE if rng.random() < 0.5 else car_paint(rng), livery_m=(1.1, 0.5))
+    return _paint_van(rng, design, _WHITE if rng.random() < 0.5 else draw_car_paint(rng), livery_m=(1.1, 0.5))
 
 
-def minibus(rng: np.random.Generator) -> Body:
+def build_minibus(rng: np.random.Generator) -> Body:
     """Build a van with seats and windows along its whole length."""
-    design = drawn_van(
+    design = design_van(
         rng.uniform(4.9, 5.3), 1.93, rng.uniform(1.94, 2.02),
         waist=1.10, wheel=0.335, overhangs=(0.92, 0.98), cowl=-0.02, screen_deg=38.0, nose=0.90,
     )  # fmt: skip
-    sheets = dressed(rng, design, car_paint(rng), Label.VAN)
+    sheets = build_vehicle(rng, design, draw_car_paint(rng), Label.VAN)
     shape = design.shape
     low, high = shape.waist_m + 0.05, shape.rail_m - 0.03
     ahead = shape.door_m[0] - 0.06
@@ -68,23 +68,23 @@ def minibus(rng: np.random.Generator) -> Body:
         lift_m=0.004,
         both=True,
     )
-    return boxed("van", sheets.model())
+    return make_body("van", sheets.model())
 
 
-def _van(rng: np.random.Generator, design: Design, coat: Finish, livery_m: tuple[float, float]) -> Body:
+def _paint_van(rng: np.random.Generator, design: Design, coat: Finish, livery_m: tuple[float, float]) -> Body:
     """Paint a van; two of three get an image on their sides, sized by a width and a share of the sides' height."""
-    sheets = dressed(rng, design, coat, Label.VAN)
+    sheets = build_vehicle(rng, design, coat, Label.VAN)
     if rng.random() < 0.65:
         shape = design.shape
         middle = 0.5 * (shape.rear_window(shape.waist_m) + shape.door_m[0]) - 0.05
         tall = 0.5 * livery_m[0]
         low = 0.5 * (shape.waist_m + shape.rail_m) - livery_m[1] * tall
         ends = (middle - 0.5 * livery_m[0], middle + 0.5 * livery_m[0])
-        livery(sheets, shape, ends, (low, min(low + tall, shape.rail_m - 0.02)), int(rng.choice(LIVERIES)))
-    return boxed("van", sheets.model())
+        add_livery(sheets, shape, ends, (low, min(low + tall, shape.rail_m - 0.02)), int(rng.choice(LIVERIES)))
+    return make_body("van", sheets.model())
 
 
-def livery(sheets: Sheets, shape: Shape, ends_m: Point, heights_m: Point, image: int) -> None:
+def add_livery(sheets: Sheets, shape: Shape, ends_m: Point, heights_m: Point, image: int) -> None:
     """Add an image on both sides of the greenhouse, between two x positions and two heights."""
     finish = Finish((0.7, 0.7, 0.7), Material.IMAGE, image=image)
     (back, front), (low, high) = ends_m, heights_m
@@ -93,7 +93,7 @@ def livery(sheets: Sheets, shape: Shape, ends_m: Point, heights_m: Point, image:
     sheets.sheet(left * (1.0, -1.0, 1.0), Side.RIGHT, finish, lift_m=0.004)
 
 
-def drawn_van(
+def design_van(
     length: float,
     width: float,
     height: float,

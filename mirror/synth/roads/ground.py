@@ -17,7 +17,7 @@ import numpy as np
 import shapely
 
 from mirror.arrays import AnyArray, Bool, Float64, Int64
-from mirror.synth.model import Label, Material, Model, merged, polygons
+from mirror.synth.model import Label, Material, Model, merge_models, polygons
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.relief import Relief
 from mirror.synth.roads.section import Section
@@ -199,7 +199,7 @@ def build_ground(
     for which, cover in enumerate(parcels):
         mine = dealt == which
         parts.append(_cover_model(cover, triangles[free][mine], texture[mine], shade[mine, None], seed + which))
-    return Ground(merged(parts), triangles, roads)
+    return Ground(merge_models(parts), triangles, roads)
 
 
 def _triangulate(lines: Sequence[shapely.Geometry]) -> tuple[Float64, Int64]:

@@ -15,7 +15,7 @@ import numpy as np
 from mirror.arrays import Records
 from mirror.errors import UsageError
 from mirror.synth.model import Material, Model
-from mirror.synth.model.surfaces import joined
+from mirror.synth.model.surfaces import join_parts
 
 MOST_MARKS: Final = 32
 FAR_M: Final = 1e6
@@ -162,7 +162,7 @@ def restrict_layouts(model: Model, table: Records) -> tuple[Model, Records]:
     Returns:
         The model with new layout indices, and the new table.
     """
-    faces, corners = joined([model.faces]), model.corners
+    faces, corners = join_parts([model.faces]), model.corners
     paved = np.flatnonzero(faces["material"] == Material.ASPHALT)
     if not len(paved):
         return model, table

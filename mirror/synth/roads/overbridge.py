@@ -10,7 +10,7 @@ import numpy.typing as npt
 import shapely
 
 from mirror.arrays import Float64
-from mirror.synth.model import Label, Material, Model, block, merged, polygon
+from mirror.synth.model import Label, Material, Model, block, merge_models, polygon
 from mirror.synth.roads.crossing import Street
 from mirror.synth.roads.section import COUNTRY_ROAD
 
@@ -73,7 +73,7 @@ def build_overbridge(street: Street, station_m: float, height_m: float) -> Overb
     ]  # fmt: skip
     x, y = street.line.at(station_m)
     yaw = float(street.line.heading(station_m)) + 0.5 * np.pi
-    model = merged(parts).place(float(x), float(y), height_m, yaw)
+    model = merge_models(parts).place(float(x), float(y), height_m, yaw)
     low = model.corners[model.corners[:, 2] < height_m - 1.5]
     return Overbridge(model, shapely.convex_hull(shapely.multipoints(low[:, :2])))
 
@@ -94,7 +94,7 @@ def _build_embankment(span_m: float) -> Model:
     near: Float64 = np.array([(span_m, side * _HALF_M, high) for side in (-1.0, 1.0)])
     foot: Float64 = np.array([(foot_x, side * foot_y, low) for side in (-1.0, 1.0)])
     far: Float64 = np.array([(end, side * _HALF_M, low) for side in (-1.0, 1.0)])
-    return merged(
+    return merge_models(
         [
             polygon(crest(-half, half), COUNTRY_ROAD.colour, Material.ASPHALT, Label.ROAD, seed=9),
             grass(crest(-_HALF_M, -half)),

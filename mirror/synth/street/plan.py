@@ -13,7 +13,7 @@ import shapely
 from mirror.arrays import Bool, Float64, Records
 from mirror.errors import UsageError
 from mirror.schema.documents import Roi
-from mirror.synth.model import Model, merged
+from mirror.synth.model import Model, merge_models
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.ground import build_ground, merge_outlines
 from mirror.synth.roads.ground_index import GroundIndex, build_ground_index
@@ -138,7 +138,7 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
     for geometry in (taken, built):
         shapely.prepare(geometry)
     return Plan(
-        roi, kind, yaw, streets, crossings, merged(surfaces), layouts.table,
+        roi, kind, yaw, streets, crossings, merge_models(surfaces), layouts.table,
         build_network(streets, crossings, feet, ground_index.height_m), lots,
         place_spots(streets, crossings, kind, shapely.union_all([roads.carriageway, *squares]), ground_index, spot_rng),
         place_rails(streets, layouts.stations, kind, ground_index), ground_index, roads.carriageway, taken, built,

@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
-from mirror.synth.model import Label, Material, Model, block, merged, polygons
+from mirror.synth.model import Label, Material, Model, block, merge_models, polygons
 from mirror.synth.model.batches import ellipsoids, tubes
 from mirror.synth.street.foliage import Colour, Species, draw_leaf_seeds
 
@@ -123,7 +123,7 @@ def build_tree(rng: np.random.Generator, kind: Kind, *, road_m: float = math.inf
     leaf = np.array(habit.leaf) * rng.uniform(0.85, 1.15) * rng.uniform(0.92, 1.08, 3)
     seeds = draw_leaf_seeds(rng, habit.species, habit.leaves + len(centres))
     crown = _spray_model(rng, centres, halves, habit.leaves, habit.narrow, habit.hang, leaf, seeds, road_m)
-    return merged([wood, crown, _inside_model(centres, halves, leaf, seeds[habit.leaves :])])
+    return merge_models([wood, crown, _inside_model(centres, halves, leaf, seeds[habit.leaves :])])
 
 
 def build_bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
@@ -140,7 +140,7 @@ def build_bush(rng: np.random.Generator, *, evergreen: bool = False) -> Model:
     if not evergreen:
         roots = np.c_[0.3 * spots, np.full(4, -0.1)]
         parts.append(_twig_model(rng, species, _BROWN, centres, halves, roots))
-    return merged(parts)
+    return merge_models(parts)
 
 
 def build_hedge(rng: np.random.Generator, length_m: float, height_m: float = 1.3, width_m: float = 0.7) -> Model:
@@ -164,7 +164,7 @@ def build_hedge(rng: np.random.Generator, length_m: float, height_m: float = 1.3
     least, most = [-0.5 * length_m, -0.5 * width_m, 0.0], extent
     corners += np.maximum(least - corners.min(axis=1), 0.0)[:, None]
     corners -= np.maximum(corners.max(axis=1) - most, 0.0)[:, None]
-    return merged([inside, _leaf_model(rng, corners, leaf * _height_shade(places[:, 2], height_m), seeds)])
+    return merge_models([inside, _leaf_model(rng, corners, leaf * _height_shade(places[:, 2], height_m), seeds)])
 
 
 def build_crops(rng: np.random.Generator, length_m: float) -> Model:
@@ -323,8 +323,8 @@ def _wood_model(rng: np.random.Generator, habit: _Habit, height: float, centres:
         Material.BARK, Label.VEGETATION, corners=3,
     )  # fmt: skip
     if habit.species == Species.EVERGREEN:
-        return merged([trunk, limbs])
-    return merged([trunk, limbs, _twig_model(rng, habit.species, habit.bark, centres, halves, starts)])
+        return merge_models([trunk, limbs])
+    return merge_models([trunk, limbs, _twig_model(rng, habit.species, habit.bark, centres, halves, starts)])
 
 
 def _twig_model(

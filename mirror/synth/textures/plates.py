@@ -11,7 +11,7 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.synth.textures.catalogue import PLATES
-from mirror.synth.textures.images.drawing import disc, plain, rounded
+from mirror.synth.textures.images.drawing import disc, new_image, rounded_rectangle
 from mirror.synth.textures.images.lettering import letter
 
 _LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ"
@@ -92,9 +92,9 @@ def plate_image(number: int, wide: int = 256, high: int = 64) -> UInt8:
 @cache
 def _blank(country: str) -> UInt8:
     """Draw a plate without characters."""
-    image = plain(round(_WIDE_MM * _SCALE), round(_HIGH_MM * _SCALE), _BLACK)
-    rounded(image, (3 * _SCALE, 3 * _SCALE, 517 * _SCALE, 107 * _SCALE), 7 * _SCALE, _WHITE)
-    rounded(image, (4 * _SCALE, 4 * _SCALE, 43 * _SCALE, 106 * _SCALE), 6 * _SCALE, _BLUE)
+    image = new_image(round(_WIDE_MM * _SCALE), round(_HIGH_MM * _SCALE), _BLACK)
+    rounded_rectangle(image, (3 * _SCALE, 3 * _SCALE, 517 * _SCALE, 107 * _SCALE), 7 * _SCALE, _WHITE)
+    rounded_rectangle(image, (4 * _SCALE, 4 * _SCALE, 43 * _SCALE, 106 * _SCALE), 6 * _SCALE, _BLUE)
     for angle in np.arange(12) * (np.pi / 6):
         x, y = (23.5 + 12 * np.sin(angle)) * _SCALE, (32 + 12 * np.cos(angle)) * _SCALE
         disc(image, x, y, 2.2 * _SCALE, _YELLOW)
@@ -106,6 +106,6 @@ def _blank(country: str) -> UInt8:
 def _character(sign: str) -> UInt8:
     """Draw a letter or a digit on white."""
     width = (_LETTER_MM if sign.isalpha() else _DIGIT_MM) * _SCALE
-    image = plain(round(width), round(_TALL_MM * _SCALE), _WHITE)
+    image = new_image(round(width), round(_TALL_MM * _SCALE), _WHITE)
     letter(image, sign, (0.0, 0.0, width, _TALL_MM * _SCALE), _BLACK, _STROKE_MM * _SCALE)
     return image

@@ -114,12 +114,14 @@ def _cast_faces(
             t = -above / slope
             if t >= distance[r]:
                 continue
-            if _within(corners, first[f], count[f], normal[f], origin, rays[r], t):
+            if _is_inside(corners, first[f], count[f], normal[f], origin, rays[r], t):
                 distance[r], index[r] = t, f
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _within(corners: Float64, first: int, count: int, normal: Float64, origin: Float64, ray: Float64, t: float) -> bool:
+def _is_inside(
+    corners: Float64, first: int, count: int, normal: Float64, origin: Float64, ray: Float64, t: float
+) -> bool:
     """Whether a point in the plane of a face is inside the face: on the inner side of all its edges."""
     x, y, z = origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2]
     last = first + count - 1

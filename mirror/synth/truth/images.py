@@ -39,7 +39,7 @@ class Encoding:
     decode: Callable[[bytes], AnyArray | None]
 
 
-def _archive(name: str) -> Encoding:
+def _archive_encoding(name: str) -> Encoding:
     def encode(values: AnyArray) -> bytes:
         array, archive = io.BytesIO(), io.BytesIO()
         np.save(array, np.ascontiguousarray(values, np.float32), allow_pickle=False)
@@ -60,13 +60,13 @@ def _archive(name: str) -> Encoding:
     return Encoding(".npz", encode, decode)
 
 
-def _png(data: AnyArray) -> bytes:
+def _encode_png(data: AnyArray) -> bytes:
     import cv2
 
     return bytes(cv2.imencode(".png", data)[1])
 
 
-def _from_png(kind: type[np.uint8] | type[np.uint16], channels: int) -> Callable[[bytes], AnyArray | None]:
+def _png_decoder(kind: type[np.uint8] | type[np.uint16], channels: int) -> Callable[[bytes], AnyArray | None]:
     def decode(data: bytes) -> AnyArray | None:
         import cv2
 
@@ -80,11 +80,11 @@ def _from_png(kind: type[np.uint8] | type[np.uint16], channels: int) -> Callable
 
 def _encode_normals(normals: AnyArray) -> bytes:
     steps = np.where(np.isfinite(normals), np.round((normals + 1.0) * _STEPS), 0.0).astype(np.uint16)
-    return _png(steps[..., ::-1])
+    return _encode_png(steps[..., ::-1])
 
 
 def _decode_normals(data: bytes) -> Float32 | None:
-    steps = _from_png(np.uint16, 3)(data)
+    steps = _png_decoder(np.uint16, 3)(data)
     if steps is None:
         return None
     normals = steps[..., ::-1].astype(np.float32) / np.float32(_STEPS) - 1
@@ -93,11 +93,11 @@ def _decode_normals(data: bytes) -> Float32 | None:
 
 
 KINDS: Final[Mapping[Kind, Encoding]] = {
-    "depth": _archive("distance_m"),
+    "depth": _archive_encoding("distance_m"),
     "normals": Encoding(".png", _encode_normals, _decode_normals),
-    "semantic": Encoding(".png", lambda labels: _png(labels.astype(np.uint8)), _from_png(np.uint8, 1)),
-    "instance": Encoding(".png", lambda objects: _png(objects.astype(np.uint16)), _from_png(np.uint16, 1)),
-    "flow": _archive("flow_px"),
+    "semantic": Encoding(".png", lambda labels: _encode_png(labels.astype(np.uint8)), _png_decoder(np.uint8, 1)),
+    "instance": Encoding(".png", lambda objects: _encode_png(objects.astype(np.uint16)), _png_decoder(np.uint16, 1)),
+    "flow": _archive_encoding("flow_px"),
 }
 """The encoding of each kind of truth.
 

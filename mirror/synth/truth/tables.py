@@ -13,7 +13,7 @@ def _field(name: str, kind: pa.DataType, doc: str, *, null: bool = False) -> pa.
     return pa.field(name, kind, nullable=null, metadata={"doc": doc})
 
 
-def _pose(src: str) -> list[pa.Field]:
+def _pose_fields(src: str) -> list[pa.Field]:
     return [
         _field("qw", pa.float64(), f"Unit quaternion, scalar part, >= 0, of world_SE3_{src}."),
         *(_field(f"q{axis}", pa.float64(), f"Unit quaternion, {axis}.") for axis in "xyz"),
@@ -30,7 +30,7 @@ POSES: Final = Table(
             _field("body", KEY, "`ego`, or the camera's name."),
             _field("timestamp_ns", pa.int64(), "As recorded: of the pose, or of the picture's mid-exposure."),
             _field("true_ns", pa.int64(), "When that truly was: other than recorded where the camera's clock is off."),
-            *_pose("body"),
+            *_pose_fields("body"),
         ]
     ),
     sorted_by=("body", "timestamp_ns"),
@@ -46,7 +46,7 @@ BOXES: Final = Table(
             _field("timestamp_ns", pa.int64(), "The picture's mid-exposure as recorded."),
             _field("track_id", KEY, "The road user, as in boxes.parquet."),
             _field("category", KEY, "Its class."),
-            *_pose("box"),
+            *_pose_fields("box"),
             _field("length_m", pa.float64(), "Extent along the box's x."),
             _field("width_m", pa.float64(), "Extent along the box's y."),
             _field("height_m", pa.float64(), "Extent along the box's z."),

@@ -26,10 +26,10 @@ _APART_NS: Final = 500_000_000
 def world_SE3_boxes(road_users: Sequence[RoadUser], placements: Sequence[Placement]) -> Poses:  # noqa: N802
     """Return the poses (N,) of the road users' boxes: the origin is the middle of the box, the axes are the body's."""
     rows = [(one.x_m, one.y_m, one.z_m, one.yaw_rad, one.pitch_rad, one.roll_rad) for one in placements]
-    return _boxes(np.array(rows).reshape(-1, 6), np.array([user.body.size_m[2] for user in road_users]))
+    return _fit_boxes(np.array(rows).reshape(-1, 6), np.array([user.body.size_m[2] for user in road_users]))
 
 
-def _boxes(placed: Float64, height_m: Float64) -> Poses:
+def _fit_boxes(placed: Float64, height_m: Float64) -> Poses:
     """Box poses of placements (N, 6): x, y, z, yaw, pitch, roll."""
     yaw, pitch, roll = np.degrees(placed[:, 3:]).T
     body = Poses(quaternion_from_heading_pitch_roll(90.0 - yaw, pitch, roll), placed[:, :3])
@@ -38,7 +38,7 @@ def _boxes(placed: Float64, height_m: Float64) -> Poses:
     return body @ Poses(np.tile((1.0, 0.0, 0.0, 0.0), (len(placed), 1)), up)
 
 
-def box_rows(
+def make_box_rows(
     road_users: Sequence[RoadUser], placements: Sequence[Placement], world_SE3_ego: Poses, timestamp_ns: int
 ) -> pa.Table:
     """Return the rows of the ``boxes`` table for road users at one instant.
@@ -50,7 +50,7 @@ def box_rows(
         timestamp_ns: timestamp of the rows.
     """
     speed = np.array([one.speed_mps for one in placements])
-    return _table(
+    return _make_table(
         road_users, np.full(len(road_users), timestamp_ns), world_SE3_ego[np.zeros(len(road_users), np.int64)],
         world_SE3_boxes(road_users, placements), speed,
     )  # fmt: skip
@@ -70,10 +70,10 @@ def boxes_in_view(drive: SynthDrive, schedule: ImageSchedule) -> pa.Table:
     for user in drive.road_users:
         placed, speed = drive.placements(user, true)
         rows = np.flatnonzero(np.linalg.norm(placed[:, :2] - ego.translation[:, :2], axis=1) < _FARTHEST_M)
-        boxes = _boxes(placed[rows], np.full(len(rows), user.body.size_m[2]))
+        boxes = _fit_boxes(placed[rows], np.full(len(rows), user.body.size_m[2]))
         seen = _in_view(drive, ego[rows].inverse() @ boxes, user.body.size_m)
         kept = rows[seen]
-        parts.append(_table([user] * len(kept), recorded[kept], ego[kept], boxes[seen], speed[kept]))
+        parts.append(_make_table([user] * len(kept), recorded[kept], ego[kept], boxes[seen], speed[kept]))
     return pa.concat_tables(parts)
 
 
@@ -95,7 +95,7 @@ def least_px(drive: SynthDrive) -> float:
     return max(4.0, LEAST_SHARE * camera.width_px * camera.height_px)
 
 
-def _table(
+def _make_table(
     road_users: Sequence[RoadUser], timestamp_ns: Int64, world_SE3_ego: Poses, world_SE3_box: Poses, speed_mps: Float64
 ) -> pa.Table:
     count = len(road_users)

@@ -19,7 +19,7 @@ from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.on_demand.png import stored_png_length
 from mirror.synth.on_demand.uri import ImageName
-from mirror.synth.writing.boxes import box_rows, boxes_in_view, least_px
+from mirror.synth.writing.boxes import boxes_in_view, least_px, make_box_rows
 from mirror.synth.writing.schedule import ImageSchedule
 from mirror.synth.writing.truth import TruthKind, TruthRequest, write_image_truth
 
@@ -86,7 +86,7 @@ def _write_frame_images(
             frame.truth_boxes += write_image_truth(folder, drive, kinds, request, instant, image)
     shown = [key for key in placements if seen[key] >= least_px(drive)]
     frame.unseen = len(placements) - len(shown)
-    frame.boxes = box_rows(
+    frame.boxes = make_box_rows(
         [road_users[key] for key in shown], [placements[key] for key in shown],
         drive.world_SE3_ego(np.array([reference_ns])), box_ns,
     )  # fmt: skip

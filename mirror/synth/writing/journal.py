@@ -53,7 +53,7 @@ class SynthDocument(Document):
 
 
 class Journal:
-    """Keeps track of the complete recordings of a folder; see `journal`."""
+    """Keeps track of the complete recordings of a folder; see `open_journal`."""
 
     def __init__(self, out: Path, document: SynthDocument) -> None:
         self._out, self._document = out, document
@@ -76,7 +76,7 @@ class Journal:
 
 
 @contextmanager
-def journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
+def open_journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
     """Lock a folder of recordings for this process while the block runs.
 
     Args:

@@ -21,7 +21,7 @@ from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.light.condition import Effects
 from mirror.synth.writing.images import FrameImages, write_cameras, write_image_references, write_images
-from mirror.synth.writing.journal import Counts, journal
+from mirror.synth.writing.journal import Counts, open_journal
 from mirror.synth.writing.poses import pose_stamps, write_poses
 from mirror.synth.writing.schedule import ImageSchedule, schedule_images
 from mirror.synth.writing.truth import RENDERED, TruthKind, write_truth
@@ -125,7 +125,7 @@ def write_recordings(
         "truth": ",".join(sorted(set(truth))),
     }
     written = SynthReport()
-    with journal(out, arguments) as done, thread_pool(workers or os.cpu_count() or 1) as pool:
+    with open_journal(out, arguments) as done, thread_pool(workers or os.cpu_count() or 1) as pool:
         write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
         missing = [drive for drive in drives if done.find_complete(drive.drive_id) is None]
         ahead = [pool.submit(_simulate, drive) for drive in missing[:1]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mirror.synth.render.develop.camera_response import CameraResponse, draw_camera_response
 from mirror.synth.render.develop.developing import develop
-from mirror.synth.render.develop.drops import lens_drops
+from mirror.synth.render.develop.drops import draw_lens_drops
 from mirror.synth.render.develop.exposure import compute_exposure
 from mirror.synth.render.develop.motion import ImageJacobian, compute_image_jacobian, compute_image_motion
 
@@ -16,5 +16,5 @@ __all__ = [
     "compute_image_motion",
     "develop",
     "draw_camera_response",
-    "lens_drops",
+    "draw_lens_drops",
 ]

@@ -101,7 +101,7 @@ def _film(
     row_spilt = np.zeros((max(QUARTER * spilt.shape[1], width), 3), np.float32)
     for row in range(height):
         if glares:
-            _upsampled(spilt, row, between, row_spilt)
+            _upsample(spilt, row, between, row_spilt)
         y = np.float32(row + 0.5 - 0.5 * height)
         for column in range(width):
             x = np.float32(column + 0.5 - 0.5 * width)
@@ -139,7 +139,7 @@ def _film(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _upsampled(small: Float32, row: int, between: Float32, out: Float32) -> None:
+def _upsample(small: Float32, row: int, between: Float32, out: Float32) -> None:
     """Upsample one row to full resolution, bilinearly between the middles of blocks.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from mirror.synth.model import Side
-from mirror.synth.road_users.coachwork.fittings import BLACK, HEADLIGHT, STEEL_RIM, number_plate, wheel
+from mirror.synth.road_users.coachwork.fittings import BLACK, HEADLIGHT, STEEL_RIM, add_number_plate, add_wheels
 from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
 from mirror.synth.road_users.coachwork.shell import DARK, DARK_PANE, PANE
 
@@ -32,7 +32,7 @@ class Cab(NamedTuple):
         return self.front - 1.36
 
 
-def cab_body(sheets: Sheets, cab: Cab, coat: Finish, bumper: Finish) -> None:
+def add_cab_body(sheets: Sheets, cab: Cab, coat: Finish, bumper: Finish) -> None:
     """Add front, corners, flanks, windows and steps."""
     half, inner = 0.5 * WIDTH_M, 0.5 * WIDTH_M - _CORNER_M
     waist, brow = 1.72, cab.high - 0.32
@@ -76,7 +76,7 @@ def cab_body(sheets: Sheets, cab: Cab, coat: Finish, bumper: Finish) -> None:
     sheets.sheet(grille, Side.FRONT, BLACK, lift_m=0.004)
 
 
-def cab_fittings(sheets: Sheets, cab: Cab, number: int) -> None:
+def add_cab_fittings(sheets: Sheets, cab: Cab, number: int) -> None:
     """Add lamps, wheels, mirrors and a plate."""
     half = 0.5 * WIDTH_M
     lamps = [
@@ -84,13 +84,13 @@ def cab_fittings(sheets: Sheets, cab: Cab, number: int) -> None:
         for y, z in ((0.60, 0.62), (0.98, 0.62), (0.98, 0.84), (0.60, 0.84))
     ]
     sheets.sheet(lamps, Side.FRONT, HEADLIGHT, lift_m=0.004, both=True)
-    number_plate(sheets, (cab.front + 0.012, 0.0, 0.72), Side.FRONT, number)
-    wheel(sheets, cab.axle, half - 0.03, cab.wheel, 0.32, rim=STEEL_RIM, open_deg=124.0, treads=3)
+    add_number_plate(sheets, (cab.front + 0.012, 0.0, 0.72), Side.FRONT, number)
+    add_wheels(sheets, cab.axle, half - 0.03, cab.wheel, 0.32, rim=STEEL_RIM, open_deg=124.0, treads=3)
     x, y = cab.front - 0.42, half + 0.10
     sheets.block((x, y, 2.02), (x + 0.12, y + 0.20, 2.62), BLACK, _ALL, both=True)
 
 
-def spoiler(sheets: Sheets, cab: Cab, coat: Finish) -> None:
+def add_spoiler(sheets: Sheets, cab: Cab, coat: Finish) -> None:
     """Add a roof spoiler that rises to the trailer's height."""
     half, low, high = 0.5 * WIDTH_M - 0.06, cab.high, 3.82
     foot, top = cab.front - 0.50, cab.back + 0.45

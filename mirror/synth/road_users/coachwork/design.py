@@ -12,16 +12,16 @@ from mirror.synth.road_users.coachwork.fittings import (
     BLACK,
     HEADLIGHT,
     TAIL_LIGHT,
-    insert,
-    lamp,
-    mirrors,
-    number_plate,
-    plates,
-    rim,
-    wheel,
+    add_insert,
+    add_lamps,
+    add_mirrors,
+    add_number_plate,
+    add_wheels,
+    draw_plate_number,
+    draw_rim,
 )
 from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
-from mirror.synth.road_users.coachwork.shell import DARK, PANE, End, Point, Shape, pane, shell
+from mirror.synth.road_users.coachwork.shell import DARK, PANE, End, Point, Shape, add_shell, window_corners
 
 
 @dataclass(frozen=True)
@@ -56,56 +56,56 @@ class Design:
     mirrors_painted: bool = True
 
 
-def dressed(rng: np.random.Generator, design: Design, coat: Finish, label: Label) -> Sheets:
+def build_vehicle(rng: np.random.Generator, design: Design, coat: Finish, label: Label) -> Sheets:
     """Build a complete vehicle in its paint."""
     shape = design.shape
     sheets = Sheets(label, int(rng.integers(1 << 30)))
-    bodied(sheets, design, coat)
-    _face(sheets, design)
-    metal = rim(rng)
+    add_body(sheets, design, coat)
+    _add_face(sheets, design)
+    metal = draw_rim(rng)
     for x in shape.axles_m:
-        wheel(sheets, x, 0.5 * shape.width_m - 0.022, shape.wheel_m, 0.6 * shape.wheel_m, rim=metal)
-    number = plates(rng)
+        add_wheels(sheets, x, 0.5 * shape.width_m - 0.022, shape.wheel_m, 0.6 * shape.wheel_m, rim=metal)
+    number = draw_plate_number(rng)
     middle = shape.levels_m[1]
-    number_plate(sheets, (shape.front.reach_m + 0.012, 0.0, middle - 0.02), Side.FRONT, number)
+    add_number_plate(sheets, (shape.front.reach_m + 0.012, 0.0, middle - 0.02), Side.FRONT, number)
     x = float(shape.face(shape.back, 0.0, max(design.rear_plate_m - 0.06, middle))[0])
-    number_plate(sheets, (x - 0.012, 0.0, design.rear_plate_m), Side.BACK, number)
+    add_number_plate(sheets, (x - 0.012, 0.0, design.rear_plate_m), Side.BACK, number)
     place = (
         shape.roof[0][0] - design.mirror_m[0],
         shape.side_m(shape.waist_m) + 0.12,
         shape.waist_m + design.mirror_m[1],
     )
-    mirrors(sheets, place, coat if design.mirrors_painted else BLACK)
+    add_mirrors(sheets, place, coat if design.mirrors_painted else BLACK)
     return sheets
 
 
-def bodied(sheets: Sheets, design: Design, coat: Finish) -> None:
+def add_body(sheets: Sheets, design: Design, coat: Finish) -> None:
     """Add the body with its windows."""
     shape = design.shape
-    shell(sheets, shape, coat, sill=design.sill or coat, deck=design.deck or coat)
+    add_shell(sheets, shape, coat, sill=design.sill or coat, deck=design.deck or coat)
     corners = [shape.side(*point) for point in design.windows]
     sheets.sheet(corners, Side.LEFT, PANE._replace(panel=shape.doors), texture=shape.shown, lift_m=0.004, both=True)
     foot, top = shape.waist_m, shape.roof[-2][1]
     low = foot + design.rear_window * (top - foot)
-    behind = pane(shape, shape.rear_window, low, top - 0.05, design.rear_inset_m)
+    behind = window_corners(shape, shape.rear_window, low, top - 0.05, design.rear_inset_m)
     sheets.sheet(behind, Side.BACK, PANE, lift_m=0.004)
 
 
-def _face(sheets: Sheets, design: Design) -> None:
+def _add_face(sheets: Sheets, design: Design) -> None:
     """Add lamps, grille and air intakes."""
     shape = design.shape
     front, back = shape.front, shape.back
     low, middle = shape.levels_m[:2]
     under, over = design.headlights_m
-    lamp(sheets, shape, front, HEADLIGHT, (under, over), inner=0.62, wrap=0.85, rise_m=0.03, slant_m=0.03)
-    insert(sheets, shape, front, BLACK, (under - 0.06, over - 0.01), (0.5, 0.58))
-    insert(sheets, shape, front, BLACK, (low + 0.05, middle - 0.09), (0.85, 0.7))
+    add_lamps(sheets, shape, front, HEADLIGHT, (under, over), inner=0.62, wrap=0.85, rise_m=0.03, slant_m=0.03)
+    add_insert(sheets, shape, front, BLACK, (under - 0.06, over - 0.01), (0.5, 0.58))
+    add_insert(sheets, shape, front, BLACK, (low + 0.05, middle - 0.09), (0.85, 0.7))
     under, over = design.tail_lights_m
-    lamp(sheets, shape, back, TAIL_LIGHT, (under, over), inner=0.58, wrap=0.9, rise_m=0.01, slant_m=0.03)
-    insert(sheets, shape, back, DARK, (low + 0.01, low + 0.45 * (middle - low)), (0.9, 0.8))
+    add_lamps(sheets, shape, back, TAIL_LIGHT, (under, over), inner=0.58, wrap=0.9, rise_m=0.01, slant_m=0.03)
+    add_insert(sheets, shape, back, DARK, (low + 0.01, low + 0.45 * (middle - low)), (0.9, 0.8))
 
 
-def drawn(
+def design_car(
     length: float,
     width: float,
     height: float,

@@ -42,14 +42,14 @@ _PAINTS: Final[tuple[tuple[float, tuple[float, float, float]], ...]] = (
 )
 
 
-def car_paint(rng: np.random.Generator) -> Finish:
+def draw_car_paint(rng: np.random.Generator) -> Finish:
     """Draw a car's paint with the shares of newly registered cars."""
     shares = np.array([share for share, _ in _PAINTS])
     colour = np.array(_PAINTS[int(rng.choice(len(_PAINTS), p=shares / shares.sum()))][1])
     return Finish(tuple(np.clip(colour * rng.uniform(0.85, 1.15), 0.0, 0.68)), Material.PAINT)
 
 
-def wheel(
+def add_wheels(
     sheets: Sheets,
     x: float,
     outer_m: float,
@@ -82,21 +82,21 @@ def wheel(
         for low, high in pairwise(angles):
             ends = [(x + sign * reach * math.sin(angle), radius_m - reach * math.cos(angle)) for angle in (low, high)]
             corners = [
-                (ex, y, ez) for (ex, ez), ys in zip(ends, ((0, 1), (1, 0))) for y in _between(outer_m, width_m, ys)
+                (ex, y, ez) for (ex, ez), ys in zip(ends, ((0, 1), (1, 0))) for y in _tread_sides(outer_m, width_m, ys)
             ]
             sheets.sheet(corners, side, RUBBER, both=True)
 
 
-def _between(outer_m: float, width_m: float, order: tuple[int, int]) -> list[float]:
+def _tread_sides(outer_m: float, width_m: float, order: tuple[int, int]) -> list[float]:
     return [outer_m - width_m * share for share in order]
 
 
-def rim(rng: np.random.Generator) -> Finish:
+def draw_rim(rng: np.random.Generator) -> Finish:
     """Draw a rim: light alloy, or less often black."""
     return _DARK_RIM if rng.random() < 0.22 else RIM._replace(colour=tuple(np.full(3, rng.uniform(0.26, 0.46))))
 
 
-def lamp(
+def add_lamps(
     sheets: Sheets,
     shape: Shape,
     end: End,
@@ -135,7 +135,7 @@ def lamp(
     sheets.sheet(round_, side, finish, lift_m=0.004, both=True)
 
 
-def insert(
+def add_insert(
     sheets: Sheets,
     shape: Shape,
     end: End,
@@ -152,7 +152,7 @@ def insert(
     sheets.sheet([low, low * mirror, high * mirror, high], side, finish, lift_m=lift_m)
 
 
-def number_plate(sheets: Sheets, middle: Sequence[float], side: Side, number: int, *, share: float = 1.0) -> None:
+def add_number_plate(sheets: Sheets, middle: Sequence[float], side: Side, number: int, *, share: float = 1.0) -> None:
     """Add an upright number plate that faces forwards or backwards; ``share`` is its size relative to a car's."""
     x, y, z = middle
     half, tall = 0.5 * share * PLATE_M[0], 0.5 * share * PLATE_M[1]
@@ -160,12 +160,14 @@ def number_plate(sheets: Sheets, middle: Sequence[float], side: Side, number: in
     sheets.sheet(corners, side, Finish((0.8, 0.8, 0.8), Material.IMAGE, image=number))
 
 
-def plates(rng: np.random.Generator) -> int:
+def draw_plate_number(rng: np.random.Generator) -> int:
     """Draw the number of a plate."""
     return int(rng.choice(PLATES))
 
 
-def mirrors(sheets: Sheets, place: Sequence[float], finish: Finish, size: Sequence[float] = (0.12, 0.20, 0.14)) -> None:
+def add_mirrors(
+    sheets: Sheets, place: Sequence[float], finish: Finish, size: Sequence[float] = (0.12, 0.20, 0.14)
+) -> None:
     """Add outside mirrors, with the centres of their housings at a position on the left and at its mirror image."""
     x, y, z = place
     for side in (y, -y):

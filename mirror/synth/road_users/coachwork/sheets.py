@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float64
-from mirror.synth.model import Label, Material, Model, Side, merged
+from mirror.synth.model import Label, Material, Model, Side, merge_models
 from mirror.synth.model.shapes import polygons
 from mirror.synth.model.surfaces import NO_IMAGE
 
@@ -106,10 +106,10 @@ class Sheets:
                 reversed.
         """
         points = np.asarray(corners, np.float64)
-        normal = _normal(points)
+        normal = _unit_normal(points)
         if normal @ _TOWARDS[side] < 0.0:
             points, normal = points[::-1], -normal
-        shown = _plain(points, normal) if texture is None else texture(points)
+        shown = _plain_texture(points, normal) if texture is None else texture(points)
         points = points + lift_m * normal
         self._sheets.append(_Sheet(points, side, finish, shown))
         if both:
@@ -159,13 +159,13 @@ class Sheets:
             part.faces["image"] = [one.finish.image for one in some]
             part.faces["two_sided"] = [one.finish.two_sided for one in some]
             parts.append(part)
-        return merged([*parts, *self._models])
+        return merge_models([*parts, *self._models])
 
 
 # Bodies have hundreds of small sheets, so numpy's overhead per sheet would dominate; plain Python is faster.
 
 
-def _normal(points: Float64) -> Float64:
+def _unit_normal(points: Float64) -> Float64:
     (x0, y0, z0), *others = points.tolist()
     nx = ny = nz = ax = ay = az = 0.0
     for x, y, z in others:
@@ -176,7 +176,7 @@ def _normal(points: Float64) -> Float64:
     return np.array([nx / long, ny / long, nz / long])
 
 
-def _plain(points: Float64, normal: Float64) -> Float64:
+def _plain_texture(points: Float64, normal: Float64) -> Float64:
     nx, ny, nz = normal.tolist()
     level = math.hypot(nx, ny)
     ux, uy = (1.0, 0.0) if abs(nz) > 0.999 else (-ny / level, nx / level)

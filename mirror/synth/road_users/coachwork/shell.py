@@ -146,11 +146,11 @@ class Shape:
 
     def screen(self, z: float) -> float:
         """X of the windscreen at a height."""
-        return _at(self.roof[0], self.roof[1], z)
+        return _x_at(self.roof[0], self.roof[1], z)
 
     def rear_window(self, z: float) -> float:
         """X of the rear window at a height."""
-        return _at(self.roof[-1], self.roof[-2], z)
+        return _x_at(self.roof[-1], self.roof[-2], z)
 
     def corner(self, end: End, z: float) -> Float64:
         """The point at which the left flank ends."""
@@ -177,11 +177,13 @@ class Shape:
         return np.c_[places[:, 1], places[:, 2] - self.waist_m]
 
 
-def _at(foot: Point, top: Point, z: float) -> float:
+def _x_at(foot: Point, top: Point, z: float) -> float:
     return foot[0] + (top[0] - foot[0]) * (z - foot[1]) / (top[1] - foot[1])
 
 
-def shell(sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Finish, screen: Finish = PANE) -> None:
+def add_shell(
+    sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Finish, screen: Finish = PANE
+) -> None:
     """Add flanks, ends, bonnet, deck, greenhouse and the dark parts behind the wheels.
 
     Args:
@@ -192,10 +194,10 @@ def shell(sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Fi
         deck: finish behind the rear window.
         screen: finish of the windscreen.
     """
-    _flanks(sheets, shape, paint, sill)
+    _add_flanks(sheets, shape, paint, sill)
     for end in (shape.front, shape.back):
-        _end(sheets, shape, end, paint, sill, paint if end is shape.front else deck)
-    _greenhouse(sheets, shape, paint, screen)
+        _add_end(sheets, shape, end, paint, sill, paint if end is shape.front else deck)
+    _add_greenhouse(sheets, shape, paint, screen)
     inner = 0.5 * shape.width_m - 0.27
     low, high = shape.levels_m[0], shape.levels_m[3] + 0.02
     sheets.block(
@@ -207,7 +209,7 @@ def shell(sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Fi
     )
 
 
-def _flanks(sheets: Sheets, shape: Shape, paint: Finish, sill: Finish) -> None:
+def _add_flanks(sheets: Sheets, shape: Shape, paint: Finish, sill: Finish) -> None:
     front, back = shape.axles_m
     levels = shape.levels_m
     plain, doors = paint._replace(panel=Panel.LOWER), paint._replace(panel=shape.doors)
@@ -215,7 +217,7 @@ def _flanks(sheets: Sheets, shape: Shape, paint: Finish, sill: Finish) -> None:
         under, over = shape.open_m(low), shape.open_m(high)
         for x, end in ((front, shape.front), (back, shape.back)):
             out = 1.0 if end is shape.front else -1.0
-            _flank(
+            _add_flank(
                 sheets,
                 shape,
                 [
@@ -227,61 +229,63 @@ def _flanks(sheets: Sheets, shape: Shape, paint: Finish, sill: Finish) -> None:
                 sill if band == 0 else plain,
             )
         ends = ((back + under, low), (front - under, low), (front - over, high), (back + over, high))
-        _flank(sheets, shape, [shape.flank(*end) for end in ends], sill if band == 0 else doors)
-    crest = [*_line(shape, shape.back)[::-1], *_line(shape, shape.front)]
+        _add_flank(sheets, shape, [shape.flank(*end) for end in ends], sill if band == 0 else doors)
+    crest = [*_side_line(shape, shape.back)[::-1], *_side_line(shape, shape.front)]
     low = levels[3]
     for start, stop in ((None, back), (back, front), (front, None)):
         left = shape.corner(shape.back, low) if start is None else np.array(shape.flank(start, low))
         right = shape.corner(shape.front, low) if stop is None else np.array(shape.flank(stop, low))
-        over_left = crest[0] if start is None else (start, _height(crest, start))
-        over_right = crest[-1] if stop is None else (stop, _height(crest, stop))
+        over_left = crest[0] if start is None else (start, _height_at(crest, start))
+        over_right = crest[-1] if stop is None else (stop, _height_at(crest, stop))
         between = [point for point in crest if over_left[0] + 1e-6 < point[0] < over_right[0] - 1e-6]
         top = [over_left, *between, over_right]
-        _flank(sheets, shape, [left, right, *(shape.flank(*point) for point in top[::-1])], doors)
+        _add_flank(sheets, shape, [left, right, *(shape.flank(*point) for point in top[::-1])], doors)
 
 
-def _flank(sheets: Sheets, shape: Shape, corners: list[tuple[float, float, float] | Float64], finish: Finish) -> None:
+def _add_flank(
+    sheets: Sheets, shape: Shape, corners: list[tuple[float, float, float] | Float64], finish: Finish
+) -> None:
     sheets.sheet(np.array(corners), Side.LEFT, finish, texture=shape.shown, both=True)
 
 
-def _line(shape: Shape, end: End) -> list[Point]:
+def _side_line(shape: Shape, end: End) -> list[Point]:
     """Side view of the surface between the greenhouse and an end: from the greenhouse to the end of the flank."""
     points = [shape.roof[0], *shape.bonnet] if end is shape.front else [shape.roof[-1]]
     sign = 1.0 if end is shape.front else -1.0
     x, z = points[-1]
     fall = (end.rim_m - z) / (end.reach_m - sign * x)
-    top = _meet(points[-1], sign * fall, shape.corner(end, shape.levels_m[1]), sign * -end.slope)
+    top = _intersect(points[-1], sign * fall, shape.corner(end, shape.levels_m[1]), sign * -end.slope)
     return [*points, (float(top[0]), float(top[2]))]
 
 
-def _meet(point: Point, fall: float, foot: Float64, lean: float) -> Float64:
+def _intersect(point: Point, fall: float, foot: Float64, lean: float) -> Float64:
     """Intersection of a line that falls from a point with an edge that leans from its foot."""
     x, z = point
     height = (z + fall * (foot[0] - x) - foot[2]) / (1.0 - fall * lean)
     return foot + height * np.array([lean, 0.0, 1.0])
 
 
-def _height(line: list[Point], x: float) -> float:
+def _height_at(line: list[Point], x: float) -> float:
     return float(np.interp(x, [point[0] for point in line], [point[1] for point in line]))
 
 
-def _end(sheets: Sheets, shape: Shape, end: End, paint: Finish, sill: Finish, lid: Finish) -> None:
+def _add_end(sheets: Sheets, shape: Shape, end: End, paint: Finish, sill: Finish, lid: Finish) -> None:
     """Add the front or the back, and the bonnet or the deck between it and the greenhouse."""
     side = Side.FRONT if end is shape.front else Side.BACK
     sign = 1.0 if end is shape.front else -1.0
-    line = _line(shape, end)
+    line = _side_line(shape, end)
     axle = shape.axles_m[0] if end is shape.front else shape.axles_m[1]
     if sign * (line[0][0] - axle) < 0.0 and all(abs(axle - x) > 0.02 for x, _ in line):
         level = [point for point in line if sign * (point[0] - axle) < 0.0]
         ordered = sorted(line)
-        line = [*level, (axle, _height(ordered, axle)), *line[len(level) :]]
+        line = [*level, (axle, _height_at(ordered, axle)), *line[len(level) :]]
     for (x, z), (other_x, other_z) in pairwise(line[:-1]):
-        sheets.sheet(_across(shape.flank(x, z), shape.flank(other_x, other_z)), Side.TOP, lid)
+        sheets.sheet(_trapezoid(shape.flank(x, z), shape.flank(other_x, other_z)), Side.TOP, lid)
     (x, z), (edge_x, edge_z) = line[-2], line[-1]
     fall = (edge_z - z) / (edge_x - x)
     low, middle = shape.levels_m[:2]
     edge = np.array(shape.flank(edge_x, edge_z))
-    rim = _meet((x, z), fall, shape.bend(end, 0.0, middle), -sign * end.slope)
+    rim = _intersect((x, z), fall, shape.bend(end, 0.0, middle), -sign * end.slope)
     rim = shape.bend(end, 0.0, float(rim[2]))
     half = [np.array(shape.flank(x, z)), edge, rim]
     sheets.sheet([*half, *(point * (1.0, -1.0, 1.0) for point in half[::-1])], Side.TOP, lid)
@@ -290,20 +294,20 @@ def _end(sheets: Sheets, shape: Shape, end: End, paint: Finish, sill: Finish, li
     for foot, top, finish in ((low, None, lower), (middle, rim, upper)):
         front = shape.bend(end, 0.0, foot)
         over = shape.bend(end, 0.0, middle) if top is None else top
-        sheets.sheet(_across(front, over), side, finish, texture=shape.shown_across)
+        sheets.sheet(_trapezoid(front, over), side, finish, texture=shape.shown_across)
         flank = shape.corner(end, foot)
         over_flank = shape.corner(end, middle) if top is None else edge
         sheets.sheet([flank, front, over, over_flank], side, finish, texture=shape.shown_across, both=True)
 
 
-def _across(low: tuple[float, float, float] | Float64, high: tuple[float, float, float] | Float64) -> Float64:
+def _trapezoid(low: tuple[float, float, float] | Float64, high: tuple[float, float, float] | Float64) -> Float64:
     """The symmetric trapezoid between two edges across the vehicle, given by their left ends."""
     mirror = np.array([1.0, -1.0, 1.0])
     one, other = np.asarray(low), np.asarray(high)
     return np.array([one, one * mirror, other * mirror, other])
 
 
-def _greenhouse(sheets: Sheets, shape: Shape, paint: Finish, screen: Finish) -> None:
+def _add_greenhouse(sheets: Sheets, shape: Shape, paint: Finish, screen: Finish) -> None:
     waist, rail = shape.waist_m, shape.rail_m
     front, back = shape.roof[0][0], shape.roof[-1][0]
     crown = shape.crown
@@ -313,12 +317,14 @@ def _greenhouse(sheets: Sheets, shape: Shape, paint: Finish, screen: Finish) -> 
     sheets.sheet([shape.side(*point) for point in upper], Side.LEFT, paint, both=True)
     first, last = crown.index(shape.roof[1]), crown.index(shape.roof[-2])
     for here, there in pairwise(crown[first : last + 1]):
-        sheets.sheet(_across(shape.side(*here), shape.side(*there)), Side.TOP, paint)
-    sheets.sheet(pane(shape, shape.screen, waist, shape.roof[1][1]), Side.FRONT, screen)
-    sheets.sheet(pane(shape, shape.rear_window, waist, shape.roof[-2][1]), Side.BACK, paint)
+        sheets.sheet(_trapezoid(shape.side(*here), shape.side(*there)), Side.TOP, paint)
+    sheets.sheet(window_corners(shape, shape.screen, waist, shape.roof[1][1]), Side.FRONT, screen)
+    sheets.sheet(window_corners(shape, shape.rear_window, waist, shape.roof[-2][1]), Side.BACK, paint)
 
 
-def pane(shape: Shape, line: Callable[[float], float], low: float, high: float, inset_m: float = 0.0) -> Float64:
+def window_corners(
+    shape: Shape, line: Callable[[float], float], low: float, high: float, inset_m: float = 0.0
+) -> Float64:
     """Corners of a window across the vehicle between two heights, inset by ``inset_m`` from its edges."""
     heights = [low, shape.rail_m, high] if low < shape.rail_m < high else [low, high]
     left = np.array([(line(z), shape.side_m(z) - inset_m, z) for z in heights])

@@ -11,8 +11,8 @@ import numpy as np
 
 from mirror.synth.model import Label, Material
 from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
-from mirror.synth.road_users.cars import car
-from mirror.synth.road_users.vans import van
+from mirror.synth.road_users.cars import build_car
+from mirror.synth.road_users.vans import build_van
 from mirror.synth.street.network import Lane
 from mirror.synth.street.plan import Plan
 from mirror.synth.textures.catalogue import PLATES
@@ -35,7 +35,7 @@ def place_parked_vehicles(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
     if not lanes:
         return ()
     rng = np.random.default_rng([seed, 27])
-    made = [van(rng) if rng.random() < _VANS else car(rng) for _ in range(_BODIES)]
+    made = [build_van(rng) if rng.random() < _VANS else build_car(rng) for _ in range(_BODIES)]
     placements = [place for lane in lanes for place in _bays(plan, lane, rng)]
     return tuple(
         RoadUser(f"parked-{number:03d}", _with_plate(made[int(rng.integers(_BODIES))], rng), StaticMotion(place))

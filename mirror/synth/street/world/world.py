@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from mirror.arrays import Float64, Int64, Records
 from mirror.schema.documents import Roi
-from mirror.synth.model import Model, merged
+from mirror.synth.model import Model, merge_models
 from mirror.synth.road_users.body import RoadUser
 from mirror.synth.street.houses import build_far_houses, build_far_woods
 from mirror.synth.street.network import Network
@@ -122,7 +122,7 @@ def build_world(roi: Roi, yaw_deg: float, seed: int) -> World:
     plan = plan_scene(roi, yaw_deg, seed)
     things = furnish(plan, seed)
     lights = _collect_lights(things)
-    model = merged(
+    model = merge_models(
         [
             *(head.model for _, head in things.signals),
             plan.ground,

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from mirror.arrays import Float32, Float64
-from mirror.synth.textures.grains.noise import waves, wrapped
+from mirror.synth.textures.grains.noise import waves, wrap_patch
 
 _SHIFT = 4
 
@@ -24,7 +24,7 @@ def grass(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     shades[rng.random(count) < 0.03] = 215
     offsets = np.c_[np.cos(turns), np.sin(turns)] * lengths[:, None]
     for (x, y), offset, shade, length in zip(places, offsets, shades, lengths):
-        for left, top in wrapped(x, y, length, size):
+        for left, top in wrap_patch(x, y, length, size):
             near = (round(left * 2**_SHIFT), round(top * 2**_SHIFT))
             far = (round((left + offset[0]) * 2**_SHIFT), round((top + offset[1]) * 2**_SHIFT))
             cv2.line(tone, near, far, shade, 1, cv2.LINE_AA, _SHIFT)
@@ -55,7 +55,7 @@ def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     for (x, y), turn, length, shade in zip(places, turns, lengths, shades):
         cos, sin = np.cos(turn) * length, np.sin(turn) * length
         shape: Float64 = outline @ np.array([[cos, sin], [-sin, cos]])
-        for left, top in wrapped(x, y, length, size):
+        for left, top in wrap_patch(x, y, length, size):
             points = ((shape + np.array([left, top])) * 2**_SHIFT).round().astype(np.int32)
             half = len(points) // 2
             cv2.fillPoly(tone, [points], shade * 0.86, cv2.LINE_AA, _SHIFT)

@@ -8,7 +8,7 @@ from mirror.arrays import Float32, Float64
 from mirror.synth.textures.grains.noise import joints, waves
 
 
-def _laid(
+def _lay_units(
     rng: np.random.Generator, size: int, rows: int, columns: int, shift: float, spread: float
 ) -> tuple[Float64, Float64, Float64]:
     """Lay pieces in rows; every other row is displaced by ``shift`` of a piece.
@@ -33,7 +33,7 @@ def _bevel(inside: Float64, piece_m: float, width_m: float) -> Float64:
 def paving(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Concrete slabs of 0.4 m in a running bond, with joints, worn edges and chewing gum."""
     pitch, texel = 0.4, period_m / size
-    tone, along, up = _laid(rng, size, 6, 6, 0.5, 0.055)
+    tone, along, up = _lay_units(rng, size, 6, 6, 0.5, 0.055)
     joint = np.maximum(joints(along * pitch, pitch, 0.010, texel), joints(up * pitch, pitch, 0.010, texel))
     edge = np.exp(-np.minimum(np.minimum(along, 1 - along), np.minimum(up, 1 - up)) * pitch / 0.018)
     fine = waves(rng, size, 0.02, 0.0035, 0.0)
@@ -45,7 +45,7 @@ def paving(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 def brick(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Bricks of 0.26 m by 0.08 m with mortar in a stretcher bond; some are darker."""
     texel = period_m / size
-    tone, along, up = _laid(rng, size, 26, 8, 0.5, 0.11)
+    tone, along, up = _lay_units(rng, size, 26, 8, 0.5, 0.11)
     tone = tone - 0.12 * (tone < -0.15)
     mortar = np.maximum(joints(along * 0.26, 0.26, 0.010, texel), joints(up * 0.08, 0.08, 0.010, texel))
     fine = waves(rng, size, 0.03, 0.004, 0.2)
@@ -59,7 +59,7 @@ def brick(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 def roof(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Pantiles of 0.2 m by 0.3 m with a round profile; each row overlaps the one below."""
     texel = period_m / size
-    tone, along, up = _laid(rng, size, 8, 12, 0.0, 0.09)
+    tone, along, up = _lay_units(rng, size, 8, 12, 0.0, 0.09)
     rolled = np.sin(2.0 * np.pi * along) * 0.16 + 0.06 * np.cos(4.0 * np.pi * along)
     shade = np.clip((up * 0.3 - 0.262) / 0.02, 0.0, 1.0)
     lip = np.clip(1.0 - up * 0.3 / 0.016, 0.0, 1.0)
@@ -73,7 +73,7 @@ def roof(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 def wood(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Planks of 0.15 m along u with their grain, knots, and gaps between them."""
     texel = period_m / size
-    tone, _, up = _laid(rng, size, 10, 1, 0.0, 0.09)
+    tone, _, up = _lay_units(rng, size, 10, 1, 0.0, 0.09)
     gap = joints(up * 0.15, 0.15, 0.008, texel)
     warp = waves(rng, size, 0.5, 0.12, 0.6, 0.12)
     rings = np.sin(2.0 * np.pi * (5.0 * up + 0.8 * warp + 3.0 * tone))

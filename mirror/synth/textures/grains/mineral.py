@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from mirror.arrays import Float32, UInt8
-from mirror.synth.textures.grains.noise import joints, middles, waves, wrapped
+from mirror.synth.textures.grains.noise import joints, scatter_centres, waves, wrap_patch
 
 _SHIFT: Final = 4
 _STONE: Final = ((1.2, 0.55, 0.25), (1.0, 1.0, 0.0), (0.6, 1.08, -0.2))
@@ -34,7 +34,7 @@ def gravel(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     shades = rng.normal(118, 20, len(radii)).clip(60, 205)
     turns, flats = rng.uniform(0, 180, len(radii)), rng.uniform(0.6, 1.0, len(radii))
     for (x, y), radius, shade, turn, flat in zip(places, radii, shades, turns, flats):
-        for left, top in wrapped(x, y, radius + 2, size):
+        for left, top in wrap_patch(x, y, radius + 2, size):
             for grow, part, shift in _STONE if radius > 2.4 else _PEBBLE:
                 centre = (round((left + shift * radius) * 2**_SHIFT), round((top - shift * radius) * 2**_SHIFT))
                 axes = (round(grow * radius * 2**_SHIFT), round(grow * flat * radius * 2**_SHIFT))
@@ -52,7 +52,7 @@ def plaster(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 def concrete(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Panels of 2 m by 1 m with joints, tie holes, pores and soft patches."""
-    at, texel = middles(size, period_m), period_m / size
+    at, texel = scatter_centres(size, period_m), period_m / size
     line = np.maximum(joints(at, 2.0, 0.012, texel)[None, :], joints(at, 1.0, 0.010, texel)[:, None])
     panel = rng.normal(0.0, 0.035, (4, 2)).repeat(size // 4, axis=0).repeat(size // 2, axis=1)
     boards = waves(rng, size, 0.06, 0.006, 0.3, 0.06)

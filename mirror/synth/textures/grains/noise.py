@@ -47,7 +47,7 @@ def _frequencies(size: int, stretch: float) -> Float32:
     return np.hypot(across, down).astype(np.float32)
 
 
-def wrapped(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float, float]]:
+def wrap_patch(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float, float]]:
     """Return the positions at which a shape at (x, y) must be drawn to be periodic."""
     shifts_x = (0.0, size) if x < reach else (0.0, -size) if x > size - reach else (0.0,)
     shifts_y = (0.0, size) if y < reach else (0.0, -size) if y > size - reach else (0.0,)
@@ -56,7 +56,7 @@ def wrapped(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float
             yield x + shift_x, y + shift_y
 
 
-def middles(size: int, period_m: float) -> Float64:
+def scatter_centres(size: int, period_m: float) -> Float64:
     """Return the positions of the texels' centres along a side, metres."""
     places: Float64 = (np.arange(size, dtype=np.float64) + 0.5) * (period_m / size)
     return places

@@ -10,15 +10,15 @@ from mirror.arrays import UInt8
 from mirror.synth.textures.images.drawing import (
     Box,
     Colour,
+    choose_colour,
     disc,
     fill,
     gradient,
     mix,
-    one_of,
+    new_image,
     part,
-    plain,
     rectangle,
-    rounded,
+    rounded_rectangle,
     shade,
     star,
     stroke,
@@ -67,9 +67,9 @@ _PAINTS: Final[tuple[Colour, ...]] = (
 def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     """An advertisement: a motif, a slogan, a name."""
     slogan, name = _SLOGANS[turn % len(_SLOGANS)]
-    image = plain(wide, high, one_of(rng, PALE))
+    image = new_image(wide, high, choose_colour(rng, PALE))
     motif = MOTIFS[turn % len(MOTIFS)]
-    accent = one_of(rng, BRIGHT)
+    accent = choose_colour(rng, BRIGHT)
     layout = int(rng.integers(3))
     if layout == 0:
         motif(image, rng)
@@ -92,7 +92,7 @@ def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
         write(image, name, (0.04 * wide, 0.80 * high, 0.44 * wide, 0.92 * high), (242, 240, 234), weight=500, align=0.0)
     else:
         motif(part(image, (0.04 * wide, 0.06 * high, 0.96 * wide, 0.68 * high)), rng)
-        ink = one_of(rng, DEEP)
+        ink = choose_colour(rng, DEEP)
         new = rng.random() < 0.6
         right = (0.74 if new else 0.95) * wide
         write(image, slogan, (0.05 * wide, 0.71 * high, right, 0.86 * high), ink, weight=800, align=0.0)
@@ -107,9 +107,13 @@ def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
 def poster(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     """A poster for an event: a motif or plain colour, large words, place and day."""
     title, place, day = _EVENTS[turn % len(_EVENTS)]
-    ground, ink = (one_of(rng, DEEP), (238, 234, 224)) if rng.random() < 0.5 else (one_of(rng, PALE), one_of(rng, DEEP))
-    accent = one_of(rng, BRIGHT)
-    image = plain(wide, high, ground)
+    ground, ink = (
+        (choose_colour(rng, DEEP), (238, 234, 224))
+        if rng.random() < 0.5
+        else (choose_colour(rng, PALE), choose_colour(rng, DEEP))
+    )
+    accent = choose_colour(rng, BRIGHT)
+    image = new_image(wide, high, ground)
     layout = int(rng.integers(3))
     if layout == 0:
         MOTIFS[(turn + 5) % len(MOTIFS)](part(image, (0, 0, wide, 0.62 * high)), rng)
@@ -144,9 +148,9 @@ def livery(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     firm, trade, contact = _FIRMS[turn % len(_FIRMS)]
     ground = _PAINTS[turn % len(_PAINTS)]
     light = sum(ground) > 480
-    ink = one_of(rng, DEEP) if light else (236, 234, 228)
+    ink = choose_colour(rng, DEEP) if light else (236, 234, 228)
     accent = BRIGHT[(turn * 3 + 1) % len(BRIGHT)]
-    image = plain(wide, high, ground)
+    image = new_image(wide, high, ground)
     gradient(image, ground, shade(ground, 0.94))
     layout = int(rng.integers(4))
     if layout == 0:
@@ -160,7 +164,7 @@ def livery(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     elif layout == 2:
         MOTIFS[(turn + 3) % len(MOTIFS)](part(image, (0.62 * wide, 0, wide, high)), rng)
     else:
-        rounded(image, (0.03 * wide, 0.12 * high, 0.20 * wide, 0.46 * high), 0.05 * wide, accent)
+        rounded_rectangle(image, (0.03 * wide, 0.12 * high, 0.20 * wide, 0.46 * high), 0.05 * wide, accent)
         write(image, firm[0], (0.06 * wide, 0.18 * high, 0.17 * wide, 0.40 * high), (240, 238, 232), weight=900)
     left = 0.24 if layout == 3 else 0.05
     right = 0.58 if layout == 2 else 0.95

@@ -20,7 +20,7 @@ Box = tuple[float, float, float, float]
 _SHIFT = 4
 
 
-def plain(wide: int, high: int, colour: Colour) -> UInt8:
+def new_image(wide: int, high: int, colour: Colour) -> UInt8:
     """Return an image of one colour."""
     image = np.empty((high, wide, 3), np.uint8)
     cv2.rectangle(image, (0, 0), (wide, high), colour, -1)
@@ -33,19 +33,19 @@ def part(image: UInt8, box: Box) -> UInt8:
     return image[top:bottom, left:right]
 
 
-def fixed(points: npt.ArrayLike) -> npt.NDArray[np.int32]:
+def to_fixed_point(points: npt.ArrayLike) -> npt.NDArray[np.int32]:
     """Convert points to OpenCV's fixed-point coordinates in sixteenths of pixels; pixel centres are at halves."""
     return ((np.asarray(points, np.float64) - 0.5) * 2**_SHIFT).round().astype(np.int32)
 
 
 def fill(image: UInt8, points: npt.ArrayLike, colour: Colour) -> None:
     """Draw a filled polygon of (N, 2) corners."""
-    cv2.fillPoly(image, [fixed(points)], colour, cv2.LINE_AA, _SHIFT)
+    cv2.fillPoly(image, [to_fixed_point(points)], colour, cv2.LINE_AA, _SHIFT)
 
 
 def stroke(image: UInt8, points: npt.ArrayLike, colour: Colour, width: float, closed: bool = False) -> None:
     """Draw a line through (N, 2) points, with round ends."""
-    cv2.polylines(image, [fixed(points)], closed, colour, max(round(width), 1), cv2.LINE_AA, _SHIFT)
+    cv2.polylines(image, [to_fixed_point(points)], closed, colour, max(round(width), 1), cv2.LINE_AA, _SHIFT)
 
 
 def rectangle(image: UInt8, box: Box, colour: Colour) -> None:
@@ -54,7 +54,7 @@ def rectangle(image: UInt8, box: Box, colour: Colour) -> None:
     fill(image, [(left, top), (right, top), (right, bottom), (left, bottom)], colour)
 
 
-def rounded(image: UInt8, box: Box, radius: float, colour: Colour) -> None:
+def rounded_rectangle(image: UInt8, box: Box, radius: float, colour: Colour) -> None:
     """Draw a filled rectangle with round corners."""
     left, top, right, bottom = box
     radius = min(radius, 0.5 * (right - left), 0.5 * (bottom - top))
@@ -72,7 +72,7 @@ def rounded(image: UInt8, box: Box, radius: float, colour: Colour) -> None:
 
 def disc(image: UInt8, x: float, y: float, radius: float, colour: Colour, tall: float = 1.0) -> None:
     """Draw a filled circle, or an ellipse that is ``tall`` times as high as wide."""
-    centre = fixed((x, y))
+    centre = to_fixed_point((x, y))
     axes = (max(round(radius * 2**_SHIFT), 1), max(round(radius * tall * 2**_SHIFT), 1))
     cv2.ellipse(image, centre.tolist(), axes, 0, 0, 360, colour, -1, cv2.LINE_AA, _SHIFT)
 
@@ -102,7 +102,7 @@ def glow(image: UInt8, x: float, y: float, radius: float, strength: float, colou
     across = np.exp(-2.0 * np.square((np.arange(wide) + left - x) / radius))
     down = np.exp(-2.0 * np.square((np.arange(high) + top - y) / radius))
     share = (strength * down[:, None] * across).astype(np.float32)
-    near[:] = cv2.blendLinear(np.ascontiguousarray(near), plain(wide, high, colour), 1.0 - share, share)
+    near[:] = cv2.blendLinear(np.ascontiguousarray(near), new_image(wide, high, colour), 1.0 - share, share)
 
 
 def mix(one: Colour, other: Colour, share: float) -> Colour:
@@ -117,7 +117,7 @@ def shade(colour: Colour, factor: float) -> Colour:
     return red, green, blue
 
 
-def one_of(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
+def choose_colour(rng: np.random.Generator, colours: Sequence[Colour]) -> Colour:
     """Choose one of several colours."""
     return colours[int(rng.integers(len(colours)))]
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from mirror.arrays import Float64, UInt8
-from mirror.synth.textures.images.drawing import Box, Colour, fixed
+from mirror.synth.textures.images.drawing import Box, Colour, to_fixed_point
 
 Style = Literal["sans", "italic", "uni"]
 _TRIAL: Final = 96
@@ -148,7 +148,7 @@ def letter(image: UInt8, sign: str, box: Box, colour: Colour, width: float) -> N
     inner = 0.5 * width
     high = bottom - top - width
     for line in glyph(sign, (right - left - width) / high):
-        points = fixed(line * high + (left + inner, top + inner))
+        points = to_fixed_point(line * high + (left + inner, top + inner))
         cv2.polylines(image, [points], False, colour, round(width), cv2.LINE_AA, 4)
 
 

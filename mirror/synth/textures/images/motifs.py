@@ -10,14 +10,14 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.synth.textures.images.drawing import (
     Colour,
+    choose_colour,
     disc,
     fill,
     glow,
     gradient,
     mix,
-    one_of,
     rectangle,
-    rounded,
+    rounded_rectangle,
     shade,
     star,
     stroke,
@@ -75,13 +75,13 @@ def skyline(image: UInt8, rng: np.random.Generator) -> None:
 def bottle(image: UInt8, rng: np.random.Generator) -> None:
     """A bottle with a label and drops of water."""
     high, wide = image.shape[:2]
-    base = one_of(rng, BRIGHT)
+    base = choose_colour(rng, BRIGHT)
     gradient(image, mix(base, (255, 255, 255), 0.55), base)
     x = 0.5 * wide
     glow(image, x, 0.5 * high, 0.45 * high, 0.6)
-    glass = one_of(rng, ((30, 84, 40), (94, 44, 18), (170, 30, 34), (34, 70, 120)))
+    glass = choose_colour(rng, ((30, 84, 40), (94, 44, 18), (170, 30, 34), (34, 70, 120)))
     r = 0.13 * high
-    rounded(image, (x - r, 0.36 * high, x + r, high - 0.04 * high), 0.05 * high, glass)
+    rounded_rectangle(image, (x - r, 0.36 * high, x + r, high - 0.04 * high), 0.05 * high, glass)
     fill(
         image,
         [
@@ -94,7 +94,7 @@ def bottle(image: UInt8, rng: np.random.Generator) -> None:
     )
     rectangle(image, (x - 0.38 * r, 0.1 * high, x + 0.38 * r, 0.25 * high), glass)
     rectangle(image, (x - 0.46 * r, 0.06 * high, x + 0.46 * r, 0.11 * high), (206, 170, 70))
-    rounded(image, (x - r, 0.5 * high, x + r, 0.76 * high), 4, (228, 222, 204))
+    rounded_rectangle(image, (x - r, 0.5 * high, x + r, 0.76 * high), 4, (228, 222, 204))
     fill(image, star(x, 0.63 * high, 0.8 * r, 5, 0.45), base)
     stroke(
         image,
@@ -120,7 +120,7 @@ def car(image: UInt8, rng: np.random.Generator) -> None:
     rectangle(image, (0, road, wide, high), (48, 48, 52))
     length = min(0.78 * wide, 1.9 * high)
     x, y, unit = 0.5 * wide - 0.5 * length, 0.84 * high, length / 4.4
-    paint = one_of(rng, BRIGHT)
+    paint = choose_colour(rng, BRIGHT)
     body = [
         (0, 0.35),
         (0.05, 0.75),
@@ -185,7 +185,7 @@ def fruit(image: UInt8, rng: np.random.Generator) -> None:
     for y in np.linspace(0.45 * high, high - 0.08 * high, 5):
         for x in np.arange(rng.uniform(0, 20), wide, 0.19 * high):
             r = rng.uniform(0.09, 0.13) * high
-            tone = one_of(rng, ((196, 42, 36), (230, 134, 34), (206, 186, 50), (110, 160, 50), (150, 30, 60)))
+            tone = choose_colour(rng, ((196, 42, 36), (230, 134, 34), (206, 186, 50), (110, 160, 50), (150, 30, 60)))
             disc(image, x + 1.5, y + 2, r, shade(tone, 0.5))
             disc(image, x, y, r, tone)
             disc(image, x - 0.3 * r, y - 0.35 * r, 0.3 * r, mix(tone, (255, 255, 255), 0.5))
@@ -195,7 +195,7 @@ def figure(image: UInt8, rng: np.random.Generator) -> None:
     """The silhouette of a leaping person in front of coloured rays."""
     high, wide = image.shape[:2]
     x, y = 0.5 * wide, 0.52 * high
-    one, other = one_of(rng, BRIGHT), one_of(rng, PALE)
+    one, other = choose_colour(rng, BRIGHT), choose_colour(rng, PALE)
     gradient(image, other, other)
     rays = 14
     for number in range(rays):
@@ -204,7 +204,7 @@ def figure(image: UInt8, rng: np.random.Generator) -> None:
             (np.clip(x + 2 * wide * np.cos(t), 0, wide), np.clip(y + 2 * wide * np.sin(t), 0, high)) for t in (a, b)
         ]
         fill(image, [(x, y), *ends], one)
-    ink, unit = one_of(rng, DEEP), 0.09 * high
+    ink, unit = choose_colour(rng, DEEP), 0.09 * high
     lift, swing = rng.uniform(0.5, 1.4), rng.choice([-1.0, 1.0])
     joints = np.array(
         [
@@ -231,13 +231,13 @@ def figure(image: UInt8, rng: np.random.Generator) -> None:
 def shapes(image: UInt8, rng: np.random.Generator) -> None:
     """Circles, bars and triangles of a few colours."""
     high, wide = image.shape[:2]
-    ground = one_of(rng, PALE)
+    ground = choose_colour(rng, PALE)
     gradient(image, ground, shade(ground, 0.92))
     size = min(wide, high)
     for _ in range(9):
         x, y = rng.uniform(0, wide), rng.uniform(0, high)
         r = min(rng.uniform(0.06, 0.24) * size, x, wide - x, y, high - y)
-        tone = one_of(rng, BRIGHT)
+        tone = choose_colour(rng, BRIGHT)
         kind = rng.integers(3)
         if r < 3:
             continue
@@ -249,7 +249,7 @@ def shapes(image: UInt8, rng: np.random.Generator) -> None:
             rectangle(image, (x - r, y - 0.3 * r, x + r, y + 0.3 * r), tone)
     for _ in range(3):
         x, y = rng.uniform(0, wide - 0.4 * size), rng.uniform(0, high - 0.4 * size)
-        stroke(image, [(x, y), (x + 0.4 * size, y + 0.4 * size)], one_of(rng, DEEP), 0.02 * size)
+        stroke(image, [(x, y), (x + 0.4 * size, y + 0.4 * size)], choose_colour(rng, DEEP), 0.02 * size)
 
 
 MOTIFS: Final[tuple[Motif, ...]] = (hills, skyline, bottle, car, cup, fruit, figure, shapes)

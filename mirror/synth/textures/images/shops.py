@@ -9,14 +9,14 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.synth.textures.images.drawing import (
     Colour,
+    choose_colour,
     disc,
     fill,
     gradient,
     mix,
-    one_of,
-    plain,
+    new_image,
     rectangle,
-    rounded,
+    rounded_rectangle,
     shade,
     star,
     stroke,
@@ -52,7 +52,7 @@ def shop_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
     weight = int(rng.choice([400, 500, 700, 900]))
     layout = int(rng.choice(5, p=(0.22, 0.30, 0.22, 0.10, 0.16)))
     ground, ink = _board(rng, layout)
-    image = plain(wide, high, ground)
+    image = new_image(wide, high, ground)
     gradient(image, mix(ground, (255, 255, 255), 0.06), shade(ground, 0.9))
     if layout == 3:
         for y in np.arange(0, high, high / 4):
@@ -80,12 +80,12 @@ def shop_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
 def _board(rng: np.random.Generator, layout: int) -> tuple[Colour, Colour]:
     """Colours of the board and of the letters."""
     if layout in (0, 4):
-        ground = shade(one_of(rng, PALE), rng.uniform(0.82, 1.0))
-        return ground, one_of(rng, _INKS)
+        ground = shade(choose_colour(rng, PALE), rng.uniform(0.82, 1.0))
+        return ground, choose_colour(rng, _INKS)
     if layout == 1:
-        return one_of(rng, BRIGHT), (236, 232, 222)
+        return choose_colour(rng, BRIGHT), (236, 232, 222)
     if layout == 2:
-        return shade(one_of(rng, DEEP), 0.8), mix(one_of(rng, BRIGHT), (255, 250, 235), 0.45)
+        return shade(choose_colour(rng, DEEP), 0.8), mix(choose_colour(rng, BRIGHT), (255, 250, 235), 0.45)
     return (104, 72, 46), (234, 220, 186)
 
 
@@ -105,7 +105,7 @@ def _logo(
         fill(image, np.r_[leaf, leaf[::-1] * (1, -1)] * r + (x, y), ink)
         stroke(image, [(x - r, y), (x + 0.8 * r, y)], ground, 0.08 * r)
     elif kind == 3:
-        rounded(image, (x - r, y - r, x + r, y + r), 0.3 * r, ink)
+        rounded_rectangle(image, (x - r, y - r, x + r, y + r), 0.3 * r, ink)
         disc(image, x, y, 0.6 * r, ground)
         disc(image, x + 0.25 * r, y - 0.2 * r, 0.5 * r, ink)
     else:

@@ -12,9 +12,9 @@ from mirror.synth.textures.images.drawing import (
     Colour,
     disc,
     fill,
-    plain,
+    new_image,
     rectangle,
-    rounded,
+    rounded_rectangle,
     stroke,
     weather,
 )
@@ -38,7 +38,7 @@ def traffic_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> U
     """The traffic sign with index ``turn`` in `Sign`."""
     sign = Sign(Sign.SPEED_30 + turn)
     # Drawn on a square of 1 by 1, y down.
-    image = plain(wide, high, _GREY)
+    image = new_image(wide, high, _GREY)
     if sign in _LIMITS:
         disc(image, 0.5 * wide, 0.5 * wide, 0.5 * wide, _RED)
         disc(image, 0.5 * wide, 0.5 * wide, 0.385 * wide, _WHITE)
@@ -174,7 +174,7 @@ def _plate(image: UInt8, size: int, sign: Sign) -> None:
         number(image, "H", (0.28 * size, 0.24 * size, 0.72 * size, 0.76 * size), _GREEN, slim=0.7, bold=0.2)
     else:
         rectangle(image, (0, 0, size, size), _WHITE)
-        rounded(image, (0.03 * size, 0.03 * size, 0.97 * size, 0.97 * size), 0.07 * size, _BLUE)
+        rounded_rectangle(image, (0.03 * size, 0.03 * size, 0.97 * size, 0.97 * size), 0.07 * size, _BLUE)
         if sign == Sign.PARKING:
             number(image, "P", (0.25 * size, 0.16 * size, 0.75 * size, 0.84 * size), _WHITE, slim=0.6, bold=0.2)
         elif sign == Sign.CROSSWALK:
@@ -190,8 +190,8 @@ def direction_sign(rng: np.random.Generator, wide: int, high: int, turn: int) ->
     """Towns, their distances, arrows and the road's number; blue for motorways, yellow or white for others."""
     blue = turn % 2 == 0
     ground, ink = (_BLUE, _WHITE) if blue else ((_YELLOW, _BLACK) if turn % 4 == 1 else (_WHITE, _BLACK))
-    image = plain(wide, high, ink)
-    rounded(image, (5, 5, wide - 5, high - 5), 18, ground)
+    image = new_image(wide, high, ink)
+    rounded_rectangle(image, (5, 5, wide - 5, high - 5), 18, ground)
     towns = rng.permutation(len(_TOWNS))[:3]
     for line, town in enumerate(towns):
         top = (0.10 + 0.225 * line) * high
@@ -209,8 +209,8 @@ def direction_sign(rng: np.random.Generator, wide: int, high: int, turn: int) ->
         _arrow(image, size, tuple(ends[0] / size), tuple(ends[1] / size), ink, 0.035)
     shield = (0.18 * wide, 0.80 * high, 0.34 * wide, 0.93 * high)
     if blue:
-        rounded(image, shield, 10, _WHITE)
-        rounded(image, (shield[0] + 2, shield[1] + 2, shield[2] - 2, shield[3] - 2), 9, _BLUE)
+        rounded_rectangle(image, shield, 10, _WHITE)
+        rounded_rectangle(image, (shield[0] + 2, shield[1] + 2, shield[2] - 2, shield[3] - 2), 9, _BLUE)
     else:
         rectangle(image, shield, _BLACK)
         rectangle(image, (shield[0] + 2, shield[1] + 2, shield[2] - 2, shield[3] - 2), _YELLOW)

@@ -10,14 +10,14 @@ from mirror.arrays import UInt8
 from mirror.synth.textures.images.drawing import (
     Box,
     Colour,
+    choose_colour,
     disc,
     gradient,
     mix,
-    one_of,
+    new_image,
     part,
-    plain,
     rectangle,
-    rounded,
+    rounded_rectangle,
     shade,
     stroke,
     weather,
@@ -34,7 +34,7 @@ _NAMES: Final = ("RAZE", "KOJO", "ZEN9", "FLUX", "MONK", "ASTR", "BOLO", "VEX2")
 def door(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     """A house door with panels or panes, a handle, a letter slot and a number."""
     leaf = _DOORS[turn % len(_DOORS)]
-    image = plain(wide, high, shade(leaf, 0.62))
+    image = new_image(wide, high, shade(leaf, 0.62))
     rectangle(image, (0.06 * wide, 0.03 * high, 0.94 * wide, high), leaf)
     kind = turn % 4
     spots: list[Box] = []
@@ -60,7 +60,7 @@ def door(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     stroke(image, [(0.88 * wide, 0.50 * high), (0.88 * wide, 0.60 * high)], brass, 0.035 * wide)
     disc(image, 0.88 * wide, 0.63 * high, 0.02 * wide, shade(brass, 0.5))
     if kind in (0, 1):
-        rounded(image, (0.36 * wide, 0.555 * high, 0.64 * wide, 0.585 * high), 3, brass)
+        rounded_rectangle(image, (0.36 * wide, 0.555 * high, 0.64 * wide, 0.585 * high), 3, brass)
     number(image, str(int(rng.integers(1, 98))), (0.40 * wide, 0.035 * high, 0.60 * wide, 0.07 * high), (226, 222, 210))
     rectangle(image, (0.06 * wide, 0.955 * high, 0.94 * wide, high), shade(leaf, 0.5))
     weather(image, rng, 0.05)
@@ -69,8 +69,8 @@ def door(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
 
 def graffiti(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     """Graffiti: thick outlined letters over patches of colour and tags."""
-    ground = one_of(rng, PALE)
-    image = plain(wide, high, shade(ground, 0.8))
+    ground = choose_colour(rng, PALE)
+    image = new_image(wide, high, shade(ground, 0.8))
     cloud, body, edge = (BRIGHT[int(n)] for n in rng.permutation(len(BRIGHT))[:3])
     for _ in range(26):
         x, y = rng.uniform(0.08, 0.92) * wide, rng.uniform(0.25, 0.85) * high
@@ -104,4 +104,4 @@ def _tag(image: UInt8, rng: np.random.Generator, x: float, y: float, size: float
     t = np.linspace(0.0, 1.0, 40)
     a, b = rng.uniform(2, 6, 2), rng.uniform(0, 6, 2)
     path = np.c_[x + size * (3.0 * t + 0.5 * np.sin(a[0] * 6 * t + b[0])), y + size * 0.6 * np.sin(a[1] * 6 * t + b[1])]
-    stroke(image, path, one_of(rng, ((24, 24, 28), (34, 40, 110), (130, 26, 34))), 2)
+    stroke(image, path, choose_colour(rng, ((24, 24, 28), (34, 40, 110), (130, 26, 34))), 2)

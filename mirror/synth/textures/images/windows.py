@@ -10,16 +10,16 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.synth.textures.images.drawing import (
     Colour,
+    choose_colour,
     disc,
     fill,
     glow,
     gradient,
     mix,
-    one_of,
+    new_image,
     part,
-    plain,
     rectangle,
-    rounded,
+    rounded_rectangle,
     shade,
     star,
     stroke,
@@ -35,8 +35,8 @@ _WORDS: Final = ("SALE", "NEU", "-30 %", "OFFEN", "Mo-Fr 9-18", "Angebot", "Mitt
 
 def shop_window(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
     """The interior of a shop seen through its window: walls, lamps, goods, words on the pane."""
-    image = plain(wide, high, (90, 80, 70))
-    wall = shade(one_of(rng, PALE), rng.uniform(0.50, 0.75))
+    image = new_image(wide, high, (90, 80, 70))
+    wall = shade(choose_colour(rng, PALE), rng.uniform(0.50, 0.75))
     _room(image, rng, wall)
     _GOODS[turn % len(_GOODS)](image, rng)
     if rng.random() < 0.35:
@@ -44,7 +44,7 @@ def shop_window(rng: np.random.Generator, wide: int, high: int, turn: int) -> UI
     if rng.random() < 0.6:
         words = _WORDS[int(rng.integers(len(_WORDS)))]
         left, top = rng.uniform(0.05, 0.6) * wide, rng.uniform(0.08, 0.3) * high
-        tone = one_of(rng, ((228, 226, 220), (196, 40, 42), (236, 200, 60)))
+        tone = choose_colour(rng, ((228, 226, 220), (196, 40, 42), (236, 200, 60)))
         write(image, words, (left, top, left + 0.32 * wide, top + 0.12 * high), tone, weight=800)
     weather(image, rng, 0.03)
     return image
@@ -56,7 +56,7 @@ def _room(image: UInt8, rng: np.random.Generator, wall: Colour) -> None:
     left, right, top, floor = 0.14 * wide, 0.86 * wide, 0.16 * high, 0.80 * high
     gradient(image, shade(wall, 1.1), shade(wall, 0.8))
     fill(image, [(0, 0), (wide, 0), (right, top), (left, top)], shade(wall, 1.12))
-    fill(image, [(0, high), (wide, high), (right, floor), (left, floor)], one_of(rng, _FLOORS))
+    fill(image, [(0, high), (wide, high), (right, floor), (left, floor)], choose_colour(rng, _FLOORS))
     fill(image, [(0, 0), (left, top), (left, floor), (0, high)], shade(wall, 0.72))
     fill(image, [(wide, 0), (right, top), (right, floor), (wide, high)], shade(wall, 0.66))
     for x in np.linspace(0.2, 0.8, int(rng.integers(2, 5))) * wide:
@@ -68,17 +68,17 @@ def _room(image: UInt8, rng: np.random.Generator, wall: Colour) -> None:
 def _shelves(image: UInt8, rng: np.random.Generator, rows: int, goods: _Goods | None, low: float = 0.78) -> None:
     """Draw shelves along the rear wall with boxes, jars or books."""
     high, wide = image.shape[:2]
-    board = one_of(rng, ((120, 90, 62), (70, 66, 62), (176, 170, 160)))
+    board = choose_colour(rng, ((120, 90, 62), (70, 66, 62), (176, 170, 160)))
     step = (low - 0.24) / rows
     for row in range(rows):
         y = (0.24 + (row + 1) * step) * high
         at = 0.15 * wide
-        tone = one_of(rng, BRIGHT)
+        tone = choose_colour(rng, BRIGHT)
         while at < 0.84 * wide:
             size = rng.uniform(0.012, 0.035) * wide
             tall = rng.uniform(0.5, 0.9) * step * high
             if rng.random() < 0.35:
-                tone = one_of(rng, BRIGHT)
+                tone = choose_colour(rng, BRIGHT)
             item = shade(tone, rng.uniform(0.6, 1.05))
             if rng.random() < 0.88:
                 rectangle(image, (at, y - tall, at + size, y), item)
@@ -95,7 +95,7 @@ def _grocery(image: UInt8, rng: np.random.Generator) -> None:
     _shelves(image, rng, 4, None)
     for x in np.linspace(0.05, 0.75, 4) * wide:
         crate = (x, 0.84 * high, x + 0.2 * wide, 0.97 * high)
-        tone = one_of(rng, ((196, 42, 36), (230, 134, 34), (110, 160, 50), (206, 186, 50)))
+        tone = choose_colour(rng, ((196, 42, 36), (230, 134, 34), (110, 160, 50), (206, 186, 50)))
         for _ in range(26):
             disc(
                 image,
@@ -115,7 +115,7 @@ def _clothes(image: UInt8, rng: np.random.Generator) -> None:
     at = 0.20 * wide
     while at < 0.80 * wide:
         size = rng.uniform(0.015, 0.03) * wide
-        tone = shade(one_of(rng, BRIGHT + DEEP + PALE), rng.uniform(0.5, 0.9))
+        tone = shade(choose_colour(rng, BRIGHT + DEEP + PALE), rng.uniform(0.5, 0.9))
         fill(
             image,
             [
@@ -133,7 +133,7 @@ def _clothes(image: UInt8, rng: np.random.Generator) -> None:
             float(x) * wide,
             0.97 * high,
             0.74 * high,
-            shade(one_of(rng, BRIGHT + DEEP), 0.9),
+            shade(choose_colour(rng, BRIGHT + DEEP), 0.9),
             (216, 200, 184),
             rng,
         )
@@ -143,7 +143,7 @@ def _figure(
     image: UInt8, x: float, foot: float, tall: float, coat: Colour, skin: Colour, rng: np.random.Generator
 ) -> None:
     """Draw a standing, dressed person."""
-    legs = shade(one_of(rng, DEEP), 0.9)
+    legs = shade(choose_colour(rng, DEEP), 0.9)
     for side in (-1, 1):
         stroke(
             image, [(x + side * 0.05 * tall, foot - 0.45 * tall), (x + side * 0.06 * tall, foot)], legs, 0.085 * tall
@@ -164,9 +164,14 @@ def _figure(
 def _keeper(image: UInt8, rng: np.random.Generator) -> None:
     high, wide = image.shape[:2]
     x = rng.uniform(0.25, 0.75) * wide
-    _figure(image, x, 0.95 * high, 0.62 * high, shade(one_of(rng, BRIGHT), 0.7), (176, 128, 100), rng)
+    _figure(image, x, 0.95 * high, 0.62 * high, shade(choose_colour(rng, BRIGHT), 0.7), (176, 128, 100), rng)
     disc(
-        image, x, 0.95 * high - 0.605 * high, 0.042 * high, one_of(rng, ((40, 28, 20), (90, 60, 30), (24, 22, 22))), 0.8
+        image,
+        x,
+        0.95 * high - 0.605 * high,
+        0.042 * high,
+        choose_colour(rng, ((40, 28, 20), (90, 60, 30), (24, 22, 22))),
+        0.8,
     )
 
 
@@ -180,7 +185,7 @@ def _bakery(image: UInt8, rng: np.random.Generator) -> None:
     rectangle(image, (0.08 * wide, 0.65 * high, 0.92 * wide, 0.84 * high), (70, 58, 46))
     for y in (0.73, 0.82):
         for x in np.arange(0.10, 0.91, 0.035) * wide:
-            tone = one_of(rng, ((190, 130, 66), (220, 190, 140), (120, 66, 40), (206, 90, 90)))
+            tone = choose_colour(rng, ((190, 130, 66), (220, 190, 140), (120, 66, 40), (206, 90, 90)))
             disc(image, x, y * high - 3, 0.014 * wide, tone, 0.8)
         rectangle(image, (0.08 * wide, y * high, 0.92 * wide, y * high + 2), (210, 206, 198))
 
@@ -203,7 +208,7 @@ def _cafe(image: UInt8, rng: np.random.Generator) -> None:
                 (x - 0.07) * wide,
                 1.06 * high,
                 0.56 * high,
-                shade(one_of(rng, BRIGHT), 0.7),
+                shade(choose_colour(rng, BRIGHT), 0.7),
                 (186, 140, 112),
                 rng,
             )
@@ -217,12 +222,12 @@ def _books(image: UInt8, rng: np.random.Generator) -> None:
     high, wide = image.shape[:2]
     _shelves(image, rng, 5, None)
     for x in np.linspace(0.08, 0.86, 7) * wide:
-        tone = one_of(rng, BRIGHT + DEEP)
+        tone = choose_colour(rng, BRIGHT + DEEP)
         tall = rng.uniform(0.16, 0.22) * high
         box = (x, 0.97 * high - tall, x + 0.075 * wide, 0.97 * high)
         rectangle(image, box, tone)
-        rectangle(image, (box[0] + 4, box[1] + 6, box[2] - 4, box[1] + 0.3 * tall), one_of(rng, PALE))
-        disc(image, 0.5 * (box[0] + box[2]), box[1] + 0.65 * tall, 0.02 * wide, one_of(rng, BRIGHT))
+        rectangle(image, (box[0] + 4, box[1] + 6, box[2] - 4, box[1] + 0.3 * tall), choose_colour(rng, PALE))
+        disc(image, 0.5 * (box[0] + box[2]), box[1] + 0.65 * tall, 0.02 * wide, choose_colour(rng, BRIGHT))
 
 
 def _plants(image: UInt8, rng: np.random.Generator) -> None:
@@ -237,7 +242,7 @@ def _plants(image: UInt8, rng: np.random.Generator) -> None:
                 tip = (x + 2.0 * size * np.sin(turn), y - size - 2.0 * size * np.cos(turn))
                 stroke(image, [(x, y - size), tip], shade(green, rng.uniform(0.7, 1.2)), 4)
                 if rng.random() < 0.5:
-                    fill(image, star(*tip, 6.0, 6, 0.5), one_of(rng, BRIGHT))
+                    fill(image, star(*tip, 6.0, 6, 0.5), choose_colour(rng, BRIGHT))
             fill(
                 image,
                 [(x - 0.7 * size, y - size), (x + 0.7 * size, y - size), (x + 0.5 * size, y), (x - 0.5 * size, y)],
@@ -250,7 +255,7 @@ def _shoes(image: UInt8, rng: np.random.Generator) -> None:
     for y in (0.38, 0.54, 0.70, 0.90):
         rectangle(image, (0.1 * wide, y * high, 0.9 * wide, y * high + 4), (206, 202, 196))
         for x in np.arange(0.13, 0.84, 0.085) * wide:
-            tone = one_of(rng, BRIGHT + DEEP + PALE)
+            tone = choose_colour(rng, BRIGHT + DEEP + PALE)
             shoe = [(0, 0), (0.06, 0), (0.06, -0.014), (0.035, -0.028), (0.022, -0.05), (0.002, -0.05)]
             fill(image, [(x + a * wide, y * high + b * wide) for a, b in shoe], tone)
             stroke(image, [(x, y * high), (x + 0.06 * wide, y * high)], shade(tone, 0.4), 2)
@@ -263,19 +268,30 @@ def _screens(image: UInt8, rng: np.random.Generator) -> None:
             box = (x * wide, y * high, (x + 0.2) * wide, (y + 0.22) * high)
             rectangle(image, box, (22, 22, 24))
             inner = (box[0] + 4, box[1] + 4, box[2] - 4, box[3] - 4)
-            gradient(part(image, inner), one_of(rng, BRIGHT), one_of(rng, DEEP))
-            disc(image, rng.uniform(inner[0] + 12, inner[2] - 12), 0.5 * (inner[1] + inner[3]), 10.0, one_of(rng, PALE))
+            gradient(part(image, inner), choose_colour(rng, BRIGHT), choose_colour(rng, DEEP))
+            disc(
+                image,
+                rng.uniform(inner[0] + 12, inner[2] - 12),
+                0.5 * (inner[1] + inner[3]),
+                10.0,
+                choose_colour(rng, PALE),
+            )
     for x in np.linspace(0.08, 0.85, 6) * wide:
-        rounded(image, (x, 0.86 * high, x + 0.07 * wide, 0.95 * high), 5, one_of(rng, ((40, 40, 44), (200, 200, 204))))
+        rounded_rectangle(
+            image,
+            (x, 0.86 * high, x + 0.07 * wide, 0.95 * high),
+            5,
+            choose_colour(rng, ((40, 40, 44), (200, 200, 204))),
+        )
 
 
 def _furniture(image: UInt8, rng: np.random.Generator) -> None:
     high, wide = image.shape[:2]
-    tone = one_of(rng, BRIGHT)
-    rounded(image, (0.14 * wide, 0.52 * high, 0.56 * wide, 0.76 * high), 14, shade(tone, 0.8))
-    rounded(image, (0.10 * wide, 0.66 * high, 0.60 * wide, 0.88 * high), 12, tone)
+    tone = choose_colour(rng, BRIGHT)
+    rounded_rectangle(image, (0.14 * wide, 0.52 * high, 0.56 * wide, 0.76 * high), 14, shade(tone, 0.8))
+    rounded_rectangle(image, (0.10 * wide, 0.66 * high, 0.60 * wide, 0.88 * high), 12, tone)
     for x in (0.24, 0.44):
-        rounded(image, (x * wide - 22, 0.55 * high, x * wide + 22, 0.70 * high), 8, one_of(rng, PALE))
+        rounded_rectangle(image, (x * wide - 22, 0.55 * high, x * wide + 22, 0.70 * high), 8, choose_colour(rng, PALE))
     stroke(image, [(0.72 * wide, 0.92 * high), (0.72 * wide, 0.36 * high)], (40, 38, 36), 4)
     glow(image, 0.72 * wide, 0.36 * high, 0.3 * high, 0.8, (255, 222, 160))
     fill(
@@ -290,7 +306,9 @@ def _furniture(image: UInt8, rng: np.random.Generator) -> None:
     )
     rectangle(image, (0.30 * wide, 0.24 * high, 0.50 * wide, 0.42 * high), (60, 50, 40))
     gradient(
-        part(image, (0.31 * wide, 0.255 * high, 0.49 * wide, 0.405 * high)), one_of(rng, BRIGHT), one_of(rng, PALE)
+        part(image, (0.31 * wide, 0.255 * high, 0.49 * wide, 0.405 * high)),
+        choose_colour(rng, BRIGHT),
+        choose_colour(rng, PALE),
     )
 
 

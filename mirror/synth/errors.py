@@ -97,7 +97,7 @@ class Errors:
     dropped: float = 0.0
 
     def __post_init__(self) -> None:
-        numbers = [value for one in fields(self) if isinstance(value := getattr(self, one.name), int | float)]
+        numbers = [value for setting in fields(self) if isinstance(value := getattr(self, setting.name), int | float)]
         _require(self, min(numbers) >= 0.0, "numbers of at least 0")
         _require(self, self.drift_time_s > 0.0, "drift_time_s above 0")
         _require(self, self.dropped < 1.0, "a share of dropped images below 1")

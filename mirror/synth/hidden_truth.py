@@ -72,8 +72,8 @@ def write_hidden_truth(
     drives = {row["traversal_id"]: row["drive_id"] for row in table}
     truth = GroundTruth(dataset, plan.protocol, plan.layers)
     # Views of the same time use the same cached instant.
-    ordered = sorted(plan.views, key=lambda one: (one.traversal_id, one.timestamp_ns, one.group))
-    for view in {one.traversal_id: one for one in reversed(ordered)}.values():
+    ordered = sorted(plan.views, key=lambda planned: (planned.traversal_id, planned.timestamp_ns, planned.group))
+    for view in {planned.traversal_id: planned for planned in reversed(ordered)}.values():
         _require_recorded(view, truth, preset, seed, drives[view.traversal_id])
     start_render_folder(out, ("hidden truth", plan.hash, preset, str(seed)), last=HIDDEN)
     missing = [view for view in ordered if not (out / view.path).is_file()]
@@ -96,7 +96,9 @@ def _require_recorded(view: RenderView, truth: GroundTruth, preset: str, seed: i
     rendered = render_shifted(view, 0.0, preset, seed, drive_id)
     psnr_db = float(psnr(rendered, recorded)) if rendered.shape == recorded.shape else None
     if psnr_db is None or psnr_db < _LEAST_DB:
-        sizes = " and ".join(f"{one.shape[1]} x {one.shape[0]} px" for one in (rendered, recorded))
+        sizes = " and ".join(
+            f"{image_array.shape[1]} x {image_array.shape[0]} px" for image_array in (rendered, recorded)
+        )
         raise DatasetError(
             f"drive {drive_id} of preset {preset}, seed {seed}, is not what was recorded "
             + (f"({sizes})" if psnr_db is None else f"({psnr_db:.1f} dB)"),

@@ -46,8 +46,8 @@ class Drive:
         knots = schedule.begin_s + np.arange(-2, len(schedule.along_m) + 2, dtype=np.float64) * schedule.step_s
         along, speed = schedule.at(knots)
         ahead, _ = self.trace.at(along + 0.5 * STEP_M)
-        behind, _ = self.trace.at(along - 0.5 * STEP_M)
-        bend = (ahead[:, 3] - behind[:, 3]) / STEP_M
+        previous, _ = self.trace.at(along - 0.5 * STEP_M)
+        bend = (ahead[:, 3] - previous[:, 3]) / STEP_M
         pull = np.gradient(speed, schedule.step_s)
         time = knots + self.sway
         rough = np.minimum(speed / 6.0, 1.0)
@@ -72,12 +72,12 @@ class Drive:
         """Return ``world_SE3_ego`` at times (N,): on the ground, with the pitch and roll of the body on its springs."""
         time = np.asarray(time_s, np.float64)
         along, _ = self.schedule.at(time)
-        placed, _ = self.trace.at(along)
+        poses, _ = self.trace.at(along)
         pitch, roll = self._sway(time).T
         rotation = quaternion_from_heading_pitch_roll(
-            90.0 - np.degrees(placed[:, 3]), np.degrees(placed[:, 4]) + pitch, np.degrees(placed[:, 5]) + roll
+            90.0 - np.degrees(poses[:, 3]), np.degrees(poses[:, 4]) + pitch, np.degrees(poses[:, 5]) + roll
         )
-        return Poses(rotation, placed[:, :3])
+        return Poses(rotation, poses[:, :3])
 
     def _sway(self, time_s: Float64) -> Float64:
         """(N, 2) pitch and roll of the body on its springs, degrees: a cubic B-spline in time."""

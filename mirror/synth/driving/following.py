@@ -72,9 +72,9 @@ def pace_at(ways: Ways, way: int, along: float) -> float:
 def free_acceleration(u: int, ways: Ways, road_users: Users, s: float, v: float) -> float:
     """Acceleration on a free road: towards the desired speed, which is lower before bends and varies a little."""
     easing = 1.0 - 0.10 * (0.5 + 0.5 * math.sin(s / 17.0 + road_users.phase[u]))
-    own = road_users.eager[u] * easing
-    now = min(pace_at(ways, road_users.way[u], s) * own, road_users.fastest_mps[u])
-    soon = min(pace_at(ways, road_users.way[u], s + 0.8 * v) * own, road_users.fastest_mps[u])
+    free = road_users.eager[u] * easing
+    now = min(pace_at(ways, road_users.way[u], s) * free, road_users.fastest_mps[u])
+    soon = min(pace_at(ways, road_users.way[u], s + 0.8 * v) * free, road_users.fastest_mps[u])
     return min(road_users.pick_up_mps2[u] * (1.0 - (v / now) ** 4), (soon - v) / 0.8)
 
 
@@ -83,11 +83,11 @@ def following_acceleration(u: int, road_users: Users, v: float, gap: float, spee
     """Acceleration behind a road user at a gap, metres, and a speed, m/s."""
     room = max(gap, 0.3)
     ease = 2.0 * math.sqrt(road_users.pick_up_mps2[u] * road_users.brake_mps2[u])
-    wanted = STANDSTILL_M + max(0.0, v * road_users.headway_s[u] + v * (v - speed) / ease)
+    desired_gap = STANDSTILL_M + max(0.0, v * road_users.headway_s[u] + v * (v - speed) / ease)
     # The model brakes hard at a short gap even if the gap does not close; the limit prevents that.
     closing = max(v - speed, 0.0)
     hardest = min(max(1.4 * closing * closing / (2.0 * room), _GENTLE_MPS2), _HARDEST_MPS2)
-    return max(road_users.pick_up_mps2[u] * (1.0 - (wanted / room) ** 2), -hardest)
+    return max(road_users.pick_up_mps2[u] * (1.0 - (desired_gap / room) ** 2), -hardest)
 
 
 @inner_njit

@@ -137,12 +137,12 @@ def _attempt(
     trace = build_trace(route.way, chassis, site.height_m, own.aside)
     drive = Drive(name, trace, ego.since(start), duration, clock + start, own.manner.phase)
     moving = [
-        (one, schedule.since(start))
-        for one, schedule in zip([*others, *on_foot], schedules[1:])
+        (participant, schedule.since(start))
+        for participant, schedule in zip([*others, *on_foot], schedules[1:])
         if schedule is not None and schedule.end_s > start and schedule.begin_s < start + duration
     ]
-    gone = {id(car) for car in off}
-    stays: list[tuple[Body, Motion]] = [(car.body, car.motion) for car in cars if id(car) not in gone]
+    removed = {id(car) for car in off}
+    stays: list[tuple[Body, Motion]] = [(car.body, car.motion) for car in cars if id(car) not in removed]
     return Journey(
         drive,
         _make_road_users(site, chassis, drive, moving, stays, list(place_standing_people(site, bustle, rng)), bustle),
@@ -217,10 +217,12 @@ def _make_road_users(
     """All road users, without those that would overlap one of higher priority."""
     driven: list[tuple[Body, Motion]] = []
     walking: list[tuple[Body, Motion]] = []
-    for one, schedule in moving:
-        on_foot = one.kind == "pedestrian"
-        body = get_body(one.kind, one.number, bustle.umbrellas and on_foot, bustle.warm and on_foot)
-        moves = TraceMotion(build_trace(one.way, one.chassis, site.height_m, one.aside), schedule)
+    for participant, schedule in moving:
+        on_foot = participant.kind == "pedestrian"
+        body = get_body(participant.kind, participant.number, bustle.umbrellas and on_foot, bustle.warm and on_foot)
+        moves = TraceMotion(
+            build_trace(participant.way, participant.chassis, site.height_m, participant.aside), schedule
+        )
         (walking if on_foot else driven).append((body, moves))
     everybody = [*driven, *parked_cars, *walking, *standing_people]
     times = np.arange(0.0, drive.duration_s + TICK_S, TICK_S)
@@ -228,18 +230,18 @@ def _make_road_users(
     places[0] = _vehicle_centres(drive, chassis, times)
     for number, (_, motion) in enumerate(everybody, start=1):
         if isinstance(motion, TraceMotion):
-            placed, _ = motion.trace.at(motion.schedule.at(times)[0])
-            places[number] = placed[:, (0, 1, 3)]
+            poses, _ = motion.trace.at(motion.schedule.at(times)[0])
+            places[number] = poses[:, (0, 1, 3)]
         else:
             at = motion.at(0.0)
             places[number] = (at.x_m, at.y_m, at.yaw_rad)
     sizes = np.array([(chassis.length_m, chassis.width_m), *(body.size_m[:2] for body, _ in everybody)])
     fixed = np.zeros(len(places), np.bool_)
     fixed[0] = True
-    kept = select_non_overlapping(places, 0.5 * sizes + _CLEARANCE_M, fixed, site.radius_m + _SEEN_M)
+    is_kept = select_non_overlapping(places, 0.5 * sizes + _CLEARANCE_M, fixed, site.radius_m + _SEEN_M)
     counts: dict[str, int] = {}
     road_users = []
-    for (body, motion), stays in zip(everybody, kept[1:]):
+    for (body, motion), stays in zip(everybody, is_kept[1:]):
         if stays:
             counts[body.category] = counts.get(body.category, 0) + 1
             road_users.append(RoadUser(f"{body.category}-{counts[body.category]:03d}", body, motion))
@@ -248,7 +250,7 @@ def _make_road_users(
 
 def _vehicle_centres(drive: Drive, chassis: Chassis, times: Float64) -> Float64:
     """(T, 3) x, y and yaw of the middle of the recording vehicle."""
-    placed, _ = drive.trace.at(drive.schedule.at(times)[0])
+    poses, _ = drive.trace.at(drive.schedule.at(times)[0])
     ahead = 0.5 * chassis.length_m - chassis.rear_overhang_m - chassis.origin_m
-    yaw = placed[:, 3]
-    return np.column_stack([placed[:, 0] + ahead * np.cos(yaw), placed[:, 1] + ahead * np.sin(yaw), yaw])
+    yaw = poses[:, 3]
+    return np.column_stack([poses[:, 0] + ahead * np.cos(yaw), poses[:, 1] + ahead * np.sin(yaw), yaw])

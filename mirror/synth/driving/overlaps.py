@@ -24,12 +24,12 @@ def select_non_overlapping(places: Float64, halves: Float64, fixed: Bool, within
         (N,) True for the selected users.
     """
     count, times = places.shape[:2]
-    kept = np.ones(count, np.bool_)
+    is_selected = np.ones(count, np.bool_)
     for i in range(count):
         if fixed[i]:
             continue
         for j in range(count):
-            if (j >= i and not fixed[j]) or j == i or not kept[j]:
+            if (j >= i and not fixed[j]) or j == i or not is_selected[j]:
                 continue
             reach = math.hypot(halves[i, 0], halves[i, 1]) + math.hypot(halves[j, 0], halves[j, 1])
             for t in range(times):
@@ -39,11 +39,11 @@ def select_non_overlapping(places: Float64, halves: Float64, fixed: Bool, within
                 if math.hypot(places[i, t, 0], places[i, t, 1]) > within_m:
                     continue
                 if _overlap(dx, dy, places[i, t, 2], places[j, t, 2], halves[i], halves[j]):
-                    kept[i] = False
+                    is_selected[i] = False
                     break
-            if not kept[i]:
+            if not is_selected[i]:
                 break
-    return kept
+    return is_selected
 
 
 @njit(cache=True, nogil=True)

@@ -50,12 +50,12 @@ def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterat
         lane = lanes[name]
         for place in np.arange(0.5 * _PITCH_M, lane.length_m - 0.5 * _PITCH_M + 1e-6, _PITCH_M):
             stays, changes = _choose_car(always)
-            once, aside, skew, number, kind = _build_car(always)
+            offset, aside, skew, number, kind = _build_car(always)
             if not stays:
-                taken, aside, skew, number, kind = _build_car(rng)
-                if not changes or taken > _TAKEN:
+                occupancy, aside, skew, number, kind = _build_car(rng)
+                if not changes or occupancy > _TAKEN:
                     continue
-            at = place + once * 0.5
+            at = place + offset * 0.5
             body = get_body(kind, number)
             if body.size_m[0] > _LONGEST_M:
                 continue

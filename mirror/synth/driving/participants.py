@@ -113,18 +113,18 @@ def simulate_participants(
     lengths, speeds = simulate(
         _pack_ways(ways), road_users, meetings, now, green, network.cycle_s, clock_s, ticks, first_goes_first
     )
-    found: list[Schedule | None] = []
+    schedules: list[Schedule | None] = []
     for place in range(len(participants)):
         there = np.flatnonzero(np.isfinite(lengths[:, place]))
         if len(there) < 2:
-            found.append(None)
+            schedules.append(None)
             continue
         span = slice(there[0], there[-1] + 1)
-        found.append(
+        schedules.append(
             # The state of a tick is that at its end.
             Schedule((there[0] + 1) * TICK_S, TICK_S, lengths[span, place].copy(), speeds[span, place].copy())
         )
-    return found
+    return schedules
 
 
 def _pack_ways(ways: Sequence[Way]) -> Ways:
@@ -143,65 +143,68 @@ def _pack_ways(ways: Sequence[Way]) -> Ways:
 def _make_road_users(participants: Sequence[Participant], number: dict[int, int]) -> Users:
     rows = [
         (
-            one.chassis.length_m,
-            one.enter_s,
-            one.enter_m,
-            one.way.length_m if one.end_m is None else one.end_m,
-            one.manner.eager,
-            one.manner.fastest_mps,
-            one.manner.pick_up_mps2,
-            one.manner.brake_mps2,
-            one.manner.headway_s,
-            one.manner.phase,
-            one.pause_m,
-            one.pause_s,
+            participant.chassis.length_m,
+            participant.enter_s,
+            participant.enter_m,
+            participant.way.length_m if participant.end_m is None else participant.end_m,
+            participant.manner.eager,
+            participant.manner.fastest_mps,
+            participant.manner.pick_up_mps2,
+            participant.manner.brake_mps2,
+            participant.manner.headway_s,
+            participant.manner.phase,
+            participant.pause_m,
+            participant.pause_s,
         )
-        for one in participants
+        for participant in participants
     ]
-    ways = np.array([number[id(one.way)] for one in participants], np.int64)
+    ways = np.array([number[id(participant.way)] for participant in participants], np.int64)
     return Users(ways, *np.ascontiguousarray(np.array(rows, np.float64).T))
 
 
 def _find_meetings(participants: Sequence[Participant], ways: Sequence[Way], number: dict[int, int]) -> Meetings:
     """All meetings of two participants; the zones of each pair of ways are computed once."""
     known: dict[tuple[int, int, float], list[int]] = {}
-    found: list[Zone] = []
+    zones: list[Zone] = []
     pairs: list[tuple[int, int]] = []
     chosen: list[int] = []
-    place = [number[id(one.way)] for one in participants]
-    crosses = [one.kind != "pedestrian" or any(lane.use == "cross" for lane in one.way.lanes) for one in participants]
-    for i, one in enumerate(participants):
+    place = [number[id(participant.way)] for participant in participants]
+    crosses = [
+        participant.kind != "pedestrian" or any(lane.use == "cross" for lane in participant.way.lanes)
+        for participant in participants
+    ]
+    for i, participant in enumerate(participants):
         for j in range(i):
             other = participants[j]
-            if one.kind == "pedestrian" and other.kind == "pedestrian":
+            if participant.kind == "pedestrian" and other.kind == "pedestrian":
                 # Pedestrians avoid each other unless they walk in one file.
-                if one.way is not other.way or one.aside.right_m != other.aside.right_m:
+                if participant.way is not other.way or participant.aside.right_m != other.aside.right_m:
                     continue
             elif not (crosses[i] and crosses[j]):
                 continue
             # Few different widths keep the number of zone computations small.
-            room = 0.5 * (_WIDTHS[one.kind] + _WIDTHS[other.kind]) + _ROOM_M
+            room = 0.5 * (_WIDTHS[participant.kind] + _WIDTHS[other.kind]) + _ROOM_M
             p, q = (i, j) if place[i] <= place[j] else (j, i)
             key = (place[p], place[q], room)
             if key not in known:
                 new = find_zones(ways[key[0]], ways[key[1]], room)
-                known[key] = list(range(len(found), len(found) + len(new)))
-                found += new
+                known[key] = list(range(len(zones), len(zones) + len(new)))
+                zones += new
             pairs += [(p, q)] * len(known[key])
             chosen += known[key]
     zone = np.array(chosen, np.int64)
-    limits = [limit for one_zone in found for limit in one_zone.limits]
+    limits = [limit for one_zone in zones for limit in one_zone.limits]
     counts = np.array([len(limit) for limit in limits], np.int64)
     tables = np.concatenate([[0], np.cumsum(counts)[:-1]]) if limits else counts
     return Meetings(
         np.array(pairs, np.int64).reshape(-1, 2),
-        _close_pairs([one_zone.begin_m for one_zone in found])[zone],
-        _close_pairs([one_zone.end_m for one_zone in found])[zone],
-        _close_pairs([one_zone.hold_m for one_zone in found])[zone],
+        _close_pairs([one_zone.begin_m for one_zone in zones])[zone],
+        _close_pairs([one_zone.end_m for one_zone in zones])[zone],
+        _close_pairs([one_zone.hold_m for one_zone in zones])[zone],
         tables.astype(np.int64).reshape(-1, 2)[zone],
         counts.reshape(-1, 2)[zone],
-        np.array([one_zone.along for one_zone in found], np.uint8)[zone],
-        np.array([one_zone.first for one_zone in found], np.int64)[zone],
+        np.array([one_zone.along for one_zone in zones], np.uint8)[zone],
+        np.array([one_zone.first for one_zone in zones], np.int64)[zone],
         np.concatenate(limits) if limits else np.zeros(0),
     )
 

@@ -39,8 +39,8 @@ class Path:
     @property
     def turns(self) -> tuple[float, ...]:
         """Angles of the turns at crossings, positive to the left, radians."""
-        found = [turn_rad(lane) for lane in self.lanes if lane.use == "turn"]
-        return tuple(angle for angle in found if abs(angle) > TURN_RAD)
+        turns = [turn_rad(lane) for lane in self.lanes if lane.use == "turn"]
+        return tuple(angle for angle in turns if abs(angle) > TURN_RAD)
 
     def inside_m(self, radius_m: float) -> float:
         """Return the length within a circle around the origin."""

@@ -105,9 +105,9 @@ class Streets:
             for path in self.paths
             if path.lane_ids[0] in starts and len(path.turns) == 1 and sign * path.turns[0] > 0.0
         ]
-        wanted = 0.8 * self.radius_m
+        least_m = 0.8 * self.radius_m
         return sorted(
-            (path for path in found if path.inside_m(self.radius_m) > wanted),
+            (path for path in found if path.inside_m(self.radius_m) > least_m),
             key=lambda path: (self._turns_at_m(path), path.lane_ids),
         )
 

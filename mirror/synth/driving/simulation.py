@@ -63,51 +63,51 @@ def simulate(
     count = len(road_users.way)
     lengths = np.full((ticks, count), np.nan)
     speeds = np.full((ticks, count), np.nan)
-    there = np.full(count, _WAITING)
+    presence = np.full(count, _WAITING)
     ahead = np.full(len(meetings.major), -1, np.int64)
     live, lives = np.empty(len(ahead), np.int64), 0
     change_lane_pieces = True
-    done = ticks
+    ticks_used = ticks
     for tick in range(ticks):
         clock = clock_s + tick * TICK_S
         for u in range(count):
-            if there[u] == _WAITING and tick * TICK_S >= road_users.enter_s[u]:
-                speed = _entry_speed(u, ways, road_users, meetings, there, now, heedless and u == 0)
+            if presence[u] == _WAITING and tick * TICK_S >= road_users.enter_s[u]:
+                speed = _entry_speed(u, ways, road_users, meetings, presence, now, heedless and u == 0)
                 if speed >= 0.0:
-                    there[u], now.s[u], now.v[u] = _THERE, road_users.enter_m[u], speed
+                    presence[u], now.s[u], now.v[u] = _THERE, road_users.enter_m[u], speed
                     now.stop_before[u] = now.shut_before[u] = FAR
                     change_lane_pieces = True
-            if there[u] == _THERE:
+            if presence[u] == _THERE:
                 now.wish[u] = free_acceleration(u, ways, road_users, now.s[u], now.v[u])
                 now.stop[u], now.shut[u], now.lead[u], now.lead_speed[u] = FAR, FAR, FAR, 0.0
         if change_lane_pieces or tick % _SIFT == 0:
-            lives = _is_active(road_users, meetings, there, now.s, live)
+            lives = _is_active(road_users, meetings, presence, now.s, live)
             change_lane_pieces = False
         for e in live[:lives]:
-            if there[meetings.road_users[e, 0]] == _THERE and there[meetings.road_users[e, 1]] == _THERE:
+            if presence[meetings.road_users[e, 0]] == _THERE and presence[meetings.road_users[e, 1]] == _THERE:
                 yield_at_meeting(e, road_users, meetings, ahead, now)
-        if heedless and there[0] == _THERE:
+        if heedless and presence[0] == _THERE:
             now.wish[0], now.stop[0], now.lead[0] = free_acceleration(0, ways, road_users, now.s[0], now.v[0]), FAR, FAR
         for u in range(count):
-            if there[u] == _THERE:
+            if presence[u] == _THERE:
                 _wait_at_halt(u, ways, road_users, now, green_s, cycle_s, clock)
                 _advance(u, now)
                 lengths[tick, u], speeds[tick, u] = now.s[u], now.v[u]
                 if now.s[u] >= road_users.end_m[u]:
-                    there[u] = _GONE
-        if there[0] == _GONE:
-            done = tick + 1
+                    presence[u] = _GONE
+        if presence[0] == _GONE:
+            ticks_used = tick + 1
             break
-    return lengths[:done], speeds[:done]
+    return lengths[:ticks_used], speeds[:ticks_used]
 
 
 @inner_njit
-def _is_active(road_users: Users, meetings: Meetings, there: Int64, s: Float64, live: Int64) -> int:
+def _is_active(road_users: Users, meetings: Meetings, presence: Int64, s: Float64, live: Int64) -> int:
     """Write the meetings that are not over yet to ``live``; returns their number."""
     count = 0
     for e in range(len(meetings.major)):
         p, q = meetings.road_users[e, 0], meetings.road_users[e, 1]
-        if there[p] != _THERE or there[q] != _THERE:
+        if presence[p] != _THERE or presence[q] != _THERE:
             continue
         if s[p] - road_users.length_m[p] > meetings.end_m[e, 0] or s[q] - road_users.length_m[q] > meetings.end_m[e, 1]:
             continue
@@ -118,7 +118,7 @@ def _is_active(road_users: Users, meetings: Meetings, there: Int64, s: Float64, 
 
 @inner_njit
 def _entry_speed(
-    u: int, ways: Ways, road_users: Users, meetings: Meetings, there: Int64, now: State, heedless: bool
+    u: int, ways: Ways, road_users: Users, meetings: Meetings, presence: Int64, now: State, heedless: bool
 ) -> float:
     """Speed at which a user can enter; -1 while there is no room."""
     at = road_users.enter_m[u]
@@ -130,7 +130,7 @@ def _entry_speed(
     for e in range(len(meetings.major)):
         for k in range(2):
             other = meetings.road_users[e, 1 - k]
-            if meetings.road_users[e, k] != u or there[other] != _THERE:
+            if meetings.road_users[e, k] != u or presence[other] != _THERE:
                 continue
             inside = meetings.begin_m[e, k] <= at + 1.0
             if not inside or now.s[other] - road_users.length_m[other] > meetings.end_m[e, 1 - k]:

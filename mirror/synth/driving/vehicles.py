@@ -133,9 +133,9 @@ def _make_vehicle(kind: Kind, way: Way, site: Site, rng: np.random.Generator, en
     aside = Aside(rng.uniform(-0.18, 0.18), rng.uniform(0.02, 0.07), rng.uniform(0.0, 6.3))
     pause_m, pause_s = -1.0, 0.0
     if kind == "bus":
-        near = [way.nearest_m(stop) for stop in site.bus_stops if way.gap_m(stop) < _BUS_STOP_M]
-        if near:
-            pause_m, pause_s = near[int(rng.integers(len(near)))] + 4.0, rng.uniform(9.0, 16.0)
+        distances = [way.nearest_m(stop) for stop in site.bus_stops if way.gap_m(stop) < _BUS_STOP_M]
+        if distances:
+            pause_m, pause_s = distances[int(rng.integers(len(distances)))] + 4.0, rng.uniform(9.0, 16.0)
     chassis = Chassis.of_box(float(length), float(width))
     return Participant(kind, number, way, chassis, manner, aside, enter_s, pause_m=pause_m, pause_s=pause_s)
 

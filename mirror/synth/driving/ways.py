@@ -191,7 +191,7 @@ def _shift_across(before: Float64, line: Float64, change_m: float) -> Float64:
 
 
 def _halts(pieces: Sequence[Piece], starts: Float64, end_m: float) -> tuple[Halt, ...]:
-    found = []
+    halts = []
     for number, piece in enumerate(pieces):
         lane = piece.lane
         stop = None if lane is None else _stop_m(lane)
@@ -203,8 +203,8 @@ def _halts(pieces: Sequence[Piece], starts: Float64, end_m: float) -> tuple[Halt
             continue
         after = [n for n in range(number + 1, len(pieces)) if _lane_use(pieces[n]) not in ("turn", "cross")]
         clear = float(starts[after[0]]) if after else end_m
-        found.append(Halt(at, lane.signal, clear, lane.use in ("walk", "cross")))
-    return tuple(found)
+        halts.append(Halt(at, lane.signal, clear, lane.use in ("walk", "cross")))
+    return tuple(halts)
 
 
 def _stop_m(lane: Lane) -> float | None:

@@ -194,8 +194,8 @@ class SynthDrive:
         motion = user.motion
         if isinstance(motion, TraceMotion):
             along, speed = motion.schedule.at(self.seconds(timestamp_ns))
-            placed, forward = motion.trace.at(along)
-            return placed, forward * speed
+            pose, forward = motion.trace.at(along)
+            return pose, forward * speed
         at = motion.at(0.0)
         row = (at.x_m, at.y_m, at.z_m, at.yaw_rad, at.pitch_rad, at.roll_rad)
         return np.tile(row, (len(timestamp_ns), 1)), np.full(len(timestamp_ns), at.speed_mps)

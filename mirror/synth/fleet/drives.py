@@ -39,16 +39,18 @@ def make_drives(
     """
     if not 0 <= seed < _SEEDS:
         raise UsageError(f"seed {seed}", place="seed", expected=f"a whole number from 0 to {_SEEDS - 1}")
-    wanted, count, many = resolve_preset(preset, scenes, traversals)
+    definition, count, many = resolve_preset(preset, scenes, traversals)
     drives = []
     for scene in range(count):
-        site = wanted.sites[scene]
+        site = definition.sites[scene]
         drives += [
-            _make_traversal_drive(wanted, scene, place, recipe, seed)
+            _make_traversal_drive(definition, scene, place, recipe, seed)
             for place, recipe in enumerate(cycle_recipes(site, many))
         ]
-        drives += [_make_other_drive(wanted, scene, place, recipe, seed) for place, recipe in enumerate(site.others)]
-    return wanted, drives
+        drives += [
+            _make_other_drive(definition, scene, place, recipe, seed) for place, recipe in enumerate(site.others)
+        ]
+    return definition, drives
 
 
 def make_drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
@@ -57,14 +59,14 @@ def make_drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
     Raises:
         UsageError: the preset or the drive does not exist.
     """
-    wanted, _, _ = resolve_preset(preset)
+    definition, _, _ = resolve_preset(preset)
     scene_id, _, number = drive_id.rpartition("-")
-    scenes = [scene for scene, site in enumerate(wanted.sites) if site.roi.scene_id == scene_id]
+    scenes = [scene for scene, site in enumerate(definition.sites) if site.roi.scene_id == scene_id]
     if not scenes or not number.isdecimal() or not 1 <= int(number) < _OTHERS:
         raise UsageError(f"no drive {drive_id!r} in preset {preset!r}", expected="<scene>-<number from 01>")
     place = int(number) - 1
-    recipe = cycle_recipes(wanted.sites[scenes[0]], place + 1)[-1]
-    return _make_traversal_drive(wanted, scenes[0], place, recipe, seed)
+    recipe = cycle_recipes(definition.sites[scenes[0]], place + 1)[-1]
+    return _make_traversal_drive(definition, scenes[0], place, recipe, seed)
 
 
 def _make_traversal_drive(preset: Preset, scene: int, place: int, recipe: Recipe, seed: int) -> SynthDrive:

@@ -191,14 +191,14 @@ def resolve_preset(preset: str, scenes: int | None = None, traversals: int | Non
     """
     if preset not in PRESETS:
         raise UsageError(f"no preset {preset!r}", expected=f"one of {', '.join(PRESETS)}")
-    wanted = PRESETS[preset]
-    count = len(wanted.sites) if scenes is None else scenes
-    if not 1 <= count <= len(wanted.sites):
-        raise UsageError(f"{count} scenes of preset {preset!r}", expected=f"1 to {len(wanted.sites)}")
-    many = wanted.traversals if traversals is None else traversals
-    if many < 1:
-        raise UsageError(f"{many} traversals a scene", expected="at least 1")
-    return wanted, count, many
+    definition = PRESETS[preset]
+    count = len(definition.sites) if scenes is None else scenes
+    if not 1 <= count <= len(definition.sites):
+        raise UsageError(f"{count} scenes of preset {preset!r}", expected=f"1 to {len(definition.sites)}")
+    traversal_count = definition.traversals if traversals is None else traversals
+    if traversal_count < 1:
+        raise UsageError(f"{traversal_count} traversals a scene", expected="at least 1")
+    return definition, count, traversal_count
 
 
 def cycle_recipes(site: Site, traversals: int) -> list[Recipe]:

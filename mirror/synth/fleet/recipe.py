@@ -64,16 +64,16 @@ def make_recipes(
         count: number of recipes.
         first: index at which the conditions, dates and vehicles begin, so that scenes differ.
     """
-    found = []
+    recipes = []
     for number in range(count):
         turn = number + first
         # After each full cycle of conditions, the routes shift by one, so that all combinations occur.
         route, variant = routes[(number + number // len(CONDITIONS)) % len(routes)]
         light, weather = CONDITIONS[turn % len(CONDITIONS)]
-        found.append(
+        recipes.append(
             Recipe(
                 route, light, weather, _DATES[turn % len(_DATES)], vehicles[turn % len(vehicles)], variant,
                 morning=_MORNINGS[turn % len(_MORNINGS)],
             )
         )  # fmt: skip
-    return tuple(found)
+    return tuple(recipes)

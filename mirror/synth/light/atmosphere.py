@@ -63,19 +63,19 @@ def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
         3.0 / (8.0 * np.pi) * (1.0 - square) * (1.0 + cosine**2)
         / ((2.0 + square) * (1.0 + square - 2.0 * _FORWARD * cosine) ** 1.5)
     )  # fmt: skip
-    seen = np.zeros((len(away), 3))
+    radiance = np.zeros((len(away), 3))
     passed = np.zeros((len(away), 3))
-    for near, far in pairwise(edges):
-        length = (far - near) * reach
-        point = eye + (0.5 * (near + far) * reach)[:, None] * away
+    for near_m, far in pairwise(edges):
+        length = (far - near_m) * reach
+        point = eye + (0.5 * (near_m + far) * reach)[:, None] * away
         density = densities(np.linalg.norm(point, axis=1) - _EARTH_M)
         inside = density @ EXTINCTION * length[:, None]
-        lit = np.exp(-passed - 0.5 * inside - optical_depth_to_sun(point, sun))
+        sunlit = np.exp(-passed - 0.5 * inside - optical_depth_to_sun(point, sun))
         scattered = density[:, :1] * air_phase[:, None] * _AIR + density[:, 1:2] * haze_phase[:, None] * _HAZE
-        seen += lit * scattered * length[:, None]
+        radiance += sunlit * scattered * length[:, None]
         passed += inside
-    seen += _AGAIN * (1.0 - np.exp(-passed)) * (dome_weights().reshape(-1, 1) * seen).sum(axis=0)
-    dome: Float64 = seen.reshape(DOME, DOME, 3)
+    radiance += _AGAIN * (1.0 - np.exp(-passed)) * (dome_weights().reshape(-1, 1) * radiance).sum(axis=0)
+    dome: Float64 = radiance.reshape(DOME, DOME, 3)
     dome.flags.writeable = False
     return dome
 
@@ -123,9 +123,9 @@ def optical_depth_to_sun(points: Float64, sun: Float64) -> Float64:
     passing = np.sqrt(np.maximum(np.einsum("ni,ni->n", points, points) - along**2, 0.0))
     hidden = (along < 0.0) & (passing < _EARTH_M)
     depth = np.zeros_like(points)
-    for near, far in pairwise(np.linspace(0.0, 1.0, _SUN_STEPS + 1) ** 2):
-        point = points + (0.5 * (near + far) * reach)[:, None] * sun
-        depth += (far - near) * (densities(np.linalg.norm(point, axis=1) - _EARTH_M) @ EXTINCTION)
+    for near_m, far in pairwise(np.linspace(0.0, 1.0, _SUN_STEPS + 1) ** 2):
+        point = points + (0.5 * (near_m + far) * reach)[:, None] * sun
+        depth += (far - near_m) * (densities(np.linalg.norm(point, axis=1) - _EARTH_M) @ EXTINCTION)
     depth *= reach[:, None]
     depth[hidden] = _NO_LIGHT
     return depth

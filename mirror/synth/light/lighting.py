@@ -152,12 +152,12 @@ def _dome(elevation: float, azimuth: float) -> Float64:
     """Radiance of a clear sky at its perceived brightness, plus the night sky."""
     clear = clear_dome(round(elevation, 2), round(azimuth, 2))
     light = float(_LUMINANCE @ np.einsum("ij,ijk->k", dome_weights(), clear))
-    wanted = float(np.interp(elevation, _ELEVATIONS_DEG, _SKY_LIGHT))
+    target = float(np.interp(elevation, _ELEVATIONS_DEG, _SKY_LIGHT))
     # Below -9 degrees single scattering gives no light; only the night sky is left.
     share = float(np.clip((elevation + 9.0) / 3.0, 0.0, 1.0))
     up = dome_directions()[..., 2:]
     night = _NIGHT_HORIZON + (_NIGHT_ZENITH - _NIGHT_HORIZON) * np.sqrt(up)
-    return night + (clear * (share * wanted / light) if share > 0.0 else 0.0)
+    return night + (clear * (share * target / light) if share > 0.0 else 0.0)
 
 
 def _clouds(record: Records, condition: Condition, elevation: float, dome: Float64) -> None:
@@ -168,10 +168,12 @@ def _clouds(record: Records, condition: Condition, elevation: float, dome: Float
     record["cloud_wind"] = 0.004 * np.cos(heading), 0.004 * np.sin(heading)
     light = np.einsum("ij,ijk->k", dome_weights(), dome)
     if condition.weather == "clear":
-        lit = 0.42 * _SUNLIGHT * sunlight(max(elevation, 3.0)) * float(np.clip((elevation + 4.0) / 10.0, 0.0, 1.0))
+        cloud_light = (
+            0.42 * _SUNLIGHT * sunlight(max(elevation, 3.0)) * float(np.clip((elevation + 4.0) / 10.0, 0.0, 1.0))
+        )
         # At night the lights of towns illuminate clouds from below.
         own = (0.75 + 0.75 * _WARM * float(np.clip((-elevation - 6.0) / 6.0, 0.0, 1.0))) * light
-        record["cloud_lit"], record["cloud_base"] = lit + own, 0.12 * lit + own
+        record["cloud_lit"], record["cloud_base"] = cloud_light + own, 0.12 * cloud_light + own
         return
     grey = float(_LUMINANCE @ light) * _OVERCAST[condition.weather] * _GREY
     # Twilight also colours an overcast sky.

@@ -101,14 +101,16 @@ def sky(
             start,
             side,
         )
-        lit = 0.62 + 2.6 * (density - ahead) - 0.35 * cover * (density - 1.0 + setting.cloud) / setting.cloud
+        cloud_brightness = (
+            0.62 + 2.6 * (density - ahead) - 0.35 * cover * (density - 1.0 + setting.cloud) / setting.cloud
+        )
         # Thin edges near the sun are bright.
         glow = max(facing, 0.0)
-        lit += 0.5 * glow * glow * glow * glow * (1.0 - cover)
-        lit = min(max(lit, 0.0), 1.3)
+        cloud_brightness += 0.5 * glow * glow * glow * glow * (1.0 - cover)
+        cloud_brightness = min(max(cloud_brightness, 0.0), 1.3)
     else:
-        cover, lit = 1.0, 0.5 + 1.1 * (density - 0.5) * min(0.35 + up, 1.0) + 0.35 * (up - 0.5)
-    red += cover * (setting.cloud_base_0 + lit * (setting.cloud_lit_0 - setting.cloud_base_0) - red)
-    green += cover * (setting.cloud_base_1 + lit * (setting.cloud_lit_1 - setting.cloud_base_1) - green)
-    blue += cover * (setting.cloud_base_2 + lit * (setting.cloud_lit_2 - setting.cloud_base_2) - blue)
+        cover, cloud_brightness = 1.0, 0.5 + 1.1 * (density - 0.5) * min(0.35 + up, 1.0) + 0.35 * (up - 0.5)
+    red += cover * (setting.cloud_base_0 + cloud_brightness * (setting.cloud_lit_0 - setting.cloud_base_0) - red)
+    green += cover * (setting.cloud_base_1 + cloud_brightness * (setting.cloud_lit_1 - setting.cloud_base_1) - green)
+    blue += cover * (setting.cloud_base_2 + cloud_brightness * (setting.cloud_lit_2 - setting.cloud_base_2) - blue)
     return red, green, blue

@@ -161,15 +161,15 @@ class Pieces:
             finishes = self._finishes[count]
             part = polygons(
                 np.array(corners, np.float64),
-                np.array([one.colour for one in finishes], np.float64),
-                np.array([one.material for one in finishes]),
-                np.array([one.label for one in finishes]),
-                layouts=[one.layout for one in finishes],
-                seeds=[one.seed for one in finishes],
+                np.array([finish_i.colour for finish_i in finishes], np.float64),
+                np.array([finish_i.material for finish_i in finishes]),
+                np.array([finish_i.label for finish_i in finishes]),
+                layouts=[finish_i.layout for finish_i in finishes],
+                seeds=[finish_i.seed for finish_i in finishes],
             )
-            part.faces["image"] = [one.image for one in finishes]
-            part.faces["images"] = [one.images for one in finishes]
-            part.faces["two_sided"] = [one.two_sided for one in finishes]
+            part.faces["image"] = [finish_i.image for finish_i in finishes]
+            part.faces["images"] = [finish_i.images for finish_i in finishes]
+            part.faces["two_sided"] = [finish_i.two_sided for finish_i in finishes]
             parts.append(part)
         gathered = merge_models(parts)
         faces = np.zeros(self._count, FACE)

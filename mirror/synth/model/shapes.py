@@ -67,8 +67,8 @@ def polygon(
             "a polygon without area", place=str(points.tolist()), expected="corners that are not on a line"
         )
     normal = normal / size
-    one = np.zeros(1, FACE)
-    one["normal"], one["offset"] = normal, points.mean(axis=0) @ normal
+    face = np.zeros(1, FACE)
+    face["normal"], face["offset"] = normal, points.mean(axis=0) @ normal
     if texture is None:
         u = _level(normal) if u_axis is None else np.asarray(u_axis, np.float64)
         u = u - (u @ normal) * normal
@@ -83,12 +83,18 @@ def polygon(
     else:
         u, u0, v, v0 = _affine(points, np.asarray(texture, np.float64), normal)
         along, up = points @ u, points @ v
-    one["u_axis"], one["u0"], one["v_axis"], one["v0"] = u, u0, v, v0
-    one["half"] = 0.5 * (along.max() - along.min()), 0.5 * (up.max() - up.min())
-    one["colour"], one["count"], one["material"], one["label"], one["side"] = colour, len(points), material, label, side
-    one["image"], one["images"], one["layout"], one["seed"] = image, images, layout, seed
-    one["object"], one["two_sided"] = NO_OBJECT, two_sided
-    return Model(one, points, np.zeros(0, ROUND))
+    face["u_axis"], face["u0"], face["v_axis"], face["v0"] = u, u0, v, v0
+    face["half"] = 0.5 * (along.max() - along.min()), 0.5 * (up.max() - up.min())
+    face["colour"], face["count"], face["material"], face["label"], face["side"] = (
+        colour,
+        len(points),
+        material,
+        label,
+        side,
+    )
+    face["image"], face["images"], face["layout"], face["seed"] = image, images, layout, seed
+    face["object"], face["two_sided"] = NO_OBJECT, two_sided
+    return Model(face, points, np.zeros(0, ROUND))
 
 
 def polygons(
@@ -426,14 +432,19 @@ def ellipsoid(
         image: image of the catalogue on the half towards its own +x.
         seed: seed of the texture.
     """
-    one = np.zeros(1, ROUND)
+    record = np.zeros(1, ROUND)
     cos, sin, up_cos, up_sin = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
-    one["centre"], one["half"] = centre, 0.5 * np.asarray(size)
-    one["axes"] = [
+    record["centre"], record["half"] = centre, 0.5 * np.asarray(size)
+    record["axes"] = [
         [cos * up_cos, sin * up_cos, up_sin],
         [-sin, cos, 0.0],
         [-cos * up_sin, -sin * up_sin, up_cos],
     ]
-    one["colour"], one["material"], one["label"], one["image"] = colour, material, label, image
-    one["seed"], one["object"] = seed, NO_OBJECT
-    return Model(np.zeros(0, FACE), np.zeros((0, 3)), one)
+    record["colour"], record["material"], record["label"], record["image"] = (
+        colour,
+        material,
+        label,
+        image,
+    )
+    record["seed"], record["object"] = seed, NO_OBJECT
+    return Model(np.zeros(0, FACE), np.zeros((0, 3)), record)

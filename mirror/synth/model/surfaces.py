@@ -153,8 +153,10 @@ def join_parts(parts: Sequence[Records]) -> Records:
     """Concatenate records of one type; copying bytes is ten times as fast as copying fields."""
     kind = parts[0].dtype
     size = kind.itemsize
-    whole: Records = np.concatenate([np.ascontiguousarray(part).view((np.void, size)) for part in parts]).view(kind)
-    return whole
+    concatenated: Records = np.concatenate([np.ascontiguousarray(part).view((np.void, size)) for part in parts]).view(
+        kind
+    )
+    return concatenated
 
 
 def merge_models(models: Iterable[Model]) -> Model:

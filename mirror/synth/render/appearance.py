@@ -79,7 +79,7 @@ def plain_surface(
 def image_surface(
     images: UInt8,
     image_index: Int64,
-    one: Records,
+    face: Records,
     u: float,
     v: float,
     u1: float,
@@ -89,19 +89,19 @@ def image_surface(
     setting: Records,
 ) -> Appearance:
     """Evaluate a face that is filled by an image of the catalogue."""
-    wide, high = 0.5 / one.half_0, 0.5 / one.half_1
+    wide, high = 0.5 / face.half_0, 0.5 / face.half_1
     r, g, b = image_at(
-        images, image_index, one.image, 0.5 + u * wide, 0.5 + v * high, u1 * wide, v1 * high, u2 * wide, v2 * high
+        images, image_index, face.image, 0.5 + u * wide, 0.5 + v * high, u1 * wide, v1 * high, u2 * wide, v2 * high
     )
-    shine = _SHINE * setting.lit_windows if one.material == Material.LIT_IMAGE else 0.0
+    shine = _SHINE * setting.lit_windows if face.material == Material.LIT_IMAGE else 0.0
     return r, g, b, shine * r, shine * g, shine * b, 0.02
 
 
 @per_pixel()
-def lamp_surface(one: Records, setting: Records) -> Appearance:
+def lamp_surface(face: Records, setting: Records) -> Appearance:
     """Evaluate the face of a street lamp or a traffic light."""
-    r, g, b = one.colour_0, one.colour_1, one.colour_2
-    if one.material == Material.STREET_LAMP:
+    r, g, b = face.colour_0, face.colour_1, face.colour_2
+    if face.material == Material.STREET_LAMP:
         return r, g, b, 6.0 * setting.lamp_light_0, 6.0 * setting.lamp_light_1, 6.0 * setting.lamp_light_2, 0.0
-    glow = float(one.lights) * (1.6 + 0.6 * setting.dark)
+    glow = float(face.lights) * (1.6 + 0.6 * setting.dark)
     return 0.12 * r, 0.12 * g, 0.12 * b, glow * r, glow * g, glow * b, 0.02

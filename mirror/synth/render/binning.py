@@ -31,9 +31,9 @@ def bounding_spheres(faces: Records, corners: Float64, rounds: Records) -> Float
             most = max(most, dx * dx + dy * dy + dz * dz)
         out[index, 0], out[index, 1], out[index, 2], out[index, 3] = x, y, z, math.sqrt(most)
     for index in range(len(rounds)):
-        one, at = rounds[index], len(faces) + index
-        out[at, 0], out[at, 1], out[at, 2] = one.centre_0, one.centre_1, one.centre_2
-        out[at, 3] = max(one.half_0, one.half_1, one.half_2)
+        ellipsoid, at = rounds[index], len(faces) + index
+        out[at, 0], out[at, 1], out[at, 2] = ellipsoid.centre_0, ellipsoid.centre_1, ellipsoid.centre_2
+        out[at, 3] = max(ellipsoid.half_0, ellipsoid.half_1, ellipsoid.half_2)
     return out
 
 
@@ -67,17 +67,17 @@ def find_facing(
     Returns:
         (N,) surface indices; (N,) lower bounds of their distances, metres.
     """
-    chosen, near = np.empty(len(spheres), np.int64), np.empty(len(spheres), np.float32)
+    chosen, distances = np.empty(len(spheres), np.int64), np.empty(len(spheres), np.float32)
     first, count = levels[LEVELS - 1, 0], levels[LEVELS - 1, 1] * levels[LEVELS - 1, 2]
     turned = _rotate_cones(cones[first : first + count], rotation)
     used = 0
     for index in range(len(spheres)):
         if index < len(faces):
-            one = faces[index]
-            if not ground and one.label <= Label.TERRAIN:
+            face = faces[index]
+            if not ground and face.label <= Label.TERRAIN:
                 continue
-            out = one.normal_0 * x + one.normal_1 * y + one.normal_2 * z - one.offset
-            if abs(out) < 1e-7 or (out < 0.0 and not one.two_sided):
+            out = face.normal_0 * x + face.normal_1 * y + face.normal_2 * z - face.offset
+            if abs(out) < 1e-7 or (out < 0.0 and not face.two_sided):
                 continue
         dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
         far = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -91,9 +91,9 @@ def find_facing(
                 within = within or _sphere_may_meet(turned[root], dx / far, dy / far, dz / far, cosine, sine)
             if not within:
                 continue
-        chosen[used], near[used] = index, max(far - spheres[index, 3], 0.0)
+        chosen[used], distances[used] = index, max(far - spheres[index, 3], 0.0)
         used += 1
-    return chosen[:used], near[:used]
+    return chosen[:used], distances[:used]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -141,14 +141,14 @@ def build_ray_tests(
     for place in range(len(order)):
         index, at = order[place], starts[place]
         if index < len(faces):
-            one = faces[index]
-            beyond = one.offset - (one.normal_0 * x + one.normal_1 * y + one.normal_2 * z)
-            rows[at, 0] = one.normal_0 / beyond
-            rows[at, 1] = one.normal_1 / beyond
-            rows[at, 2] = one.normal_2 / beyond
+            face = faces[index]
+            beyond = face.offset - (face.normal_0 * x + face.normal_1 * y + face.normal_2 * z)
+            rows[at, 0] = face.normal_0 / beyond
+            rows[at, 1] = face.normal_1 / beyond
+            rows[at, 2] = face.normal_2 / beyond
             sign = -1.0 if beyond < 0.0 else 1.0
-            for corner in range(one.count):
-                i, j = one.first + corner, one.first + (corner + 1) % one.count
+            for corner in range(face.count):
+                i, j = face.first + corner, face.first + (corner + 1) % face.count
                 ax, ay, az = corners[i, 0] - x, corners[i, 1] - y, corners[i, 2] - z
                 bx, by, bz = corners[j, 0] - x, corners[j, 1] - y, corners[j, 2] - z
                 cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -162,11 +162,23 @@ def build_ray_tests(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _quadric(one: Records, x: float, y: float, z: float, rows: Float32) -> None:
-    dx, dy, dz = x - one.centre_0, y - one.centre_1, z - one.centre_2
-    ax, ay, az = one.axes_00 / one.half_0, one.axes_01 / one.half_0, one.axes_02 / one.half_0
-    bx, by, bz = one.axes_10 / one.half_1, one.axes_11 / one.half_1, one.axes_12 / one.half_1
-    cx, cy, cz = one.axes_20 / one.half_2, one.axes_21 / one.half_2, one.axes_22 / one.half_2
+def _quadric(ellipsoid: Records, x: float, y: float, z: float, rows: Float32) -> None:
+    dx, dy, dz = x - ellipsoid.centre_0, y - ellipsoid.centre_1, z - ellipsoid.centre_2
+    ax, ay, az = (
+        ellipsoid.axes_00 / ellipsoid.half_0,
+        ellipsoid.axes_01 / ellipsoid.half_0,
+        ellipsoid.axes_02 / ellipsoid.half_0,
+    )
+    bx, by, bz = (
+        ellipsoid.axes_10 / ellipsoid.half_1,
+        ellipsoid.axes_11 / ellipsoid.half_1,
+        ellipsoid.axes_12 / ellipsoid.half_1,
+    )
+    cx, cy, cz = (
+        ellipsoid.axes_20 / ellipsoid.half_2,
+        ellipsoid.axes_21 / ellipsoid.half_2,
+        ellipsoid.axes_22 / ellipsoid.half_2,
+    )
     p, q, r = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz, cx * dx + cy * dy + cz * dz
     c = p * p + q * q + r * r - 1.0
     # A camera inside an ellipsoid does not see it.
@@ -228,7 +240,7 @@ def build_tile_lists(
     # Beyond these distances a nearer face covers the whole tile.
     limits = np.full(len(cones), np.inf)
     for place in range(len(order)):
-        index, near = order[place], nearest[place]
+        index, distance = order[place], nearest[place]
         dx, dy, dz = spheres[index, 0] - x, spheres[index, 1] - y, spheres[index, 2] - z
         far = math.sqrt(dx * dx + dy * dy + dz * dz)
         sine, cosine = 1.0, -2.0
@@ -246,7 +258,7 @@ def build_tile_lists(
                 depth -= 1
                 level, row, column = stack[depth, 0], stack[depth, 1], stack[depth, 2]
                 at = levels[level, 0] + row * levels[level, 2] + column
-                if near > limits[at] or not _may_meet(turned[at], dx, dy, dz, cosine, sine, rows, first, last):
+                if distance > limits[at] or not _may_meet(turned[at], dx, dy, dz, cosine, sine, rows, first, last):
                     continue
                 if index < number and sine > turned[at, 4]:
                     limits[at] = min(limits[at], _occlusion_distance(turned[at], rows, first, last))

@@ -17,29 +17,29 @@ from mirror.synth.road_users.coachwork.sheets import Panel
 
 
 @per_pixel()
-def bodywork(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
+def bodywork(face: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
     """Evaluate the appearance of a face of PAINT, GLASS, RIM, HEADLIGHT, TAIL_LIGHT or RUBBER.
 
     Args:
-        one: the face, FACE, flat.
+        face: the face, FACE, flat.
         u: texture coordinate.
         v: texture coordinate.
         fu: width of the footprint in u.
         fv: height of the footprint in v.
         setting: LIGHTING, flat.
     """
-    material = one.material
+    material = face.material
     if material == Material.PAINT:
-        return _paint(one, u, v, fu, fv)
+        return _paint(face, u, v, fu, fv)
     if material == Material.GLASS:
-        return _glass(one, u, v, fu, fv, setting)
+        return _glass(face, u, v, fu, fv, setting)
     if material == Material.RIM:
-        return _rim(one, u, v, 0.5 * (fu + fv))
+        return _rim(face, u, v, 0.5 * (fu + fv))
     if material == Material.HEADLIGHT:
-        return _headlight(one, u, v, fu, fv, setting)
+        return _headlight(face, u, v, fu, fv, setting)
     if material == Material.TAIL_LIGHT:
-        return _tail_light(one, v, fv, setting)
-    return one.colour_0, one.colour_1, one.colour_2, 0.0, 0.0, 0.0, 0.01
+        return _tail_light(face, v, fv, setting)
+    return face.colour_0, face.colour_1, face.colour_2, 0.0, 0.0, 0.0, 0.01
 
 
 @per_pixel()
@@ -48,9 +48,9 @@ def _line(x: float, at: float, half: float, footprint: float) -> float:
 
 
 @per_pixel()
-def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
-    r, g, b = one.colour_0, one.colour_1, one.colour_2
-    panel = one.layout
+def _paint(face: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
+    r, g, b = face.colour_0, face.colour_1, face.colour_2
+    panel = face.layout
     if panel == Panel.PLAIN:
         return r, g, b, 0.0, 0.0, 0.0, 0.05
     seam, handle, low, gloss = 0.0, 0.0, 0.0, 0.05
@@ -78,7 +78,7 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance
         low = 0.14 * band(v, -0.50, -0.19, max(fv, 0.05)) + 0.05 * band(v, -0.70, -0.50, max(fv, 0.05))
     tone = (1.0 - low) * (1.0 - 0.75 * min(seam, 1.0)) * (1.0 - 0.35 * handle)
     dust = min(max(-v - 0.42, 0.0) * 2.0, 1.0)
-    dust *= 0.45 * dust * (0.25 + 0.75 * hash_unit(one.seed, 1, 2))
+    dust *= 0.45 * dust * (0.25 + 0.75 * hash_unit(face.seed, 1, 2))
     return (
         r * tone * (1.0 - dust) + 0.125 * dust,
         g * tone * (1.0 - dust) + 0.110 * dust,
@@ -91,9 +91,9 @@ def _paint(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance
 
 
 @per_pixel()
-def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
+def _glass(face: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
     """Tinted glass: between seats and pillars the street on the other side is visible."""
-    panel = one.layout
+    panel = face.layout
     pillar, hidden = 0.0, 0.0
     if panel == Panel.FOUR_DOORS or panel == Panel.TWO_DOORS or panel == Panel.SLIDING_DOOR:
         pillar = _line(u, 0.0, 0.045, fu)
@@ -102,29 +102,29 @@ def _glass(one: Records, u: float, v: float, fu: float, fv: float, setting: Reco
             hidden += _seat(u, v, -0.74, fu, fv)
         if panel == Panel.FOUR_DOORS:
             pillar += _line(u, -1.0, 0.03, fu)
-        if one.lights:
+        if face.lights:
             hidden = max(hidden, band(u, 0.32, 0.50, fu) * band(v, 0.0, 0.33, fv))
     elif panel == Panel.ROW:
         pillar = stripes(u + 0.03, 1.0, 0.06, fu)
-        hidden = 0.8 * band(v, -9.0, -0.5 * one.half_1, fv)
+        hidden = 0.8 * band(v, -9.0, -0.5 * face.half_1, fv)
     elif panel == Panel.PLAIN:
         hidden = _line(u, 0.36, 0.14, fu) + _line(u, -0.36, 0.14, fu)
-        hidden = max(min(hidden, 1.0) * band(v, -9.0, 0.1, fv), band(v, -9.0, 0.12 - one.half_1, fv))
-        if one.side == Side.BACK:
+        hidden = max(min(hidden, 1.0) * band(v, -9.0, 0.1, fv), band(v, -9.0, 0.12 - face.half_1, fv))
+        if face.side == Side.BACK:
             hidden = min(hidden + 0.3, 1.0)
     else:
         hidden = 0.75
     clear = max(1.0 - pillar - min(hidden, 1.0), 0.0)
-    seen = 0.03 * clear
-    r, g, b = one.colour_0, one.colour_1, one.colour_2
+    transmitted = 0.03 * clear
+    r, g, b = face.colour_0, face.colour_1, face.colour_2
     inside = 0.006 * min(hidden, 1.0)
     return (
         r + inside,
         g + inside,
         b + inside,
-        seen * (0.6 * setting.horizon_0 + setting.ground_light_0),
-        seen * (0.6 * setting.horizon_1 + setting.ground_light_1),
-        seen * (0.6 * setting.horizon_2 + setting.ground_light_2),
+        transmitted * (0.6 * setting.horizon_0 + setting.ground_light_0),
+        transmitted * (0.6 * setting.horizon_1 + setting.ground_light_1),
+        transmitted * (0.6 * setting.horizon_2 + setting.ground_light_2),
         0.05,
     )
 
@@ -139,14 +139,14 @@ def _seat(u: float, v: float, at: float, fu: float, fv: float) -> float:
 
 
 @per_pixel()
-def _rim(one: Records, u: float, v: float, footprint: float) -> Appearance:
+def _rim(face: Records, u: float, v: float, footprint: float) -> Appearance:
     """A tyre and a rim of one of four kinds."""
-    step = max(footprint / one.half_0, 1e-4)
-    away = math.sqrt(u * u + v * v) / one.half_0
+    step = max(footprint / face.half_0, 1e-4)
+    away = math.sqrt(u * u + v * v) / face.half_0
     wheel = band(away, -1.0, 0.74, step)
     if wheel <= 0.0:
         return 0.024, 0.024, 0.025, 0.0, 0.0, 0.0, 0.01
-    kind = int(4.0 * hash_unit(one.seed, 7, 3))
+    kind = int(4.0 * hash_unit(face.seed, 7, 3))
     count, duty = 5.0, 0.42
     if kind == 1:
         count, duty = 10.0, 0.40
@@ -162,34 +162,34 @@ def _rim(one: Records, u: float, v: float, footprint: float) -> Appearance:
     disc = gap * band(away, 0.20, 0.45, step)
     metal = max(wheel - gap, 0.0) * (1.0 - 0.7 * band(away, 0.045, 0.085, step))
     tyre = 1.0 - wheel
-    r = metal * one.colour_0 + 0.024 * tyre + 0.015 * gap + 0.05 * disc
-    g = metal * one.colour_1 + 0.024 * tyre + 0.015 * gap + 0.05 * disc
-    b = metal * one.colour_2 + 0.025 * tyre + 0.015 * gap + 0.05 * disc
+    r = metal * face.colour_0 + 0.024 * tyre + 0.015 * gap + 0.05 * disc
+    g = metal * face.colour_1 + 0.024 * tyre + 0.015 * gap + 0.05 * disc
+    b = metal * face.colour_2 + 0.025 * tyre + 0.015 * gap + 0.05 * disc
     return r, g, b, 0.0, 0.0, 0.0, 0.06 * metal + 0.01
 
 
 @per_pixel()
-def _headlight(one: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
+def _headlight(face: Records, u: float, v: float, fu: float, fv: float, setting: Records) -> Appearance:
     """Two lenses in a dark housing above a daytime running light."""
-    wide, high = u / one.half_0, v / one.half_1
-    across, up = fu / one.half_0, fv / one.half_1
+    wide, high = u / face.half_0, v / face.half_1
+    across, up = fu / face.half_0, fv / face.half_1
     strip = band(high, -0.85, -0.5, up)
     lens = (band(wide, -0.75, -0.2, across) + band(wide, 0.2, 0.75, across)) * band(high, -0.3, 0.75, up)
     tone = 0.10 + 0.55 * strip + 0.42 * lens
-    burn = float(one.lights) * (
+    burn = float(face.lights) * (
         strip * (0.7 + 1.5 * setting.vehicle_lights) + (7.0 * lens + 2.5) * setting.vehicle_lights
     )
     return (
-        tone * one.colour_0, tone * one.colour_1, tone * one.colour_2, burn, 0.95 * burn, 0.84 * burn, 0.06,
+        tone * face.colour_0, tone * face.colour_1, tone * face.colour_2, burn, 0.95 * burn, 0.84 * burn, 0.06,
     )  # fmt: skip
 
 
 @per_pixel()
-def _tail_light(one: Records, v: float, fv: float, setting: Records) -> Appearance:
+def _tail_light(face: Records, v: float, fv: float, setting: Records) -> Appearance:
     """A red housing with a strip that emits light."""
-    strip = band(v / one.half_1, -0.1, 0.6, fv / one.half_1)
+    strip = band(v / face.half_1, -0.1, 0.6, fv / face.half_1)
     tone = 0.40 + 0.60 * strip
-    burn = float(one.lights) * setting.vehicle_lights * (0.45 + 1.3 * strip)
+    burn = float(face.lights) * setting.vehicle_lights * (0.45 + 1.3 * strip)
     return (
-        tone * one.colour_0, tone * one.colour_1, tone * one.colour_2, burn, 0.035 * burn, 0.025 * burn, 0.06,
+        tone * face.colour_0, tone * face.colour_1, tone * face.colour_2, burn, 0.035 * burn, 0.025 * burn, 0.06,
     )  # fmt: skip

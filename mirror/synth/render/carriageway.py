@@ -26,8 +26,8 @@ _COVER_RADIUS_M: Final = 0.33
 @per_pixel(inline="always")
 def _striped_length(x: float, period: float, duty: float) -> float:
     """Total length of the stripes between 0 and x."""
-    whole = math.floor(x / period)
-    return period * (whole * duty + min(x / period - whole, duty))
+    periods = math.floor(x / period)
+    return period * (periods * duty + min(x / period - periods, duty))
 
 
 @per_pixel(inline="always")
@@ -65,11 +65,11 @@ def mark_share(mark: Records, u: float, v: float, fu: float, fv: float) -> float
 
 
 @per_pixel()
-def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float, fu: float, fv: float) -> Appearance:
+def carriageway(face: Records, layouts: Records, rough: float, u: float, v: float, fu: float, fv: float) -> Appearance:
     """Evaluate the appearance of a carriageway at a point.
 
     Args:
-        one: the face, FACE, flat.
+        face: the face, FACE, flat.
         layouts: (L, K) MARK.
         rough: filtered value of the asphalt's grain at the point.
         u: metres along the street.
@@ -78,9 +78,9 @@ def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float
         fv: width of the footprint along v, metres.
     """
     fu, fv = max(fu, 1e-4), max(fv, 1e-4)
-    tone = rough * _worn_tone(one.seed, u, v, fu, fv)
-    r, g, b = one.colour_0 * tone, one.colour_1 * tone, one.colour_2 * tone
-    layout, wide = one.layout, max(fu, fv)
+    tone = rough * _worn_tone(face.seed, u, v, fu, fv)
+    r, g, b = face.colour_0 * tone, face.colour_1 * tone, face.colour_2 * tone
+    layout, wide = face.layout, max(fu, fv)
     # The grain of the asphalt shows through the paint.
     paint, rubbed = 0.35 + 0.65 * rough, -1.0
     for place in range(layouts.shape[1]):
@@ -91,7 +91,7 @@ def carriageway(one: Records, layouts: Records, rough: float, u: float, v: float
         if part > 0.0:
             if rubbed < 0.0:
                 rubbed = (
-                    0.5 + 0.45 * grain(u, v, 0.31, wide, one.seed + 11) + 0.45 * grain(u, v, 2.3, wide, one.seed + 12)
+                    0.5 + 0.45 * grain(u, v, 0.31, wide, face.seed + 11) + 0.45 * grain(u, v, 2.3, wide, face.seed + 12)
                 )
                 rubbed = min(max(rubbed, 0.0), 1.0)
             part *= mark.strength * (1.0 - mark.worn * rubbed)

@@ -42,7 +42,7 @@ def compute_coverage(
     nearest: Float32,
     starts: Int64,
     rows: Float32,
-    wanted: Float32,
+    mask: Float32,
 ) -> tuple[Int32, UInt8, Int32, Float32, Int64]:
     """Compute the surfaces of each pixel: one surface, or fragments of several.
 
@@ -58,7 +58,7 @@ def compute_coverage(
         nearest: (N,) lower bounds of the distances of the surfaces in ``order``, ascending.
         starts: from `binning.build_ray_tests`.
         rows: from `binning.build_ray_tests`.
-        wanted: (H, W) mask: tiles that are 0 everywhere are skipped; (0, 0): no tile is skipped.
+        mask: (H, W) mask: tiles that are 0 everywhere are skipped; (0, 0): no tile is skipped.
 
     Returns:
         (H, W) surface that the first ray hits, or SKY; (H, W) 1 where the rays of a pixel hit different surfaces; the
@@ -68,12 +68,12 @@ def compute_coverage(
     height, width = rays.shape[:2]
     down, across = -(-height // TILE_PX), -(-width // TILE_PX)
     samples = len(offsets)
-    many = samples * _AREA
-    sx, sy, sz = np.empty(many, np.float32), np.empty(many, np.float32), np.empty(many, np.float32)
-    inverse, inside, found = np.empty(many, np.float32), np.empty(many, np.float32), np.empty(many, np.int32)
-    seen, sums = np.empty(samples, np.int32), np.empty((samples, 3), np.float32)
+    count = samples * _AREA
+    sx, sy, sz = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+    inverse, inside, found = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
+    surfaces, sums = np.empty(samples, np.int32), np.empty((samples, 3), np.float32)
     differs, bits, pattern = np.empty(_AREA, np.int32), inverse.view(np.int32), np.empty(1, np.int32)
-    room = height * width // 2 + many
+    room = height * width // 2 + count
     which, share = np.empty((room, 2), np.int32), np.empty((room, 3), np.float32)
     centre = np.full((height, width), SKY, np.int32)
     mixed = np.zeros((height, width), np.uint8)
@@ -82,7 +82,7 @@ def compute_coverage(
     used = 0
     for tile in range(down * across):
         top, left = tile // across * TILE_PX, tile % across * TILE_PX
-        if wanted.shape[0] > 0 and not _any_wanted(wanted, top, left):
+        if mask.shape[0] > 0 and not _is_any_set(mask, top, left):
             continue
         counts[0] += 1
         _spread_rays(rays, rotation, offsets, top, left, sx, sy, sz)
@@ -91,7 +91,7 @@ def compute_coverage(
         cy = rotation[1, 0] * i + rotation[1, 1] * j + rotation[1, 2] * k
         cz = rotation[2, 0] * i + rotation[2, 1] * j + rotation[2, 2] * k
         sine = cones[tile, 4] if cones[tile, 3] > 0.0 else 2.0
-        for i in range(many):
+        for i in range(count):
             inverse[i], found[i] = np.float32(0.0), SKY
         farthest = np.float32(0.0)
         for at in range(begins[tile], begins[tile + 1]):
@@ -107,7 +107,7 @@ def compute_coverage(
             if (at - begins[tile]) & 3 == 0:
                 # Positive floats have the order of their bits, and the compiler vectorises the minimum of integers.
                 least = bits[0]
-                for i in range(many):
+                for i in range(count):
                     least = min(least, bits[i])
                 pattern[0] = least
                 farthest = pattern.view(np.float32)[0]
@@ -116,34 +116,34 @@ def compute_coverage(
         for sample in range(1, samples):
             for pixel in range(_AREA):
                 differs[pixel] |= found[sample * _AREA + pixel] ^ found[pixel]
-        if used + many > room:
-            room = 2 * room + many
+        if used + count > room:
+            room = 2 * room + count
             longer, wider = np.empty((room, 2), np.int32), np.empty((room, 3), np.float32)
             longer[:used], wider[:used] = which[:used], share[:used]
             which, share = longer, wider
         for row in range(top, min(top + TILE_PX, height)):
             for column in range(left, min(left + TILE_PX, width)):
                 pixel = (row - top) * TILE_PX + column - left
-                own = found[pixel]
-                centre[row, column] = order[own] if own >= 0 else SKY
+                first_surface = found[pixel]
+                centre[row, column] = order[first_surface] if first_surface >= 0 else SKY
                 if differs[pixel] == 0:
                     continue
                 mixed[row, column] = 1
                 kinds = 0
                 for sample in range(samples):
-                    here = found[sample * _AREA + pixel]
+                    surface = found[sample * _AREA + pixel]
                     kind = 0
-                    while kind < kinds and seen[kind] != here:
+                    while kind < kinds and surfaces[kind] != surface:
                         kind += 1
                     if kind == kinds:
-                        seen[kind], sums[kind, 0], sums[kind, 1], sums[kind, 2] = here, 0.0, 0.0, 0.0
+                        surfaces[kind], sums[kind, 0], sums[kind, 1], sums[kind, 2] = surface, 0.0, 0.0, 0.0
                         kinds += 1
                     sums[kind, 0] += 1.0
                     sums[kind, 1] += offsets[sample, 0]
                     sums[kind, 2] += offsets[sample, 1]
                 for kind in range(kinds):
-                    here = seen[kind]
-                    which[used, 0], which[used, 1] = row * width + column, order[here] if here >= 0 else SKY
+                    surface = surfaces[kind]
+                    which[used, 0], which[used, 1] = row * width + column, order[surface] if surface >= 0 else SKY
                     share[used, 0] = sums[kind, 0] / samples
                     share[used, 1], share[used, 2] = sums[kind, 1] / sums[kind, 0], sums[kind, 2] / sums[kind, 0]
                     used += 1
@@ -151,10 +151,10 @@ def compute_coverage(
 
 
 @per_pixel()
-def _any_wanted(wanted: Float32, top: int, left: int) -> bool:
-    for row in range(top, min(top + TILE_PX, wanted.shape[0])):
-        for column in range(left, min(left + TILE_PX, wanted.shape[1])):
-            if wanted[row, column] > 0.0:
+def _is_any_set(mask: Float32, top: int, left: int) -> bool:
+    for row in range(top, min(top + TILE_PX, mask.shape[0])):
+        for column in range(left, min(left + TILE_PX, mask.shape[1])):
+            if mask[row, column] > 0.0:
                 return True
     return False
 
@@ -232,7 +232,7 @@ def _try_face(
     found: Int32,
     place: int,
 ) -> None:
-    many = len(sx)
+    count = len(sx)
     crossed = False
     for edge in range(first + 1, last):
         a, b, c = rows[edge, 0], rows[edge, 1], rows[edge, 2]
@@ -240,22 +240,22 @@ def _try_face(
         if a * cx + b * cy + c * cz >= sine:
             continue
         if crossed:
-            for i in range(many):
+            for i in range(count):
                 inside[i] = min(inside[i], a * sx[i] + b * sy[i] + c * sz[i])
         else:
             crossed = True
-            for i in range(many):
+            for i in range(count):
                 inside[i] = a * sx[i] + b * sy[i] + c * sz[i]
     a, b, c = rows[first, 0], rows[first, 1], rows[first, 2]
     mark = np.int32(place)
     if crossed:
-        for i in range(many):
+        for i in range(count):
             w = a * sx[i] + b * sy[i] + c * sz[i]
             nearer = (inside[i] >= np.float32(0.0)) & (w > inverse[i])
             inverse[i] = w if nearer else inverse[i]
             found[i] = mark if nearer else found[i]
     else:
-        for i in range(many):
+        for i in range(count):
             w = a * sx[i] + b * sy[i] + c * sz[i]
             nearer = w > inverse[i]
             inverse[i] = w if nearer else inverse[i]
@@ -266,12 +266,12 @@ def _try_face(
 def _try_round(
     rows: Float32, first: int, sx: Float32, sy: Float32, sz: Float32, inverse: Float32, found: Int32, place: int
 ) -> None:
-    many = len(sx)
+    count = len(sx)
     a, b, c = rows[first, 0], rows[first, 1], rows[first, 2]
     xx, yy, zz = rows[first + 1, 0], rows[first + 1, 1], rows[first + 1, 2]
     xy, xz, yz = rows[first + 2, 0], rows[first + 2, 1], rows[first + 2, 2]
     mark = np.int32(place)
-    for i in range(many):
+    for i in range(count):
         x, y, z = sx[i], sy[i], sz[i]
         ahead = a * x + b * y + c * z
         square = x * (xx * x + xy * y + xz * z) + y * (yy * y + yz * z) + zz * z * z

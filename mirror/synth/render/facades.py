@@ -47,19 +47,19 @@ def _panes_up(low: float, high: float, foot: float, height: float, transom: floa
 
 
 @per_pixel()
-def wall_grain(one: Records, patterns: Records) -> int:
+def wall_grain(face: Records, patterns: Records) -> int:
     """Grain of the wall of a FACADE face."""
-    return patterns[one.layout].grain
+    return patterns[face.layout].grain
 
 
 @per_pixel()
 def facade(
-    one: Records, patterns: Records, rough: float, u: float, v: float, fu: float, fv: float, setting: Records
+    face: Records, patterns: Records, rough: float, u: float, v: float, fu: float, fv: float, setting: Records
 ) -> Appearance:
     """Evaluate the appearance of a wall with windows.
 
     Args:
-        one: the face, FACE, flat; its ``layout`` is a row of ``patterns``.
+        face: the face, FACE, flat; its ``layout`` is a row of ``patterns``.
         patterns: table from :func:`mirror.synth.street.houses.windows.pattern_table`. It is an argument because the
             cache of compiled kernels would keep the old value of a changed constant.
         rough: value of the wall's grain at the point, mean 1.
@@ -69,12 +69,12 @@ def facade(
         fv: height of the footprint, metres.
         setting: LIGHTING, flat.
     """
-    row = patterns[one.layout]
-    wide, high = 2.0 * one.half_0, 2.0 * one.half_1
+    row = patterns[face.layout]
+    wide, high = 2.0 * face.half_0, 2.0 * face.half_1
     columns, storeys = max(int(wide / row.pitch_m + 0.5), 1), max(int(high / row.storey_m + 0.5), 1)
     pitch, storey = wide / columns, high / storeys
-    left, right = max(u + one.half_0 - 0.5 * fu, 0.0), min(u + one.half_0 + 0.5 * fu, wide)
-    low, top = max(v + one.half_1 - 0.5 * fv, 0.0), min(v + one.half_1 + 0.5 * fv, high)
+    left, right = max(u + face.half_0 - 0.5 * fu, 0.0), min(u + face.half_0 + 0.5 * fu, wide)
+    low, top = max(v + face.half_1 - 0.5 * fv, 0.0), min(v + face.half_1 + 0.5 * fv, high)
     # An empty footprint, or one outside the face, is replaced by a micrometre at the edge of the face.
     left, low = min(left, wide - 1e-6), min(low, high - 1e-6)
     right, top = max(right, left + 1e-6), max(top, low + 1e-6)
@@ -83,7 +83,7 @@ def facade(
         x0, x1 = max(left - i * pitch, 0.0), min(right - i * pitch, pitch)
         for j in range(int(low / storey), min(int(top / storey), storeys - 1) + 1):
             y0, y1 = max(low - j * storey, 0.0), min(top - j * storey, storey)
-            cell = _shade_cell(one, row, rough, i, j, pitch, x0, x1, y0, y1, setting)
+            cell = _shade_cell(face, row, rough, i, j, pitch, x0, x1, y0, y1, setting)
             r, g, b, gloss = r + cell[0], g + cell[1], b + cell[2], gloss + cell[6]
             er, eg, eb = er + cell[3], eg + cell[4], eb + cell[5]
     share = 1.0 / ((right - left) * (top - low))
@@ -92,7 +92,7 @@ def facade(
 
 @per_pixel()
 def _shade_cell(
-    one: Records,
+    face: Records,
     row: Records,
     rough: float,
     i: int,
@@ -105,7 +105,7 @@ def _shade_cell(
     setting: Records,
 ) -> Appearance:
     """Appearance of one window with its part of the wall, integrated over (x0, x1) by (y0, y1), square metres."""
-    cr, cg, cb = one.colour_0, one.colour_1, one.colour_2
+    cr, cg, cb = face.colour_0, face.colour_1, face.colour_2
     dx, dy = x1 - x0, y1 - y0
     joint_x, joint_y = _overlap(x0, x1, 0.0, row.joint_m), _overlap(y0, y1, 0.0, row.joint_m)
     joint = joint_x * dy + joint_y * dx - joint_x * joint_y
@@ -139,7 +139,7 @@ def _shade_cell(
     trim += sill + surround
     r, g, b = cr * plain + tr * trim, cg * plain + tg * trim, cb * plain + tb * trim
     if shutter > 0.0:
-        hue = hash_unit(one.seed, 11, 5)
+        hue = hash_unit(face.seed, 11, 5)
         r, g, b = r + shutter * (0.10 + 0.10 * hue), g + shutter * 0.16, b + shutter * (0.20 - 0.12 * hue)
     if window <= 0.0:
         return r, g, b, 0.0, 0.0, 0.0, 0.0
@@ -152,12 +152,12 @@ def _shade_cell(
     r, g, b = r + frame, g + frame, b + 0.98 * frame
     if glass <= 0.0:
         return r, g, b, 0.0, 0.0, 0.0, 0.0
-    return _add_interior(one, row, i, j, x0, x1, y0, y1, start, foot, panes_x, panes_y, setting, r, g, b)
+    return _add_interior(face, row, i, j, x0, x1, y0, y1, start, foot, panes_x, panes_y, setting, r, g, b)
 
 
 @per_pixel()
 def _add_interior(
-    one: Records,
+    face: Records,
     row: Records,
     i: int,
     j: int,
@@ -176,8 +176,12 @@ def _add_interior(
 ) -> Appearance:
     """Add the interior behind a window's panes: curtains, blinds or a dark room, and light at night."""
     glass = panes_x * panes_y
-    own = i + 89 * j
-    kind, size, hue = hash_unit(own, 1, one.seed), hash_unit(own, 2, one.seed), hash_unit(own, 3, one.seed)
+    window_id = i + 89 * j
+    kind, size, hue = (
+        hash_unit(window_id, 1, face.seed),
+        hash_unit(window_id, 2, face.seed),
+        hash_unit(window_id, 3, face.seed),
+    )
     covered = 0.0
     if kind < 0.45 * row.curtains:
         # Curtains on both sides.
@@ -197,7 +201,7 @@ def _add_interior(
     r += bare + tone * covered
     g += bare + (0.94 + 0.05 * hue) * tone * covered
     b += 1.1 * bare + (0.80 + 0.22 * hue) * tone * covered
-    if hash_unit(own, 4, one.seed) >= setting.lit_windows * row.lit:
+    if hash_unit(window_id, 4, face.seed) >= setting.lit_windows * row.lit:
         return r, g, b, 0.0, 0.0, 0.0, row.gloss * glass
     room = 0.85 * (glass - covered)
     if kind >= row.curtains:
@@ -207,15 +211,15 @@ def _add_interior(
         left, top = start + 0.6 * hue * row.width_m, foot + 0.5 * size * row.height_m
         stuff = _panes(max(x0, left), min(x1, left + 0.4 * row.width_m), start, row.width_m, row.panes, row.frame_m)
         room -= 0.6 * stuff * _panes_up(y0, min(y1, top), foot, row.height_m, row.transom, row.frame_m)
-    light = (room + 0.55 * covered) * (0.45 + 0.9 * hash_unit(own, 5, one.seed))
-    if hash_unit(own, 6, one.seed) < row.cool:
+    light = (room + 0.55 * covered) * (0.45 + 0.9 * hash_unit(window_id, 5, face.seed))
+    if hash_unit(window_id, 6, face.seed) < row.cool:
         return r, g, b, 0.46 * light, 0.50 * light, 0.48 * light, row.gloss * glass
     return r, g, b, 0.62 * light, (0.40 + 0.06 * hue) * light, (0.16 + 0.10 * hue) * light, row.gloss * glass
 
 
 @per_pixel()
 def shopfront(
-    one: Records,
+    face: Records,
     red: float,
     green: float,
     blue: float,
@@ -228,7 +232,7 @@ def shopfront(
     """Evaluate the appearance of a shop window with its door, frames and interior, which is lit in the evening.
 
     Args:
-        one: the face, FACE, flat; its colour is that of the frames.
+        face: the face, FACE, flat; its colour is that of the frames.
         red: red of the image of the interior, averaged over the footprint.
         green: green of the same image.
         blue: blue of the same image.
@@ -238,16 +242,16 @@ def shopfront(
         fv: height of the footprint, metres.
         setting: LIGHTING, flat.
     """
-    wide, high = 2.0 * one.half_0, 2.0 * one.half_1
-    left, right = max(u + one.half_0 - 0.5 * fu, 0.0), min(u + one.half_0 + 0.5 * fu, wide)
-    low, top = max(v + one.half_1 - 0.5 * fv, 0.0), min(v + one.half_1 + 0.5 * fv, high)
+    wide, high = 2.0 * face.half_0, 2.0 * face.half_1
+    left, right = max(u + face.half_0 - 0.5 * fu, 0.0), min(u + face.half_0 + 0.5 * fu, wide)
+    low, top = max(v + face.half_1 - 0.5 * fv, 0.0), min(v + face.half_1 + 0.5 * fv, high)
     left, low = min(left, wide - 1e-6), min(low, high - 1e-6)
     right, top = max(right, left + 1e-6), max(top, low + 1e-6)
     # The door is at one end or in the middle; panes fill the rest.
     door_wide = 1.05
-    place = int(3.0 * hash_unit(one.seed, 21, 0))
+    place = int(3.0 * hash_unit(face.seed, 21, 0))
     door = 0.0 if place == 0 else (wide - door_wide if place == 1 else 0.5 * (wide - door_wide))
-    riser = 0.25 + 0.35 * hash_unit(one.seed, 22, 0)
+    riser = 0.25 + 0.35 * hash_unit(face.seed, 22, 0)
     bar = high - 0.28 * high
     before, behind = door, wide - door - door_wide
     glass = 0.0
@@ -264,24 +268,24 @@ def shopfront(
     area = (right - left) * (top - low)
     glass, grip = glass / area, grip / area
     frame = 1.0 - glass
-    burn = setting.lit_windows * (1.9 if hash_unit(one.seed, 23, 0) < 0.8 else 0.25)
-    seen = glass - grip
+    burn = setting.lit_windows * (1.9 if hash_unit(face.seed, 23, 0) < 0.8 else 0.25)
+    visible = glass - grip
     return (
-        one.colour_0 * frame + 0.5 * red * seen + 0.5 * grip,
-        one.colour_1 * frame + 0.5 * green * seen + 0.5 * grip,
-        one.colour_2 * frame + 0.5 * blue * seen + 0.5 * grip,
-        burn * red * seen,
-        0.94 * burn * green * seen,
-        0.80 * burn * blue * seen,
+        face.colour_0 * frame + 0.5 * red * visible + 0.5 * grip,
+        face.colour_1 * frame + 0.5 * green * visible + 0.5 * grip,
+        face.colour_2 * frame + 0.5 * blue * visible + 0.5 * grip,
+        burn * red * visible,
+        0.94 * burn * green * visible,
+        0.80 * burn * blue * visible,
         0.12 * glass,
     )
 
 
 @per_pixel()
-def skyline(one: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
+def skyline(face: Records, u: float, v: float, fu: float, fv: float) -> Appearance:
     """Evaluate the appearance of a distant wood: clumps that fade out where the footprint is wider than they are."""
     wide = 0.5 * (fu + fv)
-    clump = 1.0 + 0.30 * grain(u, v, 2.6, wide, one.seed) + 0.25 * grain(u, v, 0.9, wide, one.seed + 1)
+    clump = 1.0 + 0.30 * grain(u, v, 2.6, wide, face.seed) + 0.25 * grain(u, v, 0.9, wide, face.seed + 1)
     # The top is lighter than the shaded foot.
-    clump *= 0.85 + 0.3 * min(max((v + one.half_1) / max(2.0 * one.half_1, 1e-3), 0.0), 1.0)
-    return one.colour_0 * clump, one.colour_1 * clump, one.colour_2 * clump, 0.0, 0.0, 0.0, 0.0
+    clump *= 0.85 + 0.3 * min(max((v + face.half_1) / max(2.0 * face.half_1, 1e-3), 0.0), 1.0)
+    return face.colour_0 * clump, face.colour_1 * clump, face.colour_2 * clump, 0.0, 0.0, 0.0, 0.0

@@ -25,8 +25,8 @@ def read_map(value: Float32, column: float, row: float) -> float:
         return 0.0
     u, v = column - j, row - i
     before = (1 - u) * value[i, j] + u * value[i, j + 1]
-    behind = (1 - u) * value[i + 1, j] + u * value[i + 1, j + 1]
-    return (1 - v) * before + v * behind
+    next_row = (1 - u) * value[i + 1, j] + u * value[i + 1, j + 1]
+    return (1 - v) * before + v * next_row
 
 
 @per_pixel()

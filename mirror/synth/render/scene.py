@@ -200,15 +200,15 @@ class Scene:
             place = user.motion.at(time_s)
             if math.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _DRAWN_WITHIN_M:
                 placements[number] = place
-        drawn = []
+        models = []
         for number, place in placements.items():
             if not _is_static(self.road_users[number]):
                 model = (
                     self.road_users[number].body.model_at(place).transform(place.rotation, place.translation, number)
                 )
                 model.faces["lights"] = 1
-                drawn.append(model)
-        return merge_models(drawn), placements
+                models.append(model)
+        return merge_models(models), placements
 
     @staticmethod
     def _stand_model(number: int, user: RoadUser) -> Model:

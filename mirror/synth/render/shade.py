@@ -95,10 +95,10 @@ def shade_ray(
         r, g, b = sky(dome, clouds, setting, dx, dy, dz, math.sqrt(ax * ax + ay * ay + az * az))
         return r, g, b, 0.0
     if index < len(faces):
-        one = faces[index]
-        nx, ny, nz = one.normal_0, one.normal_1, one.normal_2
+        face = faces[index]
+        nx, ny, nz = face.normal_0, face.normal_1, face.normal_2
         along = nx * dx + ny * dy + nz * dz
-        t = (one.offset - nx * ox - ny * oy - nz * oz) / along
+        t = (face.offset - nx * ox - ny * oy - nz * oz) / along
         x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
         # The displacement of the hit point on the plane from pixel to pixel.
         slip = (nx * ax + ny * ay + nz * az) / along
@@ -107,45 +107,47 @@ def shade_ray(
         bx, by, bz = t * (bx - slip * dx), t * (by - slip * dy), t * (bz - slip * dz)
         if along > 0.0:
             nx, ny, nz = -nx, -ny, -nz
-        u = one.u_axis_0 * x + one.u_axis_1 * y + one.u_axis_2 * z + one.u0
-        v = one.v_axis_0 * x + one.v_axis_1 * y + one.v_axis_2 * z + one.v0
-        u1 = one.u_axis_0 * ax + one.u_axis_1 * ay + one.u_axis_2 * az
-        v1 = one.v_axis_0 * ax + one.v_axis_1 * ay + one.v_axis_2 * az
-        u2 = one.u_axis_0 * bx + one.u_axis_1 * by + one.u_axis_2 * bz
-        v2 = one.v_axis_0 * bx + one.v_axis_1 * by + one.v_axis_2 * bz
-        material, label = one.material, one.label
+        u = face.u_axis_0 * x + face.u_axis_1 * y + face.u_axis_2 * z + face.u0
+        v = face.v_axis_0 * x + face.v_axis_1 * y + face.v_axis_2 * z + face.v0
+        u1 = face.u_axis_0 * ax + face.u_axis_1 * ay + face.u_axis_2 * az
+        v1 = face.v_axis_0 * ax + face.v_axis_1 * ay + face.v_axis_2 * az
+        u2 = face.u_axis_0 * bx + face.u_axis_1 * by + face.u_axis_2 * bz
+        v2 = face.v_axis_0 * bx + face.v_axis_1 * by + face.v_axis_2 * bz
+        material, label = face.material, face.label
         if material == Material.ASPHALT:
             rough = grain_at(grains, grain_index, Grain.ASPHALT, u, v, u1, v1, u2, v2)
-            fr, fg, fb, er, eg, eb, gloss = carriageway(one, layouts, rough, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2))
-        elif (material == Material.IMAGE or material == Material.LIT_IMAGE) and one.image >= 0:
-            fr, fg, fb, er, eg, eb, gloss = image_surface(images, image_index, one, u, v, u1, v1, u2, v2, setting)
+            fr, fg, fb, er, eg, eb, gloss = carriageway(
+                face, layouts, rough, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2)
+            )
+        elif (material == Material.IMAGE or material == Material.LIT_IMAGE) and face.image >= 0:
+            fr, fg, fb, er, eg, eb, gloss = image_surface(images, image_index, face, u, v, u1, v1, u2, v2, setting)
         elif (
             material >= Material.GLASS
             and material <= Material.TAIL_LIGHT
             and (material <= Material.RIM or material >= Material.HEADLIGHT)
         ):
-            fr, fg, fb, er, eg, eb, gloss = bodywork(one, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting)
+            fr, fg, fb, er, eg, eb, gloss = bodywork(face, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting)
         elif material == Material.STREET_LAMP or material == Material.SIGNAL:
-            fr, fg, fb, er, eg, eb, gloss = lamp_surface(one, setting)
+            fr, fg, fb, er, eg, eb, gloss = lamp_surface(face, setting)
         elif material == Material.FACADE:
-            rough = grain_at(grains, grain_index, wall_grain(one, patterns), u, v, u1, v1, u2, v2)
+            rough = grain_at(grains, grain_index, wall_grain(face, patterns), u, v, u1, v1, u2, v2)
             fr, fg, fb, er, eg, eb, gloss = facade(
-                one, patterns, rough, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting
+                face, patterns, rough, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting
             )
         elif material == Material.SHOPFRONT:
-            wide, high = 0.5 / one.half_0, 0.5 / one.half_1
+            wide, high = 0.5 / face.half_0, 0.5 / face.half_1
             sr, sg, sb = image_at(
-                images, image_index, one.image, 0.5 + u * wide, 0.5 + v * high,
+                images, image_index, face.image, 0.5 + u * wide, 0.5 + v * high,
                 u1 * wide, v1 * high, u2 * wide, v2 * high,
             )  # fmt: skip
             fr, fg, fb, er, eg, eb, gloss = shopfront(
-                one, sr, sg, sb, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting
+                face, sr, sg, sb, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2), setting
             )
         elif material == Material.SKYLINE:
-            fr, fg, fb, er, eg, eb, gloss = skyline(one, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2))
+            fr, fg, fb, er, eg, eb, gloss = skyline(face, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2))
         else:
             fr, fg, fb, er, eg, eb, gloss = plain_surface(
-                grains, grain_index, material, one.seed, (one.colour_0, one.colour_1, one.colour_2),
+                grains, grain_index, material, face.seed, (face.colour_0, face.colour_1, face.colour_2),
                 u, v, u1, v1, u2, v2,
             )  # fmt: skip
     else:
@@ -225,7 +227,7 @@ def render_radiance(
     mixed: UInt8,
     which: Int32,
     share: Float32,
-    wanted: Float32,
+    mask: Float32,
     out: Float32,
 ) -> None:
     """Compute the radiance of an image from the result of `coverage.compute_coverage`.
@@ -258,8 +260,8 @@ def render_radiance(
         mixed: from `compute_coverage`.
         which: from `compute_coverage`.
         share: from `compute_coverage`.
-        wanted: the mask given to `compute_coverage`.
-        out: (H, W, 4) output where ``wanted`` is set: red, green, blue, and the weight of the mirrored image.
+        mask: the mask given to `compute_coverage`.
+        out: (H, W, 4) output where ``mask`` is set: red, green, blue, and the weight of the mirrored image.
     """
     height, width = rays.shape[:2]
     ox, oy, oz = origin[0], origin[1], origin[2]
@@ -270,7 +272,7 @@ def render_radiance(
             ax, ay, az, bx, by, bz = ray_steps(rays, rotation, top, left, bottom, right)
             for row in range(top, bottom + 1):
                 for column in range(left, right + 1):
-                    if wanted.shape[0] > 0 and wanted[row, column] <= 0.0:
+                    if mask.shape[0] > 0 and mask[row, column] <= 0.0:
                         while at < len(which) and which[at, 0] == row * width + column:
                             at += 1
                         continue

@@ -67,11 +67,11 @@ def render_shadow_map(model: Model, sun: Float64, centre: Float64, reach_m: floa
 
 
 def _extremes(rounds: Records, axes: Float64) -> tuple[Float64, ...]:
-    found = []
+    extremes = []
     for axis in axes:
         reach = np.linalg.norm(np.einsum("nij,j->ni", rounds["axes"], axis) * rounds["half"], axis=1)
-        found += [rounds["centre"] + reach[:, None] * axis, rounds["centre"] - reach[:, None] * axis]
-    return tuple(found)
+        extremes += [rounds["centre"] + reach[:, None] * axis, rounds["centre"] - reach[:, None] * axis]
+    return tuple(extremes)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -80,20 +80,20 @@ def _fill(
 ) -> None:
     a, b, h = np.empty(32), np.empty(32), np.empty(32)
     for index in range(len(faces)):
-        one = faces[index]
-        facing = one.normal_0 * sun[0] + one.normal_1 * sun[1] + one.normal_2 * sun[2]
+        face = faces[index]
+        facing = face.normal_0 * sun[0] + face.normal_1 * sun[1] + face.normal_2 * sun[2]
         # Sides that face away from the sun are in the shadow of the other sides.
-        if (facing <= 0.0 and not one.two_sided) or abs(facing) < 1e-4:
+        if (facing <= 0.0 and not face.two_sided) or abs(facing) < 1e-4:
             continue
-        count = one.count
+        count = face.count
         for k in range(count):
-            x, y, z = corners[one.first + k, 0], corners[one.first + k, 1], corners[one.first + k, 2]
+            x, y, z = corners[face.first + k, 0], corners[face.first + k, 1], corners[face.first + k, 2]
             a[k] = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - low[0]) / CELL_M
             b[k] = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - low[1]) / CELL_M
             h[k] = sun[0] * x + sun[1] * y + sun[2] * z
         # The height along the sun's direction is an affine function of (a, b).
-        na = (one.normal_0 * axes[0, 0] + one.normal_1 * axes[0, 1] + one.normal_2 * axes[0, 2]) * CELL_M / facing
-        nb = (one.normal_0 * axes[1, 0] + one.normal_1 * axes[1, 1] + one.normal_2 * axes[1, 2]) * CELL_M / facing
+        na = (face.normal_0 * axes[0, 0] + face.normal_1 * axes[0, 1] + face.normal_2 * axes[0, 2]) * CELL_M / facing
+        nb = (face.normal_0 * axes[1, 0] + face.normal_1 * axes[1, 1] + face.normal_2 * axes[1, 2]) * CELL_M / facing
         _fill_polygon(a, b, h, count, na, nb, height)
     for index in range(len(rounds)):
         _fill_round(rounds[index], sun, axes, low, height)
@@ -119,15 +119,15 @@ def _fill_polygon(a: Float64, b: Float64, h: Float64, count: int, na: float, nb:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_round(one: Records, sun: Float64, axes: Float64, low: Float64, height: Float32) -> None:
-    reach = max(one.half_0, one.half_1, one.half_2)
-    x, y, z = one.centre_0, one.centre_1, one.centre_2
+def _fill_round(ellipsoid: Records, sun: Float64, axes: Float64, low: Float64, height: Float32) -> None:
+    reach = max(ellipsoid.half_0, ellipsoid.half_1, ellipsoid.half_2)
+    x, y, z = ellipsoid.centre_0, ellipsoid.centre_1, ellipsoid.centre_2
     a = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - low[0]
     b = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - low[1]
     along = sun[0] * x + sun[1] * y + sun[2] * z
-    sx = (one.axes_00 * sun[0] + one.axes_01 * sun[1] + one.axes_02 * sun[2]) / one.half_0
-    sy = (one.axes_10 * sun[0] + one.axes_11 * sun[1] + one.axes_12 * sun[2]) / one.half_1
-    sz = (one.axes_20 * sun[0] + one.axes_21 * sun[1] + one.axes_22 * sun[2]) / one.half_2
+    sx = (ellipsoid.axes_00 * sun[0] + ellipsoid.axes_01 * sun[1] + ellipsoid.axes_02 * sun[2]) / ellipsoid.half_0
+    sy = (ellipsoid.axes_10 * sun[0] + ellipsoid.axes_11 * sun[1] + ellipsoid.axes_12 * sun[2]) / ellipsoid.half_1
+    sz = (ellipsoid.axes_20 * sun[0] + ellipsoid.axes_21 * sun[1] + ellipsoid.axes_22 * sun[2]) / ellipsoid.half_2
     square = sx * sx + sy * sy + sz * sz
     for row in range(
         max(math.ceil((b - reach) / CELL_M), 0), min(math.floor((b + reach) / CELL_M), height.shape[0] - 1) + 1
@@ -141,9 +141,9 @@ def _fill_round(one: Records, sun: Float64, axes: Float64, low: Float64, height:
                 u * axes[0, 1] + v * axes[1, 1],
                 u * axes[0, 2] + v * axes[1, 2],
             )
-            px = (one.axes_00 * dx + one.axes_01 * dy + one.axes_02 * dz) / one.half_0
-            py = (one.axes_10 * dx + one.axes_11 * dy + one.axes_12 * dz) / one.half_1
-            pz = (one.axes_20 * dx + one.axes_21 * dy + one.axes_22 * dz) / one.half_2
+            px = (ellipsoid.axes_00 * dx + ellipsoid.axes_01 * dy + ellipsoid.axes_02 * dz) / ellipsoid.half_0
+            py = (ellipsoid.axes_10 * dx + ellipsoid.axes_11 * dy + ellipsoid.axes_12 * dz) / ellipsoid.half_1
+            pz = (ellipsoid.axes_20 * dx + ellipsoid.axes_21 * dy + ellipsoid.axes_22 * dz) / ellipsoid.half_2
             middle = px * sx + py * sy + pz * sz
             inside = middle * middle - square * (px * px + py * py + pz * pz - 1.0)
             if inside > 0.0:
@@ -168,5 +168,5 @@ def sun_visibility(height: Float32, column: float, row: float, along: float) -> 
         return 1.0
     u, v = column - j, row - i
     before = (1.0 - u) * (height[i, j] <= along) + u * (height[i, j + 1] <= along)
-    behind = (1.0 - u) * (height[i + 1, j] <= along) + u * (height[i + 1, j + 1] <= along)
-    return (1.0 - v) * before + v * behind
+    next_row = (1.0 - u) * (height[i + 1, j] <= along) + u * (height[i + 1, j + 1] <= along)
+    return (1.0 - v) * before + v * next_row

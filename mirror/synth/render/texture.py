@@ -38,10 +38,10 @@ def noise(x: float, y: float, seed: int) -> float:
 @per_pixel()
 def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float:
     """Noise with a grain size; it fades out where the footprint is wider than the grain."""
-    shown = 1.5 - footprint / size
-    if shown <= 0.0:
+    visible = 1.5 - footprint / size
+    if visible <= 0.0:
         return 0.0
-    return min(shown, 1.0) * noise(x / size, y / size, seed)
+    return min(visible, 1.0) * noise(x / size, y / size, seed)
 
 
 @per_pixel()
@@ -54,8 +54,8 @@ def band(x: float, low: float, high: float, footprint: float) -> float:
 
 @per_pixel()
 def _stripes_before(x: float, duty: float) -> float:
-    whole = math.floor(x)
-    return whole * duty + min(x - whole, duty)
+    periods = math.floor(x)
+    return periods * duty + min(x - periods, duty)
 
 
 @per_pixel()

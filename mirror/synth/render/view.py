@@ -34,7 +34,7 @@ class RasterizedView:
         rotation: (3, 3) world_R_camera.
         origin: (3,) camera position, world metres.
         offsets: (S, 2) rays of a pixel, in pixels from its centre.
-        wanted: (H, W) mask of the pixels to be rendered; (0, 0): all.
+        mask: (H, W) mask of the pixels to be rendered; (0, 0): all.
         surface: (H, W) surface (faces, then ellipsoids) that a pixel's first ray hits, or SKY.
         mixed: (H, W) 1 where the rays of a pixel hit different surfaces.
         which: (K, 2) pixel and surface of the fragments of such pixels.
@@ -48,7 +48,7 @@ class RasterizedView:
     rotation: Float64
     origin: Float64
     offsets: Float32
-    wanted: Float32
+    mask: Float32
     surface: Int32
     mixed: UInt8
     which: Int32
@@ -69,7 +69,7 @@ class RasterizedView:
             scene.dome, scene.clouds, scene.layouts, scene.setting, scene.maps,
             textures.grains, textures.grain_index, textures.images, textures.image_index, _PATTERNS,
             self.lens.rays, self.rotation, self.origin, self.offsets[0], footprint_px,
-            self.surface, self.mixed, self.which, self.share, self.wanted, out,
+            self.surface, self.mixed, self.which, self.share, self.mask, out,
         )  # fmt: skip
         return out
 
@@ -90,8 +90,8 @@ class RasterizedView:
 
     def _of_surfaces(self, name: str, sky: int) -> Int64:
         values = np.concatenate([self.scene.faces[name], self.scene.rounds[name], [sky]])
-        found: Int64 = values[self.surface]
-        return found
+        surface_values: Int64 = values[self.surface]
+        return surface_values
 
     @property
     def label(self) -> UInt8:
@@ -111,7 +111,7 @@ def rasterize_view(
     origin: Float64,
     *,
     offsets: Float32 = OFFSETS,
-    wanted: Float32 = _EVERYWHERE,
+    mask: Float32 = _EVERYWHERE,
     ground: bool = True,
 ) -> RasterizedView:
     """Find the surfaces that a camera sees.
@@ -122,12 +122,12 @@ def rasterize_view(
         rotation: (3, 3) world_R_camera.
         origin: (3,) camera position, world metres.
         offsets: (S, 2) rays of a pixel, in pixels from its centre; the first gives the ground truth.
-        wanted: (H, W) mask of the pixels to be rendered; default: all.
+        mask: (H, W) mask of the pixels to be rendered; default: all.
         ground: whether the ground is rendered.
     """
     rotation = np.ascontiguousarray(rotation, np.float64)
     x, y, z = (float(value) for value in origin)
-    chosen, near = find_facing(
+    chosen, nearest_m = find_facing(
         scene.faces,
         scene.spheres,
         lens.cones,
@@ -139,21 +139,21 @@ def rasterize_view(
         0.5 * _SMALLEST_PX * lens.pixel_rad,
         ground,
     )
-    by_distance = np.argsort(near, kind="stable")
-    order, nearest = chosen[by_distance], near[by_distance]
+    by_distance = np.argsort(nearest_m, kind="stable")
+    order, nearest = chosen[by_distance], nearest_m[by_distance]
     starts, rows = build_ray_tests(scene.faces, scene.corners, scene.rounds, order, x, y, z)
     begins, lists = build_tile_lists(
         order, nearest, len(scene.faces), scene.spheres, starts, rows, lens.cones, lens.levels, rotation, x, y, z
     )
     surface, mixed, which, share, counts = compute_coverage(
-        lens.rays, rotation, offsets, lens.cones, begins, lists, order, len(scene.faces), nearest, starts, rows, wanted
+        lens.rays, rotation, offsets, lens.cones, begins, lists, order, len(scene.faces), nearest, starts, rows, mask
     )
     counted = {
         "surfaces": len(scene.spheres), "facing": len(order), "near": len(lists), "tried": int(counts[1]),
         "tiles": int(counts[0]),
     }  # fmt: skip
     return RasterizedView(
-        scene, lens, rotation, np.array([x, y, z]), offsets, wanted, surface, mixed, which, share, counted
+        scene, lens, rotation, np.array([x, y, z]), offsets, mask, surface, mixed, which, share, counted
     )
 
 
@@ -174,10 +174,10 @@ def _geometry_of(
             dy = rotation[1, 0] * i + rotation[1, 1] * j + rotation[1, 2] * k
             dz = rotation[2, 0] * i + rotation[2, 1] * j + rotation[2, 2] * k
             if index < len(faces):
-                one = faces[index]
-                nx, ny, nz = one.normal_0, one.normal_1, one.normal_2
+                face = faces[index]
+                nx, ny, nz = face.normal_0, face.normal_1, face.normal_2
                 along = nx * dx + ny * dy + nz * dz
-                t = (one.offset - nx * origin[0] - ny * origin[1] - nz * origin[2]) / along
+                t = (face.offset - nx * origin[0] - ny * origin[1] - nz * origin[2]) / along
             else:
                 ball = rounds[index - len(faces)]
                 x, y, z = origin[0] - ball.centre_0, origin[1] - ball.centre_1, origin[2] - ball.centre_2

@@ -37,13 +37,13 @@ def add_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation
         (H, W, 4) radiance.
     """
     share = radiance[..., 3]
-    wanted = _reflection_mask(share)
-    if not wanted.any():
+    mask = _reflection_mask(share)
+    if not mask.any():
         return radiance
     normal, offset = fit_ground_plane(scene, origin)
     flip = np.eye(3) - 2.0 * np.outer(normal, normal)
     below = origin - 2.0 * (normal @ origin - offset) * normal
-    mirrored = rasterize_view(scene, lens, flip @ rotation, below, offsets=_ONE_RAY, wanted=wanted, ground=False)
+    mirrored = rasterize_view(scene, lens, flip @ rotation, below, offsets=_ONE_RAY, mask=mask, ground=False)
     return _blend_reflection(radiance, _stretch_vertically(mirrored.radiance(2.0)))
 
 
@@ -72,8 +72,8 @@ def _reflection_mask(share: Float32) -> Float32:
     import cv2
 
     rows = np.ones((2 * _STRETCH_PX + 1, 1), np.uint8)
-    wanted: Float32 = cv2.dilate((share > _LEAST_SHARE).astype(np.uint8), rows).astype(np.float32)
-    return wanted
+    mask: Float32 = cv2.dilate((share > _LEAST_SHARE).astype(np.uint8), rows).astype(np.float32)
+    return mask
 
 
 def _stretch_vertically(mirrored: Float32) -> Float32:
@@ -81,8 +81,8 @@ def _stretch_vertically(mirrored: Float32) -> Float32:
     import cv2
 
     # Two box filters approximate a Gaussian.
-    once = cv2.blur(mirrored, (1, _STRETCH_PX + 1), borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.blur(once, (1, _STRETCH_PX + 1), borderType=cv2.BORDER_REPLICATE), np.float32)
+    stretched = cv2.blur(mirrored, (1, _STRETCH_PX + 1), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.blur(stretched, (1, _STRETCH_PX + 1), borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -94,6 +94,6 @@ def _blend_reflection(radiance: Float32, mirrored: Float32) -> Float32:
             share = radiance[row, column, 3]
             if share > _LEAST_SHARE:
                 for channel in range(3):
-                    own = radiance[row, column, channel] * (1.0 - _LOST_SHARE * share)
-                    out[row, column, channel] = own + share * mirrored[row, column, channel]
+                    direct = radiance[row, column, channel] * (1.0 - _LOST_SHARE * share)
+                    out[row, column, channel] = direct + share * mirrored[row, column, channel]
     return out

@@ -104,15 +104,15 @@ class _EllipsoidList:
         )
 
 
-def _cross_products(one: Float64, other: Float64) -> Float64:
+def _cross_products(first: Float64, second: Float64) -> Float64:
     """Cross products of (..., 3) vectors; `numpy.cross` is much slower for a few vectors."""
-    return one[..., _NEXT] * other[..., _AFTER] - one[..., _AFTER] * other[..., _NEXT]
+    return first[..., _NEXT] * second[..., _AFTER] - first[..., _AFTER] * second[..., _NEXT]
 
 
 def _axes_along(way: Float64) -> Float64:
     """Axes (N, 3, 3) as rows; the third is along each direction (N, 3)."""
-    other = np.where(np.abs(way[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 0.0, -1.0]])
-    side = _cross_products(way, other)
+    second = np.where(np.abs(way[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 0.0, -1.0]])
+    side = _cross_products(way, second)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     return np.stack([_cross_products(side, way), side, way], axis=1)
 

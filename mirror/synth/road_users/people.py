@@ -70,13 +70,13 @@ class Pedestrian(Body):
 
 
 @lru_cache(_POSES_KEPT)
-def _cached_pose(who: Person, phase: int, pace: int) -> Model:
-    return _build_walker(who, phase / _PHASES, pace / _PACES)
+def _cached_pose(person: Person, phase: int, pace: int) -> Model:
+    return _build_walker(person, phase / _PHASES, pace / _PACES)
 
 
-def _build_walker(who: Person, phase: float, pace: float) -> Model:
-    skeleton = walking_skeleton(who.height_m, phase, pace, held=who.umbrella is not None)
-    return build_person(who, skeleton, Label.PERSON)
+def _build_walker(person: Person, phase: float, pace: float) -> Model:
+    skeleton = walking_skeleton(person.height_m, phase, pace, arm_raised=person.umbrella is not None)
+    return build_person(person, skeleton, Label.PERSON)
 
 
 def draw_person(rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False) -> Person:
@@ -114,13 +114,13 @@ def draw_pedestrian(
     rng: np.random.Generator, *, child: bool = False, umbrella: bool = False, warm: bool = False
 ) -> Pedestrian:
     """Draw a pedestrian; the arguments are those of :func:`draw_person`."""
-    who = draw_person(rng, child=child, umbrella=umbrella, warm=warm)
-    still = _build_walker(who, 0.0, 0.0)
+    person = draw_person(rng, child=child, umbrella=umbrella, warm=warm)
+    standing = _build_walker(person, 0.0, 0.0)
     # Legs reach farthest as the heels come down, arms and luggage a little later, the head half-way between.
-    poses = [_build_walker(who, phase / _BOX_PHASES, 1.0) for phase in range(_BOX_PHASES)]
-    ends = np.array([np.abs(model.bounds()).max(axis=0) for model in (still, *poses)]).max(axis=0)
+    poses = [_build_walker(person, phase / _BOX_PHASES, 1.0) for phase in range(_BOX_PHASES)]
+    ends = np.array([np.abs(model.bounds()).max(axis=0) for model in (standing, *poses)]).max(axis=0)
     length, width, height = np.array([2.0, 2.0, 1.0]) * ends + _BOX_SPARE_M
-    return Pedestrian("pedestrian", (float(length), float(width), float(height)), still, who)
+    return Pedestrian("pedestrian", (float(length), float(width), float(height)), standing, person)
 
 
 def build_rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = False) -> Model:
@@ -131,12 +131,14 @@ def build_rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = 
         saddle: contact points of the rider.
         motorcycle: whether the rider wears a full helmet and a jacket; others mostly wear a cycle helmet or none.
     """
-    who = draw_person(rng)
+    person = draw_person(rng)
     hats: tuple[Hat, ...] = ("full helmet",) if motorcycle else ("cycle helmet", "cycle helmet", "none")
-    bag: Bag = "none" if who.bag == "handbag" else who.bag
+    bag: Bag = "none" if person.bag == "handbag" else person.bag
     garment: Garment = "jacket" if motorcycle or rng.random() < 0.6 else "shirt"
     # The rider's height is raised until the legs reach the pedals.
     reach = max(float(np.linalg.norm(np.subtract(saddle.hip, foot))) for foot in (saddle.foot, saddle.foot_right))
-    height = max(who.height_m, reach / _RIDING_LEG)
-    who = replace(who, height_m=min(height, 2.0), garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag)
-    return build_person(who, riding_skeleton(who.height_m, saddle), Label.RIDER)
+    height = max(person.height_m, reach / _RIDING_LEG)
+    person = replace(
+        person, height_m=min(height, 2.0), garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag
+    )
+    return build_person(person, riding_skeleton(person.height_m, saddle), Label.RIDER)

@@ -66,14 +66,14 @@ def head_half_m(height_m: float) -> float:
     return 0.5 * (0.160 + 0.037 * height_m)
 
 
-def walking_skeleton(height_m: float, phase: float, pace: float, *, held: bool = False) -> Skeleton:
+def walking_skeleton(height_m: float, phase: float, pace: float, *, arm_raised: bool = False) -> Skeleton:
     """Compute a pose of the walk; at full pace the feet do not slide on the ground.
 
     Args:
         height_m: height of the person.
         phase: phase of the gait, which repeats after 1; at 0 the left heel touches the ground.
         pace: length of the steps, 0 to 1; at 0 the person stands.
-        held: whether the left hand holds something up.
+        arm_raised: whether the left hand holds something up.
     """
     stride = STRIDE * height_m * pace
     phases = (phase + np.array([0.0, 0.5])) % 1.0
@@ -86,11 +86,11 @@ def walking_skeleton(height_m: float, phase: float, pace: float, *, held: bool =
     lift = 0.075 * height_m * roll + 0.035 * height_m * pace * np.sin(math.pi * swing) ** 2
     ahead = 0.03 * height_m * np.sin(roll)
     ankles = _left_right_rows(x + ahead, np.array([0.8, -0.8]) * _HIP_OUT * height_m, _ANKLE * height_m + lift)
-    return _upright_skeleton(height_m, ankles, pitch, x / (0.5 * _STANCE * STRIDE * height_m), 0.05 * pace, held)
+    return _upright_skeleton(height_m, ankles, pitch, x / (0.5 * _STANCE * STRIDE * height_m), 0.05 * pace, arm_raised)
 
 
 def _upright_skeleton(
-    height_m: float, ankles: Float64, pitch: Float64, step: Float64, lean: float, held: bool
+    height_m: float, ankles: Float64, pitch: Float64, step: Float64, lean: float, arm_raised: bool
 ) -> Skeleton:
     """Place the body over its feet; the arms swing opposite to the ``step`` of their side."""
     leg = 0.995 * (_THIGH + _SHANK) * height_m
@@ -112,7 +112,7 @@ def _upright_skeleton(
     forearm = _left_right_rows(np.sin(swing + bend), 0.02 * side, -np.cos(swing + bend))
     elbows = shoulders + _ARM * height_m * arm
     wrists = elbows + _FOREARM * height_m * forearm
-    if held:
+    if arm_raised:
         wrists[0] = chest + np.array([0.13, 0.10, -0.03]) * height_m
         elbows[:1] = _middle_joints(
             shoulders[:1], wrists[:1], _ARM * height_m, _FOREARM * height_m, np.array([-0.2, 0.4, -1.0])

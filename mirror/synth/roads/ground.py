@@ -93,7 +93,7 @@ def merge_outlines(
         crossings: all crossings.
         kerbs: whether the roads have kerbs.
     """
-    grown = []
+    outlines = []
     for beside in ("none", "kerb", "pavement"):
         parts: list[shapely.Geometry] = []
         for street, at in zip(streets, stations):
@@ -113,8 +113,8 @@ def merge_outlines(
                     "pavement": min(narrow, corner.radius_m - 0.8),
                 }[beside]
                 parts.append(shapely.Polygon(crossing.patch(corner, wider)))
-        grown.append(shapely.union_all(parts, grid_size=_GRID_M))
-    return Outlines(*grown)
+        outlines.append(shapely.union_all(parts, grid_size=_GRID_M))
+    return Outlines(*outlines)
 
 
 def _boundary_offsets(section: Section, kerbs: bool) -> Float64:
@@ -222,8 +222,8 @@ def _contains(region: shapely.Geometry, points: Float64) -> Bool:
 
 def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief: Relief) -> list[shapely.Geometry]:
     """Lines across the streets where pieces end, and along the crowns; none in crossings or on earlier streets."""
-    found: list[shapely.Geometry] = []
-    older: shapely.Geometry = shapely.Polygon()
+    lines_by_street: list[shapely.Geometry] = []
+    covered: shapely.Geometry = shapely.Polygon()
     for number, (street, at) in enumerate(zip(streets, stations)):
         section, level = street.section, relief.level_at[number]
         inside = np.any((at[:, None] > level[:, 0] + 1e-6) & (at[:, None] < level[:, 1] - 1e-6), axis=1)
@@ -234,11 +234,11 @@ def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief:
         crowned = ~((between[:, None] > level[:, 0]) & (between[:, None] < level[:, 1])).any(axis=1)
         crown = street.line.at(at, 0.0)
         lines += [shapely.LineString(crown[i : i + 2]) for i in np.flatnonzero(crowned)]
-        found.append(shapely.difference(shapely.MultiLineString(lines), older, grid_size=_GRID_M))
-        older = shapely.union(
-            older, _street_band(street, at, steps[0], steps[-1], relief.kerb_m > 0.0), grid_size=_GRID_M
+        lines_by_street.append(shapely.difference(shapely.MultiLineString(lines), covered, grid_size=_GRID_M))
+        covered = shapely.union(
+            covered, _street_band(street, at, steps[0], steps[-1], relief.kerb_m > 0.0), grid_size=_GRID_M
         )
-    return found
+    return lines_by_street
 
 
 def _grid_lines(yaw_rad: float, fine_m: float, extent_m: float) -> AnyArray:

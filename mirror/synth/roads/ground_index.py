@@ -44,15 +44,17 @@ class GroundIndex:
         x, y = np.broadcast_arrays(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
         shape = x.shape
         points = np.stack([x.ravel(), y.ravel()], axis=1)
-        found = _find_heights(self.triangles, self.low, self.shape[0], self.shape[1], self.first, self.members, points)
-        if np.isnan(found).any():
-            place = points[int(np.argmax(np.isnan(found)))]
+        heights = _find_heights(
+            self.triangles, self.low, self.shape[0], self.shape[1], self.first, self.members, points
+        )
+        if np.isnan(heights).any():
+            place = points[int(np.argmax(np.isnan(heights)))]
             raise UsageError(
                 "the ground has no triangle at this position",
                 place=f"({place[0]:.3f}, {place[1]:.3f})",
                 expected="a position within the scene",
             )
-        return found.reshape(shape)
+        return heights.reshape(shape)
 
 
 def build_ground_index(triangles: Float64) -> GroundIndex:
@@ -116,7 +118,7 @@ def _bin_triangles(triangles: Float64, low: Float64, nx: int, ny: int) -> tuple[
 def _find_heights(
     triangles: Float64, low: Float64, nx: int, ny: int, first: Int64, members: Int64, points: Float64
 ) -> Float64:
-    found = np.full(len(points), np.nan)
+    heights = np.full(len(points), np.nan)
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
         if not (math.isfinite(x) and math.isfinite(y)):
@@ -133,6 +135,6 @@ def _find_heights(
             s, w = (px * by - py * bx) / area, (ax * py - ay * px) / area
             if s >= -_MARGIN and w >= -_MARGIN and s + w <= 1.0 + _MARGIN:
                 z = t[0, 2] + s * (t[1, 2] - t[0, 2]) + w * (t[2, 2] - t[0, 2])
-                if math.isnan(found[k]) or z > found[k]:
-                    found[k] = z
-    return found
+                if math.isnan(heights[k]) or z > heights[k]:
+                    heights[k] = z
+    return heights

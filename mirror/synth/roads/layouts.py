@@ -51,13 +51,13 @@ class Approach:
 
 def find_approaches(crossing: Crossing) -> tuple[Approach, ...]:
     """The approaches of a crossing, in the order of its arms."""
-    found = []
+    approach_list = []
     for arm, reach in zip(crossing.arms, crossing.reach_m):
         waits = (crossing.control == "signal" or arm.minor) and arm.street.section.material == Material.ASPHALT
         stop = reach + (_STOP_M if arm.zebra else _YIELD_M)[1] if waits or arm.zebra else None
         walk = (reach + _ZEBRA_M[0], reach + _ZEBRA_M[1]) if arm.zebra else None
-        found.append(Approach(arm, reach, stop, walk, reach if stop is None else stop + 0.15))
-    return tuple(found)
+        approach_list.append(Approach(arm, reach, stop, walk, reach if stop is None else stop + 0.15))
+    return tuple(approach_list)
 
 
 @dataclass(frozen=True)
@@ -184,16 +184,16 @@ def _piece_stations(street: Street, cuts: Float64) -> Float64:
     """Stations at which a street's pieces end: at all cuts, and in between at steps that shrink with the curvature."""
     line = street.line
     cuts = np.unique(np.clip(cuts, line.first_m, line.last_m))
-    kept = [cuts[0]]
+    boundaries = [cuts[0]]
     for cut in cuts[1:]:
-        if cut - kept[-1] > _SAME_M:
-            kept.append(cut)
-    kept[-1] = line.last_m
+        if cut - boundaries[-1] > _SAME_M:
+            boundaries.append(cut)
+    boundaries[-1] = line.last_m
     bends = np.abs(np.gradient(line.headings, line.stations))
-    found = [np.array([kept[0]])]
-    for low, high in itertools.pairwise(kept):
+    stations = [np.array([boundaries[0]])]
+    for low, high in itertools.pairwise(boundaries):
         on = (line.stations >= low) & (line.stations <= high)
         most = float(bends[on].max()) if on.any() else 0.0
         step = min(_PIECE_M, max(_PIECE_RAD / max(most, 1e-9), _LEAST_PIECE_M))
-        found.append(np.linspace(low, high, max(int(np.ceil((high - low) / step)), 1) + 1)[1:])
-    return np.concatenate(found)
+        stations.append(np.linspace(low, high, max(int(np.ceil((high - low) / step)), 1) + 1)[1:])
+    return np.concatenate(stations)

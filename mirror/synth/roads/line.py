@@ -94,9 +94,9 @@ class Line:
         before, after = np.flatnonzero(far[:middle]), np.flatnonzero(far[middle:])
         first = before[-1] + 1 if len(before) else 0
         last = middle + (after[0] if len(after) else len(far) - middle)
-        kept = slice(int(first), int(last))
-        stations = self.stations[kept]
-        return Line(float(stations[0]), float(stations[-1]), stations, self.points[kept], self.headings[kept])
+        part = slice(int(first), int(last))
+        stations = self.stations[part]
+        return Line(float(stations[0]), float(stations[-1]), stations, self.points[part], self.headings[part])
 
 
 def build_line(

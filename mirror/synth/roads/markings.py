@@ -174,10 +174,10 @@ def restrict_layouts(model: Model, table: Records) -> tuple[Model, Records]:
     for axis, (name, shift) in enumerate((("u_axis", "u0"), ("v_axis", "v0"))):
         values = np.einsum("ni,ni->n", corners[at], faces[name][paved][of_corner]) + faces[shift][paved][of_corner]
         low[:, axis], high[:, axis] = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
-    own = table[faces["layout"][paved]]
-    reaches = own["strength"] > 0.0
+    rows = table[faces["layout"][paved]]
+    reaches = rows["strength"] > 0.0
     for axis, (begin, end) in enumerate((("u_low", "u_high"), ("v_low", "v_high"))):
-        reaches &= (own[begin] < high[:, axis, None]) & (own[end] > low[:, axis, None])
+        reaches &= (rows[begin] < high[:, axis, None]) & (rows[end] > low[:, axis, None])
     kinds, layout = np.unique(
         np.concatenate([faces["layout"][paved, None], reaches], axis=1), axis=0, return_inverse=True
     )

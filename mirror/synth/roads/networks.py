@@ -63,8 +63,8 @@ def _add_crossing_lanes(crossing: Crossing, ports: Sequence[Port], lanes: dict[s
     signal = crossing.control == "signal"
     groups = {name: _ON_FOOT + crossing.group(arm) for arm, names in over.items() for name in names if signal}
     footpaths = [replace(lane, signal=groups.get(lane.lane_id)) for lane in footpaths]
-    found = {lane.lane_id: lane for lane in (*through, *footpaths)}
-    lanes.update(found)
+    new_lanes = {lane.lane_id: lane for lane in (*through, *footpaths)}
+    lanes.update(new_lanes)
     for port in ports:
         if not port.arrives:
             continue
@@ -87,7 +87,7 @@ def _link_joint(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane
     after = link_lanes(ports)
     for port in ports:
         if port.arrives:
-            rivals = tuple(
+            merging = tuple(
                 other.lane_id
                 for other in ports
                 if other.arrives
@@ -95,7 +95,7 @@ def _link_joint(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane
                 and set(after[other.lane_id]) & set(after[port.lane_id])
                 and crossing.arms[port.arm].street is not _through_street(crossing)
             )
-            lanes[port.lane_id] = replace(lanes[port.lane_id], successors=after[port.lane_id], yields_to=rivals)
+            lanes[port.lane_id] = replace(lanes[port.lane_id], successors=after[port.lane_id], yields_to=merging)
 
 
 def _through_street(crossing: Crossing) -> Street:

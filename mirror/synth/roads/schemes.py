@@ -109,8 +109,8 @@ def _branch_street(
     line = build_line(main.at(station), float(main.heading(station)) + turn, 0.0, 2.0 * extent, bends)
     far = np.hypot(*line.points.T) > extent
     stop = int(np.argmax(far)) if far.any() else len(far)
-    kept = Line(0.0, float(line.stations[stop - 1]), line.stations[:stop], line.points[:stop], line.headings[:stop])
-    return Street(name, kept, section)
+    part = Line(0.0, float(line.stations[stop - 1]), line.stations[:stop], line.points[:stop], line.headings[:stop])
+    return Street(name, part, section)
 
 
 def _land_cover(material: Material, label: Label, colour: tuple[float, float, float]) -> Cover:
@@ -287,9 +287,9 @@ def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Stree
 
 
 def _clip_line(line: Line, extent: float) -> Line:
-    near = np.hypot(*line.points.T) <= extent
-    kept = np.flatnonzero(near)
-    part = slice(int(kept[0]), int(kept[-1]) + 1)
+    is_inside = np.hypot(*line.points.T) <= extent
+    indices = np.flatnonzero(is_inside)
+    part = slice(int(indices[0]), int(indices[-1]) + 1)
     stations = line.stations[part]
     return Line(float(stations[0]), float(stations[-1]), stations, line.points[part], line.headings[part])
 

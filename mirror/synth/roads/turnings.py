@@ -80,7 +80,7 @@ def _wrap_angle(angle: float) -> float:
 
 def build_turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str, Lane]) -> list[Turning]:
     """Build vehicle lanes through a crossing: from each arriving lane to those of the same use on other arms."""
-    found = []
+    turnings = []
     for start in ports:
         use = lanes[start.lane_id].use
         if not start.arrives or use not in ("drive", "cycle"):
@@ -97,8 +97,8 @@ def build_turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str
                 f"{crossing.name}.{start.lane_id}>{goal.lane_id}", "turn", line,
                 min(before.width_m, after.width_m), speed, (goal.lane_id,),
             )  # fmt: skip
-            found.append(Turning(lane, start, goal, turn))
-    return found
+            turnings.append(Turning(lane, start, goal, turn))
+    return turnings
 
 
 def link_lanes(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
@@ -113,24 +113,24 @@ def link_lanes(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
 
 
 def assign_right_of_way(
-    crossing: Crossing, found: Sequence[Turning], crosses: Mapping[int, tuple[str, ...]]
+    crossing: Crossing, turnings: Sequence[Turning], crosses: Mapping[int, tuple[str, ...]]
 ) -> list[Lane]:
     """Convert turnings to lanes that name the lanes they yield to.
 
     Args:
         crossing: the crossing.
-        found: its turnings.
+        turnings: turnings of the crossing.
         crosses: for each arm, the ids of the walking lanes over its zebra.
     """
-    lines = [shapely.LineString(turning.lane.line) for turning in found]
+    lines = [shapely.LineString(turning.lane.line) for turning in turnings]
     lanes = []
-    for turning, line in zip(found, lines):
+    for turning, line in zip(turnings, lines):
         first = [
             other.lane.lane_id
-            for other, rival in zip(found, lines)
+            for other, other_line in zip(turnings, lines)
             if other.start.arm != turning.start.arm
             and _goes_first(crossing, other, turning)
-            and (other.goal.lane_id == turning.goal.lane_id or shapely.intersects(line, rival))
+            and (other.goal.lane_id == turning.goal.lane_id or shapely.intersects(line, other_line))
         ]
         straight = abs(turning.turn_rad) < _STRAIGHT_RAD
         if crossing.control != "signal" or not straight:
@@ -141,10 +141,10 @@ def assign_right_of_way(
 
 def _goes_first(crossing: Crossing, other: Turning, mine: Turning) -> bool:
     """Whether ``mine`` has to wait for ``other``."""
-    theirs, own = crossing.arms[other.start.arm], crossing.arms[mine.start.arm]
-    if theirs.minor != own.minor:
-        return own.minor
-    if theirs.street is not own.street and crossing.control == "signal":
+    other_arm, arm = crossing.arms[other.start.arm], crossing.arms[mine.start.arm]
+    if other_arm.minor != arm.minor:
+        return arm.minor
+    if other_arm.street is not arm.street and crossing.control == "signal":
         return False
     # With equal priority, left turns wait for all others.
     return mine.turn_rad > _STRAIGHT_RAD and other.turn_rad <= _STRAIGHT_RAD
@@ -177,15 +177,15 @@ def build_footways(
         The lanes, and for each arm the ids of the lanes over its zebra.
     """
     at = {(port.arm, port.left, port.arrives): port for port in ports}
-    made: list[tuple[Lane, tuple[int, bool], tuple[int, bool]]] = []
-    over: dict[int, tuple[str, ...]] = {}
+    paths: list[tuple[Lane, tuple[int, bool], tuple[int, bool]]] = []
+    lanes_over: dict[int, tuple[str, ...]] = {}
     for number in range(len(crossing.arms)):
         after = (number + 1) % len(crossing.arms)
         corner = next((corner for corner in crossing.corners if corner.first == number), None)
         for start, goal in (((number, True), (after, False)), ((after, False), (number, True))):
             line = _corner_path(at[(*start, True)], at[(*goal, False)], corner)
             name = f"{crossing.name}.walk{start[0]}{'l' if start[1] else 'r'}>{goal[0]}{'l' if goal[1] else 'r'}"
-            made.append((Lane(name, "walk", line, 1.5, WALK_MPS), start, goal))
+            paths.append((Lane(name, "walk", line, 1.5, WALK_MPS), start, goal))
         if zebras[number]:
             ids = []
             for left in (True, False):
@@ -193,11 +193,11 @@ def build_footways(
                 count = math.ceil(float(np.hypot(*(end.place - begin.place))) / 0.9)
                 line = begin.place + np.linspace(0.0, 1.0, count + 1)[:, None] * (end.place - begin.place)
                 name = f"{crossing.name}.cross{number}{'l' if left else 'r'}"
-                made.append((Lane(name, "cross", line, 3.0, WALK_MPS), (number, left), (number, not left)))
+                paths.append((Lane(name, "cross", line, 3.0, WALK_MPS), (number, left), (number, not left)))
                 ids.append(name)
-            over[number] = tuple(ids)
+            lanes_over[number] = tuple(ids)
     lanes = []
-    for lane, _, goal in made:
-        onwards = (other.lane_id for other, begin, _ in made if begin == goal and other.use != lane.use)
+    for lane, _, goal in paths:
+        onwards = (other.lane_id for other, begin, _ in paths if begin == goal and other.use != lane.use)
         lanes.append(replace(lane, successors=(at[(*goal, False)].lane_id, *onwards)))
-    return lanes, over
+    return lanes, lanes_over

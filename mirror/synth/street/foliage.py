@@ -128,8 +128,8 @@ def crown_share(seeds: Int64, season: float) -> Float64:
     share = np.ones(len(seeds))
     for species, year in _YEARS.items():
         out = np.clip((season - year.out) / year.out_span, 0.0, 1.0)
-        gone = np.clip((season - year.turn - year.linger) / year.turn_span, 0.0, 1.0)
-        share[seeds >> 24 == species] = out - gone
+        fallen = np.clip((season - year.turn - year.linger) / year.turn_span, 0.0, 1.0)
+        share[seeds >> 24 == species] = out - fallen
     return share
 
 
@@ -144,19 +144,19 @@ def _color_leaves(pieces: Records, leaves: Int64, season: float, early: Float64,
         late: (N,) how late in autumn each leaf turns, in [0, 1).
     """
     seeds = pieces["seed"][leaves]
-    there = np.ones(len(leaves), np.bool_)
+    is_present = np.ones(len(leaves), np.bool_)
     for species, year in _YEARS.items():
         mine = np.flatnonzero(seeds >> 24 == species)
         if not len(mine):
             continue
         out, turn = year.out + year.out_span * early[mine], year.turn + year.turn_span * late[mine]
-        there[mine] = (season >= out) & (season < turn + year.linger)
+        is_present[mine] = (season >= out) & (season < turn + year.linger)
         young = np.clip(1.0 - (season - out) / year.fresh_span, 0.0, 1.0)[:, None]
         old = np.clip((season - turn) / (0.5 * year.linger) + 0.5, 0.0, 1.0)[:, None]
         kind = np.where((early[mine] < 0.5)[:, None], *(np.array(factor) for factor in year.turned))
         change = 1.0 + young * (np.array(year.fresh) - 1.0) + old * (kind - 1.0)
         pieces["colour"][leaves[mine]] = np.minimum(pieces["colour"][leaves[mine]] * change, 0.85)
-    return there
+    return is_present
 
 
 def _hash_unit(seeds: Int64, turn: int) -> Float64:

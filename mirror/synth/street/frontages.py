@@ -145,8 +145,8 @@ def _build_row(
     """Yield lots for one side of a street; the caller appends accepted outlines to ``built``."""
     at, (count, depth, back, gap) = 0, _draw_lot(building, rng)
     while at + count < len(beside.middle):
-        for deep in (depth, 0.75 * depth):
-            lot = beside.lot(at, at + count, deep, back, building.kind)
+        for lot_depth in (depth, 0.75 * depth):
+            lot = beside.lot(at, at + count, lot_depth, back, building.kind)
             if lot.length_m < _LEAST_SHARE * building.length_m[0]:
                 continue
             outline = lot.outline()

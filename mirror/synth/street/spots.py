@@ -118,17 +118,19 @@ def place_spots(
     return tuple(place.spot(float(height)) for place, height, kept in zip(places, heights, free) if kept)
 
 
-def _drop_on_streets(found: Sequence[_Place], street: Street, level: Float64, others: Sequence[Street]) -> list[_Place]:
+def _drop_on_streets(
+    places: Sequence[_Place], street: Street, level: Float64, others: Sequence[Street]
+) -> list[_Place]:
     """The places beside a street that are outside its crossings and outside other streets, pavements and medians."""
-    at = np.array([place.station_m for place in found])
-    points = street.line.at(at, np.array([place.offset_m for place in found]))
+    at = np.array([place.station_m for place in places])
+    points = street.line.at(at, np.array([place.offset_m for place in places]))
     free = (at > street.line.first_m) & (at < street.line.last_m)
     free &= ~((at[:, None] > level[:, 0] - _CLEAR_M) & (at[:, None] < level[:, 1] + _CLEAR_M)).any(axis=1)
     for other in others:
         station, offset = other.line.locate(points)
         along = (station > other.line.first_m) & (station < other.line.last_m)
         free &= ~(along & (np.abs(offset) < other.section.half_m + other.section.pavement_m))
-    return [place for place, kept in zip(found, free) if kept]
+    return [place for place, kept in zip(places, free) if kept]
 
 
 def _crossing_places(crossing: Crossing) -> Iterator[_Place]:
@@ -160,7 +162,7 @@ def _gantry_places(street: Street) -> list[_Place]:
 
 def _street_places(street: Street, furnishing: Furnishing, rng: np.random.Generator) -> list[_Place]:
     """Lamps alternating between both sides, trees between them, and signs and small objects in the gaps."""
-    found: list[_Place] = []
+    places: list[_Place] = []
     for side in (1, -1):
         lamps = []
         if furnishing.lamps_m:
@@ -173,8 +175,8 @@ def _street_places(street: Street, furnishing: Furnishing, rng: np.random.Genera
         things = _even_places(street, "furniture", furnishing.things_m, side, furnishing.aside_m, rng, 0.4)
         things = [thing for thing in things if _is_apart(thing, [*lamps, *trees], _THING_APART_M)]
         kinds = rng.choice(["furniture", "sign"], len(things), p=[0.7, 0.3])
-        found += [*lamps, *trees, *(replace(thing, kind=kind) for thing, kind in zip(things, kinds.tolist()))]
-    return found
+        places += [*lamps, *trees, *(replace(thing, kind=kind) for thing, kind in zip(things, kinds.tolist()))]
+    return places
 
 
 def _even_places(

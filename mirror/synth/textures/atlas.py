@@ -65,10 +65,10 @@ def _grains() -> tuple[Float32, Float64]:
             # The mean of four texels is exact apart from float32 rounding.
             level = 0.25 * (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2])
             levels.append(level)
-        flat = next(n for n, one in enumerate(levels) if one.std() < _LEAST_CONTRAST)
+        flat = next(n for n, level in enumerate(levels) if level.std() < _LEAST_CONTRAST)
         index[grain] = first, size.bit_length() - 1, size / PERIOD_M[grain], flat
-        chains += [one.ravel() for one in levels]
-        first += sum(one.size for one in levels)
+        chains += [level.ravel() for level in levels]
+        first += sum(level.size for level in levels)
     return np.concatenate(chains), index
 
 

@@ -114,18 +114,18 @@ def face_image(number: int, size_px: int = 128) -> Float32:
     """
     if size_px < 16:
         raise UsageError(f"a face of {size_px} pixels", expected="at least 16")
-    one = draw_features(number)
-    canvas = _Canvas(size_px, one.skin)
+    person = draw_features(number)
+    canvas = _Canvas(size_px, person.skin)
     rng = np.random.default_rng([number, 21])
-    _draw_head(canvas, one, rng)
+    _draw_head(canvas, person, rng)
     for side in (-1.0, 1.0):
-        _draw_eye(canvas, one, side)
-    _draw_nose(canvas, one)
-    _draw_mouth(canvas, one)
-    _draw_beard(canvas, one, rng)
-    _draw_hair(canvas, one, rng)
-    if one.glasses:
-        _draw_glasses(canvas, one)
+        _draw_eye(canvas, person, side)
+    _draw_nose(canvas, person)
+    _draw_mouth(canvas, person)
+    _draw_beard(canvas, person, rng)
+    _draw_hair(canvas, person, rng)
+    if person.glasses:
+        _draw_glasses(canvas, person)
     return np.clip(canvas.rgb, 0.0, 1.0).astype(np.float32)
 
 
@@ -206,114 +206,114 @@ def _scale_colour(colour: Colour, factor: float) -> Colour:
     return colour[0] * factor, colour[1] * factor, colour[2] * factor
 
 
-def _draw_head(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None:
+def _draw_head(canvas: _Canvas, person: Features, rng: np.random.Generator) -> None:
     """Shade the forehead, eye sockets, cheeks and jaw."""
     canvas.rgb *= 1.0 + 0.04 * _mottle(rng, len(canvas.rgb), 9)[..., None]
     canvas.shade((1.07, 1.06, 1.05), 0.0, 0.38, 0.34, 0.20)
-    blush = (1.06, 0.95, 0.94) if one.feminine else (1.04, 0.97, 0.96)
+    blush = (1.06, 0.95, 0.94) if person.feminine else (1.04, 0.97, 0.96)
     for side in (-1.0, 1.0):
         canvas.shade(blush, side * 0.34, -0.26, 0.20, 0.16)
         canvas.shade((1.06, 1.05, 1.05), side * 0.31, -0.16, 0.13, 0.07)
         canvas.shade((0.72, 0.68, 0.68), side * 0.27, 0.07, 0.19, 0.12)
         canvas.shade((0.70, 0.66, 0.64), side * 0.12, 0.08, 0.06, 0.12)
         canvas.shade((0.78, 0.75, 0.73), side * 0.52, -0.62, 0.16, 0.34)
-        if one.age > 0.5:
+        if person.age > 0.5:
             canvas.stroke(
-                _scale_colour(one.skin, 0.55),
+                _scale_colour(person.skin, 0.55),
                 [(side * 0.17, -0.34), (side * 0.26, -0.50), (side * 0.27, -0.62)],
                 0.012,
                 soft=1.0,
-                share=one.age - 0.3,
+                share=person.age - 0.3,
             )
             canvas.stroke(
-                _scale_colour(one.skin, 0.6),
+                _scale_colour(person.skin, 0.6),
                 [(side * 0.15, -0.06), (side * 0.28, -0.10), (side * 0.40, -0.05)],
                 0.012,
                 soft=1.0,
-                share=one.age - 0.3,
+                share=person.age - 0.3,
             )
     canvas.shade((0.80, 0.76, 0.74), 0.0, -0.72, 0.16, 0.05)
     canvas.shade((0.62, 0.58, 0.56), 0.0, -1.05, 0.40, 0.16)
-    if one.age > 0.65:
+    if person.age > 0.65:
         for y in (0.40, 0.48):
             canvas.stroke(
-                _scale_colour(one.skin, 0.7), [(-0.26, y), (0.0, y + 0.02), (0.26, y)], 0.010, soft=1.0, share=0.5
+                _scale_colour(person.skin, 0.7), [(-0.26, y), (0.0, y + 0.02), (0.26, y)], 0.010, soft=1.0, share=0.5
             )
 
 
-def _draw_eye(canvas: _Canvas, one: Features, side: float) -> None:
+def _draw_eye(canvas: _Canvas, person: Features, side: float) -> None:
     """Draw an eye: eyeball, iris, pupil, highlight, lids, lashes and brow."""
-    x, y = side * 0.275 * one.wide[0], 0.03
-    half, open_ = 0.125, 0.050 if one.feminine else 0.044
+    x, y = side * 0.275 * person.wide[0], 0.03
+    half, open_ = 0.125, 0.050 if person.feminine else 0.044
     outer, inner = x + side * half, x - side * half
     where, ball = canvas.ellipse(x, y, half, open_, side * 0.06, 0.05)
     px, py = canvas.x[:, where[1]], canvas.y[where[0]]
     gap = np.hypot(px - x, py - y - 0.004)
     white = np.array(_WHITE) * (0.62 + 0.38 * np.clip((y + 0.03 - py) / 0.05, 0.0, 1.0))[..., None]
     canvas.lay(where, np.broadcast_to(white, (*ball.shape, 3)), ball)
-    canvas.lay(where, _scale_colour(one.eyes, 0.6), ball * _step((0.056 - gap) / canvas.edge))
-    canvas.lay(where, one.eyes, ball * _step((0.044 - gap) / (0.5 * canvas.edge)))
+    canvas.lay(where, _scale_colour(person.eyes, 0.6), ball * _step((0.056 - gap) / canvas.edge))
+    canvas.lay(where, person.eyes, ball * _step((0.044 - gap) / (0.5 * canvas.edge)))
     canvas.lay(where, _DARK, ball * _step((0.024 - gap) / canvas.edge))
     canvas.blob((0.9, 0.9, 0.9), x + 0.02, y + 0.024, 0.010, 0.010, share=0.8)
     lid = [(inner, y - 0.012), (x - side * 0.06, y + open_ * 0.92), (x + side * 0.05, y + open_), (outer, y + 0.012)]
-    canvas.stroke(_DARK, lid, 0.017 if one.feminine else 0.012, soft=0.4, share=0.9)
+    canvas.stroke(_DARK, lid, 0.017 if person.feminine else 0.012, soft=0.4, share=0.9)
     fold = [(inner, y + 0.035), (x, y + open_ + 0.04), (outer, y + 0.035)]
-    canvas.stroke(_scale_colour(one.skin, 0.45), fold, 0.010, soft=0.8, share=0.7)
+    canvas.stroke(_scale_colour(person.skin, 0.45), fold, 0.010, soft=0.8, share=0.7)
     below = [(inner, y - 0.012), (x, y - open_), (outer, y + 0.012)]
-    canvas.stroke(_scale_colour(one.skin, 0.5), below, 0.008, soft=0.8, share=0.7)
-    canvas.blob(_scale_colour(one.skin, 0.8), inner, y - 0.012, 0.015, 0.010)
+    canvas.stroke(_scale_colour(person.skin, 0.5), below, 0.008, soft=0.8, share=0.7)
+    canvas.blob(_scale_colour(person.skin, 0.8), inner, y - 0.012, 0.015, 0.010)
     brow = [(x - side * 0.135, y + 0.145), (x + side * 0.03, y + 0.195), (x + side * 0.18, y + 0.145)]
-    colour = _scale_colour(one.hair, 0.8) if one.age < 0.78 else _scale_colour(one.hair, 0.5)
-    canvas.stroke(colour, brow, 0.034 * one.brow, soft=0.5, share=0.85, taper=0.45)
+    colour = _scale_colour(person.hair, 0.8) if person.age < 0.78 else _scale_colour(person.hair, 0.5)
+    canvas.stroke(colour, brow, 0.034 * person.brow, soft=0.5, share=0.85, taper=0.45)
 
 
-def _draw_nose(canvas: _Canvas, one: Features) -> None:
-    wide = one.wide[1] * (0.92 if one.feminine else 1.0)
+def _draw_nose(canvas: _Canvas, person: Features) -> None:
+    wide = person.wide[1] * (0.92 if person.feminine else 1.0)
     canvas.shade((1.12, 1.11, 1.10), 0.0, -0.10, 0.045, 0.22, 0.8)
     canvas.shade((1.12, 1.10, 1.09), 0.0, -0.29, 0.07, 0.06, 0.8)
     dark = (0.70, 0.64, 0.61)
     for side in (-1.0, 1.0):
         canvas.shade(dark, side * 0.085 * wide, -0.12, 0.035, 0.20)
         canvas.shade((0.80, 0.74, 0.72), side * 0.13 * wide, -0.31, 0.05, 0.06, 0.8)
-        canvas.stroke(_scale_colour(one.skin, 0.42), [(side * 0.155 * wide, -0.27), (side * 0.165 * wide, -0.325),
+        canvas.stroke(_scale_colour(person.skin, 0.42), [(side * 0.155 * wide, -0.27), (side * 0.165 * wide, -0.325),
                       (side * 0.12 * wide, -0.365)], 0.012, soft=1.0, share=0.75)  # fmt: skip
         canvas.blob(
-            _scale_colour(one.skin, 0.16), side * 0.062 * wide, -0.362, 0.036, 0.017, turn=side * 0.35, soft=0.4
+            _scale_colour(person.skin, 0.16), side * 0.062 * wide, -0.362, 0.036, 0.017, turn=side * 0.35, soft=0.4
         )
     canvas.shade((0.68, 0.62, 0.60), 0.0, -0.40, 0.12, 0.035)
 
 
-def _draw_mouth(canvas: _Canvas, one: Features) -> None:
-    half, y = 0.205 * one.wide[2], -0.555
-    full = 0.050 if one.feminine else 0.034
+def _draw_mouth(canvas: _Canvas, person: Features) -> None:
+    half, y = 0.205 * person.wide[2], -0.555
+    full = 0.050 if person.feminine else 0.034
     canvas.shade((0.86, 0.82, 0.80), 0.0, -0.47, 0.025, 0.05)
-    upper, lower = _scale_colour(one.lips, 0.78), one.lips
+    upper, lower = _scale_colour(person.lips, 0.78), person.lips
     canvas.blob(lower, 0.0, y - 0.6 * full, 0.80 * half, 1.05 * full, soft=0.25)
     canvas.blob(upper, -0.30 * half, y + 0.35 * full, 0.66 * half, 0.75 * full, turn=0.10, soft=0.25)
     canvas.blob(upper, 0.30 * half, y + 0.35 * full, 0.66 * half, 0.75 * full, turn=-0.10, soft=0.25)
     canvas.shade((1.2, 1.2, 1.2), 0.0, y - 0.8 * full, 0.4 * half, 0.35 * full)
     line = [(-half, y + 0.012), (-0.3 * half, y), (0.0, y - 0.006), (0.3 * half, y), (half, y + 0.012)]
-    canvas.stroke(_scale_colour(one.lips, 0.22), line, 0.013, soft=0.6, share=0.95)
+    canvas.stroke(_scale_colour(person.lips, 0.22), line, 0.013, soft=0.6, share=0.95)
     for side in (-1.0, 1.0):
         canvas.shade((0.66, 0.62, 0.60), side * (half + 0.02), y, 0.035, 0.03)
 
 
-def _draw_beard(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None:
+def _draw_beard(canvas: _Canvas, person: Features, rng: np.random.Generator) -> None:
     """Draw stubble or a full beard on jaw and chin, and a moustache."""
     x, y = np.abs(canvas.x), canvas.y
     grain = 1.0 + 0.35 * _mottle(rng, len(canvas.rgb), 40)
-    colour = np.array(one.hair)
+    colour = np.array(person.hair)
     everywhere = slice(None), slice(None)
-    if one.beard > 0.0:
+    if person.beard > 0.0:
         line = -0.70 + 0.55 * np.clip((x - 0.22) / 0.36, 0.0, 1.0) ** 1.5
         jaw = _step((line - y) / 0.07) * (1.0 - _step((0.20 - np.hypot(x / 1.1, (y + 0.555) * 2.3)) / 0.04))
-        canvas.lay(everywhere, colour * grain[..., None], np.clip(0.92 * one.beard * jaw, 0.0, 1.0))
-    if one.moustache:
+        canvas.lay(everywhere, colour * grain[..., None], np.clip(0.92 * person.beard * jaw, 0.0, 1.0))
+    if person.moustache:
         rise = _step((0.050 - np.abs(y + 0.462 + 0.22 * x)) / 0.02) * _step((0.24 - x) / 0.04)
         canvas.lay(everywhere, colour * grain[..., None], 0.85 * rise)
 
 
-def _draw_hair(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None:
+def _draw_hair(canvas: _Canvas, person: Features, rng: np.random.Generator) -> None:
     """Draw the hair on the front half of the head: hairline, temples, fringe."""
     x, y = canvas.x, canvas.y
     side = np.abs(x)
@@ -324,24 +324,24 @@ def _draw_hair(canvas: _Canvas, one: Features, rng: np.random.Generator) -> None
         "long": 0.66 - 0.55 * np.abs(x - 0.08) - 4.0 * np.clip(side - 0.45, 0.0, None),
         "bun": 0.62 - 0.30 * side**2 - 1.2 * np.clip(side - 0.44, 0.0, None),
         "bald": 1.3 - 1.9 * np.clip(side - 0.36, 0.0, None),
-    }[one.style]
+    }[person.style]
     ragged = line + 0.025 * _mottle(rng, len(canvas.rgb), 24)[:1]
     share = _step((y - ragged) / 0.035)
-    temple = {"long": -1.2, "fringe": -0.5, "bun": 0.12}.get(one.style, -0.10)
-    edge = 0.53 if one.style in ("long", "fringe") else 0.585
+    temple = {"long": -1.2, "fringe": -0.5, "bun": 0.12}.get(person.style, -0.10)
+    edge = 0.53 if person.style in ("long", "fringe") else 0.585
     share = np.maximum(share, _step((side - edge) / 0.03) * _step((y - temple) / 0.05))
     streak = 1.0 + 0.30 * _mottle(rng, len(canvas.rgb), 30)[:1] + 0.12 * _mottle(rng, len(canvas.rgb), 30)
     gloss = 1.0 + 0.35 * np.exp(-(((y - 0.78) / 0.08) ** 2))
     everywhere = slice(None), slice(None)
     shadow = _step((y + 0.07 - ragged) / 0.06)
     canvas.rgb *= 1.0 - 0.28 * (shadow * (1.0 - share))[..., None]
-    canvas.lay(everywhere, np.array(one.hair) * (streak * gloss)[..., None], share)
+    canvas.lay(everywhere, np.array(person.hair) * (streak * gloss)[..., None], share)
 
 
-def _draw_glasses(canvas: _Canvas, one: Features) -> None:
+def _draw_glasses(canvas: _Canvas, person: Features) -> None:
     frame = (0.02, 0.02, 0.022)
     for side in (-1.0, 1.0):
-        x, y = side * 0.275 * one.wide[0], 0.02
+        x, y = side * 0.275 * person.wide[0], 0.02
         ring = [(x + 0.165 * float(np.cos(a)), y + 0.115 * float(np.sin(a))) for a in np.linspace(0.0, 2.0 * np.pi, 17)]
         canvas.stroke(frame, ring, 0.014)
         canvas.stroke(frame, [(x + side * 0.165, y + 0.03), (side * 0.66, y + 0.06)], 0.012)

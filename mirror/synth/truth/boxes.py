@@ -72,19 +72,19 @@ def measure_visibility(
     counts, bounds = _extents(objects, numbers)
     if not len(numbers):
         return ObjectVisibility(numbers, counts, np.zeros(0), bounds)
-    ones = [posed_objects[int(number)] for number in numbers]
+    posed_list = [posed_objects[int(number)] for number in numbers]
     world_SE3_box = Poses(
-        np.concatenate([one.world_SE3_box.rotation for one in ones]),
-        np.concatenate([one.world_SE3_box.translation for one in ones]),
+        np.concatenate([posed.world_SE3_box.rotation for posed in posed_list]),
+        np.concatenate([posed.world_SE3_box.translation for posed in posed_list]),
     )
-    boxes = project_boxes(camera, world_SE3_camera.inverse() @ world_SE3_box, [one.size_m for one in ones])
+    boxes = project_boxes(camera, world_SE3_camera.inverse() @ world_SE3_box, [posed.size_m for posed in posed_list])
     turn, origin = matrix_from_quaternion(world_SE3_camera.rotation)[0], world_SE3_camera.translation[0]
-    shares = np.full(len(ones), np.nan)
+    shares = np.full(len(posed_list), np.nan)
     for row in np.flatnonzero(boxes.visible):
         columns, rows = _grid(boxes.bounds_px[row])
         u, v = np.meshgrid(columns, rows)
         rays = camera.unproject(np.stack([u, v], axis=-1) + 0.5).direction.reshape(-1, 3) @ turn.T
-        there = cast_rays(ones[row].model, origin, rays)[1] != NOTHING
+        there = cast_rays(posed_list[row].model, origin, rays)[1] != NOTHING
         if there.any():
             shares[row] = (objects[v, u].ravel()[there] == numbers[row]).mean()
     # The renderer found a pixel of the object, but no ray of the grid hit it: the object counts as visible.

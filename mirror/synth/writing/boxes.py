@@ -25,7 +25,10 @@ _APART_NS: Final = 500_000_000
 
 def world_SE3_boxes(road_users: Sequence[RoadUser], placements: Sequence[Placement]) -> Poses:  # noqa: N802
     """Return the poses (N,) of the road users' boxes: the origin is the middle of the box, the axes are the body's."""
-    rows = [(one.x_m, one.y_m, one.z_m, one.yaw_rad, one.pitch_rad, one.roll_rad) for one in placements]
+    rows = [
+        (placement.x_m, placement.y_m, placement.z_m, placement.yaw_rad, placement.pitch_rad, placement.roll_rad)
+        for placement in placements
+    ]
     return _fit_boxes(np.array(rows).reshape(-1, 6), np.array([user.body.size_m[2] for user in road_users]))
 
 
@@ -49,7 +52,7 @@ def make_box_rows(
         world_SE3_ego: one pose of the recording vehicle.
         timestamp_ns: timestamp of the rows.
     """
-    speed = np.array([one.speed_mps for one in placements])
+    speed = np.array([placement.speed_mps for placement in placements])
     return _make_table(
         road_users, np.full(len(road_users), timestamp_ns), world_SE3_ego[np.zeros(len(road_users), np.int64)],
         world_SE3_boxes(road_users, placements), speed,

@@ -159,13 +159,13 @@ def _write(
     start: Callable[[int], None],
     advance: Callable[[int], None],
 ) -> Counts:
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     write_poses(folder, drive, errors)
     schedule: ImageSchedule | None = None
     truth_boxes: list[dict[str, Any]] = []
     if drive.recipe.images:
         schedule = schedule_images(drive, errors)
-        found["lost"] = sum(int((~kept).sum()) for kept in schedule.kept.values())
+        counts["lost"] = sum(int((~kept).sum()) for kept in schedule.kept.values())
         start(sum(int(kept.sum()) for kept in schedule.kept.values()))
         write_cameras(folder, drive, schedule, errors)
         if drive.preset.on_demand:
@@ -173,13 +173,13 @@ def _write(
         else:
             frames = write_images(folder, drive, schedule, truth, pool)
         for frame in frames:
-            found.update(pictures=frame.images, boxes=frame.boxes.num_rows, unseen=frame.unseen)
+            counts.update(pictures=frame.images, boxes=frame.boxes.num_rows, unseen=frame.unseen)
             advance(frame.images)
             truth_boxes += frame.truth_boxes
     if truth:
         write_truth(folder, drive, truth, pose_stamps(drive), schedule, truth_boxes)
     write_json(folder / "recording.json", _document(drive))
-    return Counts(**found)
+    return Counts(**counts)
 
 
 def _geojson(rois: Sequence[Roi]) -> dict[str, object]:

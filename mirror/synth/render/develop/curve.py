@@ -29,8 +29,8 @@ def film(exposed: Float64) -> Float64:
     coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-12) ** (1.0 / 2.4) - 0.055)
     toed = coded * coded * (1.0 + _TOE) / (coded + _TOE)
     rest = 1.0 - _SHOULDER
-    bent = _SHOULDER + rest * (1.0 - np.exp(-(toed - _SHOULDER) / rest))
-    return np.where(toed < _SHOULDER, toed, bent)
+    compressed = _SHOULDER + rest * (1.0 - np.exp(-(toed - _SHOULDER) / rest))
+    return np.where(toed < _SHOULDER, toed, compressed)
 
 
 @cache

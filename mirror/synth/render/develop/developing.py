@@ -93,7 +93,7 @@ def _film(
     red_gain, green_gain, blue_gain = np.float32(gains[0]), np.float32(gains[1]), np.float32(gains[2])
     read32, shot32 = np.float32(read), np.float32(shot)
     corner = np.float32(vignette / (0.25 * (height * height + width * width)))
-    one, zero, half = np.float32(1.0), np.float32(0.0), np.float32(0.5)
+    unity, zero, half = np.float32(1.0), np.float32(0.0), np.float32(0.5)
     noisy = read > 0.0 or shot > 0.0
     glares = spilt.shape[0] > 0
     start = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15)
@@ -105,7 +105,7 @@ def _film(
         y = np.float32(row + 0.5 - 0.5 * height)
         for column in range(width):
             x = np.float32(column + 0.5 - 0.5 * width)
-            fall = one / (one + corner * (x * x + y * y))
+            fall = unity / (unity + corner * (x * x + y * y))
             fall *= fall
             red = (image[row, column, 0] * red_gain + row_spilt[column, 0]) * fall
             green = (image[row, column, 1] * green_gain + row_spilt[column, 1]) * fall

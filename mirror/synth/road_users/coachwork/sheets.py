@@ -109,12 +109,12 @@ class Sheets:
         normal = _unit_normal(points)
         if normal @ _TOWARDS[side] < 0.0:
             points, normal = points[::-1], -normal
-        shown = _plain_texture(points, normal) if texture is None else texture(points)
+        coordinates = _plain_texture(points, normal) if texture is None else texture(points)
         points = points + lift_m * normal
-        self._sheets.append(_Sheet(points, side, finish, shown))
+        self._sheets.append(_Sheet(points, side, finish, coordinates))
         if both:
             self._sheets.append(
-                _Sheet(points[::-1] * (1.0, -1.0, 1.0), _OTHER.get(side, side), finish, shown[::-1]),
+                _Sheet(points[::-1] * (1.0, -1.0, 1.0), _OTHER.get(side, side), finish, coordinates[::-1]),
             )
 
     def block(
@@ -143,21 +143,21 @@ class Sheets:
     def model(self) -> Model:
         """Convert everything to one model."""
         parts = []
-        for count in sorted({len(one.corners) for one in self._sheets}):
-            some = [one for one in self._sheets if len(one.corners) == count]
+        for count in sorted({len(item.corners) for item in self._sheets}):
+            group = [item for item in self._sheets if len(item.corners) == count]
             part = polygons(
-                np.stack([one.corners for one in some]),
-                np.array([one.finish.colour for one in some], np.float64),
+                np.stack([item.corners for item in group]),
+                np.array([item.finish.colour for item in group], np.float64),
                 Material.PLAIN,
                 self.label,
-                texture=np.stack([one.texture for one in some]),
-                layouts=[int(one.finish.panel) for one in some],
+                texture=np.stack([item.texture for item in group]),
+                layouts=[int(item.finish.panel) for item in group],
                 seeds=self.seed,
             )
-            part.faces["material"] = [int(one.finish.material) for one in some]
-            part.faces["side"] = [int(one.side) for one in some]
-            part.faces["image"] = [one.finish.image for one in some]
-            part.faces["two_sided"] = [one.finish.two_sided for one in some]
+            part.faces["material"] = [int(item.finish.material) for item in group]
+            part.faces["side"] = [int(item.side) for item in group]
+            part.faces["image"] = [item.finish.image for item in group]
+            part.faces["two_sided"] = [item.finish.two_sided for item in group]
             parts.append(part)
         return merge_models([*parts, *self._models])
 
@@ -180,5 +180,5 @@ def _plain_texture(points: Float64, normal: Float64) -> Float64:
     nx, ny, nz = normal.tolist()
     level = math.hypot(nx, ny)
     ux, uy = (1.0, 0.0) if abs(nz) > 0.999 else (-ny / level, nx / level)
-    shown = points @ np.array([(ux, -nz * uy), (uy, nz * ux), (0.0, nx * uy - ny * ux)])
-    return np.asarray(shown - 0.5 * (shown.min(axis=0) + shown.max(axis=0)))
+    coordinates = points @ np.array([(ux, -nz * uy), (uy, nz * ux), (0.0, nx * uy - ny * ux)])
+    return np.asarray(coordinates - 0.5 * (coordinates.min(axis=0) + coordinates.max(axis=0)))

@@ -303,8 +303,8 @@ def _add_end(sheets: Sheets, shape: Shape, end: End, paint: Finish, sill: Finish
 def _trapezoid(low: tuple[float, float, float] | Float64, high: tuple[float, float, float] | Float64) -> Float64:
     """The symmetric trapezoid between two edges across the vehicle, given by their left ends."""
     mirror = np.array([1.0, -1.0, 1.0])
-    one, other = np.asarray(low), np.asarray(high)
-    return np.array([one, one * mirror, other * mirror, other])
+    low_edge, high_edge = np.asarray(low), np.asarray(high)
+    return np.array([low_edge, low_edge * mirror, high_edge * mirror, high_edge])
 
 
 def _add_greenhouse(sheets: Sheets, shape: Shape, paint: Finish, screen: Finish) -> None:

@@ -45,14 +45,14 @@ def add_balconies(pieces: Pieces, body: Body, rng: np.random.Generator, taken: s
     chosen = free[int(rng.integers(every)) :: every][: max(most // storeys, 1)]
     colour, material = _RAILINGS[int(rng.integers(len(_RAILINGS)))]
     pitch = (body.right - body.left) / len(columns)
-    half, deep = 0.5 * min(pitch * rng.uniform(0.8, 0.98), 3.2), rng.uniform(0.8, 1.15)
+    half, depth = 0.5 * min(pitch * rng.uniform(0.8, 0.98), 3.2), rng.uniform(0.8, 1.15)
     railing = Finish(colour, material, Label.BUILDING, body.seed, two_sided=True)
     slab = Finish((0.42, 0.41, 0.39), Material.CONCRETE, Label.BUILDING, body.seed)
     first = 0 if body.ground_m > 3.5 else 1
     for column in chosen:
         taken.add(column)
         for storey in range(first, storeys):
-            add_balcony(pieces, columns[column], body.front, body.floor_m(storey), half, deep, slab, railing)
+            add_balcony(pieces, columns[column], body.front, body.floor_m(storey), half, depth, slab, railing)
 
 
 def add_balcony(
@@ -95,9 +95,9 @@ def add_bay(pieces: Pieces, body: Body, x: float, half_m: float, *, chamfered: b
     """
     storeys = body.columns()[1]
     low, high = body.ground_m + 0.1, body.floor_m(max(storeys - 1, 1)) + 0.25
-    deep = 0.85
+    depth = 0.85
     inner = half_m - (0.8 if chamfered else 0.0)
-    wall, front = body.front, body.front - deep
+    wall, front = body.front, body.front - depth
     corners = [(x - half_m, wall), (x - inner, front), (x + inner, front), (x + half_m, wall)]
     if body.wall == Material.BRICK:
         # A brick bay in front of a brick wall would hardly be visible from the front.

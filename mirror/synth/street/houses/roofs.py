@@ -21,23 +21,23 @@ _METAL: Final[Colour] = (0.40, 0.41, 0.41)
 def add_roof(pieces: Pieces, body: Body, kind: RoofKind, rng: np.random.Generator) -> None:
     """Add a roof on the walls of a body."""
     tiles = Finish(TILES[int(rng.integers(len(TILES)))], Material.ROOF, Label.BUILDING, body.seed)
-    deep = body.back - body.front
+    depth = body.back - body.front
     if kind == "flat":
         _add_flat_roof(pieces, body, rng)
     elif kind == "hip":
         _add_hip_roof(pieces, body, tiles, math.tan(math.radians(rng.uniform(28.0, 36.0))))
     elif kind == "gable":
         slope = math.tan(math.radians(rng.uniform(36.0, 46.0)))
-        ridge = 0.5 * deep * slope
-        _add_profile(pieces, body, tiles, [(0.0, 0.0), (0.5 * deep, ridge), (deep, 0.0)])
-        if deep > 7.5 and rng.random() < 0.75:
+        ridge = 0.5 * depth * slope
+        _add_profile(pieces, body, tiles, [(0.0, 0.0), (0.5 * depth, ridge), (depth, 0.0)])
+        if depth > 7.5 and rng.random() < 0.75:
             _add_dormers(pieces, body, tiles, slope, 0.0, rng)
         _add_chimneys(pieces, body, ridge, rng)
     else:
         steep, foot = 2.5, 0.9
-        top = steep + 0.22 * (0.5 * deep - foot)
+        top = steep + 0.22 * (0.5 * depth - foot)
         _add_profile(
-            pieces, body, tiles, [(0.0, 0.0), (foot, steep), (0.5 * deep, top), (deep - foot, steep), (deep, 0.0)]
+            pieces, body, tiles, [(0.0, 0.0), (foot, steep), (0.5 * depth, top), (depth - foot, steep), (depth, 0.0)]
         )
         _add_dormers(pieces, body, tiles, steep / foot, 0.45, rng)
         _add_chimneys(pieces, body, top, rng)
@@ -135,8 +135,8 @@ def _add_flat_roof(pieces: Pieces, body: Body, rng: np.random.Generator) -> None
     pieces.block((left, front - 0.05, top), (right, back + 0.05, top + 0.08), rim, without=("+z",))
     pieces.level((left, front - 0.05), (right, back + 0.05), top + 0.08, felt)
     top += 0.08
-    wide, deep = right - left, back - front
-    if rng.random() < 0.3 and deep > 8.0 and wide > 8.0:
+    wide, depth = right - left, back - front
+    if rng.random() < 0.3 and depth > 8.0 and wide > 8.0:
         near, far = (left + 1.2, front + 2.2), (right - 1.2, back - 1.0)
         wall = body.finish(Windows.MODERN, 11)
         outline = [near, (far[0], near[1]), far, (near[0], far[1])]
@@ -146,13 +146,13 @@ def _add_flat_roof(pieces: Pieces, body: Body, rng: np.random.Generator) -> None
         )
         top += 3.2
     for _ in range(int(rng.integers(1, 4))):
-        x, y = rng.uniform(left + 1.8, right - 1.8), rng.uniform(front + 0.35 * deep, back - 1.8)
+        x, y = rng.uniform(left + 1.8, right - 1.8), rng.uniform(front + 0.35 * depth, back - 1.8)
         if rng.random() < 0.4:
             pieces.block((x - 1.3, y - 1.2, top), (x + 1.3, y + 1.2, top + 2.3), body.plain(0.85))
         else:
             pieces.block((x - 0.6, y - 0.4, top + 0.15), (x + 0.6, y + 0.4, top + 1.1), rim)
     if rng.random() < 0.6:
-        x, y = rng.uniform(left + 1.0, right - 1.0), front + rng.uniform(0.2, 0.7) * deep
+        x, y = rng.uniform(left + 1.0, right - 1.0), front + rng.uniform(0.2, 0.7) * depth
         mast = Finish((0.30, 0.30, 0.30), Material.METAL, Label.BUILDING)
         high = top + rng.uniform(2.2, 4.0)
         pieces.tube((x, y, top), (x, y, high), 0.04, mast, corners=3)

@@ -35,10 +35,10 @@ def place_parked_vehicles(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
     if not lanes:
         return ()
     rng = np.random.default_rng([seed, 27])
-    made = [build_van(rng) if rng.random() < _VANS else build_car(rng) for _ in range(_BODIES)]
+    bodies = [build_van(rng) if rng.random() < _VANS else build_car(rng) for _ in range(_BODIES)]
     placements = [place for lane in lanes for place in _bays(plan, lane, rng)]
     return tuple(
-        RoadUser(f"parked-{number:03d}", _with_plate(made[int(rng.integers(_BODIES))], rng), StaticMotion(place))
+        RoadUser(f"parked-{number:03d}", _with_plate(bodies[int(rng.integers(_BODIES))], rng), StaticMotion(place))
         for number, place in enumerate(placements)
     )
 

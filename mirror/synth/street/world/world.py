@@ -93,19 +93,19 @@ class World:
 
     def find_lit_lamps(self, time_s: float) -> Int64:
         """Faces of traffic lights that are lit at a time of the signals' cycle."""
-        network, found = self.plan.network, [np.zeros(0, np.int64)]
+        network, lamps_by_group = self.plan.network, [np.zeros(0, np.int64)]
         for group, lights in self.lights.items():
             start, end = network.green_s[group]
             since = (time_s - start) % network.cycle_s
             if since < end - start:
-                found.append(lights.green)
+                lamps_by_group.append(lights.green)
             elif since < end - start + AMBER_S:
-                found.append(lights.amber)
+                lamps_by_group.append(lights.amber)
             else:
-                found.append(lights.red)
+                lamps_by_group.append(lights.red)
                 if since > network.cycle_s - READY_S:
-                    found.append(lights.amber)
-        return np.concatenate(found)
+                    lamps_by_group.append(lights.amber)
+        return np.concatenate(lamps_by_group)
 
 
 def build_world(roi: Roi, yaw_deg: float, seed: int) -> World:
@@ -139,12 +139,12 @@ def build_world(roi: Roi, yaw_deg: float, seed: int) -> World:
 
 def _collect_lights(things: Furniture) -> dict[int, Lights]:
     """Lamps of the traffic lights by signal group; their faces come first in the world's model."""
-    found: dict[int, list[tuple[Int64, Int64, Int64]]] = {}
+    lamps_by_group: dict[int, list[tuple[Int64, Int64, Int64]]] = {}
     first = 0
     for group, head in things.signals:
-        found.setdefault(group, []).append((head.red + first, head.amber + first, head.green + first))
+        lamps_by_group.setdefault(group, []).append((head.red + first, head.amber + first, head.green + first))
         first += len(head.model.faces)
-    return {group: Lights(*(np.concatenate(part) for part in zip(*parts))) for group, parts in found.items()}
+    return {group: Lights(*(np.concatenate(part) for part in zip(*parts))) for group, parts in lamps_by_group.items()}
 
 
 def _build_skyline(plan: Plan, seed: int) -> list[Model]:

@@ -1,4 +1,4 @@
-"""Images that no file holds: named by a uri, rendered when they are read, the same every time."""
+"""Tests of images on demand: a URI names an image, which is rendered when it is read."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def at(seconds: float, camera: str = "rear") -> str:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (7, 5), (160, 90), (21845, 1), (300, 220)])
-def test_the_length_of_a_png_is_known_before_its_pixels(width: int, height: int) -> None:
+def test_stored_png_length_matches_the_encoded_file(width: int, height: int) -> None:
     bgr = np.random.default_rng(width).integers(0, 256, (height, width, 3), np.uint8)
     data = encode_stored_png(bgr)
     assert len(data) == stored_png_length(width, height)
@@ -44,7 +44,7 @@ def test_the_length_of_a_png_is_known_before_its_pixels(width: int, height: int)
     assert not has_end_marker(data[:-1], "png")
 
 
-def test_a_uri_says_which_image() -> None:
+def test_uri_and_image_name_convert_both_ways() -> None:
     assert parse_image_name(at(6.0)) == parse_image_name(at(6.0).removeprefix("mirror-synth://"))
     assert parse_image_name(NAME.uri()) == NAME
     with pytest.raises(DatasetError, match="version 7") as caught:
@@ -55,7 +55,7 @@ def test_a_uri_says_which_image() -> None:
             parse_image_name(wrong)
 
 
-def test_reading_renders_it_and_twice_the_same() -> None:
+def test_reading_renders_the_same_bytes_each_time() -> None:
     filesystem, path = fsspec.core.url_to_fs(at(6.0))
     with ThreadPoolExecutor(3) as pool:
         first, again, third = pool.map(filesystem.cat_file, [path] * 3)
@@ -69,7 +69,7 @@ def test_reading_renders_it_and_twice_the_same() -> None:
         filesystem.open(path, "wb")
 
 
-def test_sizes_and_ends_are_had_without_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sizes_and_file_ends_need_no_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SynthDrive, "render", lambda *_: pytest.fail("rendered"))
     filesystem, path = fsspec.core.url_to_fs(at(7.0))
     size = filesystem.info(path)["size"]
@@ -88,7 +88,7 @@ def test_sizes_and_ends_are_had_without_rendering(monkeypatch: pytest.MonkeyPatc
         at(9999.0),
     ],
 )
-def test_what_there_is_not_is_not_found(uri: str) -> None:
+def test_unknown_images_raise_file_not_found(uri: str) -> None:
     filesystem, path = fsspec.core.url_to_fs(uri)
     with pytest.raises(FileNotFoundError):
         filesystem.cat_file(path)

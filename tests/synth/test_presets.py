@@ -1,4 +1,4 @@
-"""Presets as data: as large, as varied and as possible as they are said to be."""
+"""Tests of the presets: numbers of scenes, variety, and feasible recipes."""
 
 import math
 
@@ -18,7 +18,7 @@ def recipes(name: str):
     return [recipe for site in preset.sites for recipe in cycle_recipes(site, preset.traversals)]
 
 
-def test_the_paper_has_ten_scenes_in_six_cities_and_seven_types_of_vehicle() -> None:
+def test_paper_preset_has_ten_scenes_six_cities_seven_vehicle_types() -> None:
     rois = [site.roi for site in PRESETS["paper"].sites]
     assert len({roi.scene_id for roi in rois}) == 10
     assert len({roi.city for roi in rois}) == 6
@@ -29,7 +29,7 @@ def test_the_paper_has_ten_scenes_in_six_cities_and_seven_types_of_vehicle() -> 
     assert PRESETS["paper"].on_demand
 
 
-def test_the_benchmark_has_four_kinds_of_scene_and_six_conditions_of_each() -> None:
+def test_benchmark_preset_has_four_scene_kinds_in_six_conditions() -> None:
     preset = PRESETS["benchmark"]
     assert [site.roi.scene_type for site in preset.sites] == ["urban", "highway", "rural", "campus"]
     assert len(recipes("benchmark")) == 32
@@ -42,7 +42,7 @@ def test_the_benchmark_has_four_kinds_of_scene_and_six_conditions_of_each() -> N
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_recipe_is_of_a_known_route_and_vehicle(name: str) -> None:
+def test_every_recipe_names_a_known_route_and_vehicle(name: str) -> None:
     preset = PRESETS[name]
     for site in preset.sites:
         for recipe in (*site.recipes, *site.others):
@@ -56,7 +56,7 @@ def test_every_recipe_is_of_a_known_route_and_vehicle(name: str) -> None:
     assert not len(apart) or apart.min() > 0.01
 
 
-def test_a_drive_is_the_same_however_many_are_recorded() -> None:
+def test_a_drive_does_not_depend_on_the_number_of_drives() -> None:
     few, many = make_drives("demo", 3, traversals=2)[1], make_drives("demo", 3, traversals=9)[1]
     by_id = {drive.drive_id: drive for drive in many}
     assert len(by_id) == len(many)
@@ -68,7 +68,7 @@ def test_a_drive_is_the_same_however_many_are_recorded() -> None:
     assert (named.condition, named.seed) == (by_id[named.drive_id].condition, by_id[named.drive_id].seed)
 
 
-def test_recipes_that_come_again_come_on_another_day() -> None:
+def test_repeated_recipes_have_different_dates() -> None:
     drives = make_drives("demo", 0, scenes=1, traversals=16)[1][:16]
     days = (drives[7].condition.start_ns - drives[0].condition.start_ns) / 86.4e12
     assert drives[7].recipe == drives[0].recipe
@@ -76,7 +76,7 @@ def test_recipes_that_come_again_come_on_another_day() -> None:
     assert len({drive.seed for drive in drives}) == 16
 
 
-def test_vehicles_of_a_scene_have_ids_of_their_own() -> None:
+def test_vehicle_ids_of_a_scene_are_unique() -> None:
     seen = {}
     for drive in make_drives("benchmark", 0)[1]:
         assert seen.setdefault(drive.vehicle.vehicle_id, (drive.vehicle.kind.name, drive.roi.scene_id)) == (
@@ -87,6 +87,6 @@ def test_vehicles_of_a_scene_have_ids_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("drive_id", ["nowhere-01", "guangzhou-urban-corner", "guangzhou-urban-00", "guangzhou-urban"])
-def test_drives_that_are_none_are_refused(drive_id: str) -> None:
+def test_unknown_drive_ids_are_refused(drive_id: str) -> None:
     with pytest.raises(UsageError, match="no drive"):
         make_drive("demo", 0, drive_id)

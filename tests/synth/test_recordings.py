@@ -1,4 +1,4 @@
-"""What is written is what was: the folder reader gives back the truth, within the stated errors."""
+"""Tests of written recordings: the folder reader returns the truth within the stated errors."""
 
 import hashlib
 from dataclasses import replace
@@ -35,7 +35,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> SynthReport:
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    """The first recording again, by one thread, with all its truth beside it."""
+    """The first recording, written by one thread, with all kinds of truth."""
     out = tmp_path_factory.mktemp("synth") / "again"
     written = mirror.synth.write_recordings(out, traversals=1, workers=1, truth=TRUTH_KINDS)
     return written.recordings[0], make_drives("tiny", 0)[1][0]
@@ -53,19 +53,17 @@ def recordings(tiny: SynthReport) -> list[Recorded]:
     return list(zip(tiny.recordings, make_drives("tiny", 0)[1]))
 
 
-def test_files_depend_neither_on_the_number_of_threads_nor_on_truth_beside_them(
-    tiny: SynthReport, first: Recorded
-) -> None:
+def test_files_depend_neither_on_threads_nor_on_truth_kinds(tiny: SynthReport, first: Recorded) -> None:
     again = digest(first[0])
     assert len(again) > 100
     assert again == digest(tiny.recordings[0])
 
 
-def test_rois_are_those_of_the_scenes(tiny: SynthReport) -> None:
+def test_rois_geojson_lists_the_scenes(tiny: SynthReport) -> None:
     assert read_rois(tiny.recordings[0].parent / "rois.geojson") == [make_drives("tiny", 0)[1][0].roi]
 
 
-def test_recorded_poses_are_the_true_ones_within_the_stated_noise(tiny: SynthReport) -> None:
+def test_recorded_poses_match_the_truth_within_the_noise(tiny: SynthReport) -> None:
     for path, drive in recordings(tiny):
         track = FolderReader().open(path, {}).track()
         truth = drive.world_SE3_ego(track.timestamp_ns)
@@ -79,7 +77,7 @@ def test_recorded_poses_are_the_true_ones_within_the_stated_noise(tiny: SynthRep
         assert turned.max() < 0.2
 
 
-def test_without_errors_what_is_recorded_is_what_was(tiny: SynthReport, tmp_path: Path) -> None:
+def test_recordings_without_errors_equal_the_truth(tiny: SynthReport, tmp_path: Path) -> None:
     drive = make_drives("tiny", 0)[1][2]
     (tmp_path / "recording.json").write_bytes((tiny.recordings[2] / "recording.json").read_bytes())
     write_poses(tmp_path, drive, Errors.none())
@@ -90,7 +88,7 @@ def test_without_errors_what_is_recorded_is_what_was(tiny: SynthReport, tmp_path
 
 
 @pytest.mark.parametrize("style", ["csv", "parquet", "parts", "gps", "heading"])
-def test_every_style_of_poses_is_read_back(tiny: SynthReport, tmp_path: Path, style: str) -> None:
+def test_every_pose_format_is_read_back(tiny: SynthReport, tmp_path: Path, style: str) -> None:
     drive = make_drives("tiny", 0)[1][2]
     styled = replace(drive, recipe=replace(drive.recipe, poses=style))
     text = (tiny.recordings[2] / "recording.json").read_text()
@@ -104,7 +102,7 @@ def test_every_style_of_poses_is_read_back(tiny: SynthReport, tmp_path: Path, st
     assert angle_between_deg(track.rotation, truth.rotation).max() < (8.0 if style == "heading" else 0.5)
 
 
-def test_images_lie_within_the_poses_and_one_is_lost(tiny: SynthReport) -> None:
+def test_image_times_lie_within_the_poses_and_one_image_is_lost(tiny: SynthReport) -> None:
     lost = 0
     for path, drive in recordings(tiny):
         recording = FolderReader().open(path, {})
@@ -125,7 +123,7 @@ def test_images_lie_within_the_poses_and_one_is_lost(tiny: SynthReport) -> None:
     assert tiny.images == sum(1 for _ in tiny.recordings[0].parent.rglob("*.jpg"))
 
 
-def test_calibrations_are_off_the_truth_by_the_errors_of_their_stage(tiny: SynthReport) -> None:
+def test_calibration_errors_match_their_stage(tiny: SynthReport) -> None:
     path, drive = recordings(tiny)[0]
     table = FolderReader().open(path, {}).calibrations().to_pandas()
     errors = {"factory": [], "online": []}
@@ -139,7 +137,7 @@ def test_calibrations_are_off_the_truth_by_the_errors_of_their_stage(tiny: Synth
     assert 0.01 < np.mean(errors["online"]) < 0.15
 
 
-def test_boxes_enclose_what_is_drawn(tiny: SynthReport) -> None:
+def test_boxes_enclose_the_rendered_objects(tiny: SynthReport) -> None:
     held = 0
     for path, drive in recordings(tiny)[:2]:
         boxes = FolderReader().open(path, {}).boxes().to_pandas()
@@ -167,7 +165,7 @@ def test_boxes_enclose_what_is_drawn(tiny: SynthReport) -> None:
     assert held > 500
 
 
-def test_the_mask_of_the_vehicle_itself_is_where_its_bonnet_is_drawn(tiny: SynthReport) -> None:
+def test_ego_mask_covers_the_rendered_bonnet(tiny: SynthReport) -> None:
     path, drive = recordings(tiny)[0]
     rig = FolderReader().open(path, {}).rig
     masks = {camera.name: camera.static_mask for camera in rig.cameras if camera.static_mask is not None}
@@ -179,7 +177,7 @@ def test_the_mask_of_the_vehicle_itself_is_where_its_bonnet_is_drawn(tiny: Synth
     assert (label == Label.EGO).sum() > 0.8 * (mask > 0).sum()
 
 
-def test_exact_poses_and_calibrations_lie_beside(first: Recorded) -> None:
+def test_exact_poses_and_calibrations_are_written_beside_the_recording(first: Recorded) -> None:
     path, drive = first
     truth = Truth(path)
     poses = truth.poses().to_pandas()
@@ -198,8 +196,8 @@ def test_exact_poses_and_calibrations_lie_beside(first: Recorded) -> None:
     assert lenses["rear"].fx_px == drive.vehicle.cameras["rear"].fx_px
 
 
-def test_flow_leads_from_a_image_to_the_next(first: Recorded) -> None:
-    """What flow says is held against distances of the next image, at places that both see."""
+def test_flow_maps_points_to_the_next_image(first: Recorded) -> None:
+    """Compares the flow with the distances of the next image, at points that both images show."""
     path, drive = first
     truth, camera = Truth(path), "rear"
     poses = truth.poses().to_pandas()
@@ -225,7 +223,7 @@ def test_flow_leads_from_a_image_to_the_next(first: Recorded) -> None:
     assert agree.mean() > 0.7
 
 
-def test_masks_and_boxes_of_the_truth_speak_of_the_same_objects(first: Recorded) -> None:
+def test_truth_masks_and_boxes_agree_on_the_objects(first: Recorded) -> None:
     path, drive = first
     truth = Truth(path)
     boxes = truth.boxes().to_pandas()
@@ -241,7 +239,7 @@ def test_masks_and_boxes_of_the_truth_speak_of_the_same_objects(first: Recorded)
         assert (u.min(), v.min(), u.max() + 1, v.max() + 1) == (row.u_min_px, row.v_min_px, row.u_max_px, row.v_max_px)
 
 
-def test_normals_are_those_of_the_distances(first: Recorded) -> None:
+def test_normals_agree_with_the_distances(first: Recorded) -> None:
     path, drive = first
     truth, camera = Truth(path), "rear"
     stamp = int(truth.poses().to_pandas().query("body == @camera")["timestamp_ns"].iloc[4])
@@ -260,7 +258,7 @@ def test_normals_are_those_of_the_distances(first: Recorded) -> None:
 
 
 class _Interrupted:
-    """Progress that is interrupted at an image of a recording."""
+    """A progress reporter that raises KeyboardInterrupt at an image of a recording."""
 
     def __init__(self, recording: int, image: int) -> None:
         self._recording, self._image = recording, image
@@ -274,7 +272,7 @@ class _Interrupted:
             raise KeyboardInterrupt
 
 
-def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: SynthReport, tmp_path: Path) -> None:
+def test_an_interrupted_run_resumes_and_keeps_complete_recordings(tiny: SynthReport, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         mirror.synth.write_recordings(out, workers=2, progress=_Interrupted(2, 30))
@@ -283,7 +281,7 @@ def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: SynthReport
     assert half.exists() and not (half / "recording.json").exists()
     with pytest.raises(UsageError, match="recordings of other arguments: seed differ"):
         mirror.synth.write_recordings(out, seed=1)
-    # What a killed process leaves.
+    # The state that a killed process leaves behind.
     (half / "images" / ".half.jpg.77.tmp").write_bytes(b"half")
     (out / ".synth.json.77.tmp").write_bytes(b"half")
     again = mirror.synth.write_recordings(out, workers=2)
@@ -294,7 +292,7 @@ def test_an_interrupted_run_goes_on_and_keeps_what_is_complete(tiny: SynthReport
     assert mirror.synth.write_recordings(out, workers=2) == again
 
 
-def test_two_runs_do_not_write_the_same_recordings(tmp_path: Path) -> None:
+def test_a_second_writer_of_the_same_folder_is_refused(tmp_path: Path) -> None:
     with (
         open_journal(tmp_path / "out", {"seed": "0"}),
         pytest.raises(DatasetError, match="another run is writing"),
@@ -303,7 +301,7 @@ def test_two_runs_do_not_write_the_same_recordings(tmp_path: Path) -> None:
         pass
 
 
-def test_misuse_is_named(tmp_path: Path) -> None:
+def test_invalid_arguments_are_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("mine")
     with pytest.raises(UsageError, match="a folder with other files"):

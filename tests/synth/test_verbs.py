@@ -1,4 +1,4 @@
-"""``mirror synth`` and ``mirror demo`` as they are typed."""
+"""Tests of the commands ``mirror synth`` and ``mirror demo``."""
 
 import json
 from dataclasses import replace
@@ -17,7 +17,7 @@ from mirror.synth.fleet.drives import make_drives
 from tests.leaderboard.test_add import result
 
 
-def test_synth_writes_recordings_that_ingest_can_judge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_synth_recordings_can_be_ingested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "fleet"
     assert main(["synth", "--out", str(out), "--preset", "tiny", "--traversals", "1", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -30,7 +30,7 @@ def test_synth_writes_recordings_that_ingest_can_judge(tmp_path: Path, capsys: p
     assert "recordings of other arguments: traversals differ" in capsys.readouterr().err
 
 
-def test_effects_are_left_out_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_switches_effects_off_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "plain"
     words = ["synth", "--out", str(out), "--preset", "tiny", "--traversals", "1", "--json", "--errors", "none"]
     assert main([*words, "--without", "noise,traffic,vignetting"]) == 0
@@ -54,7 +54,7 @@ def test_effects_are_left_out_by_name(tmp_path: Path, capsys: pytest.CaptureFixt
         assert f"seed {seed}" in capsys.readouterr().err
 
 
-def test_demo_runs_the_verbs_in_order_and_stops_at_the_first_that_fails(
+def test_demo_runs_its_commands_in_order_and_stops_at_the_first_failure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ran: list[list[str]] = []
@@ -76,7 +76,7 @@ def test_demo_runs_the_verbs_in_order_and_stops_at_the_first_that_fails(
     assert f"$ mirror ingest {recordings}/*-*" in typed[1]
 
 
-def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
+def test_demo_replaces_only_its_own_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ran: list[list[str]] = []
@@ -102,7 +102,7 @@ def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     assert "  nearest_frame PSNR 13.25 dB, PSNR* 16.25 dB on the held-out traversal" in told
     boards = [words[1:3] for words in ran if words[1] in ("baseline", "leaderboard")]
     street = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["baseline", "mean_color"], ["leaderboard", "add"]]
-    # The block and the nearest images of its street stand on the board too, which is built last.
+    # The board, which is built last, also lists the block and its nearest-frame baseline.
     block = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["leaderboard", "add"], ["leaderboard", "build"]]
     assert boards == [*street, *block]
     verbs = [words[1] for words in ran]
@@ -110,7 +110,7 @@ def test_demo_makes_its_own_folder_anew_and_leaves_others_alone(
     (own / "old.txt").write_text("from the last demo")
     assert demo(["--out", str(own)]) == 0
     assert not (own / "old.txt").exists()
-    # What it says of itself is to be so.
+    # The demo reports findings if its reconstruction does not beat the nearest frame.
     scores["reconstructed"] = 13.0
     assert demo(["--out", str(own)]) == ExitCode.FINDINGS
     other = tmp_path / "other"

@@ -1,4 +1,4 @@
-"""Faces and plates of the synthetic street: where they are, and that detectors find them."""
+"""Tests of faces and plates of the synthetic street: their boxes, and their detection by detectors."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def target(box: tuple[float, float, float, float], seen: float = 1.0) -> Target:
     return Target(np.array(box), seen)
 
 
-def test_overlaps_in_closed_form() -> None:
+def test_overlaps_match_the_closed_form() -> None:
     boxes = np.array([[0.0, 0.0, 4.0, 2.0], [10.0, 10.0, 11.0, 11.0]])
     others = np.array([[2.0, 0.0, 6.0, 2.0], [0.0, 0.0, 4.0, 2.0]])
     assert overlaps(boxes, others) == pytest.approx(np.array([[4.0 / 12.0, 1.0], [0.0, 0.0]]))
     assert overlaps(np.zeros((0, 4)), others).shape == (0, 2)
 
 
-def test_targets_that_are_hardly_seen_are_not_asked_for_but_may_be_found() -> None:
+def test_hardly_visible_targets_are_optional() -> None:
     boxes = np.array([[0.0, 0.0, 10.0, 10.0], [50.0, 50.0, 60.0, 60.0], [90.0, 0.0, 99.0, 9.0]])
     targets = [target((1.0, 0.0, 11.0, 10.0)), target((50.0, 50.0, 60.0, 60.0), 0.3), target((30.0, 0.0, 38.0, 20.0))]
     found = judged([(boxes, targets), (np.zeros((0, 4)), [])], 1, 0.6)
@@ -37,21 +37,21 @@ def test_targets_that_are_hardly_seen_are_not_asked_for_but_may_be_found() -> No
     assert (found.boxes, found.right) == (3, 2)
 
 
-def test_anchors_are_as_many_as_the_network_answers() -> None:
+def test_number_of_anchors_equals_the_network_outputs() -> None:
     centre, size = anchors(540, 960)
     assert centre.shape == size.shape == (21420, 2)
     assert centre[0].tolist() == [4.0, 4.0]
     assert sorted(set(size[:, 0])) == [24.0, 48.0, 96.0, 192.0, 384.0, 768.0]
 
 
-def test_another_file_of_weights_is_refused(tmp_path: Path) -> None:
+def test_weights_with_another_hash_are_refused(tmp_path: Path) -> None:
     weights = tmp_path / "clp_det.onnx"
     weights.write_bytes(b"something else")
     with pytest.raises(UsageError, match="sha256"):
         AgentPlates(weights)
 
 
-def test_images_show_people_and_cars_from_before(images: list[Crowded]) -> None:
+def test_images_show_people_and_cars_from_the_front(images: list[Crowded]) -> None:
     people, cars = images
     assert sum(face.seen > 0.6 for face in people.faces) >= 3
     assert sum(plate.seen > 0.85 for plate in cars.plates) >= 1

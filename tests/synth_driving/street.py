@@ -1,4 +1,4 @@
-"""A small street plan made by hand: a main street along x, a signalled cross street, and a street at the ROI's edge."""
+"""A small hand-made street plan: a main street along x, a signalled cross street, and a street at the ROI's edge."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def straight(start, end) -> np.ndarray:
 
 
 def curve(start, way_in, end, way_out) -> np.ndarray:
-    """A cubic from a point to a point, with given directions."""
+    """A cubic curve between two points with given directions."""
     start, end = np.array(start, float), np.array(end, float)
     pull = 0.4 * np.hypot(*(end - start)) * (1.35 if abs(np.dot(way_in, way_out)) < 0.5 else 1.0)
     a, b = start + pull * np.array(way_in), end - pull * np.array(way_out)
@@ -35,7 +35,7 @@ def heights(x, y):
 
 
 def motorway() -> Network:
-    """Two lanes one way, along x."""
+    """Two lanes in the same direction, along x."""
     lanes = {}
     for number in range(2):
         ends = [-EXTENT, 0.0, EXTENT]
@@ -58,7 +58,7 @@ def network() -> Network:
     starts: dict[str, list[tuple[str, np.ndarray, np.ndarray]]] = {}
 
     def street(name, axis, offset, cuts) -> None:
-        """Both directions of a street along an axis, cut at the crossings (place, name, group)."""
+        """Both directions of a street along an axis, split at the crossings (place, name, group)."""
         ahead, side = np.eye(2)[axis], np.eye(2)[1 - axis] * (-1 if axis == 0 else 1)
         for sign in (1, -1):
             marks = sorted(cuts, key=lambda cut: sign * cut[0])

@@ -1,4 +1,4 @@
-"""Drives through traffic: smooth, through nobody, and meeting every branch of the trigger."""
+"""Tests of drives through traffic: smooth motion, no overlaps, and every branch of the trigger."""
 
 from functools import lru_cache
 
@@ -34,7 +34,7 @@ def footprint(length, width, x, y, yaw) -> Polygon:
 
 
 @pytest.mark.parametrize("route", ["along", "turn", "left"])
-def test_nobody_overlaps_anybody(route) -> None:
+def test_road_users_do_not_overlap(route) -> None:
     found = made(route)
     assert sum(isinstance(user.motion, TraceMotion) for user in found.road_users) > 15
     for time_s in np.arange(0.0, found.drive.duration_s, 0.5):
@@ -72,7 +72,7 @@ def test_motion_is_smooth_and_faces_forward(route) -> None:
     assert np.abs(np.diff(velocity, axis=0)).max() < 0.12
 
 
-def test_it_stands_on_the_ground() -> None:
+def test_recording_vehicle_stands_on_the_ground() -> None:
     drive = made("turn").drive
     poses = drive.poses(np.linspace(0.0, drive.duration_s, 60))
     height = street.heights(poses.translation[:, 0], poses.translation[:, 1])
@@ -81,7 +81,7 @@ def test_it_stands_on_the_ground() -> None:
     assert np.degrees(np.arccos(up)).max() < 3.5
 
 
-def test_others_stand_on_the_ground_and_drive_sanely() -> None:
+def test_other_road_users_stand_on_the_ground_and_move_plausibly() -> None:
     found = made("along")
     times = np.arange(0.0, found.drive.duration_s, 0.1)
     for user in found.road_users:
@@ -111,7 +111,7 @@ EXPECTED = {
 
 
 @pytest.mark.parametrize("route", sorted(EXPECTED))
-def test_the_routes_meet_every_branch_of_the_trigger(route) -> None:
+def test_routes_reach_every_branch_of_the_trigger(route) -> None:
     for seed in (1, 2) if route in TIMED else (1,):
         drive = made(route, seed).drive
         time_s = np.arange(0.0, drive.duration_s, 0.05)
@@ -122,7 +122,7 @@ def test_the_routes_meet_every_branch_of_the_trigger(route) -> None:
         assert [(one.rule, one.split) for one in passes] == EXPECTED[route]
 
 
-def test_the_same_again_and_another_time() -> None:
+def test_journeys_repeat_with_the_seed_and_differ_without() -> None:
     first, again, other = (simulate_journey(SITE, "turn", EGO, seed, fastest_mps=14.0) for seed in (4, 4, 5))
     assert np.array_equal(first.drive.schedule.along_m, again.drive.schedule.along_m)
     assert [user.track_id for user in first.road_users] == [user.track_id for user in again.road_users]
@@ -131,7 +131,7 @@ def test_the_same_again_and_another_time() -> None:
     assert {user.motion.at(1.0) for user in first.road_users} != {user.motion.at(1.0) for user in other.road_users}
 
 
-def test_at_night_there_are_few() -> None:
+def test_there_are_few_road_users_at_night() -> None:
     quiet = simulate_journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=TrafficDensity(0.15, 0.1))
     moving = [user for user in quiet.road_users if isinstance(user.motion, TraceMotion)]
     assert len(moving) < 0.5 * sum(isinstance(user.motion, TraceMotion) for user in made("along").road_users)

@@ -1,4 +1,4 @@
-"""Routes by name, on streets made by hand and on planned ones."""
+"""Tests of named routes on hand-made and planned streets."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def turned_deg(route) -> float:
     return float(np.degrees(heading[-1] - heading[0]))
 
 
-def test_the_names_make_sense() -> None:
+def test_routes_match_their_names() -> None:
     found = {name: make_route(name, NETWORK, street.RADIUS) for name in available_routes(NETWORK, street.RADIUS)}
     assert set(found) == set(ROUTES) - {"other", "change", "leave", "join"}
     assert turned_deg(found["along"]) == pytest.approx(0.0, abs=1.0)
@@ -37,7 +37,7 @@ def test_the_names_make_sense() -> None:
         assert radius.min() < 0.5 * street.RADIUS
 
 
-def test_lanes_beside_each_other() -> None:
+def test_routes_keep_to_parallel_lanes_and_change_between_them() -> None:
     network = street.motorway()
     first, second = (driven(make_route("along", network, street.RADIUS, variant)) for variant in (0, 1))
     assert first[:, 1] == pytest.approx(0.0)
@@ -47,7 +47,7 @@ def test_lanes_beside_each_other() -> None:
     assert change[:, 1].max() == pytest.approx(3.6, abs=1e-6)
 
 
-def test_what_a_scene_has_not() -> None:
+def test_routes_that_a_scene_lacks_are_refused() -> None:
     with pytest.raises(UsageError, match="no route 'turn' in this scene"):
         make_route("turn", street.motorway(), street.RADIUS)
     with pytest.raises(UsageError, match="no route 'sideways'"):
@@ -65,7 +65,7 @@ def test_what_a_scene_has_not() -> None:
         ("highway", 200.0, {"turn", "left", "across", "edge", "corner", "twice", "uturn"}),
     ],
 )
-def test_planned_scenes_have_their_routes(kind, radius, missing) -> None:
+def test_planned_scenes_have_the_expected_routes(kind, radius, missing) -> None:
     plan = plan_scene(
         Roi(scene_id="a", longitude_deg=8.0, latitude_deg=49.0, radius_m=radius, scene_type=kind), 24.0, 3
     )

@@ -1,4 +1,4 @@
-"""How a vehicle follows its line: against closed forms."""
+"""Tests of vehicle motion along a line against closed forms."""
 
 import math
 import time
@@ -26,12 +26,12 @@ def circle(radius, share=1.0):
 
 
 @pytest.mark.parametrize("radius", [6.0, 12.0, 60.0])
-def test_the_rear_axle_trails_on_the_circle_that_the_wheelbase_leaves(radius) -> None:
+def test_rear_axle_follows_the_circle_given_by_the_wheelbase(radius) -> None:
     ego = Chassis(4.6, 1.9, 2.8, 0.9, 0.0)
     trace = build_trace(circle(radius, 0.8), ego, level)
     along = np.linspace(0.5, 0.75, 50) * 2 * math.pi * radius
     placed, forward = trace.at(along)
-    # Rounding corners over 2 m, a triangle of variance 1 m2, takes half the bend off the radius.
+    # Smoothing over 2 m, with a triangular kernel of variance 1 m2, reduces the radius by 1 / (2 radius).
     trail_rear_axle = math.sqrt((radius - 0.5 / radius) ** 2 - 2.8**2)
     assert np.hypot(*placed[:, :2].T) == pytest.approx(np.full(50, trail_rear_axle), abs=0.03)
     assert forward == pytest.approx(np.full(50, trail_rear_axle / (radius - 0.5 / radius)), rel=0.02)
@@ -40,7 +40,7 @@ def test_the_rear_axle_trails_on_the_circle_that_the_wheelbase_leaves(radius) ->
     assert turned == pytest.approx(np.full(50, math.pi / 2), abs=0.006)
 
 
-def test_on_a_slope_it_pitches_and_rolls_as_the_ground_does() -> None:
+def test_pitch_and_roll_follow_the_slope() -> None:
     way = build_way([Piece(np.array([[0.0, 0.0], [100.0, 0.0]]), 10.0)])
     placed, _ = build_trace(way, CAR, lambda x, y: 0.05 * x + 0.03 * y).at(np.linspace(0.0, 100.0, 30))
     assert placed[:, 2] == pytest.approx(0.05 * placed[:, 0] + 0.03 * placed[:, 1], abs=1e-9)
@@ -48,7 +48,7 @@ def test_on_a_slope_it_pitches_and_rolls_as_the_ground_does() -> None:
     assert placed[:, 5] == pytest.approx(np.full(30, math.atan(0.03)))
 
 
-def test_no_jump_of_heading_or_bend_at_corners_and_changes() -> None:
+def test_heading_and_curvature_are_continuous() -> None:
     network = street.network()
     turn = follow_lanes(network, ("main+0", "main+0>main+1", "main+1", "main+1>cross-1", "cross-1"))
     lanes = street.motorway().lanes
@@ -65,7 +65,7 @@ def test_no_jump_of_heading_or_bend_at_corners_and_changes() -> None:
     assert build_trace(change, CAR, level).at(np.array([150.0]))[0][0, 1] == pytest.approx(3.6, abs=1e-6)
 
 
-def test_it_goes_straight_on_beyond_its_way() -> None:
+def test_trace_continues_straight_beyond_its_way() -> None:
     way = build_way([Piece(np.array([[0.0, 0.0], [30.0, 0.0]]), 10.0)])
     trace = build_trace(way, CAR, level)
     placed, forward = trace.at(np.array([-300.0, 500.0]))
@@ -73,7 +73,7 @@ def test_it_goes_straight_on_beyond_its_way() -> None:
     assert forward == pytest.approx([1.0, 1.0])
 
 
-def test_it_keeps_so_far_right_as_its_driver_likes() -> None:
+def test_trace_keeps_the_given_offset_to_the_right() -> None:
     way = build_way([Piece(np.array([[0.0, 0.0], [0.0, 80.0]]), 10.0)])
     placed, _ = build_trace(way, CAR, level, Aside(0.4)).at(np.linspace(20.0, 70.0, 9))
     assert placed[:, 0] == pytest.approx(np.full(9, 0.4))
@@ -84,7 +84,7 @@ def test_it_keeps_so_far_right_as_its_driver_likes() -> None:
     st.floats(-5.0, 5.0),
     st.floats(-20.0, 20.0),
 )
-def test_a_schedule_meets_its_knots_and_has_no_jumps(pulls, begin, start) -> None:
+def test_schedule_passes_its_knots_smoothly(pulls, begin, start) -> None:
     speed = np.abs(np.cumsum(np.array(pulls) - 1.2)) * 0.1
     along = start + np.concatenate([[0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))])
     schedule = Schedule(begin, 0.1, along, speed)
@@ -99,12 +99,12 @@ def test_a_schedule_meets_its_knots_and_has_no_jumps(pulls, begin, start) -> Non
     assert shifted.at(np.array([0.5]))[0] == pytest.approx(schedule.at(np.array([2.5]))[0])
 
 
-def test_a_schedule_says_when_it_is_where() -> None:
+def test_time_of_inverts_the_schedule() -> None:
     schedule = Schedule(3.0, 0.1, np.linspace(0.0, 40.0, 81), np.full(81, 5.0))
     assert schedule.time_of(12.3) == pytest.approx(3.0 + 12.3 / 5.0, abs=1e-8)
 
 
-def test_one_placement_agrees_with_many_and_is_cheap() -> None:
+def test_single_placement_agrees_with_the_batch_and_is_fast() -> None:
     way = circle(20.0)
     moving = TraceMotion(
         build_trace(way, CAR, street.heights), Schedule(0.0, 0.1, np.linspace(0, 90, 301), np.full(301, 3.0))
@@ -125,7 +125,7 @@ def test_one_placement_agrees_with_many_and_is_cheap() -> None:
     assert best < 100e-6
 
 
-def test_a_way_slows_down_for_bends_in_time() -> None:
+def test_allowed_speed_drops_before_bends() -> None:
     corner = np.array([[0.0, 0.0], [60.0, 0.0], [60.0, 60.0]])
     way = build_way([Piece(corner, 14.0)])
     pace = way.pace_mps
@@ -134,7 +134,7 @@ def test_a_way_slows_down_for_bends_in_time() -> None:
     assert np.diff(pace**2).min() / (2 * STEP_M) > -1.4 - 1e-6
 
 
-def test_lanes_say_where_to_stop() -> None:
+def test_ways_stop_at_the_stop_lines_of_lanes() -> None:
     way = follow_lanes(street.network(), ("main+1", "main+1>main+2", "main+2"))
     (halt,) = way.halts
     assert halt.group == 0
@@ -144,12 +144,12 @@ def test_lanes_say_where_to_stop() -> None:
     assert part.halts == ()
 
 
-def test_a_way_needs_some_length() -> None:
+def test_ways_without_length_are_refused() -> None:
     with pytest.raises(UsageError, match="a way of"):
         build_way([Piece(np.array([[0.0, 0.0], [0.3, 0.0]]), 10.0)])
 
 
-def test_far_from_the_origin_it_is_the_same() -> None:
+def test_trace_does_not_depend_on_the_distance_from_the_origin() -> None:
     line = circle(15.0, 0.6).points
     near, far = (
         build_trace(build_way([Piece(line + offset, 9.0)]), CAR, level).at(np.linspace(0.0, 50.0, 40))[0]
@@ -159,14 +159,14 @@ def test_far_from_the_origin_it_is_the_same() -> None:
     assert far[:, 3] == pytest.approx(near[:, 3], abs=1e-6)
 
 
-def test_who_stands_stands_at_all_times() -> None:
+def test_stationary_schedule_never_moves() -> None:
     schedule = Schedule(2.0, 0.1, np.full(2, 7.0), np.zeros(2))
     along, speed = schedule.at(np.array([-1e6, 0.0, 2.05, 1e6]))
     assert along == pytest.approx(np.full(4, 7.0))
     assert speed == pytest.approx(np.zeros(4))
 
 
-def test_one_point_is_no_way() -> None:
+def test_a_way_of_one_point_is_refused() -> None:
     with pytest.raises(UsageError, match=r"a way of 0\.00 m"):
         build_way([Piece(np.array([[3.0, 4.0]]), 10.0)])
     with pytest.raises(UsageError, match="a way of"):

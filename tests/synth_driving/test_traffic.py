@@ -1,4 +1,4 @@
-"""Zones, signals and the simulation: who waits for whom."""
+"""Tests of zones, signals and right of way in the traffic simulation."""
 
 import math
 
@@ -36,7 +36,7 @@ def run(*participants, clock_s=0.0, longest_s=90.0) -> list[Schedule]:
     return found
 
 
-def test_lines_that_cross_meet_in_a_square() -> None:
+def test_crossing_lines_have_a_square_zone() -> None:
     (zone,) = find_zones(EAST, NORTH, 2.0)
     corner = (street.CROSS + 1.75 + street.EXTENT, -1.75 + street.EXTENT)
     assert zone.begin_m == pytest.approx([at - 2.0 for at in corner], abs=1.1)
@@ -44,28 +44,28 @@ def test_lines_that_cross_meet_in_a_square() -> None:
     assert not zone.along
 
 
-def test_lines_that_run_together_are_followed() -> None:
+def test_merging_lines_have_a_shared_zone() -> None:
     (zone,) = find_zones(EAST, LEFT, 2.0)
     assert zone.along
     assert zone.begin_m == (0.0, 0.0)
-    # Behind somebody whose rear end is at 100 m one comes to 98 m.
+    # A follower stops at 98 m if the rear end of the car ahead is at 100 m.
     assert zone.limits[0][100] == pytest.approx(98.0, abs=1.1)
     assert zone.end_m[0] == pytest.approx(street.CROSS + street.EXTENT, abs=9.0)
 
 
-def test_who_turns_left_lets_the_oncoming_go() -> None:
+def test_left_turns_yield_to_oncoming_lanes() -> None:
     (zone,) = find_zones(LEFT, WEST, 2.0)
     assert zone.first == 1
     assert find_zones(WEST, LEFT, 2.0)[0].first == 0
 
 
-def test_far_lines_do_not_meet() -> None:
+def test_distant_lines_have_no_zone() -> None:
     other = build_way([Piece(np.array([[0.0, 500.0], [300.0, 500.0]]), 10.0)])
     assert find_zones(EAST, other, 3.0) == []
     assert find_zones(EAST, WEST, 3.0) == []
 
 
-def test_signals_go_round() -> None:
+def test_signal_states_follow_the_cycle() -> None:
     shown = signal_state(NETWORK, np.array([0.0, 21.9, 22.1, 25.1, 51.5, 52.0]))
     assert shown[:, 0].tolist() == [
         Signal.GREEN,
@@ -79,7 +79,7 @@ def test_signals_go_round() -> None:
     assert signal_state(street.motorway(), np.zeros(3)).shape == (3, 0)
 
 
-def test_one_stops_at_red_and_goes_on_at_green() -> None:
+def test_cars_stop_at_red_and_continue_at_green() -> None:
     halt = EAST.halts[-1].at_m
     (schedule,) = run(car(EAST, enter_m=100.0), clock_s=20.0)
     standing = schedule.speed_mps < 0.01
@@ -91,7 +91,7 @@ def test_one_stops_at_red_and_goes_on_at_green() -> None:
     assert np.diff(schedule.speed_mps).min() / 0.1 > -3.5
 
 
-def test_the_second_keeps_behind_the_first() -> None:
+def test_a_follower_keeps_its_distance() -> None:
     slow = car(EAST, enter_m=140.0, end_m=380.0)
     slow = Participant("truck", 0, EAST, Chassis.of_box(8.0, 2.5), Manner(1.0, 5.0, 1.0, 2.0, 1.5), Aside(), 0.0, 140.0)
     first, second = run(slow, car(EAST, enter_m=60.0))
@@ -101,7 +101,7 @@ def test_the_second_keeps_behind_the_first() -> None:
     assert second.at(times[-50:])[1].max() < 8.0
 
 
-def test_nobody_turns_left_into_the_oncoming() -> None:
+def test_left_turning_cars_avoid_oncoming_cars() -> None:
     oncoming = [car(WEST, enter_s=3.0 * number) for number in range(6)]
     turning, *_ = schedules = run(car(LEFT, enter_m=150.0), *oncoming)
     (zone,) = find_zones(LEFT, WEST, 2.4)
@@ -111,7 +111,7 @@ def test_nobody_turns_left_into_the_oncoming() -> None:
         assert passes[1] < inside[0] + 0.2 or passes[0] > inside[1] - 0.2
 
 
-def test_who_turns_waits_for_people_who_cross() -> None:
+def test_turning_cars_wait_for_pedestrians() -> None:
     person = Participant(
         "pedestrian", 0, ZEBRA, Chassis(0.9, 0.5, 0.4, 0.25, 0.2), Manner(1.0, 1.4, 0.9, 1.2, 0.4), Aside(), 0.0,
         street.CROSS - 9.0 + street.EXTENT,
@@ -124,13 +124,13 @@ def test_who_turns_waits_for_people_who_cross() -> None:
     assert inside[0] > crossing[1] - 0.3 or inside[1] < crossing[0] + 0.3
 
 
-def test_a_pause_is_kept() -> None:
+def test_a_pause_has_its_length() -> None:
     (schedule,) = run(car(EAST, enter_m=100.0, pause_m=150.0, pause_s=7.0))
     still = np.abs(schedule.along_m - 150.0) < 1.0
     assert 6.5 < 0.1 * (schedule.speed_mps[still] < 0.06).sum() < 9.0
 
 
-def test_the_same_again() -> None:
+def test_simulation_is_reproducible() -> None:
     road_users = [car(way, enter_s=2.0 * number) for number in range(5) for way in (EAST, NORTH, LEFT, WEST)]
     once, again = (simulate_participants(NETWORK, road_users, 5.0, 80.0) for _ in range(2))
     for a, b in zip(once, again):
@@ -147,7 +147,7 @@ def test_the_same_again() -> None:
         max_size=6,
     )
 )
-def test_overlaps_agree_with_polygons(rows) -> None:
+def test_overlaps_agree_with_shapely_polygons(rows) -> None:
     places = np.array([[row[:3]] for row in rows])
     halves = np.array([row[3:] for row in rows])
     kept = select_non_overlapping(places, halves, np.zeros(len(rows), np.bool_), 100.0)
@@ -165,7 +165,7 @@ def test_overlaps_agree_with_polygons(rows) -> None:
     assert np.flatnonzero(kept).tolist() == stays
 
 
-def test_who_is_fixed_stays_and_who_is_not_there_hinders_nobody() -> None:
+def test_fixed_users_stay_and_absent_users_exclude_nobody() -> None:
     places = np.array([[[0.0, 0.0, 0.0]], [[0.5, 0.0, 0.0]], [[math.nan] * 3]])
     halves = np.full((3, 2), 1.0)
     assert select_non_overlapping(places, halves, np.array([False, True, False]), 50.0).tolist() == [False, True, True]

@@ -1,4 +1,4 @@
-"""Truth of one view against truth of others: all seven cameras, several traversals, and boxes against masks."""
+"""Compares the truth of views with each other: seven cameras, several traversals, boxes and masks."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ MOMENTS = (0.35, 0.6)
 
 @cache
 def drives() -> list[SynthDrive]:
-    """Two traversals of one scene, in different light and by different vehicles."""
+    """Two traversals of one scene, by different vehicles in different light."""
     _, found = make_drives("tiny", 0)
     return [drive for drive in found if drive.recipe.images][:2]
 
@@ -66,7 +66,7 @@ def everything() -> Iterator[Seen]:
 
 
 def still_points(seen: Seen, rng: np.random.Generator, count: int) -> np.ndarray:
-    """World points of what stands still and keeps its shape, through pixels' centres."""
+    """World points of static rigid surfaces through pixel centres."""
     view = seen.view
     label = view.label
     own = np.concatenate([view.scene.faces["material"], view.scene.rounds["material"], [Material.LEAVES]])
@@ -77,12 +77,12 @@ def still_points(seen: Seen, rng: np.random.Generator, count: int) -> np.ndarray
 
 
 def still_model(drive: SynthDrive) -> Model:
-    """The world without what changes between traversals."""
+    """The world without the parts that change between traversals."""
     model = drive.world.model
     return Model(model.faces[model.faces["material"] != Material.LEAVES], model.corners, model.rounds[:0])
 
 
-def test_a_point_of_one_view_is_where_the_others_see_it() -> None:
+def test_points_of_one_view_reproject_into_the_others() -> None:
     rng = np.random.default_rng(1)
     model = still_model(drives()[0])
     checked = visible = 0
@@ -92,7 +92,7 @@ def test_a_point_of_one_view_is_where_the_others_see_it() -> None:
             away = points - other.origin
             far = np.linalg.norm(away, axis=1)
             distance, _ = cast_rays(model, other.origin, away / far[:, None])
-            # Nobody sees through it: it may be hidden, but the surface is there.
+            # The point may be hidden by a nearer surface, but must not be behind an opening.
             assert (distance <= far + 1e-3).all()
             checked += len(points)
             visible += int((np.abs(distance - far) < 1e-3).sum())
@@ -100,7 +100,7 @@ def test_a_point_of_one_view_is_where_the_others_see_it() -> None:
     assert visible > 0.1 * checked
 
 
-def test_a_pixel_that_a_point_projects_into_shows_its_surface() -> None:
+def test_a_projected_point_lies_on_the_surface_of_its_pixel() -> None:
     rng = np.random.default_rng(2)
     met = through = 0
     for number in range(2):
@@ -119,19 +119,19 @@ def test_a_pixel_that_a_point_projects_into_shows_its_surface() -> None:
                     face = view.scene.faces[view.surface[row, column]]
                     if face["object"] >= 0 or face["label"] == Label.SKY or face["material"] == Material.LEAVES:
                         continue
-                    # All of the pixel is one plane: the point lies on it, or behind it and is hidden.
+                    # One plane covers the whole pixel: the point is on the plane, or hidden behind it.
                     normal = np.array([face["normal_0"], face["normal_1"], face["normal_2"]])
                     off = normal @ point - face["offset"]
                     side = np.sign(normal @ other.origin - face["offset"])
                     met += abs(off) < 2e-3
                     through += side * off >= 2e-3
     assert met > 1000
-    # A wire may pass between the nine rays of a pixel.
+    # A wire can pass between the nine rays of a pixel.
     assert through <= 2e-3 * met
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_boxes_enclose_their_masks_to_a_pixel(number: int) -> None:
+def test_boxes_enclose_their_masks_to_one_pixel(number: int) -> None:
     shown = 0
     for moment in MOMENTS:
         for seen in views(number, moment):
@@ -150,7 +150,7 @@ def test_boxes_enclose_their_masks_to_a_pixel(number: int) -> None:
     assert shown > 10
 
 
-def test_the_masks_of_the_vehicle_hold_all_that_is_seen_of_it() -> None:
+def test_ego_masks_cover_all_visible_vehicle_pixels() -> None:
     own = 0
     for seen in everything():
         mask = seen.drive.ego_masks.get(seen.camera)

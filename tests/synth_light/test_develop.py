@@ -1,4 +1,4 @@
-"""Development against a plain reference in double precision, and each of its effects against what is said of it."""
+"""Tests of image development against a float64 reference, and of each of its effects."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -39,7 +39,7 @@ def street(height: int = 90, width: int = 160, seed: int = 0) -> np.ndarray:
 
 
 def reference(radiance: np.ndarray, gains: np.ndarray, vignette: float, spilt: np.ndarray | None) -> np.ndarray:
-    """Levels, not rounded: every step written out in double precision."""
+    """Unrounded levels, computed step by step in float64."""
     height, width = radiance.shape[:2]
     light = radiance.astype(np.float64) * gains
     if spilt is not None:
@@ -60,7 +60,7 @@ def reference(radiance: np.ndarray, gains: np.ndarray, vignette: float, spilt: n
 
 
 @pytest.mark.parametrize("bright", [0.01, 1.0, 30.0])
-def test_levels_agree_with_double_precision_to_half_a_level(bright: float) -> None:
+def test_levels_match_the_float64_reference_to_half_a_level(bright: float) -> None:
     radiance, look = bright * street(), CameraResponse(tint=(0.97, 1.01, 1.04), vignette=0.3)
     effects = replace(NONE, white_balance=True, vignetting=True)
     out = develop(radiance, fixed(0.7), look, effects, 0)
@@ -69,7 +69,7 @@ def test_levels_agree_with_double_precision_to_half_a_level(bright: float) -> No
 
 
 @pytest.mark.parametrize("size", [(90, 160), (61, 67)])
-def test_glare_is_added_as_in_double_precision(size: tuple[int, int]) -> None:
+def test_glare_matches_the_float64_reference(size: tuple[int, int]) -> None:
     radiance = street(*size)
     radiance[20:24, 30:40] = 6.0
     out = develop(radiance, fixed(0.7), PLAIN, replace(NONE, bloom=True), 0)
@@ -77,7 +77,7 @@ def test_glare_is_added_as_in_double_precision(size: tuple[int, int]) -> None:
     assert np.abs(out - reference(radiance, np.full(3, 0.7), 0.0, spilt)).max() < 0.6
 
 
-def test_the_film_is_smooth_and_rising() -> None:
+def test_film_curve_is_smooth_and_increasing() -> None:
     light = np.linspace(0.0, 16.0, 400_001)
     level = film(light)
     assert level[0] == 0.0
@@ -102,7 +102,7 @@ def test_noise_has_mean_zero_and_the_stated_variance() -> None:
         slope = 255.0 * (film(np.array(light + 1e-4)) - film(np.array(light - 1e-4))) / 2e-4
         variance = slope**2 * 1.5**2 * (read**2 + shot * light) + 1.0 / 12.0
         assert noisy.var() == pytest.approx(variance, rel=0.06)
-        # The curve bends: by a part of the variance the mean moves.
+        # The curvature of the response shifts the mean by a share of the variance.
         assert abs(noisy.mean() - clean) < 0.03 * np.sqrt(variance) + 0.1
         channels = np.corrcoef(noisy.reshape(-1, 3).T)
         assert np.abs(channels - np.eye(3)).max() < 0.02
@@ -111,14 +111,14 @@ def test_noise_has_mean_zero_and_the_stated_variance() -> None:
             assert abs((here * shifted).mean()) < 0.02 * variance
 
 
-def test_the_table_of_the_noise_is_normal() -> None:
+def test_noise_table_is_normally_distributed() -> None:
     values = gaussian_table()
     assert values.mean() == pytest.approx(0.0, abs=1e-12)
     assert values.var() == pytest.approx(1.0)
     assert (values**4).mean() == pytest.approx(3.0, abs=0.03)
 
 
-def test_images_have_other_noise_and_nothing_else() -> None:
+def test_images_with_different_seeds_differ_only_in_noise() -> None:
     radiance, one = street(), record("night")
     first, again, second = (develop(radiance, one, PLAIN, Effects(), seed) for seed in (1, 1, 2))
     assert np.array_equal(first, again)
@@ -126,7 +126,7 @@ def test_images_have_other_noise_and_nothing_else() -> None:
     assert np.abs(first.mean() - second.mean()) < 0.2
 
 
-def test_threads_make_the_same_bytes() -> None:
+def test_result_does_not_depend_on_threads() -> None:
     one, look, drops = record("night", "rain"), draw_camera_response(4), draw_lens_drops(1, 0.5)
     motion = np.random.default_rng(0).normal(0.0, 3.0, (90, 160, 2)).astype(np.float32)
 
@@ -139,7 +139,7 @@ def test_threads_make_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize("effect", ["noise", "vignetting", "white_balance", "bloom", "motion_blur", "lens_drops"])
-def test_a_switch_that_is_off_is_as_if_there_were_no_such_thing(effect: str) -> None:
+def test_a_disabled_effect_has_no_influence(effect: str) -> None:
     radiance, one, look = street(), record("night", "rain"), draw_camera_response(7)
     radiance[40:44, 70:90] = 40.0
     drops, motion = draw_lens_drops(1, 90 / 160), np.full((90, 160, 2), 5.0, np.float32)
@@ -162,7 +162,7 @@ def test_a_switch_that_is_off_is_as_if_there_were_no_such_thing(effect: str) -> 
     assert not np.array_equal(off, develop(radiance, one, look, usual, 3, motion=motion, drops=drops))
 
 
-def test_a_vignette_depends_on_the_distance_from_the_middle_alone() -> None:
+def test_vignette_depends_only_on_the_distance_from_the_middle() -> None:
     flat = np.full((101, 151, 3), 0.5, np.float32)
     out = develop(flat, fixed(0.5), CameraResponse(vignette=0.4), replace(NONE, vignetting=True), 0)[..., 0].astype(int)
     assert np.array_equal(out, out[::-1])
@@ -175,7 +175,7 @@ def test_a_vignette_depends_on_the_distance_from_the_middle_alone() -> None:
 
 
 @given(st.floats(1e-3, 1e3), st.floats(1.0, 4.0))
-def test_exposure_falls_with_brightness_and_keeps_to_its_limits(bright: float, more: float) -> None:
+def test_exposure_decreases_with_brightness_within_its_limits(bright: float, more: float) -> None:
     radiance, one = street(24, 32), fixed(1.0)
     low = compute_exposure(np.float32(bright) * radiance, one, PLAIN, Effects())
     high = compute_exposure(np.float32(bright * more) * radiance, one, PLAIN, Effects())
@@ -186,21 +186,21 @@ def test_exposure_falls_with_brightness_and_keeps_to_its_limits(bright: float, m
     )
 
 
-def test_glare_is_made_only_where_something_is_brighter_than_white() -> None:
+def test_only_values_above_white_cause_glare() -> None:
     dark = np.full((256, 384, 3), 0.9, np.float32)
     assert glare(dark, np.ones(3)) is None
     dark[:] = 0.0
     dark[124:132, 188:196] = 5.1
     spilt = glare(dark, np.ones(3))
     assert spilt is not None
-    # What is above 1.1 times white is spread; some of it leaves the image.
+    # Light above 1.1 times white is spread; some of it falls outside the image.
     assert 0.2 < 16 * spilt.sum() / (3 * 64 * 4.0) < 0.27
     assert spilt[32, 48, 0] == spilt.max()
     assert np.abs(spilt - spilt[::-1, ::-1]).max() < 0.05 * spilt.max()
     assert (spilt[32, 48:, 0] > 0.0).all()
 
 
-def test_drops_change_nothing_beside_them() -> None:
+def test_drops_change_only_their_own_pixels() -> None:
     assert sum(len(draw_lens_drops(seed, 0.5625)) == 0 for seed in range(200)) == pytest.approx(80, abs=25)
     radiance = street()
     drops = np.zeros(1, DROP)
@@ -211,14 +211,14 @@ def test_drops_change_nothing_beside_them() -> None:
     assert np.array_equal(out[~inside], radiance[~inside])
     assert (out[inside] != radiance[inside]).mean() > 0.9
     assert np.array_equal(refract_drops(radiance, drops[:0]), radiance)
-    # A drop shows above what is below.
+    # A drop shows the scene upside down.
     radiance[:] = np.linspace(0.0, 1.0, 90, dtype=np.float32)[:, None, None]
     shown = refract_drops(radiance, drops)[34:47, 80, 1]
     assert shown[0] > shown[-1]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (2, 2)])
-def test_the_smallest_images_come_out(shape: tuple[int, int]) -> None:
+def test_tiny_images_are_developed(shape: tuple[int, int]) -> None:
     radiance = np.full((*shape, 3), 3.0, np.float32)
     motion = np.full((*shape, 2), 2.0, np.float32)
     out = develop(
@@ -228,7 +228,7 @@ def test_the_smallest_images_come_out(shape: tuple[int, int]) -> None:
     assert out.min() > 100
 
 
-def test_black_is_black_and_the_brightest_white() -> None:
+def test_black_maps_to_0_and_the_brightest_value_to_255() -> None:
     black, white = np.zeros((4, 4, 3), np.float32), np.full((4, 4, 3), 1e30, np.float32)
     assert not develop(black, fixed(1.0), PLAIN, NONE, 0).any()
     assert (develop(white, fixed(1.0), PLAIN, Effects(), 0) == 255).all()
@@ -236,7 +236,7 @@ def test_black_is_black_and_the_brightest_white() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_radiance_that_is_not_finite_is_refused(value: float) -> None:
+def test_radiance_with_nan_or_inf_is_refused(value: float) -> None:
     radiance = street()
     radiance[3, 4, 1] = value
     with pytest.raises(UsageError, match="finite"):
@@ -246,7 +246,7 @@ def test_radiance_that_is_not_finite_is_refused(value: float) -> None:
 @pytest.mark.parametrize(
     "radiance", [np.zeros((4, 5), np.float32), np.zeros((4, 5, 3)), np.zeros((0, 5, 3), np.float32)]
 )
-def test_other_arrays_are_refused(radiance: np.ndarray) -> None:
+def test_arrays_of_wrong_shape_or_type_are_refused(radiance: np.ndarray) -> None:
     with pytest.raises(UsageError, match="radiance"):
         develop(radiance, fixed(1.0), PLAIN, NONE, 0)
     with pytest.raises(UsageError, match="motion"):
@@ -255,7 +255,7 @@ def test_other_arrays_are_refused(radiance: np.ndarray) -> None:
 
 @settings(max_examples=30)
 @given(st.integers(0, 2**63 - 1))
-def test_cameras_differ_but_little(seed: int) -> None:
+def test_camera_responses_differ_within_small_limits(seed: int) -> None:
     look = draw_camera_response(seed)
     assert look == draw_camera_response(seed)
     assert abs(look.exposure_ev) < 1.0

@@ -1,4 +1,4 @@
-"""Each effect can be left out by itself."""
+"""Tests that each effect can be switched off separately."""
 
 from dataclasses import fields, replace
 
@@ -28,14 +28,14 @@ def condition(light: str, weather: str, effects: Effects = ALL) -> Condition:
     return Condition(instant_of("2025-05-10", light, *PLACE), light, weather, 3, effects)
 
 
-def test_none_has_nothing_and_the_default_everything() -> None:
+def test_effects_none_disables_all_and_default_enables_all() -> None:
     for effect in fields(Effects):
         assert getattr(Effects(), effect.name) is True
         assert getattr(Effects.none(), effect.name) is False
 
 
 @pytest.mark.parametrize("effect", [effect.name for effect in fields(Effects)])
-def test_a_switch_changes_nothing_but_its_own_light(effect: str) -> None:
+def test_an_effect_changes_only_its_own_fields(effect: str) -> None:
     for light, weather in (("night", "rain"), ("day", "clear")):
         whole = compute_lighting(condition(light, weather), *PLACE)
         without = compute_lighting(condition(light, weather, replace(ALL, **{effect: False})), *PLACE)
@@ -47,7 +47,7 @@ def test_a_switch_changes_nothing_but_its_own_light(effect: str) -> None:
         assert all(not np.any(night[name]) for name in OWN[effect])
 
 
-def test_lamps_burn_in_the_dark_and_shadows_need_the_sun() -> None:
+def test_lamps_are_lit_in_the_dark_and_shadows_need_the_sun() -> None:
     day, rain, dusk, night = (
         compute_lighting(condition(*what), *PLACE).record
         for what in (("day", "clear"), ("day", "rain"), ("dusk", "clear"), ("night", "clear"))
@@ -61,7 +61,7 @@ def test_lamps_burn_in_the_dark_and_shadows_need_the_sun() -> None:
     assert day["sky_light"].sum() > dusk["sky_light"].sum() > night["sky_light"].sum()
 
 
-def test_visits_have_other_clouds_and_the_same_light_as_before() -> None:
+def test_visits_change_clouds_but_not_light() -> None:
     first, again, second = (
         compute_lighting(replace(condition("day", "clear"), visit=visit), *PLACE).record for visit in (1, 1, 2)
     )

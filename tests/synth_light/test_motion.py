@@ -1,4 +1,4 @@
-"""Motion in images against exact projection, and blur against its integral."""
+"""Tests of image motion against exact projection, and of motion blur against its integral."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ LENSES = [
 
 
 @pytest.mark.parametrize("camera", LENSES, ids=lambda camera: camera.model)
-def test_what_stands_still_moves_as_its_projection(camera: Camera) -> None:
+def test_motion_of_static_points_matches_their_projection(camera: Camera) -> None:
     rng = np.random.default_rng(2)
     rays = camera.rays().direction
     distance = rng.uniform(5.0, 40.0, (270, 480)).astype(np.float32)
@@ -35,17 +35,17 @@ def test_what_stands_still_moves_as_its_projection(camera: Camera) -> None:
     assert error.mean() < 0.01 * size.mean()
 
 
-def test_the_sky_moves_by_turning_alone() -> None:
+def test_motion_of_the_sky_depends_only_on_rotation() -> None:
     jacobian = compute_image_jacobian(LENSES[0].rays().direction)
     sky = np.full((270, 480), np.inf, np.float32)
     assert not compute_image_motion(jacobian, sky, (0.0, 0.0, 20.0), (0.0, 0.0, 0.0), 0.01).any()
-    # Turning right moves the image left: 300 px a radian in the middle.
+    # A right turn moves the image to the left, 300 px per radian in the middle.
     flow = compute_image_motion(jacobian, sky, (0.0, 0.0, 20.0), (0.0, 1.0, 0.0), 0.05)
     assert flow[135, 240] == pytest.approx([-15.0, 0.0], abs=0.05)
 
 
 @pytest.mark.parametrize("length", [2.0, 4.0, 9.0])
-def test_an_edge_becomes_a_ramp_as_long_as_the_way(length: float) -> None:
+def test_a_blurred_edge_is_a_ramp_of_the_motion_length(length: float) -> None:
     image = np.zeros((20, 60, 3), np.float32)
     image[:, 30:] = 1.0
     flow = np.zeros((20, 60, 2), np.float32)
@@ -60,7 +60,7 @@ def test_an_edge_becomes_a_ramp_as_long_as_the_way(length: float) -> None:
     )
 
 
-def test_even_images_and_short_ways_stay_as_they_are() -> None:
+def test_uniform_images_and_short_motions_are_unchanged() -> None:
     rng = np.random.default_rng(0)
     image = rng.random((30, 40, 3)).astype(np.float32)
     assert np.array_equal(apply_motion_blur(image, np.full((30, 40, 2), 0.5, np.float32)), image)

@@ -1,4 +1,4 @@
-"""The sky against closed forms, and against its own sums."""
+"""Tests of the sky against closed forms and numerical integrals."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def seen(one: Lighting, direction: np.ndarray, spread: float = 0.002) -> np.ndar
     return np.array(sky(one.dome, one.clouds, setting, *direction, spread))
 
 
-def test_air_straight_up_is_as_deep_as_its_closed_form() -> None:
+def test_vertical_optical_depth_matches_the_closed_form() -> None:
     up = np.array([0.0, 0.0, 1.0])
     for height in (0.0, 2_000.0, 9_000.0):
         depth = atmosphere.optical_depth_to_sun(np.array([[0.0, 0.0, 6_371e3 + height]]), up)[0]
@@ -36,7 +36,7 @@ def test_air_straight_up_is_as_deep_as_its_closed_form() -> None:
         assert depth == pytest.approx(air + haze + ozone, rel=0.03)
 
 
-def test_a_slanting_way_through_the_air_is_as_deep_as_a_fine_sum() -> None:
+def test_slanted_optical_depth_matches_a_fine_sum() -> None:
     place = np.array([0.0, 0.0, 6_371e3 + 12_000.0])
     for elevation in (-3.0, 0.0, 4.0, 25.0):
         sun = np.array([np.cos(np.radians(elevation)), 0.0, np.sin(np.radians(elevation))])
@@ -47,15 +47,15 @@ def test_a_slanting_way_through_the_air_is_as_deep_as_a_fine_sum() -> None:
         assert atmosphere.optical_depth_to_sun(place[None], sun)[0] == pytest.approx(fine, rel=0.03)
 
 
-def test_the_earth_keeps_the_sun_from_what_is_in_its_shadow() -> None:
+def test_points_in_the_earths_shadow_get_no_sunlight() -> None:
     sun = np.array([np.cos(np.radians(-8.0)), 0.0, np.sin(np.radians(-8.0))])
     heights = np.array([10.0, 30_000.0, 64_000.0])
-    # Sunlight passes over the horizon at R (1 / cos 8 - 1) = 62.6 km.
+    # 8 degrees below the horizon, sunlight passes at heights above R (1 / cos 8 - 1) = 62.6 km.
     points = np.stack([np.zeros(3), np.zeros(3), 6_371e3 + heights], axis=1)
     assert (atmosphere.optical_depth_to_sun(points, sun)[:, 0] > 100.0).tolist() == [True, True, False]
 
 
-def test_a_dome_is_the_same_on_both_sides_of_the_sun() -> None:
+def test_sky_dome_is_symmetric_about_the_sun() -> None:
     dome = clear_dome(25.0, 90.0)
     assert dome == pytest.approx(dome[:, ::-1], rel=1e-9)
     assert dome[70:].mean() > dome[:26].mean()
@@ -63,7 +63,7 @@ def test_a_dome_is_the_same_on_both_sides_of_the_sun() -> None:
     assert np.linalg.norm(dome_directions(), axis=-1) == pytest.approx(np.ones((96, 96)))
 
 
-def test_the_zenith_is_bluer_than_the_horizon_and_the_dusk_is_red_where_the_sun_set() -> None:
+def test_zenith_is_bluest_and_dusk_is_red_at_the_sunset() -> None:
     for elevation in (60.0, 20.0, -2.0):
         dome = clear_dome(elevation, 0.0)
         zenith, before, behind = dome[48, 48], dome[48, 92], dome[48, 3]
@@ -74,10 +74,10 @@ def test_the_zenith_is_bluer_than_the_horizon_and_the_dusk_is_red_where_the_sun_
 
 @pytest.mark.parametrize("weather", ["clear", "clouds", "rain"])
 @pytest.mark.parametrize("light", ["day", "dusk"])
-def test_light_on_the_ground_is_the_sum_over_the_sky(light: str, weather: str) -> None:
+def test_ground_light_equals_the_integral_over_the_sky(light: str, weather: str) -> None:
     one = lit(light, weather)
     rng = np.random.default_rng(1)
-    # Cosine-weighted directions: their mean radiance is the light.
+    # For cosine-weighted directions the mean radiance equals the light on the ground.
     i, j = np.meshgrid(np.arange(60), np.arange(60))
     radius, angle = np.sqrt((i + rng.random(i.shape)) / 60), 2 * np.pi * (j + rng.random(j.shape)) / 60
     away = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=-1).reshape(-1, 3)
@@ -85,19 +85,19 @@ def test_light_on_the_ground_is_the_sum_over_the_sky(light: str, weather: str) -
     assert one.record["sky_light"] == pytest.approx(radiance.mean(axis=0), rel=0.03)
 
 
-def test_more_light_comes_from_a_higher_sun() -> None:
+def test_light_increases_with_the_suns_elevation() -> None:
     noon = int(np.datetime64("2025-03-20T12:07", "ns").astype(np.int64))
     total = []
     for minutes in range(0, 441, 40):
         record = compute_lighting(Condition(noon - (440 - minutes) * 60_000_000_000, "day", "clear"), 0.0, 0.0).record
         level = max(record["sun"][2], 0.0) * record["sunlight"] + record["sky_light"]
         total.append(level @ [0.2126, 0.7152, 0.0722])
-    # Towns light the clouds of the night, which is not the sun's doing.
+    # At night, town lights illuminate the clouds independently of the sun.
     assert (np.diff(total) > -5e-4).all()
     assert total[0] < 0.02 * total[-1]
 
 
-def test_the_sun_gives_a_sunny_road_some_four_times_the_light_of_the_sky() -> None:
+def test_direct_sunlight_is_about_four_times_the_sky_light() -> None:
     record = lit("day", "clear").record
     luminance = np.array([0.2126, 0.7152, 0.0722])
     ratio = record["sun"][2] * (record["sunlight"] @ luminance) / (record["sky_light"] @ luminance)
@@ -106,7 +106,7 @@ def test_the_sun_gives_a_sunny_road_some_four_times_the_light_of_the_sky() -> No
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), st.floats(0.0, 0.5), st.floats(0.0, 1e4))
-def test_the_sky_is_defined_everywhere(vector: list[float], spread: float, time_s: float) -> None:
+def test_sky_is_finite_in_all_directions(vector: list[float], spread: float, time_s: float) -> None:
     direction = np.array(vector)
     length = np.linalg.norm(direction)
     direction = direction / length if length > 1e-6 else np.array([0.0, 0.0, -1.0])
@@ -117,7 +117,7 @@ def test_the_sky_is_defined_everywhere(vector: list[float], spread: float, time_
     assert (radiance > 0.0).all()
 
 
-def test_the_sky_shows_the_sun_where_it_stands_and_is_level_below_the_horizon() -> None:
+def test_sky_shows_the_sun_and_is_constant_below_the_horizon() -> None:
     one = lit("day", "clear")
     sun = one.record["sun"]
     aside = np.array([-sun[1], sun[0], 0.0])
@@ -125,7 +125,7 @@ def test_the_sky_shows_the_sun_where_it_stands_and_is_level_below_the_horizon() 
     assert seen(one, np.array([0.6, 0.8, -1e-6])) == pytest.approx(seen(one, np.array([0.6, 0.8, 0.0])), rel=1e-4)
 
 
-def test_clouds_repeat_move_and_are_as_many_as_stated() -> None:
+def test_clouds_tile_move_and_have_the_stated_cover() -> None:
     field = cloud_field()
     finest = field[: SIDE * SIDE].reshape(SIDE, SIDE)
     assert len(field) == sum((SIDE >> level) ** 2 for level in range(LEVELS))

@@ -1,4 +1,4 @@
-"""The sun against what is known of it."""
+"""Tests of the sun against published values."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_sun_direction_is_a_unit_vector_at_the_stated_elevation(longitude: float
 
 @pytest.mark.parametrize("light", ["day", "dusk", "night"])
 @pytest.mark.parametrize("morning", [True, False])
-def test_an_instant_has_the_light_that_was_asked_for(light: str, morning: bool) -> None:
+def test_instant_of_has_the_requested_light(light: str, morning: bool) -> None:
     for date in ("2025-01-15", "2025-06-21", "2025-10-30"):
         for place in ((113.3, 23.1), (8.4, 49.0), (-122.0, 37.0)):
             instant = instant_of(date, light, *place, morning=morning)
@@ -43,7 +43,7 @@ def test_an_instant_has_the_light_that_was_asked_for(light: str, morning: bool) 
             assert (sun_direction(instant, *place)[0] > 0) == morning or light == "night"
 
 
-def test_air_mass_as_its_authors_tabulate_it() -> None:
+def test_air_mass_matches_the_published_table() -> None:
     # F. Kasten and A. Young, Applied Optics 28 (1989), table I.
     for elevation, mass in ((90.0, 1.0), (30.0, 1.9939), (10.0, 5.5841), (5.0, 10.3164), (0.0, 38.0868)):
         assert air_mass(elevation) == pytest.approx(mass, rel=6e-3)
@@ -52,7 +52,7 @@ def test_air_mass_as_its_authors_tabulate_it() -> None:
 @given(st.floats(-90.0, 90.0), st.floats(0.0, 5.0))
 def test_a_higher_sun_is_brighter_and_less_red(elevation: float, more: float) -> None:
     low, high = sunlight(elevation), sunlight(min(elevation + more, 90.0))
-    # The formula turns by a hair at the zenith.
+    # The formula is not exactly monotonic near the zenith.
     assert (high >= (1.0 - 1e-6) * low).all()
     assert (np.isfinite(low) & (low >= 0.0)).all()
     if low[0] > 1e-3:
@@ -64,7 +64,7 @@ def test_sunlight_is_white_at_45_degrees_and_none_at_night() -> None:
     assert not sunlight(-0.3).any()
 
 
-def test_the_year_turns_half_a_year_apart_on_the_two_hemispheres() -> None:
+def test_seasons_of_the_hemispheres_differ_by_half_a_year() -> None:
     assert season_of(ns("2025-01-01T12:00"), 49.0) == 0.0
     assert season_of(ns("2025-07-02T12:00"), 49.0) == pytest.approx(0.5, abs=0.003)
     assert season_of(ns("2025-07-03T12:00"), -33.0) == pytest.approx(0.0, abs=0.003)
@@ -72,5 +72,5 @@ def test_the_year_turns_half_a_year_apart_on_the_two_hemispheres() -> None:
 
 @settings(max_examples=50)
 @given(st.integers(0, 4_000_000_000), st.floats(-90.0, 90.0))
-def test_the_season_is_a_part_of_a_year(seconds: int, latitude: float) -> None:
+def test_season_is_a_fraction_of_the_year(seconds: int, latitude: float) -> None:
     assert 0.0 <= season_of(seconds * 1_000_000_000, latitude) < 1.0

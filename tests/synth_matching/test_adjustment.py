@@ -1,4 +1,4 @@
-"""The rig's adjustment, on points whose images are exact."""
+"""Tests of the rig adjustment on exact image points."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SPREAD = Spread(0.036, 3.5e-4, 7e-4, 0.004, 2e-4, 2e-4)
 
 
 def true_rig(cameras: dict[str, Camera], frames: int = 8) -> Rig:
-    """Three cameras of a vehicle that turns by 80 degrees on a bend of 8 m."""
+    """Three cameras of a vehicle that turns by 80 degrees on a radius of 8 m."""
     turn = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     mounts = Poses(quaternion_from_matrix(np.stack([about(yaw) @ turn for yaw in (0.0, 55.0, -55.0)])),
                    np.array([[1.8, 0.0, 1.4], [2.2, 0.9, 1.0], [2.2, -0.9, 1.0]]))  # fmt: skip
@@ -43,7 +43,7 @@ def about(yaw_deg: float) -> np.ndarray:
 
 
 def tracks_of(rig: Rig, count: int = 500) -> Tracks:
-    """Exact images of points around."""
+    """Exact image points of 3D points around the rig."""
     rng = np.random.default_rng(5)
     around, distance = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(12.0, 40.0, count)
     points = np.stack(
@@ -68,7 +68,7 @@ def tracks_of(rig: Rig, count: int = 500) -> Tracks:
 
 
 def perturb_intrinsics(rig: Rig, seed: int) -> Rig:
-    """A rig as it is recorded, off by the standard deviations of `SPREAD`."""
+    """A recorded rig with errors of the standard deviations in `SPREAD`."""
     rng = np.random.default_rng(seed)
 
     def twisted(poses: Poses, turn: float, shift: float) -> Poses:
@@ -81,12 +81,12 @@ def perturb_intrinsics(rig: Rig, seed: int) -> Rig:
     )
 
 
-def test_exact_tracks_give_the_rig_back() -> None:
+def test_exact_tracks_recover_the_rig() -> None:
     rig = true_rig(CAMERAS)
     tracks = tracks_of(rig)
     recorded = perturb_intrinsics(rig, 1)
     start = replace(tracks, points=tracks.points + np.random.default_rng(2).normal(0.0, 0.05, tracks.points.shape))
-    # As good as no errors of features, so that the tracks alone decide; the scale remains with what was recorded.
+    # The feature errors are negligible, so the tracks decide; the scale comes from the recorded poses.
     found, residual = adjusted(recorded, start, replace(SPREAD, feature_px=1e-3))
     before, after = off(recorded, rig), off(found, rig)
     assert before[0].max() > 0.05
@@ -96,7 +96,7 @@ def test_exact_tracks_give_the_rig_back() -> None:
     assert np.median(residual) < 1e-2
 
 
-def test_a_rig_that_fits_stays() -> None:
+def test_a_fitting_rig_is_unchanged() -> None:
     rig = true_rig(CAMERAS)
     found, residual = adjusted(rig, tracks_of(rig), SPREAD)
     angle, distance = off(found, rig)
@@ -105,7 +105,7 @@ def test_a_rig_that_fits_stays() -> None:
     assert residual.max() < 1e-6
 
 
-def test_tracks_that_no_camera_can_see_are_refused() -> None:
+def test_tracks_without_valid_points_are_refused() -> None:
     rig = true_rig(CAMERAS)
     tracks = tracks_of(rig)
     with pytest.raises(UsageError, match="points"):
@@ -114,7 +114,7 @@ def test_tracks_that_no_camera_can_see_are_refused() -> None:
         adjusted(rig, Tracks(*(values[:0] for values in vars(tracks).values())), SPREAD)
 
 
-def test_wrong_matches_do_little() -> None:
+def test_wrong_matches_have_little_influence() -> None:
     rig = true_rig(CAMERAS)
     tracks = tracks_of(rig)
     rng = np.random.default_rng(6)
@@ -126,7 +126,7 @@ def test_wrong_matches_do_little() -> None:
     assert distance.max() < 4.0
 
 
-def test_one_rigid_alignment_is_taken_out_and_no_more() -> None:
+def test_only_a_rigid_alignment_is_removed() -> None:
     rig = true_rig(CAMERAS)
     moved = Poses.exp([[0.02, -0.01, 0.5, 3.0, -2.0, 1.0]])
     angle, distance = off(replace(rig, world_SE3_ego=moved @ rig.world_SE3_ego), rig)
@@ -136,7 +136,7 @@ def test_one_rigid_alignment_is_taken_out_and_no_more() -> None:
     assert off(replace(rig, world_SE3_ego=longer), rig)[1].max() > 2.0
 
 
-def test_pycolmap_triangulates_where_the_points_are() -> None:
+def test_pycolmap_triangulates_the_true_points() -> None:
     pytest.importorskip("pycolmap", reason="pycolmap is absent: pip install '.[calibration]'")
     rig = true_rig(COLMAPS, frames=4)
     exact = tracks_of(rig, 120)

@@ -1,4 +1,4 @@
-"""Features of the synthetic street match as those of a street do; what measures that is held against pycolmap."""
+"""Tests of feature matching on the synthetic street; the measuring code is compared with pycolmap."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def shots() -> tuple[Shot, Shot]:
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.model)
-def test_pycolmap_projects_as_we_do(camera: Camera) -> None:
+def test_projection_agrees_with_pycolmap(camera: Camera) -> None:
     points = np.random.default_rng(1).uniform((-2.0, -1.2, 1.5), (2.0, 1.2, 9.0), (200, 3))
     theirs = colmap_camera(camera).img_from_cam(points)
     assert np.abs(camera.project(points).uv_px - theirs).max() < 1e-9
 
 
-def test_lenses_that_colmap_does_not_have_are_refused() -> None:
+def test_lenses_unknown_to_colmap_are_refused() -> None:
     with pytest.raises(UsageError, match="f_theta"):
         colmap_camera(Camera("f_theta", 8, 6, 1.0, 1.0, 4.0, 3.0, (0.0, 4.0)))
 
@@ -70,7 +70,7 @@ def some_features(rng: np.random.Generator, base: np.ndarray, noise: float) -> t
     return Features(np.zeros((len(data), 2)), np.ones(len(data)), unit), theirs, keypoints
 
 
-def test_matches_are_those_that_pycolmap_finds() -> None:
+def test_matches_agree_with_pycolmap() -> None:
     pycolmap, rng = colmap(), np.random.default_rng(2)
     base = rng.gamma(0.5, 1.0, (300, 128))
     one, their_one, ours = some_features(rng, base, 0.15)
@@ -81,31 +81,31 @@ def test_matches_are_those_that_pycolmap_finds() -> None:
     theirs = {tuple(pair) for pair in matcher.match(ours, their_one, others, their_other).tolist()}
     found = {tuple(pair) for pair in matches(one, other).tolist()}
     assert len(theirs) > 150
-    # Theirs takes lengths for exactly 512: where a ratio is within rounding of its limit they may differ.
+    # pycolmap assumes descriptor lengths of exactly 512, so ratios within rounding of the limit may differ.
     assert len(found ^ theirs) <= 0.02 * len(theirs)
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_without_features_nothing_matches(count: int) -> None:
+def test_images_without_features_have_no_matches(count: int) -> None:
     none = Features(np.zeros((count, 2)), np.ones(count), np.full((count, 128), 128**-0.5, np.float32))
     assert matches(none, none).shape == (0, 2)
 
 
-def test_points_of_a_image_are_imaged_where_they_are_seen(shots: tuple[Shot, Shot]) -> None:
+def test_surface_points_of_an_image_project_to_their_pixels(shots: tuple[Shot, Shot]) -> None:
     for shot in shots:
         uv = np.random.default_rng(3).uniform((0.0, 0.0), (shot.camera.width_px, shot.camera.height_px), (2000, 2))
         points = shot.points(uv)
         assert np.abs(shot.image_of(points) - uv).max() < 1e-6
         row, column = shot.pixels(uv)
-        # A millimetre, where a pixel's own ray meets the surface.
+        # At pixel centres the points agree with the rendered distance to 1 mm.
         middle = np.stack([column, row], axis=1) + 0.5
         seen = np.isfinite(shot.distance_m[row, column])
         apart = np.linalg.norm(shot.points(middle) - shot.origin, axis=1) - shot.distance_m[row, column]
         assert np.abs(apart[seen]).max() < 1e-3
 
 
-def test_a_wall_is_met_by_each_points_own_ray() -> None:
-    """A closed form: a plane 10 m ahead, turned, seen by a pinhole."""
+def test_points_on_a_wall_match_the_closed_form() -> None:
+    """The reference is a tilted plane 10 m ahead of a pinhole camera."""
     camera = CAMERAS[0]
     normal = np.array([0.6, 0.0, -0.8])
     rays = camera.rays().direction
@@ -118,7 +118,7 @@ def test_a_wall_is_met_by_each_points_own_ray() -> None:
     assert np.abs(shot.points(uv) @ normal + 8.0).max() < 1e-4
 
 
-def test_neighbouring_images_have_hundreds_of_exact_matches(shots: tuple[Shot, Shot]) -> None:
+def test_neighbouring_images_have_hundreds_of_accurate_matches(shots: tuple[Shot, Shot]) -> None:
     one, other = (features(shot) for shot in shots)
     pairs = verified(matches(one, other), one, shots[0].camera, other, shots[1].camera)
     errors = errors_px(pairs, one, shots[0], other, shots[1])
@@ -127,7 +127,7 @@ def test_neighbouring_images_have_hundreds_of_exact_matches(shots: tuple[Shot, S
     assert (errors < 3.0).mean() > 0.6
 
 
-def test_the_drive_of_the_benchmark_is_one_vehicle_in_any_light() -> None:
+def test_benchmark_drives_use_one_vehicle_in_every_light() -> None:
     day, night = urban_drive("along"), urban_drive("along", "night", visit=2)
     assert day.vehicle == night.vehicle
     assert day.recipe.light == "day"

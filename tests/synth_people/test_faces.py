@@ -1,4 +1,4 @@
-"""Faces: painted the same each time, all different, and found by a face detector."""
+"""Tests of faces: reproducible, distinct, and found by a face detector."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mirror.synth.textures.catalogue import FACES
 from mirror.synth.textures.faces import HEAD_ASPECT, draw_features, face_image
 
 
-def test_the_same_face_is_painted_each_time() -> None:
+def test_faces_are_reproducible() -> None:
     for number in (FACES.start, FACES.stop - 1):
         one = face_image(number)
         assert one.shape == (128, 128, 3)
@@ -21,19 +21,19 @@ def test_the_same_face_is_painted_each_time() -> None:
         assert 0.0 <= one.min() < one.max() <= 1.0
 
 
-def test_no_two_faces_are_alike() -> None:
+def test_all_faces_differ() -> None:
     small = np.array([face_image(number, 32) for number in FACES]).reshape(len(FACES), -1)
     apart = np.abs(small[:, None] - small[None]).mean(axis=2)
     assert apart[~np.eye(len(FACES), dtype=bool)].min() > 0.005
 
 
-def test_a_small_image_is_the_large_one_reduced() -> None:
+def test_small_face_images_match_reduced_large_ones() -> None:
     large, small = face_image(FACES[9], 256), face_image(FACES[9], 64)
     reduced = large.reshape(64, 4, 64, 4, 3).mean(axis=(1, 3))
     assert np.sqrt(((reduced - small) ** 2).mean()) < 0.03
 
 
-def test_other_images_and_sizes_are_refused() -> None:
+def test_unknown_images_and_small_sizes_are_refused() -> None:
     for number in (FACES.start - 1, FACES.stop):
         with pytest.raises(UsageError, match="156 to 187"):
             draw_features(number)
@@ -42,7 +42,7 @@ def test_other_images_and_sizes_are_refused() -> None:
 
 
 @pytest.mark.parametrize("size_px", [30, 60])
-def test_a_face_detector_finds_them(real_data: Path, size_px: int) -> None:
+def test_face_detector_finds_the_faces(real_data: Path, size_px: int) -> None:
     cv2 = pytest.importorskip("cv2")
     edge = 4 * size_px // 32 * 32 + 32
     weights = str(real_data / "weights" / "yunet" / "yunet_n_dynamic.onnx")

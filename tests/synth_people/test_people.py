@@ -1,4 +1,4 @@
-"""People: the same at the same seed, within their boxes, with feet that stand still on the ground."""
+"""Tests of people: reproducible, within their boxes, with feet that do not slide."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _bytes(model: Model) -> bytes:
     return model.faces.tobytes() + model.corners.tobytes() + model.rounds.tobytes()
 
 
-def test_the_same_seed_makes_the_same_person() -> None:
+def test_the_same_seed_draws_the_same_person() -> None:
     assert _bytes(_somebody(4).walking(0.3)) == _bytes(_somebody(4).walking(0.3))
     assert _bytes(_somebody(4).walking(0.3)) != _bytes(_somebody(5).walking(0.3))
     one, other = (build_rider(np.random.default_rng(2), _SADDLE) for _ in range(2))
@@ -47,14 +47,14 @@ def test_all_poses_are_within_the_box_and_on_the_ground(seed: int, phase: float,
 
 @settings(max_examples=30, deadline=None)
 @given(_SEEDS)
-def test_the_box_is_not_larger_than_the_poses(seed: int) -> None:
+def test_box_is_tight_around_the_poses(seed: int) -> None:
     body = _somebody(seed)
     models = [body.model, *(body.walking(phase) for phase in np.linspace(0.0, 1.0, 25))]
     most = np.array([np.abs(model.bounds()).max(axis=0) for model in models]).max(axis=0)
     assert (np.array(body.size_m) * [0.5, 0.5, 1.0] - most < 0.005).all()
 
 
-def test_people_keep_to_their_budget_and_carry_one_face() -> None:
+def test_people_have_few_primitives_and_one_face() -> None:
     for seed in range(20):
         body = _somebody(seed)
         assert len(body.model) <= (40 if body.person.umbrella is None else 45)
@@ -76,7 +76,7 @@ def test_bones_keep_their_lengths_while_walking() -> None:
     np.testing.assert_allclose(bones, np.broadcast_to(bones[0, :, :1], bones.shape), atol=1e-9)
 
 
-def test_a_foot_stands_still_while_it_carries() -> None:
+def test_the_supporting_foot_does_not_slide() -> None:
     height = 1.75
     for phase in np.linspace(0.02, 0.35, 12):
         one, other = walking_skeleton(height, phase, 1.0), walking_skeleton(height, phase + 0.02, 1.0)
@@ -93,14 +93,14 @@ def test_the_gait_repeats_and_mirrors_after_half_a_stride() -> None:
     np.testing.assert_allclose(walking_skeleton(1.6, 1.2, 1.0).ankles, left.ankles, atol=1e-9)
 
 
-def test_who_stands_is_as_tall_as_stated() -> None:
+def test_standing_people_have_the_stated_height() -> None:
     for height in (1.05, 1.5, 1.9):
         pose = walking_skeleton(height, 0.0, 0.0)
         assert pose.head[2] + head_half_m(height) == pytest.approx(height, abs=0.013)
         assert np.ptp(pose.ankles[:, 0]) < 1e-9
 
 
-def test_who_moves_steps_by_the_way_gone() -> None:
+def test_steps_follow_the_distance_travelled() -> None:
     body = _somebody(0)
     still = body.model_at(Placement(0.0, 0.0, 0.0, 0.0))
     assert still is body.model
@@ -123,7 +123,7 @@ def test_riders_reach_grips_and_pedals() -> None:
     assert len(model) <= 40
 
 
-def test_children_are_small_and_the_rain_brings_umbrellas() -> None:
+def test_children_are_small_and_clothes_fit_the_weather() -> None:
     rng = np.random.default_rng(0)
     assert all(draw_person(rng, child=True).height_m < 1.46 for _ in range(20))
     assert draw_person(rng, umbrella=True).umbrella is not None

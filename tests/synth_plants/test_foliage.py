@@ -1,4 +1,4 @@
-"""The year of plants: monotone in spring and in autumn, another few leaves on each visit."""
+"""Tests of foliage: monotonic in spring and autumn, and a few different leaves per visit."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_leaves_come_out_in_spring_and_fall_in_autumn(deciduous: Model) -> None:
     assert spring[-1] == autumn[0] > 0.9 * _leaves(deciduous)
 
 
-def test_winter_leaves_the_wood_alone(deciduous: Model) -> None:
+def test_only_wood_is_left_in_winter(deciduous: Model) -> None:
     bare = apply_season(deciduous, 0.05, 3)
     wood = deciduous.faces["material"] == Material.BARK
     assert len(bare.faces) == wood.sum()
@@ -51,7 +51,7 @@ def test_twigs_are_hidden_while_in_full_leaf(deciduous: Model) -> None:
     assert 12 <= wood[1] < wood[0]
 
 
-def test_leaves_that_are_there_match_the_share_that_is_expected(deciduous: Model) -> None:
+def test_share_of_leaves_matches_the_expectation(deciduous: Model) -> None:
     seeds = deciduous.faces["seed"][deciduous.faces["material"] == Material.LEAVES]
     for season in (0.29, 0.5, 0.82, 0.86):
         there = _leaves(apply_season(deciduous, season, 1)) / len(seeds)
@@ -59,14 +59,14 @@ def test_leaves_that_are_there_match_the_share_that_is_expected(deciduous: Model
 
 
 @pytest.mark.parametrize("kind", ["spruce", "cypress", "pine"])
-def test_evergreens_stay(kind: str) -> None:
+def test_evergreens_keep_their_leaves(kind: str) -> None:
     model = build_tree(np.random.default_rng(2), kind)  # type: ignore[arg-type]
     winter, summer = apply_season(model, 0.02, 4), apply_season(model, 0.5, 4)
     assert _leaves(winter) == _leaves(summer)
     np.testing.assert_array_equal(winter.faces["colour"], summer.faces["colour"])
 
 
-def test_two_visits_differ_by_a_few_percent() -> None:
+def test_leaves_of_two_visits_differ_by_a_few_percent() -> None:
     model = merge_models([build_tree(np.random.default_rng(n), TREES[n % len(TREES)]) for n in range(12)])
     one, other = (set(apply_season(model, 0.5, visit).faces["seed"].tolist()) for visit in (0, 1))
     differing = len(one ^ other) / len(one | other)
@@ -75,7 +75,7 @@ def test_two_visits_differ_by_a_few_percent() -> None:
     assert again.faces.tobytes() == apply_season(model, 0.5, 1).faces.tobytes()
 
 
-def test_autumn_turns_green_to_warm_colours() -> None:
+def test_leaves_turn_to_warm_colours_in_autumn() -> None:
     model = build_tree(np.random.default_rng(3), "birch")
     leaves = apply_season(model, 0.79, 0).faces
     leaves = leaves[leaves["material"] == Material.LEAVES]["colour"]
@@ -84,7 +84,7 @@ def test_autumn_turns_green_to_warm_colours() -> None:
     assert leaves.max() <= 0.85
 
 
-def test_all_that_is_no_leaf_stays_as_it_is() -> None:
+def test_other_surfaces_do_not_change_with_the_season() -> None:
     wall = block((0.0, 0.0, 1.0), (4.0, 1.0, 2.0), (0.5, 0.5, 0.5), Material.BRICK, Label.WALL)
     after = apply_season(wall, 0.1, 9)
     assert after.faces.tobytes() == wall.faces.tobytes()
@@ -92,7 +92,7 @@ def test_all_that_is_no_leaf_stays_as_it_is() -> None:
     assert len(apply_season(Model.empty(), 0.5, 0)) == 0
 
 
-def test_the_inside_of_a_hedge_stays_on_every_visit() -> None:
+def test_insides_of_hedges_are_visible_on_every_visit() -> None:
     model = build_hedge(np.random.default_rng(4), 6.0)
     body = int((model.faces["two_sided"] == 0).sum())
     assert body == 5

@@ -1,4 +1,4 @@
-"""Plants: sizes, silhouettes, budgets, and that the same seed grows the same plant."""
+"""Tests of plants: sizes, silhouettes, numbers of polygons, and reproducibility."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def _bytes(model: Model) -> tuple[bytes, bytes, bytes]:
     return model.faces.tobytes(), model.corners.tobytes(), model.rounds.tobytes()
 
 
-def test_the_same_seed_grows_the_same_bytes() -> None:
+def test_the_same_seed_gives_the_same_plant() -> None:
     for one, other in zip(_grown(5), _grown(5), strict=True):
         assert _bytes(one) == _bytes(other)
     assert _bytes(_grown(5)[0]) != _bytes(_grown(6)[0])
 
 
 @pytest.mark.parametrize("kind", TREES)
-def test_trees_keep_to_their_budget_and_size(kind: str) -> None:
+def test_trees_have_few_polygons_and_the_stated_size(kind: str) -> None:
     for seed in range(6):
         model = build_tree(np.random.default_rng(seed), kind)  # type: ignore[arg-type]
         low, high = model.bounds()
@@ -49,7 +49,7 @@ def test_trees_keep_to_their_budget_and_size(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["lime", "plane", "birch", "cherry"])
-def test_one_walks_under_the_crowns_of_street_trees(kind: str) -> None:
+def test_crowns_of_street_trees_leave_room_for_pedestrians(kind: str) -> None:
     for seed in range(6):
         model = build_tree(np.random.default_rng(seed), kind)  # type: ignore[arg-type]
         leaves = model.faces[model.faces["material"] == Material.LEAVES]
@@ -59,7 +59,7 @@ def test_one_walks_under_the_crowns_of_street_trees(kind: str) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(_SEEDS, st.sampled_from(TREES), st.floats(0.8, 3.0))
-def test_nothing_hangs_low_over_the_carriageway(seed: int, kind: str, road_m: float) -> None:
+def test_no_branch_is_low_over_the_carriageway(seed: int, kind: str, road_m: float) -> None:
     model = build_tree(np.random.default_rng(seed), kind, road_m=road_m)  # type: ignore[arg-type]
     for first, count, material in zip(model.faces["first"], model.faces["count"], model.faces["material"]):
         corners = model.corners[first : first + count]
@@ -85,7 +85,7 @@ def test_every_polygon_is_planar_and_convex(seed: int) -> None:
             assert np.einsum("fni,fi->fn", turns, faces["normal"]).min() > -1e-9
 
 
-def test_hedges_keep_to_their_measures() -> None:
+def test_hedges_have_the_stated_size() -> None:
     model = build_hedge(np.random.default_rng(1), 7.0, 1.5, 0.8)
     low, high = model.bounds()
     np.testing.assert_allclose(low[:2], [-3.5, -0.4], atol=0.08)
@@ -94,6 +94,6 @@ def test_hedges_keep_to_their_measures() -> None:
     assert (high <= [3.5, 0.4, 1.5]).all()
 
 
-def test_a_tree_of_no_kind_is_refused() -> None:
+def test_unknown_kinds_of_tree_are_refused() -> None:
     with pytest.raises(UsageError, match="one of lime"):
         build_tree(np.random.default_rng(0), "baobab")  # type: ignore[arg-type]

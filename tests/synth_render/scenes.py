@@ -20,7 +20,7 @@ from mirror.synth.roads.markings import MARK
 
 NOTHING = np.zeros((0, 0), np.float32)
 AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""world_R_camera of a camera that looks along +x."""
+"""Rotation world_R_camera of a camera with its axis along +x."""
 
 LENSES = {
     "pinhole": Camera("pinhole", 203, 117, 120.0, 121.0, 101.0, 58.0, ()),
@@ -36,7 +36,7 @@ def lens_of(name: str) -> Lens:
 
 
 def random_model(rng: np.random.Generator, count: int = 60, spread_m: float = 25.0) -> Model:
-    """Blocks, leaves, tubes and ellipsoids all about, on a ground of triangles."""
+    """A random scene of blocks, leaves, tubes and ellipsoids on a triangulated ground."""
     parts, up = [], np.array([0.0, 3.0, 1.0])
     for _ in range(count):
         at, size = rng.uniform(-spread_m, spread_m, 3), rng.uniform(0.2, 5.0, 3)
@@ -55,7 +55,7 @@ def random_model(rng: np.random.Generator, count: int = 60, spread_m: float = 25
 
 
 def ground(reach_m: float, pieces: int, height_m: float = -1.5) -> Model:
-    """A level ground of triangles."""
+    """A level triangulated ground."""
     line = np.linspace(-reach_m, reach_m, pieces)
     found = []
     for a, b in pairwise(line):
@@ -76,7 +76,7 @@ def surroundings(
     effects: Effects = Effects(),  # noqa: B008
     shadow: ShadowMap | None = None,
 ) -> Surroundings:
-    """A model in a condition, with no shadows but those given, and level ground."""
+    """A model in a condition, with the given shadows only and level ground."""
     start = instant_of("2025-06-01", light, 8.4, 49.0)  # type: ignore[arg-type]
     given = compute_lighting(Condition(start, light, weather, effects=effects), 8.4, 49.0)  # type: ignore[arg-type]
     maps = np.zeros(1, MAPS)
@@ -93,6 +93,6 @@ def surroundings(
 
 
 def turned(rng: np.random.Generator) -> Float64:
-    """Any rotation (3, 3)."""
+    """A random rotation (3, 3)."""
     found, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return np.ascontiguousarray(found * np.sign(np.linalg.det(found)))

@@ -1,4 +1,4 @@
-"""Shadows against rays towards the sun, mirrored views against mirrored models, haze against its closed form."""
+"""Tests of shadows against rays to the sun, of reflections against mirrored models, and of haze."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def share_lit(model: Model, sun: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", SUNS)
-def test_shadows_fall_where_rays_to_the_sun_are_stopped(name: str) -> None:
+def test_shadows_agree_with_rays_towards_the_sun(name: str) -> None:
     sun = SUNS[name] / np.linalg.norm(SUNS[name])
     rng = np.random.default_rng(3)
     model = random_model(rng, 30)
@@ -36,7 +36,7 @@ def test_shadows_fall_where_rays_to_the_sun_are_stopped(name: str) -> None:
     points = rng.uniform(-15, 15, (2000, 3)) - 45.0 * sun
 
     def is_dark(point: np.ndarray) -> bool:
-        # From the sun's side: faces are seen from outside.
+        # Rays start on the sun's side, because faces are visible from outside only.
         return bool(cast_rays(model, point + 120.0 * sun, -sun[None])[0][0] < 120.0 - 0.01)
 
     dark = np.array([is_dark(point) for point in points])
@@ -44,7 +44,7 @@ def test_shadows_fall_where_rays_to_the_sun_are_stopped(name: str) -> None:
     assert 0.05 < dark.mean() < 0.95
     wrong = np.abs(lit - ~dark) > 0.5
     assert wrong.mean() < 0.03
-    # Only beside a shadow's edge: there the four cells about the point do not agree, or a neighbour's do not.
+    # Differences are allowed only near a shadow's edge, where the surrounding cells disagree.
     axes, steps = sun_axes(sun), np.linspace(-1.2, 1.2, 11)
     for point in points[wrong]:
         around = [point + CELL_M * (a * axes[0] + b * axes[1]) for a in steps for b in steps]
@@ -52,13 +52,13 @@ def test_shadows_fall_where_rays_to_the_sun_are_stopped(name: str) -> None:
         assert len(states) == 2
 
 
-def test_nothing_casts_no_shadow() -> None:
+def test_an_empty_model_casts_no_shadow() -> None:
     found = render_shadow_map(Model.empty(), SUNS["high"], np.zeros(3), 50.0)
     assert found.height.size == 0
     assert sun_visibility(found.height, 3.0, 4.0, 0.0) == 1.0
 
 
-def test_the_plane_of_the_ground_is_found_exactly_where_it_is_one() -> None:
+def test_ground_plane_fit_is_exact_for_a_plane() -> None:
     scene = surroundings(ground(30.0, 3))
     cells = np.arange(-60.0, 61.0, GROUND_CELL_M)
     x, y = np.meshgrid(cells, cells)
@@ -71,8 +71,8 @@ def test_the_plane_of_the_ground_is_found_exactly_where_it_is_one() -> None:
     assert offset == pytest.approx(truth[2] * 3.0, abs=1e-5)
 
 
-def test_wet_ground_shows_things_upside_down_at_their_places() -> None:
-    # A lamp-lit board that stands on the water's far side; its mirrored image is that of a board below the ground.
+def test_wet_ground_mirrors_objects() -> None:
+    # A lit board behind the water; its reflection equals a board below the ground.
     board = block((20.0, 0.0, 3.0), (0.5, 4.0, 2.0), (0.9, 0.9, 0.9), Material.PLAIN, Label.BUILDING)
     floor = ground(60.0, 9, height_m=0.0)
     origin = np.array([0.0, 0.0, 2.0])
@@ -98,7 +98,7 @@ def test_wet_ground_shows_things_upside_down_at_their_places() -> None:
     there = rasterize_view(surroundings(mirrored), lens, AHEAD, origin).surface == 0
     assert there.sum() > 50
     assert below.surface.shape == there.shape
-    # What is mirrored there is the board, elsewhere the sky, which is brighter in rain than the board's shaded side.
+    # The board is reflected there, and the sky elsewhere; in rain the sky is brighter than the board's shaded side.
     gain = (wet - dry * (1.0 - 0.5 * dry[..., 3:]))[..., 1] / np.maximum(dry[..., 3], 1e-6)
     rows, columns = np.nonzero(there)
     middle = gain[int(rows.mean()), int(columns.mean())]
@@ -108,7 +108,7 @@ def test_wet_ground_shows_things_upside_down_at_their_places() -> None:
 
 
 @pytest.mark.parametrize("distance_m", [5.0, 150.0, 1500.0])
-def test_haze_takes_the_colour_of_the_horizon_with_the_distance(distance_m: float) -> None:
+def test_haze_blends_to_the_horizon_with_distance(distance_m: float) -> None:
     wall = polygon(
         [(distance_m, 4000, -4000), (distance_m, -4000, -4000), (distance_m, -4000, 4000), (distance_m, 4000, 4000)],
         (0.0, 0.0, 0.0), Material.PLAIN, Label.WALL,

@@ -1,4 +1,4 @@
-"""What views show, against rays that are cast one by one in float64."""
+"""Tests of rendered views against rays that are cast one by one in float64."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -17,7 +17,7 @@ def directions(name: str, rotation: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_the_centres_of_pixels_meet_what_rays_meet(name: str) -> None:
+def test_pixel_centres_agree_with_cast_rays(name: str) -> None:
     rng = np.random.default_rng(4)
     wrong = total = 0
     for _ in range(6):
@@ -26,18 +26,18 @@ def test_the_centres_of_pixels_meet_what_rays_meet(name: str) -> None:
         view = rasterize_view(surroundings(model), lens_of(name), rotation, origin)
         distance, index = cast_rays(model, origin, directions(name, rotation))
         same = view.surface.ravel() == index
-        # Another surface counts as right where both are met at one place: two blocks that touch.
+        # Another surface is also correct if both are hit at the same point, as for two touching blocks.
         met = np.isclose(view.distance_m.ravel(), distance, rtol=1e-5) & (view.surface.ravel() != SKY)
         wrong += int((~same & ~met).sum())
         total += len(index)
         close = same & (index != SKY)
         assert np.abs(view.distance_m.ravel()[close] - distance[close]).max(initial=0.0) < 1e-4
         assert np.isinf(view.distance_m.ravel()[index == SKY][same[index == SKY]]).all()
-    # A centre within float32's rounding of an edge may fall on either side.
+    # A pixel centre within float32 rounding of an edge may fall on either side.
     assert wrong <= 2e-4 * total
 
 
-def test_distances_are_exact_to_a_tenth_of_a_millimetre_on_ground_seen_flat() -> None:
+def test_distances_on_grazing_ground_are_exact_to_a_tenth_of_a_millimetre() -> None:
     model = ground(400.0, 30)
     view = rasterize_view(surroundings(model), lens_of("pinhole"), AHEAD, np.array([3.0, 2.0, 0.0]))
     rays = directions("pinhole", AHEAD)
@@ -49,7 +49,7 @@ def test_distances_are_exact_to_a_tenth_of_a_millimetre_on_ground_seen_flat() ->
     assert np.abs(view.distance_m.ravel()[near] - truth[near]).max() < 1e-4
 
 
-def test_normals_are_unit_and_exact_and_look_at_the_camera() -> None:
+def test_normals_are_exact_unit_vectors_towards_the_camera() -> None:
     rng = np.random.default_rng(8)
     model = random_model(rng)
     origin = np.zeros(3)
@@ -70,13 +70,13 @@ def test_normals_are_unit_and_exact_and_look_at_the_camera() -> None:
     gradient = np.einsum("nij,ni->nj", rounds["axes"], local / rounds["half"] ** 2)
     gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
     assert ball.sum() > 50
-    # Near the rim of an ellipsoid the distance is ill-conditioned, and with it the normal.
+    # Near the silhouette of an ellipsoid, distance and normal are ill-conditioned.
     level = np.einsum("ni,ni->n", gradient, rays[ball]) < -0.05
     assert np.abs(normals[ball] - gradient)[level].max() < 1e-4
 
 
-def test_no_ray_slips_between_faces_that_share_an_edge() -> None:
-    # A closed room of many triangles, seen from within.
+def test_no_ray_passes_between_faces_with_a_shared_edge() -> None:
+    # A closed room of many triangles, viewed from inside.
     room = block((0.3, -0.2, 0.1), (8.0, 6.0, 4.0), (0.5, 0.5, 0.5), Material.PLAIN, Label.BUILDING, without=())
     pieces = []
     for face in room.faces:
@@ -95,8 +95,8 @@ def test_no_ray_slips_between_faces_that_share_an_edge() -> None:
             assert not (view.which[:, 1] == SKY).any()
 
 
-def test_shares_of_a_pixel_are_the_areas_that_surfaces_cover() -> None:
-    # A half-plane's edge over the sky, turned step by step: the share on average and pixel by pixel.
+def test_pixel_shares_equal_the_covered_areas() -> None:
+    # The edge of a half plane before the sky, rotated step by step: mean share and share per pixel.
     lens = lens_of("pinhole")
     worst, total = 0.0, []
     for angle in np.linspace(0.05, 3.0, 9):
@@ -106,7 +106,7 @@ def test_shares_of_a_pixel_are_the_areas_that_surfaces_cover() -> None:
             corners[1] + 4000 * np.array([-along[1], along[0]]),
             corners[0] + 4000 * np.array([-along[1], along[0]]),
         ]
-        # Drawn in the image's plane, 120 px before the camera.
+        # The polygon lies in the image plane, 120 px in front of the camera.
         points = np.array([(120.0, -x, -y * 120.0 / 121.0) for x, y in corners])
         points = points if np.cross(points[1] - points[0], points[2] - points[1])[0] < 0 else points[::-1]
         model = polygon(points, (0.5, 0.5, 0.5), Material.PLAIN, Label.BUILDING)
@@ -126,7 +126,7 @@ def test_shares_of_a_pixel_are_the_areas_that_surfaces_cover() -> None:
     assert abs(errors.mean()) < 0.01
 
 
-def test_only_what_a_view_can_see_is_tried() -> None:
+def test_only_surfaces_in_view_are_tested() -> None:
     rng = np.random.default_rng(2)
     near = random_model(rng, 20)
     behind = random_model(rng, 60).place(-120.0, 0.0)
@@ -136,7 +136,7 @@ def test_only_what_a_view_can_see_is_tried() -> None:
     )
     assert both.counts["surfaces"] > 3 * alone.counts["surfaces"]
     assert both.counts["tried"] <= 1.02 * alone.counts["tried"]
-    # A wall before everything ends the search in its tiles.
+    # A wall in front of everything ends the search in its tiles.
     wall = polygon(
         [(2, 50, -50), (2, -50, -50), (2, -50, 50), (2, 50, 50)], (0.5, 0.5, 0.5), Material.PLAIN, Label.WALL
     )
@@ -148,7 +148,7 @@ def test_only_what_a_view_can_see_is_tried() -> None:
     assert hidden.counts["tried"] == hidden.counts["near"] == hidden.counts["tiles"]
 
 
-def test_the_same_view_is_the_same_to_the_bit_on_any_number_of_threads() -> None:
+def test_views_are_bit_identical_for_any_number_of_threads() -> None:
     scene = surroundings(random_model(np.random.default_rng(5)))
 
     def image(_: int) -> tuple[bytes, bytes, bytes]:
@@ -161,7 +161,7 @@ def test_the_same_view_is_the_same_to_the_bit_on_any_number_of_threads() -> None
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e5])
-def test_a_place_far_from_the_origin_is_seen_alike(shift: float) -> None:
+def test_views_do_not_depend_on_the_distance_from_the_origin(shift: float) -> None:
     model, move = random_model(np.random.default_rng(6)), np.array([shift, -shift, 0.0])
     here = rasterize_view(surroundings(model), lens_of("pinhole"), AHEAD, np.zeros(3))
     there = rasterize_view(surroundings(model.transform(np.eye(3), move)), lens_of("pinhole"), AHEAD, move)
@@ -170,7 +170,7 @@ def test_a_place_far_from_the_origin_is_seen_alike(shift: float) -> None:
     assert np.abs(here.distance_m[same] - there.distance_m[same]).max() < 1e-4
 
 
-def test_nothing_at_all_is_sky() -> None:
+def test_an_empty_scene_shows_only_sky() -> None:
     view = rasterize_view(surroundings(Model.empty()), lens_of("pinhole"), AHEAD, np.zeros(3))
     assert (view.surface == SKY).all()
     assert np.isinf(view.distance_m).all()
@@ -181,7 +181,7 @@ def test_nothing_at_all_is_sky() -> None:
     assert (radiance[..., :3] > 0).all()
 
 
-def test_a_camera_on_a_plane_within_a_ball_and_among_slivers_sees_no_nonsense() -> None:
+def test_degenerate_camera_positions_give_finite_views() -> None:
     slivers = polygon([(5, 0, 0), (5, 1e-4, 0), (5, 0, 3)], (0.5, 0.5, 0.5), Material.PLAIN, Label.POLE, two_sided=True)
     level = ground(20.0, 3, height_m=0.0)
     ball = ellipsoid((0, 0, 0), (1, 1, 1), (0.5, 0.5, 0.5), Material.PLAIN, Label.FURNITURE)

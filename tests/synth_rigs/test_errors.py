@@ -1,4 +1,4 @@
-"""What is recorded is off the truth by what was asked for, and by nothing where nothing was."""
+"""Tests that measurement errors have the requested size, and vanish where none are requested."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def track(count: int = 400) -> tuple[Poses, np.ndarray]:
     return Poses(Poses.exp(twist).rotation, np.stack([300.0 + 8 * time_s, -150 + 2 * time_s, 0 * time_s], 1)), time_s
 
 
-def test_without_errors_all_is_exact() -> None:
+def test_errors_none_changes_nothing() -> None:
     truth, time_s = track()
     errors = Errors.none()
     measured = errors.perturb_poses(truth, time_s, rng())
@@ -53,7 +53,7 @@ def test_drift_is_smooth() -> None:
     assert np.abs(np.diff(values, 2, axis=0)).max() < 0.02
 
 
-def test_drift_of_uneven_repeated_single_and_no_times() -> None:
+def test_drift_accepts_uneven_repeated_single_and_no_times() -> None:
     assert draw_drift(np.zeros(0), 1.0, rng()).shape == (0, 3)
     assert draw_drift(np.array([7.0]), 1.0, rng()).shape == (1, 3)
     values = draw_drift(np.array([0.0, 0.1, 0.1, 5e5]), 1.0, rng())
@@ -61,7 +61,7 @@ def test_drift_of_uneven_repeated_single_and_no_times() -> None:
     assert np.array_equal(values[1], values[2])
 
 
-def test_poses_are_off_by_the_stated_errors() -> None:
+def test_pose_errors_have_the_stated_size() -> None:
     truth, time_s = track()
     only = {"position_noise_m": 0.0, "position_drift_m": 0.0, "position_bias_m": 0.0, "attitude_noise_deg": 0.0}
     noise = Errors(**{**only, "position_noise_m": 0.05}).perturb_poses(truth, time_s, rng())
@@ -72,12 +72,12 @@ def test_poses_are_off_by_the_stated_errors() -> None:
     assert 0.05 < np.linalg.norm(off[0]) < 2.0
     turned = Errors(**{**only, "attitude_noise_deg": 0.3}).perturb_poses(truth, time_s, rng())
     assert np.array_equal(turned.translation, truth.translation)
-    # The length of a vector of three normal errors is 2 sqrt(2 / pi) sigma in the mean.
+    # The mean length of a vector of three normal errors is 2 sqrt(2 / pi) sigma.
     mean = angle_between_deg(turned.rotation, truth.rotation).mean()
     assert mean == pytest.approx(0.3 * 2 * np.sqrt(2 / np.pi), rel=0.1)
 
 
-def test_one_seed_gives_one_measurement() -> None:
+def test_the_same_seed_gives_the_same_errors() -> None:
     truth, time_s = track()
     first, again, other = (Errors().perturb_poses(truth, time_s, rng(seed)) for seed in (1, 1, 2))
     assert np.array_equal(first.translation, again.translation)
@@ -85,13 +85,13 @@ def test_one_seed_gives_one_measurement() -> None:
     assert not np.array_equal(first.translation, other.translation)
 
 
-def test_mountings_are_off_up_to_a_known_angle_and_with_the_stated_covariance() -> None:
+def test_mounting_errors_are_bounded_and_have_the_stated_covariance() -> None:
     error, source = MountingError(0.5, 0.02), rng()
     twists = np.concatenate([error.draw(source).log() for _ in range(4000)])
     angles = np.degrees(np.linalg.norm(twists[:, :3], axis=1))
     assert MAX_SIGMA * 0.5 * 0.9 < angles.max() <= MAX_SIGMA * 0.5 + 1e-12
     covariance = np.array(error.covariance()).reshape(6, 6)
-    # Without its farthest 3 % a normal vector is a little narrower.
+    # Truncation of the farthest 3 % reduces the spread a little.
     assert np.cov(twists.T).diagonal() == pytest.approx(covariance.diagonal(), rel=0.15)
     assert np.abs(np.corrcoef(twists.T) - np.eye(6)).max() < 0.06
 
@@ -113,7 +113,7 @@ def test_clocks_lenses_and_lost_images_have_the_stated_spread() -> None:
 @pytest.mark.parametrize(
     "wrong", [{"position_noise_m": -1.0}, {"drift_time_s": 0.0}, {"dropped": 1.0}, {"clock_error_ns": -5}]
 )
-def test_errors_that_cannot_be_are_refused(wrong: dict[str, float]) -> None:
+def test_invalid_error_settings_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(UsageError, match="expected"):
         Errors(**wrong)
     with pytest.raises(UsageError, match="at least 0"):

@@ -1,4 +1,4 @@
-"""Seven vehicle types: every camera has a ray for every pixel, and seven look all round."""
+"""Tests of the seven vehicle types: every pixel has a ray, and the cameras cover all directions."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_there_are_seven_types_of_seven_cameras_with_every_lens_model() -> None:
 
 @types
 @pytest.mark.parametrize("seed", range(4))
-def test_neighbouring_cameras_overlap_and_together_look_all_round(name: str, seed: int) -> None:
+def test_neighbouring_cameras_overlap_and_cover_all_directions(name: str, seed: int) -> None:
     for distance_m in (20.0, 200.0):
         seen = seen_at(vehicle(name, seed=seed), distance_m)
         assert np.any(list(seen.values()), axis=0).all()
@@ -53,7 +53,7 @@ def test_neighbouring_cameras_overlap_and_together_look_all_round(name: str, see
 
 
 @types
-def test_every_pixel_has_a_ray_and_the_view_is_as_wide_as_stated(name: str) -> None:
+def test_every_pixel_has_a_ray_and_the_field_of_view_is_as_stated(name: str) -> None:
     one = vehicle(name, 320)
     for mount in one.kind.mounts:
         rays = one.cameras[mount.camera].rays()
@@ -74,7 +74,7 @@ def test_every_pixel_has_a_ray_and_the_view_is_as_wide_as_stated(name: str) -> N
         (Optics("brown_conrady", 90.0, (-0.1, 0.02, 0.0, 0.0, 0.0)), 0.92),
     ],
 )
-def test_focal_lengths_in_closed_form(optics: Optics, edge: float) -> None:
+def test_focal_lengths_match_the_closed_form(optics: Optics, edge: float) -> None:
     camera = optics.camera(Raster(0.5, 2.0), 1000)
     assert (camera.width_px, camera.height_px) == (500, 250)
     focal = camera.distortion[1] if optics.model == "f_theta" else camera.fx_px
@@ -82,7 +82,7 @@ def test_focal_lengths_in_closed_form(optics: Optics, edge: float) -> None:
 
 
 @types
-def test_cameras_sit_on_their_vehicle(name: str) -> None:
+def test_cameras_are_mounted_on_the_vehicle(name: str) -> None:
     one = vehicle(name)
     size = one.kind.size
     for camera, pose in one.ego_SE3_camera.items():
@@ -93,7 +93,7 @@ def test_cameras_sit_on_their_vehicle(name: str) -> None:
 
 
 @types
-def test_vehicles_of_a_type_differ_by_tolerances_alone(name: str) -> None:
+def test_vehicles_of_a_type_differ_within_tolerances(name: str) -> None:
     first, again, other = vehicle(name), vehicle(name), vehicle(name, seed=6)
     assert first.cameras == again.cameras
     for camera in CANONICAL_CAMERAS:
@@ -113,7 +113,7 @@ def test_calibrations_are_valid_entries_and_exact_without_errors(name: str) -> N
         for entry, truth in zip(one.calibration(stage, Errors.none(), 3, CLOCKS), exact):
             assert Calibration(**entry).time_offset_ns == CLOCKS[entry["camera"]].offset_ns
             assert entry["covariance"] == [0.0] * 36
-            # Poses are made unit again when they are composed.
+            # Quaternions are normalised when poses are composed.
             assert entry["ego_SE3_camera"] == pytest.approx(truth["ego_SE3_camera"], abs=1e-15)
             others = entry.keys() - {"covariance", "method", "time_offset_ns", "ego_SE3_camera"}
             assert all(entry[key] == truth[key] for key in others)
@@ -126,7 +126,7 @@ def test_calibrations_are_valid_entries_and_exact_without_errors(name: str) -> N
 
 
 @types
-def test_own_masks_hold_every_pixel_whose_centre_sees_the_vehicle(name: str) -> None:
+def test_ego_masks_cover_every_pixel_that_shows_the_vehicle(name: str) -> None:
     one = vehicle(name, 120)
     own = make_ego_model(one.kind)
     assert set(own.faces["label"]) == {Label.EGO}
@@ -137,7 +137,7 @@ def test_own_masks_hold_every_pixel_whose_centre_sees_the_vehicle(name: str) -> 
         rays = lens.rays().direction @ matrix_from_quaternion(pose.rotation)[0].T
         centres = cast_rays(own, pose.translation[0], rays.reshape(-1, 3))[1].reshape(mask.shape) >= 0
         assert (centres <= mask).all()
-        # Nowhere is it wider than by the pixels that its edge crosses.
+        # The mask exceeds the vehicle only by the pixels that its edge crosses.
         grown = np.pad(centres, 1)
         near = np.any([np.roll(grown, (a, b), (0, 1)) for a in (-1, 0, 1) for b in (-1, 0, 1)], axis=0)[1:-1, 1:-1]
         assert (mask <= near).mean() > 0.995

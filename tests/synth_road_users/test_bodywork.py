@@ -1,4 +1,4 @@
-"""Looks of vehicles: what a footprint shows is the mean of what its parts show."""
+"""Tests of vehicle appearance: a footprint is the mean of its parts."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ def _mean(one: Records, u: float, v: float, fu: float, fv: float, setting: Recor
     ],
     ids=lambda value: getattr(value, "name", None),
 )
-def test_footprints_are_averaged(material: Material, panel: Panel, half: tuple[float, float], most: float) -> None:
+def test_footprints_are_means_of_samples(
+    material: Material, panel: Panel, half: tuple[float, float], most: float
+) -> None:
     rng, setting = np.random.default_rng(3), _setting()
     errors = []
     for trial in range(40):
@@ -68,7 +70,7 @@ def test_footprints_are_averaged(material: Material, panel: Panel, half: tuple[f
 @pytest.mark.parametrize(
     "material", [Material.PAINT, Material.GLASS, Material.RIM, Material.HEADLIGHT, Material.RUBBER]
 )
-def test_looks_stay_finite_and_within_reason(material: Material) -> None:
+def test_appearance_is_finite_and_bounded(material: Material) -> None:
     setting = _setting()
     for footprint in (0.0, 1e-9, 1.0, 1e6):
         for panel in Panel:
@@ -80,7 +82,7 @@ def test_looks_stay_finite_and_within_reason(material: Material) -> None:
                 assert look[:3].max() < 1.0
 
 
-def test_lamps_burn_only_where_lights_are_on() -> None:
+def test_lamps_emit_light_only_when_switched_on() -> None:
     setting = _setting()
     for material in (Material.HEADLIGHT, Material.TAIL_LIGHT):
         one = np.zeros(1, FACE)

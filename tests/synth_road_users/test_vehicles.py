@@ -1,4 +1,4 @@
-"""Vehicles: closed, planar, on the ground, within their boxes, the same on both sides, with readable plates."""
+"""Tests of vehicles: closed, planar, on the ground, within their boxes, symmetric, with readable plates."""
 
 from __future__ import annotations
 
@@ -94,12 +94,12 @@ def test_same_seed_same_vehicle(make: Maker) -> None:
 
 
 @pytest.mark.parametrize("make", _CARS, ids=lambda make: make.__name__)
-def test_cars_are_cheap(make: Maker) -> None:
+def test_cars_have_few_primitives(make: Maker) -> None:
     assert max(len(make(np.random.default_rng(seed)).model) for seed in range(20)) <= 90
 
 
 @pytest.mark.parametrize("make", [*_LARGE, *_TWO], ids=lambda make: make.__name__)
-def test_other_vehicles_are_cheap(make: Maker) -> None:
+def test_other_vehicles_have_few_primitives(make: Maker) -> None:
     assert max(len(make(np.random.default_rng(seed)).model) for seed in range(20)) <= 150
 
 
@@ -111,7 +111,7 @@ def test_wheels_stand_on_the_ground(make: Maker) -> None:
     for index in rims:
         corners = _corners(model, index)
         assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-9)
-        # The way out of a wheel is the way that its rim faces.
+        # The rim of a wheel faces outwards.
         assert np.sign(corners[0, 1]) == model.faces[index]["normal"][1]
 
 
@@ -131,7 +131,7 @@ def test_plates_are_upright_and_face_out(make: Maker) -> None:
 
 @four_wheeled
 def test_plates_are_not_hidden(make: Maker) -> None:
-    """A ray from two metres before its corners and its middle meets the plate first."""
+    """Rays from 2 m in front of the plate's corners and middle hit the plate first."""
     for seed in (0, 1):
         model = make(np.random.default_rng(seed)).model
         for index in np.flatnonzero(np.isin(model.faces["image"], list(PLATES))):
@@ -161,8 +161,8 @@ def _first(model: Model, start: Float64, way: Float64) -> int:
 
 
 @pytest.mark.parametrize("make", [*_CARS, *_LARGE], ids=lambda make: make.__name__)
-def test_nothing_is_seen_through(make: Maker) -> None:
-    """Level rays at bonnet height and above, from all round, meet an outer side: there are no holes in the shell."""
+def test_bodies_have_no_holes(make: Maker) -> None:
+    """Horizontal rays at bonnet height and above, from all directions, hit an outer side first."""
     rng = np.random.default_rng(1)
     body = make(np.random.default_rng(2))
     length, width, _height = body.size_m
@@ -180,7 +180,7 @@ def _mirrored(model: Model, name: str) -> set[tuple[float, ...]]:
 
 
 @pytest.mark.parametrize("make", _CARS, ids=lambda make: make.__name__)
-def test_left_mirrors_right(make: Maker) -> None:
+def test_bodies_are_symmetric(make: Maker) -> None:
     model = make(np.random.default_rng(4)).model
     there = {tuple(row) for row in (np.round(model.faces["normal"], 9) + 0.0).tolist()}
     assert _mirrored(model, "normal") == there
@@ -189,7 +189,7 @@ def test_left_mirrors_right(make: Maker) -> None:
 
 
 @pytest.mark.parametrize("make", [*_CARS, *_LARGE], ids=lambda make: make.__name__)
-def test_lamps_are_in_pairs_where_they_belong(make: Maker) -> None:
+def test_lamps_are_pairs_at_the_front_and_back(make: Maker) -> None:
     body = make(np.random.default_rng(5))
     faces, half = body.model.faces, 0.5 * body.size_m[0]
     for material, sign in ((Material.HEADLIGHT, 1.0), (Material.TAIL_LIGHT, -1.0)):
@@ -201,7 +201,7 @@ def test_lamps_are_in_pairs_where_they_belong(make: Maker) -> None:
             assert sign * faces["normal"][index, 0] > 0.3
 
 
-def test_every_body_has_its_class() -> None:
+def test_every_body_has_its_category_and_label() -> None:
     classes = {
         "car": (Label.CAR, [cars.build_car]),
         "van": (Label.VAN, [vans.build_van]),
@@ -225,7 +225,7 @@ def test_two_wheelers_are_ridden_or_parked() -> None:
         assert parked.size_m[2] < 1.2 < ridden.size_m[2]
 
 
-def test_colours_are_as_often_as_on_streets() -> None:
+def test_paints_have_realistic_shares() -> None:
     rng = np.random.default_rng(0)
     colours = np.array([draw_car_paint(rng).colour for _ in range(600)])
     grey = colours.max(axis=1) - colours.min(axis=1) < 0.05
@@ -235,7 +235,7 @@ def test_colours_are_as_often_as_on_streets() -> None:
 
 
 @pytest.mark.parametrize("kind", ["saloon", "hatchback", "estate", "suv", "van", "truck", "bus"])
-def test_own_body_stands_about_the_rear_axle(kind: EgoKind) -> None:
+def test_ego_body_is_placed_about_the_rear_axle(kind: EgoKind) -> None:
     measures = {
         "van": Measures(5.53, 2.02, 2.36, 3.40, 1.05), "truck": Measures(8.40, 2.50, 3.40, 4.90, 2.05),
         "bus": Measures(12.00, 2.55, 3.10, 5.90, 3.40),

@@ -1,4 +1,4 @@
-"""Plans that several tests look at; each is made once."""
+"""Cached plans that several tests share."""
 
 from __future__ import annotations
 

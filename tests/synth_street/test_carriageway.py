@@ -1,4 +1,4 @@
-"""Markings: their share of a pixel against many small samples."""
+"""Tests of markings: their share of a pixel against many small samples."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ MARKS = {
 
 
 def sampled(mark, u, v, fu, fv, count=400):
-    """The share of a footprint by samples of whether a place is painted."""
+    """The painted share of a footprint, estimated from point samples."""
     shares = (np.arange(count) + 0.5) / count - 0.5
     x, y = u + fu * shares[:, None], v + fv * shares[None, :]
     inside = (x >= mark.u_m[0]) & (x < mark.u_m[1]) & (y >= mark.v_m[0]) & (y < mark.v_m[1])
@@ -59,7 +59,7 @@ def test_share_of_slanted_stripes(u, v, fu, fv):
     assert mark_share(row[0], u, v, fu, fv) == pytest.approx(sampled(mark, u, v, fu, fv), abs=0.13)
 
 
-def test_mean_over_pixels_is_kept_at_every_footprint():
+def test_mean_over_pixels_is_independent_of_the_footprint():
     row = pack_layouts([[MARKS["dashes"]]])[0]
     for fu in (0.05, 0.5, 2.0, 7.0):
         at = np.linspace(0.0, 90.0, 2000, endpoint=False)
@@ -67,7 +67,7 @@ def test_mean_over_pixels_is_kept_at_every_footprint():
         assert mean == pytest.approx(1.0 / 3.0, abs=0.004)
 
 
-def test_extremes():
+def test_extreme_footprints_are_valid():
     assert stripe_share(0.0, 1e9, -1.0, 1.0, 0.0, 1.0, 0.0) == pytest.approx(2e-9)
     assert stripe_share(5.0, 1e-9, 0.0, 10.0, 0.0, 1.0, 0.0) == pytest.approx(1.0)
     assert stripe_share(-5.0, 1.0, 0.0, 10.0, 2.0, 0.5, 0.0) == 0.0
@@ -80,7 +80,7 @@ def face():
     return one.view(flat(FACE))[0]
 
 
-def test_paint_is_bright_asphalt_dark_and_far_away_it_is_their_mean():
+def test_paint_is_bright_and_distant_markings_are_their_mean():
     table = pack_layouts([(), (solid_line(0.0, 1.0),)])
     rng = np.random.default_rng(0)
     on = np.array([carriageway(face(), table, 1.0, u, 0.0, 0.05, 0.05) for u in rng.uniform(0, 500, 400)])
@@ -93,7 +93,7 @@ def test_paint_is_bright_asphalt_dark_and_far_away_it_is_their_mean():
     assert (far[3:] == 0.0).all()
 
 
-def test_a_footprint_is_the_mean_of_the_small_ones_within_it():
+def test_a_footprint_is_the_mean_of_its_parts():
     table = pack_layouts(
         [(), (dashed_line(0.0, 0.06, 6.0, 3.0), *parking_bays(1.6, 3.8), zebra_marks((2.0, 5.0), 4.0))]
     )

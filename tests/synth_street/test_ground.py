@@ -1,4 +1,4 @@
-"""The ground: without gaps, with crowns, kerbs and gentle slopes; and the heights that are read off it."""
+"""Tests of the ground: no gaps, crowns, kerbs, gentle slopes, and height queries."""
 
 import numpy as np
 import pytest
@@ -11,12 +11,12 @@ from tests.synth_street.scenes import KINDS, plan
 
 
 def level_faces(scene):
-    """Numbers (T,) of all faces of the ground but kerbs' upright ones and bridges."""
+    """Indices (T,) of the ground's faces, without the kerbs' upright faces and bridges."""
     return np.flatnonzero(scene.ground.faces["count"] == 3)[: len(scene.ground_index.triangles)]
 
 
 def triangles_of(scene):
-    """Their corners (T, 3, 3)."""
+    """Corners (T, 3, 3) of the faces from `level_faces`."""
     return scene.ground.corners[scene.ground.faces["first"][level_faces(scene)][:, None] + np.arange(3)]
 
 
@@ -25,7 +25,7 @@ def crossed(a, b):
 
 
 def hits(triangles, x, y):
-    """Heights at which a vertical ray meets triangles, one by one."""
+    """Heights at which a vertical ray hits the triangles, tested one by one."""
     a, b, c = (triangles[:, k, :2] for k in range(3))
     p = np.array([x, y])
     area = crossed(b - a, c - a)
@@ -40,7 +40,7 @@ def hits(triangles, x, y):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_vertical_rays_meet_the_ground_once_where_its_height_is_said_to_be(kind):
+def test_vertical_rays_hit_the_ground_once_at_its_height(kind):
     scene = plan(kind)
     triangles = triangles_of(scene)
     rng = np.random.default_rng(5)
@@ -53,7 +53,7 @@ def test_vertical_rays_meet_the_ground_once_where_its_height_is_said_to_be(kind)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_edge_has_two_sides_that_meet_or_a_kerb_between_them(kind):
+def test_the_ground_is_watertight_apart_from_its_rim(kind):
     scene = plan(kind)
     triangles = triangles_of(scene)
     names = np.round(triangles[..., :2] * 1000).astype(np.int64)
@@ -71,7 +71,7 @@ def test_every_edge_has_two_sides_that_meet_or_a_kerb_between_them(kind):
             rim.append((a, b))
         elif abs(other[1] - za) > 1e-9 or abs(other[0] - zb) > 1e-9:
             steps += 1
-    # Only the rim is open: one ring, whose area is the sum of all.
+    # Only the rim is open: it is one ring, and its area is the sum of all triangles.
     around = shapely.get_parts(shapely.polygonize([shapely.LineString(np.array(edge) / 1000.0) for edge in rim]))
     edge, other = (triangles[:, k, :2] - triangles[:, 0, :2] for k in (1, 2))
     areas = 0.5 * (edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
@@ -84,7 +84,7 @@ def test_every_edge_has_two_sides_that_meet_or_a_kerb_between_them(kind):
     assert (upright.sum() > 400) == (kind in ("urban", "campus"))
 
 
-def test_kerbs_look_to_the_carriageway_and_are_as_high_as_they_should_be():
+def test_kerbs_face_the_carriageway_and_have_the_right_height():
     scene = plan("urban")
     faces = scene.ground.faces
     kerbs = faces[faces["count"] == 4]
@@ -100,11 +100,11 @@ def test_kerbs_look_to_the_carriageway_and_are_as_high_as_they_should_be():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_faces_look_up_and_bear_what_a_renderer_asks_for(kind):
+def test_ground_faces_point_up_and_have_valid_attributes(kind):
     level = level_faces(plan(kind))
     faces = plan(kind).ground.faces
     assert (faces["normal"][level][:, 2] > 0.0).all()
-    # Slivers, where lines meet at a flat angle, may lean.
+    # Slivers between lines at a small angle may be steep.
     triangles = triangles_of(plan(kind))
     edges = triangles - np.roll(triangles, 1, axis=1)
     width = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / np.linalg.norm(edges, axis=2).max(axis=1)
@@ -117,7 +117,7 @@ def test_faces_look_up_and_bear_what_a_renderer_asks_for(kind):
 
 
 @pytest.mark.parametrize(("kind", "street"), [("urban", 0), ("urban", 1), ("campus", 0), ("rural", 0)])
-def test_carriageways_have_their_crown_and_gentle_slopes(kind, street):
+def test_carriageways_have_a_crown_and_gentle_slopes(kind, street):
     scene = plan(kind)
     road = scene.streets[street]
     stations = np.arange(road.line.first_m + 5.0, road.line.last_m - 5.0, 3.0)
@@ -130,13 +130,13 @@ def test_carriageways_have_their_crown_and_gentle_slopes(kind, street):
     slope = np.diff(middle) / 3.0
     assert np.abs(slope).max() < 0.07
     assert np.abs(slope).max() > 0.003
-    # Within its crossings the crown has gone.
+    # Inside crossings there is no crown.
     level = scene.height_m(*road.line.at(middles, 1.5).T) - scene.height_m(*road.line.at(middles, -1.5).T)
     assert np.abs(level).max() < 0.15
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_heights_change_smoothly_but_at_kerbs(kind):
+def test_heights_are_smooth_except_at_kerbs(kind):
     scene = plan(kind)
     rng = np.random.default_rng(2)
     start = rng.uniform(-250.0, 250.0, (4000, 2))
@@ -145,7 +145,7 @@ def test_heights_change_smoothly_but_at_kerbs(kind):
     change = np.abs(scene.height_m(*end.T) - scene.height_m(*start.T))
     shapely.prepare(scene.driven)
     same = shapely.contains_xy(scene.driven, *start.T) == shapely.contains_xy(scene.driven, *end.T)
-    # Ramps at dropped kerbs are the steepest.
+    # Ramps at dropped kerbs have the largest slope.
     assert change[same].max() < 0.02 * 0.2
     assert change.max() < 0.13
     assert abs(float(scene.height_m(0.0, 0.0))) < 0.2
@@ -165,7 +165,7 @@ def test_texture_runs_along_the_street_in_metres():
         np.testing.assert_allclose(corners @ face["v_axis"] + face["v0"], offset, atol=1e-6)
 
 
-def test_places_off_the_ground_are_refused():
+def test_positions_outside_the_ground_are_refused():
     scene = plan("rural")
     for x in (5000.0, np.nan, np.inf):
         with pytest.raises(UsageError, match="no triangle at this position"):
@@ -174,7 +174,7 @@ def test_places_off_the_ground_are_refused():
     assert scene.height_m(np.zeros((2, 3)), 1.0).shape == (2, 3)
 
 
-def test_one_triangle_and_its_edges():
+def test_heights_on_one_triangle_and_its_edges():
     triangle = np.array([[[0.0, 0.0, 1.0], [10.0, 0.0, 2.0], [0.0, 10.0, 3.0]]])
     index = build_ground_index(triangle)
     np.testing.assert_allclose(
@@ -184,7 +184,7 @@ def test_one_triangle_and_its_edges():
         index.height_m(6.0, 6.0)
 
 
-def test_where_a_kerb_stands_the_higher_side_counts():
+def test_the_higher_side_counts_at_a_kerb():
     low = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
     high = np.array([[4.0, 0.0, 0.1], [4.0, 4.0, 0.1], [0.0, 4.0, 0.1]])
     index = build_ground_index(np.stack([low, high]))

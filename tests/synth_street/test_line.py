@@ -1,4 +1,4 @@
-"""Middle lines against the definition of their curvature."""
+"""Tests of middle lines against the definition of their curvature."""
 
 import math
 
@@ -13,21 +13,21 @@ BENDS = (Bend(-40.0, 90.0, 0.5), Bend(70.0, 80.0, -0.6))
 LINE = build_line((3.0, -2.0), 0.4, -150.0, 160.0, BENDS)
 
 
-def test_begins_where_it_is_told_and_turns_by_its_bends():
+def test_line_begins_at_its_place_and_turns_by_its_bends():
     np.testing.assert_allclose(LINE.at(0.0), (3.0, -2.0), atol=1e-12)
     assert float(LINE.heading(0.0)) == pytest.approx(0.4, abs=1e-12)
     turned = float(LINE.heading(LINE.last_m) - LINE.heading(LINE.first_m))
     assert turned == pytest.approx(0.5 - 0.6, abs=1e-9)
 
 
-def test_least_radius_is_that_of_a_raised_cosine():
+def test_least_radius_matches_the_raised_cosine():
     curvature = np.gradient(LINE.headings, LINE.stations)
     assert np.abs(curvature).max() == pytest.approx(2 * 0.6 / 80.0, rel=1e-3)
-    # Without a jump: the derivative of the curvature is bounded.
+    # The curvature is continuous: its derivative is bounded.
     assert np.abs(np.diff(curvature)).max() < 2e-4
 
 
-def test_is_as_long_as_its_stations_say_and_heads_along_itself():
+def test_stations_are_arc_length_and_headings_are_tangents():
     steps = np.diff(LINE.points, axis=0)
     length = np.hypot(*steps.T).sum()
     assert length == pytest.approx(LINE.last_m - LINE.first_m, abs=1e-3)
@@ -35,7 +35,7 @@ def test_is_as_long_as_its_stations_say_and_heads_along_itself():
     np.testing.assert_allclose(heading, LINE.heading(LINE.stations[:-1] + 0.05), atol=1e-5)
 
 
-def test_positions_against_quadrature():
+def test_positions_match_quadrature():
     fine = np.linspace(0.0, 100.0, 200_001)
     heading = LINE.heading(fine)
     for axis, part in enumerate((np.cos, np.sin)):
@@ -46,25 +46,25 @@ def test_positions_against_quadrature():
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(-148.0, 158.0), st.floats(-25.0, 25.0))
-def test_locate_undoes_at(station, offset):
+def test_locate_inverts_at(station, offset):
     found = LINE.locate(LINE.at(np.array([station]), np.array([offset])))
     np.testing.assert_allclose([found[0][0], found[1][0]], [station, offset], atol=1e-4)
 
 
-def test_goes_straight_on_beyond_its_ends():
+def test_line_continues_straight_beyond_its_ends():
     station, offset = LINE.locate(LINE.at(np.array([-170.0, 200.0]), np.array([3.0, -7.0])))
     np.testing.assert_allclose(station, (-170.0, 200.0), atol=1e-9)
     np.testing.assert_allclose(offset, (3.0, -7.0), atol=1e-9)
 
 
-def test_a_line_of_one_place_and_a_huge_offset():
+def test_lines_far_from_the_origin_are_accurate():
     far = build_line((5e6, -4e6), 1.0, 0.0, 30.0)
     np.testing.assert_allclose(far.at(30.0), (5e6 + 30 * math.cos(1.0), -4e6 + 30 * math.sin(1.0)), atol=1e-6)
     station, offset = far.locate(far.at(np.array([12.0]), np.array([2.0])))
     assert station[0] == pytest.approx(12.0, abs=1e-5) and offset[0] == pytest.approx(2.0, abs=1e-5)
 
 
-def test_until_keeps_the_stretch_about_its_middle():
+def test_until_keeps_the_stretch_around_station_0():
     kept = LINE.until(80.0)
     assert np.hypot(*kept.points.T).max() <= 80.0
     assert kept.first_m < 0.0 < kept.last_m

@@ -1,4 +1,4 @@
-"""Layouts of carriageways, narrowed to what reaches each piece."""
+"""Tests of marking layouts that are restricted to the marks of each piece."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from mirror.synth.roads.markings import MARK, restrict_layouts
 from tests.synth_street.scenes import plan
 
 
-def test_narrowed_layouts_paint_every_piece_as_the_whole_ones_do() -> None:
+def test_restricted_layouts_paint_the_same_markings() -> None:
     scene = plan("urban")
     model, short = restrict_layouts(scene.ground, scene.layouts)
     rng = np.random.default_rng(7)

@@ -1,4 +1,4 @@
-"""Lanes: where they lie, how they join, who goes first."""
+"""Tests of lanes: positions, connections, right of way."""
 
 import math
 
@@ -42,7 +42,7 @@ def test_lanes_lie_on_the_ground_in_steps_of_a_metre(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_wheels_keep_to_carriageways_and_feet_to_pavements(kind):
+def test_vehicle_lanes_are_on_carriageways_and_walking_lanes_on_pavements(kind):
     scene = plan(kind)
     inner = scene.driven.buffer(-0.5)
     shapely.prepare(inner)
@@ -66,7 +66,7 @@ def test_traffic_keeps_right(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_everything_named_exists_and_what_ends_inside_goes_on(kind):
+def test_named_lanes_exist_and_inner_lanes_have_successors(kind):
     scene = plan(kind)
     lanes = scene.network.lanes
     for name, lane in lanes.items():
@@ -83,7 +83,7 @@ def test_everything_named_exists_and_what_ends_inside_goes_on(kind):
             assert lane.successors, name
 
 
-def test_an_urban_crossing_has_lights_turns_and_zebras():
+def test_urban_crossings_have_lights_turns_and_zebras():
     lanes = plan("urban").network.lanes
     arriving = [lane for lane in lanes.values() if lane.use == "drive" and lane.signal is not None]
     assert len(arriving) == 4
@@ -100,16 +100,16 @@ def test_an_urban_crossing_has_lights_turns_and_zebras():
     assert {lane.use for lane in lanes.values()} == {"drive", "turn", "park", "cycle", "walk", "cross"}
 
 
-def test_green_times_do_not_meet():
+def test_green_times_of_conflicting_groups_do_not_overlap():
     network = plan("urban").network
     main, cross, over_main, over_cross = network.green_s
     assert main[1] + 3.0 <= cross[0] and cross[1] + 3.0 <= network.cycle_s
-    # Who walks over the main street does so while it stands.
+    # Pedestrians cross the main street while its traffic waits.
     assert cross[0] <= over_main[0] and over_main[1] <= cross[1]
     assert main[0] <= over_cross[0] and over_cross[1] <= main[1]
 
 
-def test_who_turns_left_waits_for_the_oncoming_and_the_minor_street_for_the_major():
+def test_left_turns_and_minor_streets_yield():
     lanes = plan("urban").network.lanes
     left = next(
         lane for name, lane in lanes.items()
@@ -129,7 +129,7 @@ def turn(lane):
     return (heading(lane.line, -1) - heading(lane.line, 0) + math.pi) % (2 * math.pi) - math.pi
 
 
-def test_the_motorway_lets_one_leave_and_join():
+def test_the_motorway_has_exit_and_entry_lanes():
     lanes = plan("highway").network.lanes
     before = next(lane for lane in lanes.values() if any(name.startswith("exit.") for name in lane.successors))
     assert before.lane_id.endswith("drive1+") and len(before.successors) == 2

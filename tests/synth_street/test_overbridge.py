@@ -1,4 +1,4 @@
-"""The bridge over the motorway: high enough, clear of its lanes, in place."""
+"""Tests of the bridge over the motorway: height, clearance from the lanes, position."""
 
 import numpy as np
 import pytest
@@ -15,14 +15,14 @@ def bridge() -> Model:
     return build_overbridge(scene.streets[0], -9.6, float(scene.height_m(*scene.streets[0].line.at(-9.6)))).model
 
 
-def test_normals_point_away_from_what_is_solid(bridge):
+def test_normals_point_out_of_the_bridge(bridge):
     for face in bridge.faces[bridge.faces["label"] != Label.WALL]:
         if face["label"] == Label.TERRAIN or face["label"] == Label.ROAD:
             assert face["normal"][2] > 0.3
     assert bridge.faces.dtype == FACE
 
 
-def test_vehicles_pass_below(bridge):
+def test_vehicles_fit_under_the_bridge(bridge):
     scene = plan("highway")
     lanes = [lane for lane in scene.network.lanes.values() if lane.lane_id.startswith("main.")]
     for face in bridge.faces:
@@ -33,16 +33,16 @@ def test_vehicles_pass_below(bridge):
             if not near.any():
                 continue
             if face["normal"][2] < -0.99:
-                # Its lower side is high enough.
+                # The underside is high enough.
                 assert corners[:, 2].min() - lane.line[near, 2].max() > 4.5
             else:
-                # Slopes run on under the ground, other faces above.
+                # Slopes continue below the ground; the other faces are above it.
                 plane = (face["offset"] - lane.line[near][:, :2] @ face["normal"][:2]) / max(face["normal"][2], 1e-9)
                 over = corners[:, 2].min() - lane.line[near, 2].max() > 4.5
                 assert over or (plane < lane.line[near, 2]).all()
 
 
-def test_nothing_is_built_in_its_way():
+def test_no_lot_or_spot_is_in_the_bridges_way():
     scene = plan("highway")
     outline = build_overbridge(scene.streets[0], -9.6, 0.0).outline
     assert not any(shapely.intersects(outline, lot.outline()) for lot in scene.lots)
@@ -52,7 +52,7 @@ def test_nothing_is_built_in_its_way():
     assert not scene.is_free(*middle)
 
 
-def test_one_may_cross_the_edge_line_beside_slip_roads_alone():
+def test_edge_lines_are_broken_only_beside_slip_roads():
     scene = plan("highway")
     faces = scene.ground.faces
     edge = [

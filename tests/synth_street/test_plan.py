@@ -1,4 +1,4 @@
-"""Plans: where lots and spots are, what repeats and what does not."""
+"""Tests of plans: positions of lots and spots, reproducibility."""
 
 import itertools
 
@@ -13,7 +13,7 @@ from tests.synth_street.scenes import KINDS, plan, roi
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_lots_overlap_neither_each_other_nor_roads(kind):
+def test_lots_do_not_overlap_each_other_or_roads(kind):
     scene = plan(kind)
     outlines = np.array([lot.outline() for lot in scene.lots])
     tree = shapely.STRtree(outlines)
@@ -24,7 +24,7 @@ def test_lots_overlap_neither_each_other_nor_roads(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_lots_turn_their_front_to_a_street(kind):
+def test_fronts_of_lots_face_a_street(kind):
     scene = plan(kind)
     for lot in scene.lots:
         away = np.array([-np.sin(lot.yaw_rad), np.cos(lot.yaw_rad)])
@@ -49,7 +49,7 @@ def test_an_urban_street_is_built_up_on_both_sides():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_spots_stand_beside_the_carriageway_and_look_the_right_way(kind):
+def test_spots_are_beside_the_carriageway_and_face_the_right_way(kind):
     scene = plan(kind)
     places = shapely.points([spot.place[:2] for spot in scene.spots])
     assert shapely.distance(scene.driven, places).min() > 0.3
@@ -60,7 +60,7 @@ def test_spots_stand_beside_the_carriageway_and_look_the_right_way(kind):
         towards = spot.place[:2] + spot.reach_m * np.array([np.cos(spot.yaw_rad), np.sin(spot.yaw_rad)])
         if spot.kind != "gantry":
             assert shapely.contains_xy(scene.driven, *towards), spot
-        # Traffic that comes on this side drives against the facing.
+        # Traffic on this side drives against the facing direction.
         near = [
             lane for lane in scene.network.lanes.values()
             if lane.use == "drive" and np.hypot(*(lane.line[:, :2] - towards).T).min() < 1.0
@@ -85,7 +85,7 @@ def test_guard_rails_run_along_the_motorway_and_leave_its_slip_roads_open():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_free_land_is_clear_of_all(kind):
+def test_free_land_is_clear_of_roads_and_lots(kind):
     scene = plan(kind)
     rng = np.random.default_rng(1)
     x, y = rng.uniform(-150, 150, (2, 400))
@@ -97,7 +97,7 @@ def test_free_land_is_clear_of_all(kind):
 
 
 @pytest.mark.parametrize("kind", ["urban", "campus", "rural"])
-def test_a_street_skims_the_edge_of_the_roi(kind):
+def test_one_street_passes_the_edge_of_the_roi(kind):
     scene = plan(kind)
     edge = next(street for street in scene.streets if street.name == "edge")
     distance = np.hypot(*edge.line.points.T)
@@ -107,7 +107,7 @@ def test_a_street_skims_the_edge_of_the_roi(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_streets_go_on_beyond_the_roi(kind):
+def test_streets_continue_outside_the_roi(kind):
     for street in plan(kind).streets:
         ends = np.hypot(*street.line.at(np.array([street.line.first_m, street.line.last_m])).T)
         assert ends.max() > 200.0
@@ -117,7 +117,7 @@ def test_streets_go_on_beyond_the_roi(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(4))
-def test_streets_meet_at_their_crossings_alone(kind, seed):
+def test_streets_meet_only_at_crossings(kind, seed):
     for radius in (55.0, 120.0, 200.0):
         scheme = SCHEMES[kind](radius, 1.0, np.random.default_rng(seed))
         bands = {
@@ -133,7 +133,7 @@ def test_streets_meet_at_their_crossings_alone(kind, seed):
             assert count == ({first, second} in met), (first, second, radius)
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_another():
+def test_plans_repeat_with_the_seed_and_differ_without():
     first, again, other = (plan_scene(roi("urban", 62.0), 10.0, seed) for seed in (1, 1, 2))
     assert first.ground.faces.tobytes() == again.ground.faces.tobytes()
     assert first.ground.corners.tobytes() == again.ground.corners.tobytes()
@@ -147,13 +147,13 @@ def test_the_same_seed_gives_the_same_bytes_and_another_another():
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", [0, 7])
-def test_small_scenes(kind, seed):
+def test_small_scenes_can_be_planned(kind, seed):
     scene = plan_scene(roi(kind, 50.0), -61.0, seed)
     assert len(scene.network.lanes) >= 6
     assert len(scene.lots) > 3
 
 
 @pytest.mark.parametrize("radius", [1.0, 49.0, 5000.0])
-def test_radii_that_do_not_fit_are_refused(radius):
+def test_radii_out_of_range_are_refused(radius):
     with pytest.raises(UsageError, match="ROI"):
         plan_scene(roi("urban", radius), 0.0, 0)

@@ -1,4 +1,4 @@
-"""Rays against a model's faces in plain numpy: the independent reference."""
+"""Independent reference in numpy: intersections of rays with the faces of a model."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mirror.synth.model import Model
 
 
 def corners_of(model: Model) -> Float64:
-    """Corners (C, 3) face by face, in the faces' order."""
+    """Corners (C, 3), face by face."""
     first, count = model.faces["first"], model.faces["count"]
     begins = np.cumsum(count) - count
     corners: Float64 = model.corners[np.repeat(first - begins, count) + np.arange(count.sum())]
@@ -17,7 +17,7 @@ def corners_of(model: Model) -> Float64:
 
 
 def nearest(model: Model, origins: Float64, directions: Float64, *, fronts_only: bool = False) -> tuple[Int64, Float64]:
-    """Face (N,) that each ray meets first, from either side or from its front only; -1 for none; and its distance."""
+    """First face (N,) that each ray hits, from either side or the front only (-1: none), and its distance."""
     faces = model.faces
     found, distance = np.full(len(origins), -1), np.full(len(origins), np.inf)
     for number, face in enumerate(faces):
@@ -36,7 +36,7 @@ def nearest(model: Model, origins: Float64, directions: Float64, *, fronts_only:
 
 
 def seen_from_behind(model: Model, count: int, seed: int) -> list[int]:
-    """Faces whose back is the first thing that rays from all around meet: where the model is open."""
+    """Faces that rays from all directions first hit from behind: openings of the model."""
     rng = np.random.default_rng(seed)
     low, high = model.bounds()
     middle, reach = 0.5 * (low + high), float(np.linalg.norm(high - low))
@@ -50,7 +50,7 @@ def seen_from_behind(model: Model, count: int, seed: int) -> list[int]:
     found, distance = nearest(model, origins, directions)
     faces = model.faces[found]
     behind = (found >= 0) & (np.einsum("ni,ni->n", faces["normal"], directions) > 1e-9) & ~both[found]
-    # Where two faces lie in one plane, back to back, the front of one may be met at the same distance.
+    # If two faces lie back to back in one plane, the front of one is hit at the same distance.
     _, to_front = nearest(model, origins[behind], directions[behind], fronts_only=True)
     open_ = found[behind][to_front > distance[behind] + 1e-6]
     return sorted(set(open_.tolist()))

@@ -1,4 +1,4 @@
-"""Furniture stands on its foot, looks to +x, and is cheap."""
+"""Tests of furniture: it stands on its foot, faces +x, and has few faces."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def named(maker: Maker) -> str:
 
 @pytest.mark.parametrize("maker", MAKERS, ids=named)
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_small_things(maker: Maker, seed: int) -> None:
+def test_small_furniture_stands_on_its_foot(maker: Maker, seed: int) -> None:
     model = maker(np.random.default_rng(seed))
     low, high = model.bounds()
     assert len(model) <= 130
@@ -39,7 +39,7 @@ def test_small_things(maker: Maker, seed: int) -> None:
     assert maker(np.random.default_rng(seed)).corners.tobytes() == model.corners.tobytes()
 
 
-def test_billboards_take_turns() -> None:
+def test_billboards_change_between_traversals() -> None:
     faces = furniture.billboard(np.random.default_rng(4)).faces
     images = faces[faces["material"] == Material.LIT_IMAGE]
     assert len(images) == 1
@@ -69,7 +69,7 @@ def test_signs_show_their_image_upright(sign: Sign) -> None:
 
 
 @pytest.mark.parametrize("reach", [0.0, 4.5, -4.5])
-def test_lamps_of_traffic_lights(reach: float) -> None:
+def test_traffic_light_lamps_are_indexed_by_colour(reach: float) -> None:
     light = furniture.traffic_light(reach)
     heads = 2 if reach else 1
     heights: list[Float64] = []
@@ -93,7 +93,7 @@ def test_lamps_of_traffic_lights(reach: float) -> None:
 @pytest.mark.parametrize(
     ("kind", "height", "count"), [("arm", 8.0, 1), ("double", 9.0, 2), ("column", 4.6, 1), ("lantern", 4.3, 1)]
 )
-def test_street_lamps_say_where_their_light_is(kind: furniture.LampKind, height: float, count: int) -> None:
+def test_street_lamps_give_their_light_positions(kind: furniture.LampKind, height: float, count: int) -> None:
     post = furniture.lamp_post(kind, height_m=height)
     assert post.lights.shape == (count, 3)
     glow = post.model.faces[post.model.faces["material"] == Material.STREET_LAMP]
@@ -114,7 +114,7 @@ def test_a_gantry_spans_the_road(span: float) -> None:
 
 
 @pytest.mark.parametrize("kind", ["guard", "fence", "wall"])
-def test_what_runs_along_a_line_follows_it(kind: str) -> None:
+def test_rails_follow_their_line(kind: str) -> None:
     rng = np.random.default_rng(0)
     model = {
         "guard": lambda: furniture.guard_rail(LINE),

@@ -1,4 +1,4 @@
-"""Houses stand within their lots, are closed, and are cheap."""
+"""Tests of houses: within their lots, closed, with few faces."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.synth_street_houses.rays import seen_from_behind
 
 STYLES = get_args(HouseStyle)
 OVER_M = 1.35
-"""Balconies and awnings reach so far over the street; eaves and foundations less, to all sides."""
+"""Overhang of balconies and awnings over the street; eaves and foundations overhang less, on all sides."""
 
 
 def built(style: HouseStyle, seed: int, length: float = 16.0, depth: float = 12.0) -> Model:
@@ -26,7 +26,7 @@ def built(style: HouseStyle, seed: int, length: float = 16.0, depth: float = 12.
 @pytest.mark.parametrize("style", STYLES)
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 10**6), length=st.floats(9.0, 60.0), depth=st.floats(8.0, 34.0))
-def test_within_its_lot(style: HouseStyle, seed: int, length: float, depth: float) -> None:
+def test_houses_stay_within_their_lot(style: HouseStyle, seed: int, length: float, depth: float) -> None:
     low, high = built(style, seed, length, depth).bounds()
     assert low[0] >= -0.5 * length - 0.05
     assert high[0] <= 0.5 * length + 0.05
@@ -38,12 +38,12 @@ def test_within_its_lot(style: HouseStyle, seed: int, length: float, depth: floa
 
 @pytest.mark.parametrize("style", STYLES)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_no_face_is_first_seen_from_behind(style: HouseStyle, seed: int) -> None:
+def test_houses_are_closed(style: HouseStyle, seed: int) -> None:
     assert seen_from_behind(built(style, seed, 26.0, 20.0), 700, seed) == []
 
 
 @pytest.mark.parametrize("style", STYLES)
-def test_few_faces(style: HouseStyle) -> None:
+def test_houses_have_few_faces(style: HouseStyle) -> None:
     counts = [len(built(style, seed)) for seed in range(12)]
     assert np.mean(counts) <= 130
     assert max(counts) <= 210
@@ -79,7 +79,7 @@ def test_walls_with_windows_hold_whole_storeys(style: HouseStyle) -> None:
             assert 2 * wall["half"][0] / columns > 0.75 * pattern.width_m
 
 
-def test_signs_and_doors_are_upright_and_look_out() -> None:
+def test_signs_and_doors_are_upright_and_face_outwards() -> None:
     found = 0
     for style in ("stucco", "shophouse", "brick"):
         for seed in range(6):
@@ -96,7 +96,7 @@ def slope(x: float, y: float) -> np.float64:
     return np.float64(0.01 * x - 0.02 * y)
 
 
-def test_far_things_stand_all_round() -> None:
+def test_the_skyline_covers_all_directions() -> None:
     for model in (
         build_far_houses(np.random.default_rng(2), 300.0, 420.0, (9.0, 30.0), slope),
         build_far_woods(np.random.default_rng(2), 300.0, 450.0, (9.0, 15.0), slope),

@@ -1,4 +1,4 @@
-"""Worlds: houses on their lots, furniture off the carriageways, lights by group."""
+"""Tests of worlds: houses on their lots, furniture beside the carriageways, lights by group."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_urban_has_thousands_of_primitives() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nothing_stands_on_carriageways(kind: Kind) -> None:
+def test_carriageways_are_free_of_objects(kind: Kind) -> None:
     found = world(kind)
     corners, faces = corners_of(found.model), found.model.faces
     label = np.repeat(faces["label"], faces["count"])
@@ -63,8 +63,8 @@ def test_houses_stand_on_the_ground(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_it_looks_closed_from_the_middle(kind: Kind) -> None:
-    """Something far stands in nearly every direction, above eye height."""
+def test_the_horizon_is_closed_around_the_middle(kind: Kind) -> None:
+    """In nearly every direction a distant object rises above eye height."""
     found = world(kind)
     faces, places = found.model.faces, middles(found)
     far = (np.hypot(places[:, 0], places[:, 1]) > 220.0) & ~np.isin(faces["label"], GROUND)
@@ -72,7 +72,7 @@ def test_it_looks_closed_from_the_middle(kind: Kind) -> None:
     assert np.diff(bearings).max() < 0.15
 
 
-def test_signals_burn_by_group_and_time() -> None:
+def test_signal_lamps_are_lit_by_group_and_time() -> None:
     found = world("urban")
     network = found.network
     assert len(found.lights) >= 2
@@ -95,7 +95,7 @@ def test_signals_burn_by_group_and_time() -> None:
     assert (found.model.faces["lights"] == 0).all()
 
 
-def test_no_leaf_comes_before_what_is_numbered() -> None:
+def test_signal_lamps_precede_the_leaves_among_the_faces() -> None:
     found = world("urban")
     first = np.flatnonzero(found.model.faces["material"] == Material.LEAVES)[0]
     assert max(int(light.red.max()) for light in found.lights.values()) < first

@@ -1,4 +1,4 @@
-"""Grains and images: means, seams, levels, the same in every process and thread."""
+"""Tests of grains and images: means, seams, levels, reproducibility across processes and threads."""
 
 import hashlib
 import subprocess
@@ -48,7 +48,7 @@ def test_index_covers_the_texels_without_gap_or_overlap() -> None:
 
 
 @pytest.mark.parametrize("grain", list(Grain))
-def test_grains_have_a_mean_of_one_on_every_level(grain: Grain) -> None:
+def test_grains_have_mean_one_on_every_level(grain: Grain) -> None:
     for level in levels_of(grain):
         assert abs(level.mean(dtype=np.float64) - 1.0) < 2e-7
     fine = levels_of(grain)[0]
@@ -61,31 +61,31 @@ def test_grains_have_no_seam(grain: Grain) -> None:
     fine = levels_of(grain)[0].astype(np.float64)
     for axis in (0, 1):
         steps = np.abs(np.diff(fine, axis=axis, append=np.take(fine, [0], axis=axis))).mean(axis=1 - axis)
-        # The step over the edge is one as others are; joints make some of them large.
+        # The step across the edge is like other steps; joints make some of them large.
         assert steps[-1] < 1.1 * steps[:-1].max()
 
 
 @pytest.mark.parametrize("grain", list(Grain))
-def test_contrast_falls_from_level_to_level_and_vanishes(grain: Grain) -> None:
+def test_contrast_decreases_from_level_to_level(grain: Grain) -> None:
     spread = [level.std(dtype=np.float64) for level in levels_of(grain)]
     assert all(after <= before + 1e-7 for before, after in pairwise(spread))
     flat = int(atlas().grain_index[grain, 3])
     assert spread[flat] < 0.002 <= spread[flat - 1]
-    # The variance within fours and the variance between them make the whole.
+    # The variance within 2 x 2 blocks plus the variance between blocks is the total variance.
     fine = levels_of(grain)[0].astype(np.float64)
     blocks = fine.reshape(len(fine) // 2, 2, len(fine) // 2, 2).transpose(0, 2, 1, 3).reshape(-1, 4)
     assert blocks.var(axis=1).mean() + spread[1] ** 2 == pytest.approx(spread[0] ** 2, rel=1e-4)
 
 
 @pytest.mark.parametrize("number", [0, 27, 41, 57, 75, 92, 103, 125, 133, 141, 160, 200, 443])
-def test_levels_of_images_are_means_of_light(number: int) -> None:
+def test_image_levels_are_means_in_linear_light(number: int) -> None:
     levels = levels_of_image(number)
     light = (levels[0] / 255.0) ** 2
     np.testing.assert_array_equal(levels[0], draw_image(number))
     for level in levels[1:]:
         h, w = light.shape[0] // 2, light.shape[1] // 2
         light = light[: 2 * h, : 2 * w].reshape(h, 2, w, 2, 3).mean(axis=(1, 3))
-        # Half a step of the root.
+        # Half a step of the square-root encoding.
         assert np.abs(np.sqrt(light) * 255.0 - level).max() < 0.502
 
 
@@ -103,7 +103,7 @@ def digest(full: Atlas) -> str:
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
-def test_threads_get_one_atlas_and_another_process_the_same_bytes() -> None:
+def test_atlas_is_shared_by_threads_and_equal_across_processes() -> None:
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda _: atlas(), range(8)))
     assert all(one is found[0] for one in found)
@@ -112,7 +112,7 @@ def test_threads_get_one_atlas_and_another_process_the_same_bytes() -> None:
     assert other.stdout.strip() == digest(found[0])
 
 
-def test_drawing_does_not_depend_on_what_was_drawn_before() -> None:
+def test_images_do_not_depend_on_the_order_of_drawing() -> None:
     again = [draw_image(number) for number in (443, 103, 0)]
     for number, image in zip((443, 103, 0), again):
         np.testing.assert_array_equal(image, levels_of_image(number)[0])

@@ -1,4 +1,4 @@
-"""What images show: readable plates, signs of the right colours, words that fit."""
+"""Tests of images: readable plates, sign colours, words that fit their box."""
 
 import re
 
@@ -16,7 +16,7 @@ from mirror.synth.textures.plates import plate_image, plate_text
 CHARACTERS = "ABCDEFGHJKLMNPRSTUVWXYZ0123456789"
 
 
-def test_plates_all_differ_and_read_as_plates_do() -> None:
+def test_plates_differ_and_have_valid_texts() -> None:
     texts = [plate_text(number) for number in PLATES]
     assert len(set(texts)) == len(texts) == 256
     assert all(re.fullmatch(r"[A-HJ-NPR-Z]{2} [A-HJ-NPR-Z]{2} \d{3}", text) for text in texts)
@@ -28,14 +28,14 @@ def test_plates_all_differ_and_read_as_plates_do() -> None:
 
 
 def stamp(sign: str) -> np.ndarray:
-    """A character as a reader would learn it: another size than the plate's."""
+    """Template of a character, in another size than on the plate."""
     image = new_image(60, 100, (226, 226, 221))
     letter(image, sign, (0, 0, 60 if sign.isalpha() else 57, 100), (26, 26, 28), 13)
     return cv2.resize(image, (24, 40), interpolation=cv2.INTER_AREA)[..., 0].astype(np.float32)
 
 
 def read(image: np.ndarray) -> str:
-    """Characters by connected dark pieces and the nearest template."""
+    """Read the characters from connected dark components and the nearest template."""
     grey = cv2.resize(image, (520, 110), interpolation=cv2.INTER_CUBIC)[..., 0]
     _, _, stats, _ = cv2.connectedComponentsWithStats((grey < 120).astype(np.uint8))
     boxes = [box for box in stats[1:].tolist() if 55 < box[3] < 90 and box[2] < 60 and box[0] > 48]
@@ -94,7 +94,7 @@ def test_signs_have_their_colours() -> None:
 
 @pytest.mark.parametrize("words", ["A", "Bäckerei Mohnblatt", "-30 %", "青松茶馆"])
 @pytest.mark.parametrize("box", [(10, 10, 290, 90), (10, 40, 290, 60), (100, 10, 140, 90)])
-def test_words_stay_in_their_box(words: str, box: tuple[int, int, int, int]) -> None:
+def test_words_stay_within_their_box(words: str, box: tuple[int, int, int, int]) -> None:
     image = new_image(300, 100, (0, 0, 0))
     write(image, words, box, (255, 255, 255), weight=700, style="uni" if ord(words[0]) > 999 else "sans")
     rows, columns = np.flatnonzero(image.any(axis=(1, 2))), np.flatnonzero(image.any(axis=(0, 2)))
@@ -116,7 +116,7 @@ def test_letters_fill_their_box() -> None:
         assert abs(dark[0] - 5) <= 3 and abs(dark[-1] - 94) <= 3
 
 
-def test_drawing_on_edges_and_on_nothing() -> None:
+def test_drawing_at_the_edges_stays_in_range() -> None:
     image = new_image(40, 30, (10, 20, 30))
     rounded_rectangle(image, (5, 5, 5, 5), 8, (200, 0, 0))
     glow(image, -100.0, 50.0, 5.0, 1.0)

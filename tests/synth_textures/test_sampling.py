@@ -1,4 +1,4 @@
-"""Means over pixels against means of many samples."""
+"""Tests of texture sampling: means over pixels against means of many samples."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ FULL = atlas()
 
 
 def pixels(count: int, ratio: float, texels: tuple[float, float], seed: int) -> np.ndarray:
-    """Parallelograms (N, 6) in texels: places on a unit square, then both sides; turned and leaning at random."""
+    """Random parallelograms (N, 6) in texels: position on a unit square, then both sides."""
     rng = np.random.default_rng(seed)
     wide = np.exp(rng.uniform(*np.log(texels), count))
     turn, lean = rng.uniform(0, 2 * np.pi, count), rng.uniform(-0.3, 0.3, count)
@@ -35,7 +35,7 @@ def images(number: int, at: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def exact(texels: np.ndarray, at: np.ndarray, count: int, repeat: bool) -> np.ndarray:
-    """Means of bilinear values at count x count places, in float64; (H, W, C) texels, places and sides in texels."""
+    """Means of bilinear values at count x count points, in float64; texels (H, W, C), positions in texels."""
     high, wide, channels = texels.shape
     out = np.zeros((len(at), channels))
     for k in range(len(at)):
@@ -77,24 +77,24 @@ def light(number: int) -> np.ndarray:
     [(Grain.PLASTER, 0.13), (Grain.STAINS, 0.04), (Grain.PAVING, 0.12), (Grain.BRICK, 0.11),
      (Grain.CONCRETE, 0.09), (Grain.GRASS, 0.15), (Grain.ASPHALT, 0.40)],
 )  # fmt: skip
-def test_grains_meet_the_mean_over_the_pixel(grain: Grain, most: float, ratio: float) -> None:
+def test_grain_samples_match_the_mean_over_the_pixel(grain: Grain, most: float, ratio: float) -> None:
     texels, scale = finest(grain)
     at = pixels(300, ratio, (0.7, 12.0), 5)
     at[:, :2] *= len(texels)
     wanted = exact(texels, at, 32, True)[:, 0]
     error = np.sqrt(np.mean((grains(grain, at / scale) - wanted) ** 2))
-    # A share of the contrast that is left at these sizes of pixels.
+    # A share of the remaining contrast at these pixel sizes.
     assert error < most * wanted.std()
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0, 4.0, 8.0])
 @pytest.mark.parametrize("number", [SHOP_SIGNS[1], BILLBOARDS[3], TRAFFIC_SIGNS[0], DIRECTION_SIGNS[0], PLATES[7]])
-def test_images_meet_the_mean_over_the_pixel(number: int, ratio: float) -> None:
+def test_image_samples_match_the_mean_over_the_pixel(number: int, ratio: float) -> None:
     texels = light(number)
     high, wide = texels.shape[:2]
     at = pixels(3000, ratio, (0.7, min(8.0, high / (3 * ratio))), 6)
     at[:, :2] *= (wide, high)
-    # Within the image: its face ends where it does.
+    # Inside the image, because its face ends at its border.
     reach = 0.5 * (np.abs(at[:, 2:4]) + np.abs(at[:, 4:6]))
     inside = ((at[:, :2] - reach > 0) & (at[:, :2] + reach < (wide, high))).all(axis=1)
     at = at[inside][:300]
@@ -106,7 +106,7 @@ def test_images_meet_the_mean_over_the_pixel(number: int, ratio: float) -> None:
 
 
 @pytest.mark.parametrize("grain", [Grain.ASPHALT, Grain.STAINS, Grain.LEAVES])
-def test_tiny_pixels_read_between_texels(grain: Grain) -> None:
+def test_tiny_pixels_interpolate_texels(grain: Grain) -> None:
     texels, scale = finest(grain)
     at = pixels(200, 1.0, (1e-4, 1e-3), 7)
     at[:, :2] *= len(texels)
@@ -114,7 +114,7 @@ def test_tiny_pixels_read_between_texels(grain: Grain) -> None:
     np.testing.assert_allclose(grains(grain, at / scale), wanted, atol=2e-4)
 
 
-def test_huge_pixels_see_the_mean() -> None:
+def test_huge_pixels_show_the_mean() -> None:
     for size in (1e2, 1e4, 1e8):
         for grain in Grain:
             assert grain_at(FULL.grains, FULL.grain_index, int(grain), 1.0, 2.0, size, 0.0, 0.0, size) == 1.0
@@ -129,7 +129,7 @@ def test_huge_pixels_see_the_mean() -> None:
     st.integers(-5, 5), st.integers(-5, 5),
 )  # fmt: skip
 @settings(max_examples=150, deadline=None)
-def test_grains_repeat(
+def test_grains_tile(
     grain: Grain, u: float, v: float, turn: float, wide: float, ratio: float, right: int, up: int
 ) -> None:
     period = 1.0 / FULL.grain_index[grain, 2] * 2 ** FULL.grain_index[grain, 1]
@@ -145,7 +145,7 @@ def test_grains_repeat(
     st.floats(-3, 4), st.floats(-3, 4), *[st.floats(-3, 3)] * 4,
 )  # fmt: skip
 @settings(max_examples=150, deadline=None)
-def test_images_stay_within_their_colours(
+def test_image_samples_stay_within_the_texels_range(
     number: int, s: float, t: float, s1: float, t1: float, s2: float, t2: float
 ) -> None:
     texels = light(number)
@@ -153,7 +153,7 @@ def test_images_stay_within_their_colours(
     assert (colour >= texels.min(axis=(0, 1)) - 0.01).all() and (colour <= texels.max(axis=(0, 1)) + 0.01).all()
 
 
-def test_a_image_stands_upright_and_is_not_mirrored() -> None:
+def test_images_are_upright_and_not_mirrored() -> None:
     texels = light(PLATES[0])
     for s, t in ((0.02, 0.97), (0.05, 0.5), (0.9, 0.1)):
         row, column = int((1 - t) * texels.shape[0]), int(s * texels.shape[1])
@@ -164,7 +164,7 @@ def test_a_image_stands_upright_and_is_not_mirrored() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, 1e18])
-def test_what_is_no_place_reads_no_memory_outside(bad: float) -> None:
+def test_invalid_coordinates_read_no_memory_outside(bad: float) -> None:
     for place in range(6):
         row = [0.3, 0.4, 0.01, 0.0, 0.0, 0.01]
         row[place] = bad
@@ -174,8 +174,8 @@ def test_what_is_no_place_reads_no_memory_outside(bad: float) -> None:
         assert np.isnan(colour).any() or ((colour >= 0.0) & (colour <= 1.0)).all()
 
 
-def test_degenerate_pixels() -> None:
-    """Without area, or a line."""
+def test_degenerate_pixels_are_valid() -> None:
+    """Pixels without area, and pixels that are a line."""
     for sides in ((0, 0, 0, 0), (1, 0, 0, 0), (0, 0, 0, 1), (0.1, 0.1, 0.1, 0.1), (1e-12, 0, 0, 5)):
         assert 0.0 < grain_at(FULL.grains, FULL.grain_index, 2, 0.3, 0.2, *sides) < 3.0
         assert all(0.0 <= part <= 1.0 for part in image_at(FULL.images, FULL.image_index, 3, 0.3, 0.2, *sides))

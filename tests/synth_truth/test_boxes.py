@@ -1,4 +1,4 @@
-"""Visibility and extents of objects of which it is known what hides them."""
+"""Tests of visibility and pixel bounds for objects with known occlusion."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def box(x: float, y: float, size: tuple[float, float, float], z: float = 1.5) ->
 
 
 def drawn(posed_objects: dict[int, PosedObject], camera: Camera = CAMERA, pose: Poses = FORWARD) -> np.ndarray:
-    """The numbers of the objects at the pixels' centres."""
+    """Object numbers at the pixel centres."""
     rays = (camera.rays().direction @ matrix_from_quaternion(pose.rotation)[0].T).reshape(-1, 3)
     nearest, numbers = np.full(len(rays), np.inf), np.full(len(rays), -1, np.int32)
     for number, one in posed_objects.items():
@@ -30,17 +30,17 @@ def drawn(posed_objects: dict[int, PosedObject], camera: Camera = CAMERA, pose: 
     return numbers.reshape(camera.height_px, camera.width_px)
 
 
-def test_what_nothing_hides_is_seen_wholly_and_has_its_projection_for_bounds() -> None:
+def test_unoccluded_objects_are_fully_visible_within_their_projection() -> None:
     posed_objects = {7: box(11.0, 0.0, (2.0, 1.0, 1.0))}
     seen = measure_visibility(drawn(posed_objects), CAMERA, FORWARD, posed_objects)
-    # The front face at 10 m, half a metre to each side: 6 pixels.
+    # The front face is at 10 m, half a metre to each side: 6 pixels.
     assert seen.number.tolist() == [7]
     assert seen.visibility.tolist() == [1.0]
     assert seen.bounds_px.tolist() == [[74.0, 54.0, 86.0, 66.0]]
     assert seen.pixels.tolist() == [144]
 
 
-def test_a_half_hidden_one_is_seen_by_half_and_a_hidden_one_not_at_all() -> None:
+def test_visibility_of_half_and_fully_hidden_objects() -> None:
     posed_objects = {
         0: box(21.0, 0.0, (2.0, 2.0, 2.0)),
         1: box(10.5, -2.0, (1.0, 4.0, 4.0)),
@@ -54,7 +54,7 @@ def test_a_half_hidden_one_is_seen_by_half_and_a_hidden_one_not_at_all() -> None
     assert seen.bounds_px[0].tolist() == [74.0, 54.0, 80.0, 66.0]
 
 
-def test_what_lies_outside_the_raster_counts_in_neither() -> None:
+def test_pixels_outside_the_raster_do_not_count() -> None:
     half_out = {0: box(10.5, 80.0 / 120.0 * 10.0, (1.0, 2.0, 1.0)), 1: box(-9.0, 0.0, (1.0, 1.0, 1.0))}
     seen = measure_visibility(drawn(half_out), CAMERA, FORWARD, half_out)
     assert seen.number.tolist() == [0]
@@ -62,7 +62,7 @@ def test_what_lies_outside_the_raster_counts_in_neither() -> None:
     assert seen.bounds_px[0, 0] == 0.0
 
 
-def test_large_ones_are_judged_by_a_coarser_grid() -> None:
+def test_large_objects_use_a_coarser_grid() -> None:
     camera = Camera("kannala_brandt", 640, 480, 300.0, 300.0, 320.0, 240.0, (-0.01, 0.0, 0.0, 0.0))
     posed_objects = {0: box(4.0, 0.3, (2.0, 3.0, 2.5)), 1: box(2.2, 0.0, (0.2, 0.4, 3.0))}
     numbers = drawn(posed_objects, camera)
@@ -72,7 +72,7 @@ def test_large_ones_are_judged_by_a_coarser_grid() -> None:
     assert seen.pixels.tolist() == [(numbers == 0).sum(), (numbers == 1).sum()]
 
 
-def test_an_object_within_another_box_and_round_ones_are_told_apart() -> None:
+def test_nested_and_round_objects_are_distinguished() -> None:
     ball = ellipsoid((12.0, 1.0, 1.5), (1.0, 1.0, 1.0), GREY, Material.PLAIN, Label.PERSON)
     posed_objects = {
         3: PosedObject(ball, Poses(np.array([[1.0, 0, 0, 0]]), np.array([[12.0, 1.0, 1.5]])), (1.0, 1.0, 1.0))
@@ -84,7 +84,7 @@ def test_an_object_within_another_box_and_round_ones_are_told_apart() -> None:
     assert seen.bounds_px[0].tolist() == [u.min(), v.min(), u.max() + 1, v.max() + 1]
 
 
-def test_a_pixel_of_the_image_counts_though_no_ray_met_it() -> None:
+def test_image_pixels_count_even_without_a_sampled_ray() -> None:
     thin = {0: box(30.0, 0.02, (1.0, 0.001, 1.0))}
     numbers = np.full((120, 160), -1, np.int32)
     assert len(measure_visibility(numbers, CAMERA, FORWARD, thin)) == 0
@@ -93,7 +93,7 @@ def test_a_pixel_of_the_image_counts_though_no_ray_met_it() -> None:
     assert (seen.pixels.tolist(), seen.visibility.tolist()) == ([1], [1.0])
 
 
-def test_no_objects_are_none() -> None:
+def test_an_empty_list_of_objects_gives_no_rows() -> None:
     nothing = np.full((120, 160), -1, np.int32)
     assert len(measure_visibility(nothing, CAMERA, FORWARD, {})) == 0
     hidden = measure_visibility(nothing, CAMERA, FORWARD, {0: box(9.0, 0.0, (1.0, 1.0, 1.0))})

@@ -1,4 +1,4 @@
-"""Rays against surfaces whose intersections are known in closed form."""
+"""Tests of ray casting against closed-form intersections."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def rays(count: int, seed: int = 0) -> np.ndarray:
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def test_a_plane_is_met_where_the_ray_crosses_it() -> None:
+def test_plane_intersections_match_the_closed_form() -> None:
     down = rays(4000) * (1, 1, -1)
     down[:, 2] = -np.abs(down[:, 2])
     origin = np.array([0.3, -0.2, 1.7])
@@ -41,7 +41,7 @@ def test_a_plane_is_met_where_the_ray_crosses_it() -> None:
     assert 500 < inside.sum() < 3500
 
 
-def test_a_sphere_is_met_where_algebra_says() -> None:
+def test_sphere_intersections_match_the_closed_form() -> None:
     centre, radius = np.array([5.0, 2.0, 1.0]), 1.5
     aim = centre + rays(3000) * np.linspace(0, 2.5, 3000)[:, None]
     directions = aim / np.linalg.norm(aim, axis=1, keepdims=True)
@@ -53,7 +53,7 @@ def test_a_sphere_is_met_where_algebra_says() -> None:
     assert np.abs(distance[room > 0] - expected).max() < 1e-6
 
 
-def test_an_ellipsoid_far_away_keeps_its_distance() -> None:
+def test_distances_of_far_ellipsoids_are_exact() -> None:
     far = 1e5
     model = ellipsoid((far, 0, 0), (2.0, 4.0, 1.0), GREY, Material.PLAIN, Label.TERRAIN, yaw=0.0)
     distance, index = cast_rays(
@@ -64,7 +64,7 @@ def test_an_ellipsoid_far_away_keeps_its_distance() -> None:
     assert distance[1] == pytest.approx(far - np.sqrt(1 - 0.95**2), abs=1e-3)
 
 
-def test_the_nearest_surface_wins_and_rounds_count_on_after_faces() -> None:
+def test_the_nearest_surface_wins_and_ellipsoids_are_numbered_after_faces() -> None:
     model = merge_models([square(z=0.0), square(z=-3.0), ball((0, 0, 4.0), 1.0)])
     down, up = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 2.0]])
     assert [value[0] for value in cast_rays(model, np.array([0.1, 0.0, 2.0]), down)] == [2.0, 0]
@@ -72,7 +72,7 @@ def test_the_nearest_surface_wins_and_rounds_count_on_after_faces() -> None:
     assert (distance[0], index[0]) == (0.5, 2)
 
 
-def test_faces_are_seen_from_outside_unless_they_have_two_sides() -> None:
+def test_one_sided_faces_are_visible_only_from_outside() -> None:
     up = np.array([[0.0, 0.0, 1.0]])
     below = np.array([0.1, 0.2, -1.0])
     assert cast_rays(square(), below, up)[1][0] == NOTHING
@@ -80,14 +80,14 @@ def test_faces_are_seen_from_outside_unless_they_have_two_sides() -> None:
     assert cast_rays(square(), np.array([0.1, 0.2, 0.0]), up)[1][0] == NOTHING
 
 
-def test_nothing_stands_in_an_empty_model_and_rays_may_be_none() -> None:
+def test_empty_models_and_empty_rays_are_accepted() -> None:
     assert np.isinf(cast_rays(Model.empty(), np.zeros(3), rays(5))[0]).all()
     assert cast_rays(square(), np.zeros(3), np.zeros((0, 3)))[1].shape == (0,)
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.1, 30.0), st.floats(-3.0, 3.0))
-def test_moving_everything_changes_nothing(seed: int, shift: float, yaw: float) -> None:
+def test_casting_is_invariant_to_rigid_motions(seed: int, shift: float, yaw: float) -> None:
     model = merge_models(
         [block((4, 0, 1), (2, 3, 2), GREY, Material.PLAIN, Label.CAR, slope=(0.2, 0.1)), ball((-5, 1, 0), 2)]
     )
@@ -102,9 +102,9 @@ def test_moving_everything_changes_nothing(seed: int, shift: float, yaw: float) 
     assert np.abs(first[0][same] - again[0][same]).max(initial=0.0) < 1e-9
 
 
-def test_the_mask_of_a_plate_before_a_pinhole_is_its_projection() -> None:
+def test_ego_mask_of_a_plate_is_its_projection() -> None:
     camera = Camera("pinhole", 64, 48, 40.0, 40.0, 32.0, 24.0)
-    # 2 m ahead in the ego frame, 5.2 pixels to each side of the axis.
+    # The plate is 2 m ahead in the ego frame and covers 5.2 pixels on each side of the axis.
     h = 2.0 * 5.2 / 40.0
     plate = polygon([(2, h, -h), (2, -h, -h), (2, -h, h), (2, h, h)], GREY, Material.PLAIN, Label.EGO)
     forward, backward = (

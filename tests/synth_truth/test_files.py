@@ -1,4 +1,4 @@
-"""Truth is read back as it was written; broken files are named."""
+"""Tests that truth is read back as written and that broken files are reported."""
 
 from pathlib import Path
 
@@ -41,7 +41,7 @@ IMAGES = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_image_of_every_kind_is_read_back(tmp_path: Path, kind: str) -> None:
+def test_truth_images_of_every_kind_are_read_back(tmp_path: Path, kind: str) -> None:
     given, least = IMAGES[kind]
     file = truth_file(tmp_path, kind, "rear", 12)
     file.parent.mkdir(parents=True)
@@ -57,7 +57,7 @@ def test_a_image_of_every_kind_is_read_back(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_missing_or_broken_image_is_named(tmp_path: Path, kind: str) -> None:
+def test_missing_and_broken_truth_images_are_reported(tmp_path: Path, kind: str) -> None:
     with pytest.raises(RecordingError, match="missing") as caught:
         read_truth_image(tmp_path, kind, "rear", 12)
     assert caught.value.file == str(truth_file(tmp_path, kind, "rear", 12))
@@ -69,7 +69,7 @@ def test_a_missing_or_broken_image_is_named(tmp_path: Path, kind: str) -> None:
             read_truth_image(tmp_path, kind, "rear", 12)
 
 
-def test_a_mask_of_another_kind_is_refused(tmp_path: Path) -> None:
+def test_masks_of_another_type_are_refused(tmp_path: Path) -> None:
     file = truth_file(tmp_path, "semantic", "rear", 1)
     file.parent.mkdir(parents=True)
     file.write_bytes(KINDS["instance"].encode(IMAGES["instance"][0]))
@@ -77,7 +77,7 @@ def test_a_mask_of_another_kind_is_refused(tmp_path: Path) -> None:
         read_truth_image(tmp_path, "semantic", "rear", 1)
 
 
-def test_the_document_says_what_the_masks_mean(tmp_path: Path) -> None:
+def test_truth_document_lists_labels_and_objects(tmp_path: Path) -> None:
     roi = Roi(scene_id="town", longitude_deg=8.0, latitude_deg=49.0, height_m=110.0)
     written = write_document(tmp_path, roi, ("depth", "instance"), (TruthObject(track_id="t-1", category="car"),))
     truth = Truth(tmp_path)
@@ -86,7 +86,7 @@ def test_the_document_says_what_the_masks_mean(tmp_path: Path) -> None:
     assert truth.document.scene == roi
 
 
-def test_no_truth_and_a_foreign_document_are_named(tmp_path: Path) -> None:
+def test_missing_truth_and_foreign_documents_are_reported(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="missing"):
         _ = Truth(tmp_path).document
     with pytest.raises(DatasetError, match="missing"):

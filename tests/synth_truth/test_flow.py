@@ -1,4 +1,4 @@
-"""Flow against closed forms, and against points that are projected one by one."""
+"""Tests of flow against closed forms and individually projected points."""
 
 import numpy as np
 import pytest
@@ -21,23 +21,23 @@ def moved(*twist: float) -> Poses:
 
 
 def wall(camera: Camera, depth_m: float) -> np.ndarray:
-    """Distances to the plane z = depth before the camera."""
+    """Distances to the plane z = depth in front of the camera."""
     return depth_m / camera.rays().direction[..., 2]
 
 
-def test_sideways_before_a_wall_all_moves_alike() -> None:
+def test_sideways_motion_before_a_wall_gives_uniform_flow() -> None:
     flow = static_flow(wall(PINHOLE, 5.0), PINHOLE, STILL, PINHOLE, moved(0, 0, 0, 0.5, -0.2, 0.0))
     assert flow.dtype == np.float32
     assert np.abs(flow - [-70.0 * 0.5 / 5.0, 70.0 * 0.2 / 5.0]).max() < 1e-5
 
 
-def test_forward_before_a_wall_all_grows() -> None:
+def test_forward_motion_before_a_wall_gives_expanding_flow() -> None:
     flow = static_flow(wall(PINHOLE, 5.0), PINHOLE, STILL, PINHOLE, moved(0, 0, 0, 0, 0, 1.0))
     u, v = np.meshgrid(np.arange(80) + 0.5 - 40, np.arange(60) + 0.5 - 30)
     assert np.abs(flow - np.stack([u, v], axis=-1) * (5.0 / 4.0 - 1.0)).max() < 1e-5
 
 
-def test_the_sky_moves_by_the_rotation_alone() -> None:
+def test_flow_of_the_sky_depends_only_on_rotation() -> None:
     level = Camera("pinhole", 80, 2, 70.0, 70.0, 40.0, 0.5)
     sky = np.full((2, 80), np.inf)
     turn = (0.0, 0.1, 0.0)
@@ -48,14 +48,14 @@ def test_the_sky_moves_by_the_rotation_alone() -> None:
     assert np.abs(still[0, :, 0] - expected).max() < 1e-5
 
 
-def test_standing_still_nothing_moves_and_what_gets_behind_has_no_pixel() -> None:
+def test_flow_is_zero_without_motion_and_nan_behind_the_camera() -> None:
     assert np.abs(static_flow(wall(FISHEYE, 3.0), FISHEYE, STILL, FISHEYE, STILL)).max() < 1e-6
     assert np.isnan(static_flow(wall(PINHOLE, 3.0), PINHOLE, STILL, PINHOLE, moved(0, 0, 0, 0, 0, 4.0))).all()
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 3e5])
-def test_points_of_a_sphere_and_a_floor_land_on_themselves(offset_m: float) -> None:
-    """Distances of one view, taken along the flow, are those of the other view's own rays."""
+def test_flow_maps_points_of_sphere_and_floor_onto_themselves(offset_m: float) -> None:
+    """Distances of one view, moved along the flow, match the other view's own rays."""
     shift = np.array([offset_m, -offset_m, 0.0])
     first = Poses(STILL.rotation, shift[None])
     later = Poses(moved(0.02, -0.05, 0.03, 0.3, 0.1, 0.4).rotation, np.array([[0.3, 0.1, 0.4]]) + shift)
@@ -75,11 +75,11 @@ def test_points_of_a_sphere_and_a_floor_land_on_themselves(offset_m: float) -> N
     points = first.transform((PINHOLE.rays().direction * there[..., None]).reshape(-1, 3))[0].reshape(60, 80, 3)
     expected = np.linalg.norm(points - later.translation[0], axis=-1)
     met = distances(FISHEYE, later, landed)
-    # The far side of the sphere's rim is hidden from the second place: there something nearer is met.
+    # The far side of the sphere is hidden from the second position, where a nearer surface is hit.
     assert (met < expected + 1e-3).all()
     assert (np.abs(met - expected) < 1e-3).mean() > 0.9
 
 
-def test_another_raster_is_refused() -> None:
+def test_a_different_raster_is_refused() -> None:
     with pytest.raises(UsageError, match=r"shape \(80, 60\)"):
         static_flow(np.ones((80, 60)), PINHOLE, STILL, PINHOLE, STILL)

@@ -1,4 +1,4 @@
-"""Looks over a footprint equal the mean of many samples of small footprints."""
+"""Tests of facades: the appearance of a footprint equals the mean over many small footprints."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def setting(dark: float) -> Records:
 
 @pytest.mark.parametrize("windows", list(Windows))
 @pytest.mark.parametrize("dark", [0.0, 1.0])
-def test_walls_are_averaged(windows: Windows, dark: float) -> None:
+def test_walls_are_means_of_samples(windows: Windows, dark: float) -> None:
     wall, light = face(17.0, 12.4, Material.FACADE, int(windows)), setting(dark)
     rng = np.random.default_rng(int(windows))
     for _ in range(12):
@@ -71,7 +71,7 @@ def test_walls_are_averaged(windows: Windows, dark: float) -> None:
         np.testing.assert_allclose(got, want, atol=2e-5)
 
 
-def test_a_footprint_beyond_the_face_is_that_of_the_face() -> None:
+def test_a_footprint_beyond_the_face_is_clipped() -> None:
     wall, light = face(9.0, 6.2, Material.FACADE, int(Windows.TALL)), setting(1.0)
     whole = wholly(wall, TABLE, light, 0.0, 0.0, 9.0, 6.2)
     np.testing.assert_allclose(wholly(wall, TABLE, light, 0.0, 0.0, 80.0, 80.0), whole, atol=1e-12)
@@ -79,13 +79,13 @@ def test_a_footprint_beyond_the_face_is_that_of_the_face() -> None:
         assert np.isfinite(wholly(wall, TABLE, light, u, v, 0.0, 0.0)).all()
 
 
-def test_by_day_nothing_shines_and_at_night_some_windows_do() -> None:
+def test_windows_emit_light_only_at_night() -> None:
     wall = face(30.0, 12.4, Material.FACADE, int(Windows.SASH))
     assert not wholly(wall, TABLE, setting(0.0), 0.0, 0.0, 30.0, 12.4)[3:6].any()
     assert wholly(wall, TABLE, setting(1.0), 0.0, 0.0, 30.0, 12.4)[3:6].min() > 0.0
 
 
-def test_the_share_of_lit_windows_is_the_settings() -> None:
+def test_share_of_lit_windows_matches_the_setting() -> None:
     light, lit, count = setting(1.0), 0, 0
     pattern = PATTERNS[Windows.MODERN]
     for seed in range(40):
@@ -105,7 +105,7 @@ def test_neighbours_with_other_seeds_differ() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("dark", [0.0, 1.0])
-def test_shop_fronts_are_averaged(seed: int, dark: float) -> None:
+def test_shop_fronts_are_means_of_samples(seed: int, dark: float) -> None:
     front, light = face(5.2, 3.1, Material.SHOPFRONT, 0, seed), setting(dark)
     rng = np.random.default_rng(seed)
     for _ in range(10):
@@ -115,7 +115,7 @@ def test_shop_fronts_are_averaged(seed: int, dark: float) -> None:
         np.testing.assert_allclose(got, want, atol=2e-5)
 
 
-def test_far_woods_lose_their_grain_with_distance() -> None:
+def test_distant_woods_have_no_grain() -> None:
     wood = face(9.0, 14.0, Material.SKYLINE, 0)
     near = [skyline(wood, u, 0.0, 0.1, 0.1)[1] for u in np.linspace(-4, 4, 60)]
     far = [skyline(wood, u, 0.0, 9.0, 9.0)[1] for u in np.linspace(-4, 4, 60)]

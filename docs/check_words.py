@@ -14,8 +14,30 @@ PLACES = (
     "docs/architecture.md",
     "docs/performance.md",
     "docs/loading.md",
+    "docs/conventions.md",
+    "docs/recordings.md",
+    "docs/schema.md",
+    "docs/weights.md",
+    "mirror/errors.py",
+    "mirror/recordings",
+    "mirror/schema",
+    "mirror/weights",
+    "tests/fuzz",
+    "tests/recordings",
+    "tests/schema",
+    "tests/weights",
 )
 """Where no retired word stands any more. A folder is added here when its words are swept."""
+ALLOWED = (
+    ("mirror/recordings/boreas.py", "pictures"),  # the value of the column `method`: it is in tables
+    ("mirror/schema/tables.py", "picture"),  # the documentation of columns: it is in the bytes of every table
+    ("mirror/schema/tables.py", "pictures"),
+    ("docs/schema.md", "picture"),  # generated from mirror/schema/tables.py
+    ("docs/schema.md", "pictures"),
+    ("mirror/schema/documents.py", "pictures"),  # a key of manifest.json
+    ("docs/recordings.md", "pictures"),  # the option `mirror check --pictures`
+)
+"""Words that stay in a file because they are serialized or are an option."""
 
 
 def retired() -> list[str]:
@@ -38,6 +60,8 @@ def main() -> int:
                 text = text.partition("## Retired words")[0]
             for number, line in enumerate(text.splitlines(), start=1):
                 for word in words.findall(line):
+                    if (str(file.relative_to(ROOT)), word) in ALLOWED:
+                        continue
                     hits += 1
                     print(f"{file.relative_to(ROOT)}:{number}: {word!r} is retired: see docs/glossary.md")
     return int(hits > 0)

@@ -1,4 +1,4 @@
-"""Errors that name the file, the place, what was expected and the remedy; and the exit codes of every verb."""
+"""Errors that name the file, the place, the expectation and the remedy; and the exit codes of every verb."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class ExitCode(IntEnum):
 
 
 class MirrorError(Exception):
-    """Something a user can act on.
+    """An error that the user can act on.
 
     Args:
         problem: what is wrong, with the offending value.
         file: the file or folder at fault.
-        place: where in it: a row, a column, a key, a camera.
-        expected: what would have been right.
-        remedy: what the user can do now.
+        place: the place in it: a row, a column, a key, a camera.
+        expected: what a right value is.
+        remedy: what the user can do.
     """
 
     def __init__(
@@ -78,16 +78,16 @@ def _rebuild(
 
 
 class UsageError(MirrorError):
-    """A call or a command line that cannot mean anything."""
+    """A call or a command line is not valid."""
 
 
 class RecordingError(MirrorError):
-    """A recording that cannot be used as it is."""
+    """A recording cannot be used as it is."""
 
 
 class SchemaError(MirrorError):
-    """A table or a JSON file that does not follow its schema, or follows another version of it."""
+    """A table or a JSON file does not follow its schema, or follows another version of it."""
 
 
 class DatasetError(MirrorError):
-    """A dataset that is missing, incomplete, locked, stale or in conflict with what was asked."""
+    """A dataset is missing, incomplete, locked, stale, or in conflict with the request."""

@@ -1,4 +1,4 @@
-"""Download one file: to a part beside it, verified, flushed, then named; a broken download leaves nothing behind."""
+"""Downloads one file under a temporary name, verifies it and renames it; a failed download leaves no file."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def download(url: str, target: Path, *, sha256: str | None, size: int | None = N
 
     Args:
         url: http, https or file.
-        target: what the file shall be called; its folder is created.
-        sha256: that it must have; None: not known.
-        size: bytes that it must have; None: not known. More are not read.
+        target: path of the downloaded file; its folder is created.
+        sha256: required SHA-256; None: not known.
+        size: required size in bytes; None: not known. The download stops at a larger size.
 
     Raises:
-        WeightsUnavailableError: it cannot be had, or is not what it should be.
+        WeightsUnavailableError: the file cannot be downloaded, or has another size or hash.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     digest, count = hashlib.sha256(), 0
@@ -42,7 +42,7 @@ def download(url: str, target: Path, *, sha256: str | None, size: int | None = N
             file.flush()
             os.fsync(file.fileno())
         if size is not None and count != size:
-            raise WeightsUnavailableError(f"{url} has another size than {size} bytes", file=target)
+            raise WeightsUnavailableError(f"the size of {url} is not {size} bytes", file=target)
         if sha256 not in (None, digest.hexdigest()):
             raise WeightsUnavailableError(
                 f"{url} is another file: its sha256 is {digest.hexdigest()}", file=target, expected=f"sha256 {sha256}"

@@ -1,4 +1,4 @@
-"""The one error that says that weights are missing or not those they should be."""
+"""The error for weights that are missing or have another hash."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from mirror.errors import MirrorError
 
 
 class WeightsUnavailableError(MirrorError):
-    """Weights that are needed are not there, or are others; the remedy says how to get the right ones."""
+    """Weights are missing or are not the published ones; the remedy names their sources."""

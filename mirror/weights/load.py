@@ -1,4 +1,4 @@
-"""Read a state dict: tensors only, nothing in the file is run."""
+"""Reads a state dict: only tensors are loaded, and no code in the file is run."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 def load_state_dict(path: Path, *, entry: str | None = None) -> dict[str, Tensor]:
-    """Tensors by name, on the CPU.
+    """Load the tensors of a file by name, on the CPU.
 
     Args:
-        path: what ``torch.save`` wrote of a state dict, or of a dict that holds one.
-        entry: which of the file's entries is the state dict; None: the file itself.
+        path: a file that ``torch.save`` wrote of a state dict, or of a dict that holds one.
+        entry: the entry of the file that is the state dict; None: the file itself is the state dict.
 
     Raises:
-        WeightsUnavailableError: the file holds anything but tensors by name.
+        WeightsUnavailableError: the file holds other values than tensors by name.
     """
     import torch
 
@@ -30,7 +30,7 @@ def load_state_dict(path: Path, *, entry: str | None = None) -> dict[str, Tensor
         raise WeightsUnavailableError(
             f"no state dict can be read without running code: {error}".splitlines()[0],
             file=path,
-            expected="a file that torch.save wrote of a state dict",
+            expected="a state dict, written by torch.save",
         ) from error
     if entry is not None:
         if not isinstance(state, dict) or entry not in state:

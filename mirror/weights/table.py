@@ -1,4 +1,4 @@
-"""The files of weights that are known, with their hashes, sizes, sources and licences; `docs/weights.md` shows them."""
+"""The known files of weights with their hashes, sizes, sources and licences; `docs/weights.md` lists them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ class WeightsFile:
     """A published file of weights.
 
     Attributes:
-        name: what this project calls it.
-        filename: what its publisher calls it.
-        sha256: of the file; None: no hash is published, and what is found is reported by the hash it has.
-        size: bytes; None: not known.
-        url: where it can be downloaded; None: only in packages.
-        packages: installed packages that carry it, as (package, path in it).
-        licence: of the weights, as the publisher states it.
-        purpose: the metrics or the estimators of depth that need it.
+        name: the name in this project.
+        filename: the publisher's file name.
+        sha256: SHA-256 of the file; None: no hash is published, and reports carry the hash of the file that is found.
+        size: size in bytes; None: not known.
+        url: address of the download; None: only packages contain the file.
+        packages: packages that contain the file, as (package, path in the package).
+        licence: licence of the weights, as the publisher states it.
+        purpose: the metrics or the depth estimators that need the file.
     """
 
     name: str

@@ -1,10 +1,10 @@
-"""Images of the synthetic street: time on one core against the error to 64 rays a pixel.
+"""Rendering of the synthetic street: time on one core against the error relative to 64 rays per pixel.
 
-``python -m benchmarks synth [--views N]``. The error of an image is the root mean square difference, in 8-bit steps,
-to the mean of 64 rays a pixel, each with its own shading and textures averaged over an eighth of the pixel, developed
-alike and without noise: 2.55 steps are 40 dB. Times are medians over views along the main street, warm; what compiling
-costs is a row of its own. Other numbers of rays a pixel stand beside the renderer's own as peers, and the figures of
-bounding-volume ray casting, measured on a similar machine, are quoted.
+``python -m benchmarks synth [--views N]``. The error of an image is the root mean square difference, in 8-bit steps, to
+the mean of 64 rays per pixel. Each of these rays has its own shading and textures averaged over an eighth of the pixel;
+both images are developed without noise. 2.55 steps are 40 dB. Times are warm medians over views along the main street;
+compilation has its own row. Other numbers of rays per pixel are listed as peers. The figures of ray casting with a
+bounding-volume hierarchy are quoted; they were measured on a similar machine.
 """
 
 from __future__ import annotations
@@ -53,22 +53,22 @@ import time
 start = time.perf_counter()
 import benchmarks.synth as bench
 imported = time.perf_counter()
-shot = next(bench.shots(bench.city(), "day", "clear", 1, 960))
+view = next(bench.make_views(bench.build_city(), "day", "clear", 1, 960))
 world = time.perf_counter()
-bench.image(shot)
+bench.render_view(view)
 print(imported - start, world - imported, time.perf_counter() - world)
 """
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
-    """One view to be rendered.
+class BenchmarkView:
+    """A view to be rendered.
 
     Attributes:
-        scene: in a condition.
-        instant: of it.
-        lens: the camera.
-        pose: of the camera.
+        scene: scene in a condition.
+        instant: instant of the scene.
+        lens: lens of the camera.
+        pose: pose of the camera.
     """
 
     scene: Scene
@@ -78,17 +78,17 @@ class Shot:
 
     @property
     def origin(self) -> Float64:
-        """(3,) place of the camera."""
+        """Position (3,) of the camera, world metres."""
         return self.pose.translation[0]
 
     @property
     def rotation(self) -> Float64:
-        """(3, 3) world_R_camera."""
+        """Rotation (3, 3) world_R_camera."""
         return matrix_from_quaternion(self.pose.rotation)[0]
 
 
-def city() -> World:
-    """The urban scene of 200 m."""
+def build_city() -> World:
+    """Build the urban scene with a radius of 200 m."""
     roi = Roi(
         scene_id="benchmark", longitude_deg=PLACE[0], latitude_deg=PLACE[1], radius_m=200.0, city="Karlsruhe",
         scene_type="urban", height_m=115.0,
@@ -96,8 +96,8 @@ def city() -> World:
     return build_world(roi, 24.0, 1)
 
 
-def shots(world: World, light: str, weather: str, views: int, width: int) -> Iterator[Shot]:
-    """Views along the longest lane, forwards and to the sides; noise and the camera's own exposure are off."""
+def make_views(world: World, light: str, weather: str, views: int, width: int) -> Iterator[BenchmarkView]:
+    """Yield views along the longest lane, forwards and to the sides, without noise and automatic exposure."""
     start = instant_of("2025-06-01", light, *PLACE)  # type: ignore[arg-type]
     effects = Effects(noise=False, exposure=False)
     scene = Scene(world, Condition(start, light, weather, effects=effects), world.parked, Model.empty())  # type: ignore[arg-type]
@@ -114,65 +114,65 @@ def shots(world: World, light: str, weather: str, views: int, width: int) -> Ite
         place = lane.line[at] + (0.0, 0.0, _EYE_M)
         pose = Poses(quaternion_from_matrix((turn @ _EGO_R_CAMERA)[None]), place[None])
         ego = Poses(np.array([[np.cos(0.5 * course), 0.0, 0.0, np.sin(0.5 * course)]]), lane.line[at][None])
-        yield Shot(scene, scene.at(3.0, ego), lens, pose)
+        yield BenchmarkView(scene, scene.at(3.0, ego), lens, pose)
 
 
-def picture(shot: Shot) -> UInt8:
-    """What the renderer makes of a view."""
-    return shot.scene.render(shot.instant, shot.lens, shot.pose).bgr
+def render_view(view: BenchmarkView) -> UInt8:
+    """Render a view."""
+    return view.scene.render(view.instant, view.lens, view.pose).bgr
 
 
-def light_of(shot: Shot, offsets: Float32, footprint_px: float) -> Float32:
-    """Radiance (H, W, 3) of a view with other rays a pixel."""
-    surroundings = shot.instant.surroundings
-    radiance = rasterize_view(surroundings, shot.lens, shot.rotation, shot.origin, offsets=offsets).radiance(
+def render_radiance(view: BenchmarkView, offsets: Float32, footprint_px: float) -> Float32:
+    """Radiance (H, W, 3) of a view with other rays per pixel."""
+    surroundings = view.instant.surroundings
+    radiance = rasterize_view(surroundings, view.lens, view.rotation, view.origin, offsets=offsets).radiance(
         footprint_px
     )
-    if shot.scene.light.record["wet"] > 0.0:
-        radiance = add_reflections(radiance, surroundings, shot.lens, shot.rotation, shot.origin)
+    if view.scene.light.record["wet"] > 0.0:
+        radiance = add_reflections(radiance, surroundings, view.lens, view.rotation, view.origin)
     return np.ascontiguousarray(radiance[..., :3])
 
 
-def developed(shot: Shot, light: Float32) -> UInt8:
-    """An image of radiance, as the renderer develops it."""
-    return develop(light, shot.scene.light.record, CameraResponse(), shot.scene.condition.effects, 0)
+def develop_view(view: BenchmarkView, light: Float32) -> UInt8:
+    """Develop radiance to an image as the renderer does."""
+    return develop(light, view.scene.light.record, CameraResponse(), view.scene.condition.effects, 0)
 
 
-def reference(shot: Shot) -> UInt8:
-    """The image of 64 rays a pixel."""
-    total = np.zeros((*shot.lens.rays.shape[:2], 3))
+def reference(view: BenchmarkView) -> UInt8:
+    """The image with 64 rays per pixel."""
+    total = np.zeros((*view.lens.rays.shape[:2], 3))
     for row in range(FINE):
         for column in range(FINE):
             offset = np.array([[(column + 0.5) / FINE - 0.5, (row + 0.5) / FINE - 0.5]], np.float32)
-            total += light_of(shot, offset, 1.0 / FINE)
-    return developed(shot, (total / FINE**2).astype(np.float32))
+            total += render_radiance(view, offset, 1.0 / FINE)
+    return develop_view(view, (total / FINE**2).astype(np.float32))
 
 
-def steps_off(picture: UInt8, truth: UInt8) -> float:
+def rms_steps(image: UInt8, truth: UInt8) -> float:
     """Root mean square difference, in 8-bit steps."""
-    return float(np.sqrt(np.mean((picture.astype(np.float64) - truth) ** 2)))
+    return float(np.sqrt(np.mean((image.astype(np.float64) - truth) ** 2)))
 
 
-def grid(side: int) -> Float32:
-    """Rays (side^2, 2) of a pixel on an upright grid."""
+def ray_grid(side: int) -> Float32:
+    """Rays (side^2, 2) of a pixel on a regular grid."""
     at = (np.arange(side) + 0.5) / side - 0.5
     return np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2).astype(np.float32)
 
 
-def pictures(world: World, views: int) -> Iterator[Row]:
-    """Time and error by light and size."""
+def view_rows(world: World, views: int) -> Iterator[Row]:
+    """Yield time and error by light and image size."""
     for light, weather in (("day", "clear"), ("night", "rain")):
         for width in (960, 480):
             times, errors, others = [], [], {1: ([], []), 16: ([], [])}  # type: ignore[var-annotated]
-            for shot in shots(world, light, weather, views, width):
-                truth = reference(shot)
-                times.append(_median_ms(lambda shot=shot: picture(shot)))
-                errors.append(steps_off(picture(shot), truth))
+            for view in make_views(world, light, weather, views, width):
+                truth = reference(view)
+                times.append(_median_ms(lambda view=view: render_view(view)))
+                errors.append(rms_steps(render_view(view), truth))
                 for rays, (spent, off) in others.items():
                     start = time.perf_counter()
-                    other = developed(shot, light_of(shot, grid(round(rays**0.5)), 1.0))
+                    other = develop_view(view, render_radiance(view, ray_grid(round(rays**0.5)), 1.0))
                     spent.append((time.perf_counter() - start) * 1e3)
-                    off.append(steps_off(other, truth))
+                    off.append(rms_steps(other, truth))
             peers = [
                 Peer(f"{rays} rays a pixel", float(np.median(spent)), float(np.max(off)))
                 for rays, (spent, off) in others.items()
@@ -190,22 +190,22 @@ def pictures(world: World, views: int) -> Iterator[Row]:
             )
 
 
-def truths(world: World, views: int) -> Iterator[Row]:
-    """What depth, normals, classes and instances cost beside an image."""
+def truth_rows(world: World, views: int) -> Iterator[Row]:
+    """Yield the cost of depth, normals, classes and instances in addition to an image."""
     alone, beside = [], []
-    for shot in shots(world, "day", "clear", views, 960):
-        view = shot.scene.render(shot.instant, shot.lens, shot.pose).view
+    for view in make_views(world, "day", "clear", views, 960):
+        rasterized = view.scene.render(view.instant, view.lens, view.pose).view
 
-        def truth(shot: Shot = shot) -> None:
-            view = rasterize_view(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
-            _ = view.distance_m, view.normal, view.label, view.object
+        def truth(view: BenchmarkView = view) -> None:
+            result = rasterize_view(view.instant.surroundings, view.lens, view.rotation, view.origin)
+            _ = result.distance_m, result.normal, result.label, result.object
 
-        def seen(shot: Shot = shot) -> None:
-            rasterize_view(shot.instant.surroundings, shot.lens, shot.rotation, shot.origin)
+        def surfaces_only(view: BenchmarkView = view) -> None:
+            rasterize_view(view.instant.surroundings, view.lens, view.rotation, view.origin)
 
-        alone.append(_median_ms(lambda shot=shot: picture(shot)))
-        beside.append(_median_ms(truth) - _median_ms(seen))
-        counts = view.counts
+        alone.append(_median_ms(lambda view=view: render_view(view)))
+        beside.append(_median_ms(truth) - _median_ms(surfaces_only))
+        counts = rasterized.counts
     share = 100.0 * float(np.median(beside)) / float(np.median(alone))
     yield Row("truth beside an image, % of its time", "960x540", share, bar=30.0)
     yield Row(
@@ -214,20 +214,20 @@ def truths(world: World, views: int) -> Iterator[Row]:
     )  # fmt: skip
 
 
-def preparations(world: World) -> Iterator[Row]:
-    """What is made once: worlds, shadows, instants, and machine code."""
+def preparation_rows(world: World) -> Iterator[Row]:
+    """Yield one-time costs: world, shadows, instant, compilation."""
     inside = _within(world, 200.0)
     yield Row(
         "primitives within 200 m, no ground, no leaves", "urban", inside, 0.0 if inside >= 3000 else 1.0, error_bar=0.5
     )
-    yield Row("a world", "urban", _median_ms(city, 3))
+    yield Row("a world", "urban", _median_ms(build_city, 3))
     start = instant_of("2025-06-01", "day", *PLACE)
     condition = Condition(start, "day", "clear")
 
-    def prepared() -> None:
+    def prepare_scene() -> None:
         Scene(world, condition, world.parked, Model.empty()).prepare()
 
-    yield Row("shadows and leaves of a condition", "urban", _median_ms(prepared, 3))
+    yield Row("shadows and leaves of a condition", "urban", _median_ms(prepare_scene, 3))
     scene = Scene(world, condition, world.parked, Model.empty())
     yield Row("an instant", f"{len(scene.road_users)} users", _median_ms(lambda: scene.around(1.0, np.zeros(3))))
     with tempfile.TemporaryDirectory() as cache:
@@ -246,7 +246,7 @@ def _within(world: World, radius: float) -> int:
 
 
 def _child(cache: str) -> list[float]:
-    """Seconds for imports, world and first image in a process of its own."""
+    """Seconds for imports, world and first image in a new process."""
     done = subprocess.run(
         [sys.executable, "-c", _CHILD], capture_output=True, text=True, check=True,
         env=dict(os.environ, NUMBA_CACHE_DIR=cache),
@@ -269,10 +269,10 @@ def main(argv: Sequence[str]) -> int:
     import cv2
 
     cv2.setNumThreads(1)
-    world = city()
+    world = build_city()
     groups = {
-        "pictures": pictures(world, options.views),
-        "truth": truths(world, options.views),
-        "made once": preparations(world),
+        "images": view_rows(world, options.views),
+        "truth": truth_rows(world, options.views),
+        "made once": preparation_rows(world),
     }
     return report("synth", groups, errors="8-bit steps, root mean square")

@@ -1,1 +1,1 @@
-"""Detectors on the synthetic street: which faces and number plates they find, by size."""
+"""Recall of face and number-plate detectors on the synthetic street, by size."""

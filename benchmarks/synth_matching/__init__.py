@@ -1,1 +1,1 @@
-"""Feature matching and rig bundle adjustment on the synthetic street, against its exact truth."""
+"""Feature matching and rig bundle adjustment on the synthetic street, compared with its exact truth."""

@@ -1,10 +1,10 @@
-"""Feature matching and rig bundle adjustment on the synthetic street, against its exact truth.
+"""Feature matching and rig bundle adjustment on the synthetic street, compared with its exact truth.
 
 ``python -m benchmarks synth_matching [--width W] [--frames N] [--draws N]``. SIFT features, two-view geometries and
 triangulation are pycolmap's (the ``calibration`` extra). Inliers are matches that fit one relative pose; their error is
-the distance to where the second image truly shows the first one's point. The rig, seven cameras through a turn, is
-adjusted from what is recorded of it: poses with a receiver's errors, a calibration with errors of mountings and lenses,
-clocks that are off; what remains is measured after one rigid alignment of all camera poses.
+the distance to the true position of the first image's point in the second image. The rig of seven cameras on a turn is
+adjusted from its recording: poses with a receiver's errors, a calibration with errors of mountings and lenses, and
+clocks with offsets. The remaining error is measured after one rigid alignment of all camera poses.
 """
 
 from __future__ import annotations
@@ -19,10 +19,16 @@ from typing import Final
 import numpy as np
 
 from benchmarks.report import Row, report
-from benchmarks.synth_matching.adjustment import Spread, adjusted
-from benchmarks.synth_matching.features import Features, errors_px, features, matches, verified
-from benchmarks.synth_matching.shots import Shot, taken, urban_drive
-from benchmarks.synth_matching.tracks import Key, Rig, triangulated
+from benchmarks.synth_matching.adjustment import Spread, adjust_rig
+from benchmarks.synth_matching.features import (
+    Features,
+    extract_features,
+    match_errors_px,
+    match_features,
+    verify_matches,
+)
+from benchmarks.synth_matching.posed_images import PosedImage, render_frames, urban_drive
+from benchmarks.synth_matching.tracks import Key, Rig, triangulate_tracks
 from mirror.arrays import Float64, Int64
 from mirror.geometry import Poses, interpolate, matrix_from_quaternion
 from mirror.schema.documents import CANONICAL_CAMERAS
@@ -56,115 +62,125 @@ _FEWEST: Final = 15
 
 
 @dataclass(frozen=True, eq=False)
-class Ride:
-    """Images of a rig on its way, and what matches in them.
+class RigRecording:
+    """Images of a moving rig, with their features and matches.
 
     Attributes:
-        drive: of which they are.
+        drive: drive of the images.
         instants_ns: (F,) true times of the frames.
-        shots: the images.
-        features: of them.
+        images: the images.
+        features: features of each image.
         matches: verified pairs (M, 2) of features of two images.
     """
 
     drive: SynthDrive
     instants_ns: Int64
-    shots: Mapping[Key, Shot]
+    images: Mapping[Key, PosedImage]
     features: Mapping[Key, Features]
     matches: Mapping[tuple[Key, Key], Int64]
 
     def errors_px(self, one: Key, other: Key) -> Float64:
-        """How far the matches of two images are off."""
+        """Errors of the matches of two images, pixels."""
         pairs = self.matches[one, other]
-        return errors_px(pairs, self.features[one], self.shots[one], self.features[other], self.shots[other])
+        return match_errors_px(pairs, self.features[one], self.images[one], self.features[other], self.images[other])
 
 
-def ride_through_turn(frames: int, width_px: int) -> Ride:
-    """The saloon turns right: only turning tells a lens from its mounting."""
+def record_turn(frames: int, width_px: int) -> RigRecording:
+    """Render and match a right turn of the saloon; only a turn separates lens errors from mounting errors."""
     drive = urban_drive("turn", width_px=width_px)
-    instants, cameras = _about_the_bend(drive, frames), list(drive.vehicle.cameras)
-    shots = {(f, name): shot for f, one in enumerate(taken(drive, instants, cameras)) for name, shot in one.items()}
-    wanted: list[tuple[Key, Key]] = []
+    instants, cameras = _instants_around_bend(drive, frames), list(drive.vehicle.cameras)
+    images = {
+        (f, name): shot for f, one in enumerate(render_frames(drive, instants, cameras)) for name, shot in one.items()
+    }
+    pairs_to_match: list[tuple[Key, Key]] = []
     for first in range(frames):
         along = [((first, name), (first + later, name)) for later in _LATER for name in cameras]
         aside = [((first, one), (first + later, other)) for later in range(3) for one, other in NEIGHBOURS]
-        wanted += [pair for pair in along + aside if pair[1][0] < frames]
+        pairs_to_match += [pair for pair in along + aside if pair[1][0] < frames]
     with ThreadPoolExecutor(2) as pool:
-        found = dict(zip(shots, pool.map(features, shots.values())))
+        found = dict(zip(images, pool.map(extract_features, images.values())))
 
-        def matched(pair: tuple[Key, Key]) -> Int64:
+        def match_pair(pair: tuple[Key, Key]) -> Int64:
             one, other = pair
-            return _fitting(found[one], shots[one], found[other], shots[other])
+            return _match_and_verify(found[one], images[one], found[other], images[other])
 
-        return Ride(drive, instants, shots, found, dict(zip(wanted, pool.map(matched, wanted))))
+        return RigRecording(
+            drive, instants, images, found, dict(zip(pairs_to_match, pool.map(match_pair, pairs_to_match)))
+        )
 
 
-def neighbour_rows(ride: Ride) -> Iterator[Row]:
-    """How much of neighbouring images matches, and how exactly."""
+def neighbour_rows(recording: RigRecording) -> Iterator[Row]:
+    """Yield numbers of inliers and errors of neighbouring images."""
     few, count = 0, 0
-    for name in ride.drive.vehicle.cameras:
-        pairs = [(one, other) for one, other in ride.matches if one[1] == other[1] == name and other[0] == one[0] + 1]
-        inliers = [len(ride.matches[pair]) for pair in pairs]
+    for name in recording.drive.vehicle.cameras:
+        pairs = [
+            (one, other) for one, other in recording.matches if one[1] == other[1] == name and other[0] == one[0] + 1
+        ]
+        inliers = [len(recording.matches[pair]) for pair in pairs]
         few, count = few + sum(number < FEW for number in inliers), count + len(inliers)
-        yield _row(f"inliers, frames 1 m apart, {name}", inliers, [ride.errors_px(*pair) for pair in pairs])
+        yield _row(f"inliers, frames 1 m apart, {name}", inliers, [recording.errors_px(*pair) for pair in pairs])
     yield Row(
         f"frames 1 m apart with less than {FEW} inliers (%)", f"{count} pairs", 100.0 * few / count, bar=FEW_PERCENT
     )
     for first, second in NEIGHBOURS:
         pairs = [
-            pair for pair in ride.matches if pair[0][0] == pair[1][0] and (pair[0][1], pair[1][1]) == (first, second)
+            pair
+            for pair in recording.matches
+            if pair[0][0] == pair[1][0] and (pair[0][1], pair[1][1]) == (first, second)
         ]
-        inliers = [len(ride.matches[pair]) for pair in pairs]
-        yield _row(f"inliers, {first} and {second}", inliers, [ride.errors_px(*pair) for pair in pairs])
+        inliers = [len(recording.matches[pair]) for pair in pairs]
+        yield _row(f"inliers, {first} and {second}", inliers, [recording.errors_px(*pair) for pair in pairs])
 
 
 def visit_rows(width_px: int) -> Iterator[Row]:
-    """How much of images matches that two traversals take at nearly the same place with the wide front camera."""
+    """Yield inliers and errors between two traversals, for front wide images at nearly the same positions."""
     camera = CANONICAL_CAMERAS[0]
     base = urban_drive("along", width_px=width_px)
-    seconds, places = _track(base)
+    seconds, places = _positions(base)
     driven = base.truth.driven_m(seconds)
     at = np.searchsorted(driven, np.linspace(0.1, 0.9, _PLACES) * driven[-1])
-    ours = [one[camera] for one in taken(base, _instants(base, seconds[at]), [camera])]
-    known = [features(shot) for shot in ours]
+    ours = [one[camera] for one in render_frames(base, _instants(base, seconds[at]), [camera])]
+    known = [extract_features(shot) for shot in ours]
     for visit, (name, light, weather, date) in enumerate(VISITS, start=1):
         other = urban_drive("along", light, weather, date=date, visit=visit, width_px=width_px)  # type: ignore[arg-type]
-        other_seconds, other_places = _track(other)
+        other_seconds, other_places = _positions(other)
         apart = np.linalg.norm(places[at][:, None] - other_places[None], axis=2)
-        theirs = [one[camera] for one in taken(other, _instants(other, other_seconds[apart.argmin(axis=1)]), [camera])]
+        theirs = [
+            one[camera] for one in render_frames(other, _instants(other, other_seconds[apart.argmin(axis=1)]), [camera])
+        ]
         inliers, errors = [], []
         for one, shot, there in zip(known, ours, theirs):
-            found = features(there)
-            pairs = _fitting(one, shot, found, there)
+            found = extract_features(there)
+            pairs = _match_and_verify(one, shot, found, there)
             inliers.append(len(pairs))
-            errors.append(errors_px(pairs, one, shot, found, there))
+            errors.append(match_errors_px(pairs, one, shot, found, there))
         yield _row(f"inliers, a day and {name}", inliers, errors)
         other.forget()
 
 
-def recorded_rig(ride: Ride, errors: Errors, draw: int) -> Rig:
-    """What a vehicle believes of itself: measured poses at recorded stamps, an online calibration."""
-    drive, vehicle = ride.drive, ride.drive.vehicle
+def recorded_rig(recording: RigRecording, errors: Errors, draw: int) -> Rig:
+    """The rig as recorded: measured poses at recorded timestamps, and an online calibration."""
+    drive, vehicle = recording.drive, recording.drive.vehicle
     rng = np.random.default_rng([drive.seed, draw])
     stamps = pose_stamps(drive)
     measured = errors.perturb_poses(drive.world_SE3_ego(stamps), drive.seconds(stamps), rng)
     clock = errors.draw_clocks(tuple(vehicle.cameras), rng)[CANONICAL_CAMERAS[0]]
     return Rig(
         {name: errors.perturb_camera(camera, rng) for name, camera in vehicle.cameras.items()},
-        _stacked([pose @ errors.online.draw(rng) for pose in vehicle.ego_SE3_camera.values()]),
-        interpolate(stamps, measured, ride.instants_ns + clock.error_ns),
+        _stack_poses([pose @ errors.online.draw(rng) for pose in vehicle.ego_SE3_camera.values()]),
+        interpolate(stamps, measured, recording.instants_ns + clock.error_ns),
     )
 
 
-def true_rig(ride: Ride) -> Rig:
-    """What it truly is."""
-    vehicle = ride.drive.vehicle
-    mountings = _stacked(list(vehicle.ego_SE3_camera.values()))
-    return Rig(vehicle.cameras, mountings, ride.drive.world_SE3_ego(ride.instants_ns))
+def true_rig(recording: RigRecording) -> Rig:
+    """The true rig."""
+    vehicle = recording.drive.vehicle
+    mountings = _stack_poses(list(vehicle.ego_SE3_camera.values()))
+    return Rig(vehicle.cameras, mountings, recording.drive.world_SE3_ego(recording.instants_ns))
 
 
-def adjust(ride: Ride, recorded: Rig, errors: Errors) -> Rig:
-    """Triangulate what matches and adjust the rig to it."""
+def adjust(recording: RigRecording, recorded: Rig, errors: Errors) -> Rig:
+    """Triangulate the matches and adjust the rig to them."""
     spread = Spread(
         position_m=errors.sigma_m,
         attitude_rad=np.radians(errors.attitude_noise_deg),
@@ -173,14 +189,14 @@ def adjust(ride: Ride, recorded: Rig, errors: Errors) -> Rig:
         focal_share=errors.focal_share,
         centre_share=errors.centre_share,
     )
-    fitting = {pair: found for pair, found in ride.matches.items() if len(found) >= _FEWEST}
-    return adjusted(recorded, triangulated(recorded, ride.features, fitting), spread)[0]
+    fitting = {pair: found for pair, found in recording.matches.items() if len(found) >= _FEWEST}
+    return adjust_rig(recorded, triangulate_tracks(recorded, recording.features, fitting), spread)[0]
 
 
-def off(rig: Rig, true: Rig) -> tuple[Float64, Float64]:
-    """How far (F, C) all camera poses are off after one rigid alignment: degrees, and centimetres.
+def pose_errors(rig: Rig, true: Rig) -> tuple[Float64, Float64]:
+    """Errors (F, C) of all camera poses after one rigid alignment: degrees, and centimetres.
 
-    The alignment is that of least squares, the angle of the bar weighing as much as its distance.
+    The alignment is a least-squares fit in which the rotation bar has the same weight as the position bar.
     """
     from scipy.spatial.transform import Rotation
 
@@ -197,17 +213,17 @@ def off(rig: Rig, true: Rig) -> tuple[Float64, Float64]:
     return np.degrees(apart).reshape(shape), 100.0 * aside.reshape(shape)
 
 
-def adjustment_rows(ride: Ride, draws: int) -> Iterator[Row]:
-    """How far the rig is off, as recorded and as adjusted: at most and by median, of all images and draws."""
-    errors, true = ride.drive.preset.errors, true_rig(ride)
+def adjustment_rows(recording: RigRecording, draws: int) -> Iterator[Row]:
+    """Yield the largest and the median error of the recorded and the adjusted rig, over all images and draws."""
+    errors, true = recording.drive.preset.errors, true_rig(recording)
     before, after, times = [], [], []
     for draw in range(draws):
-        recorded = recorded_rig(ride, errors, draw)
+        recorded = recorded_rig(recording, errors, draw)
         start = time.perf_counter()
-        rig = adjust(ride, recorded, errors)
+        rig = adjust(recording, recorded, errors)
         times.append(1e3 * (time.perf_counter() - start))
-        before.append(off(recorded, true))
-        after.append(off(rig, true))
+        before.append(pose_errors(recorded, true))
+        after.append(pose_errors(rig, true))
     size = f"{len(true.world_SE3_ego)} x 7, {draws} draws"
     for place, (what, bar, unit) in enumerate((("rotation", ROTATION_DEG, "deg"), ("position", POSITION_CM, "cm"))):
         was, now = (np.array([one[place] for one in many]) for many in (before, after))
@@ -217,21 +233,21 @@ def adjustment_rows(ride: Ride, draws: int) -> Iterator[Row]:
 
 
 def _row(name: str, inliers: Sequence[int], errors: Sequence[Float64]) -> Row:
-    """Medians."""
+    """A row of medians."""
     off_px = float(np.median(np.concatenate(errors)))
     return Row(name, f"{len(inliers)} pairs", float(np.median(inliers)), off_px, unit="px")
 
 
-def _fitting(one: Features, first: Shot, other: Features, second: Shot) -> Int64:
-    return verified(matches(one, other), one, first.camera, other, second.camera)
+def _match_and_verify(one: Features, first: PosedImage, other: Features, second: PosedImage) -> Int64:
+    return verify_matches(match_features(one, other), one, first.camera, other, second.camera)
 
 
-def _stacked(poses: Sequence[Poses]) -> Poses:
+def _stack_poses(poses: Sequence[Poses]) -> Poses:
     return Poses(np.concatenate([one.rotation for one in poses]), np.concatenate([one.translation for one in poses]))
 
 
-def _track(drive: SynthDrive) -> tuple[Float64, Float64]:
-    """Seconds (T,) of a drive, and where (T, 3) it then is."""
+def _positions(drive: SynthDrive) -> tuple[Float64, Float64]:
+    """Seconds (T,) of a drive, and its positions (T, 3)."""
     seconds = np.arange(0.0, drive.truth.duration_s, 0.05)
     return seconds, drive.truth.poses(seconds).translation
 
@@ -240,9 +256,9 @@ def _instants(drive: SynthDrive, seconds: Float64) -> Int64:
     return drive.condition.start_ns + np.round(seconds * 1e6).astype(np.int64) * 1000
 
 
-def _about_the_bend(drive: SynthDrive, frames: int) -> Int64:
-    """Times of frames a metre apart, half of them before the middle of the sharpest bend."""
-    seconds, _ = _track(drive)
+def _instants_around_bend(drive: SynthDrive, frames: int) -> Int64:
+    """Times of frames one metre apart, half of them before the middle of the sharpest bend."""
+    seconds, _ = _positions(drive)
     driven = drive.truth.driven_m(seconds)
     turns = matrix_from_quaternion(drive.truth.poses(seconds).rotation)
     course = np.unwrap(np.arctan2(turns[:, 1, 0], turns[:, 0, 0]))
@@ -252,17 +268,17 @@ def _about_the_bend(drive: SynthDrive, frames: int) -> Int64:
 
 def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks synth_matching")
-    parser.add_argument("--width", type=int, default=1280, help="of an image")
-    parser.add_argument("--frames", type=int, default=20, help="of the rig")
-    parser.add_argument("--draws", type=int, default=3, help="of recorded errors")
+    parser.add_argument("--width", type=int, default=1280, help="width of an image, px")
+    parser.add_argument("--frames", type=int, default=20, help="number of frames of the rig")
+    parser.add_argument("--draws", type=int, default=3, help="number of draws of the recorded errors")
     options = parser.parse_args(argv)
-    ride = ride_through_turn(options.frames, options.width)
+    recording = record_turn(options.frames, options.width)
     return report(
         "synth_matching",
         {
-            "neighbours": neighbour_rows(ride),
+            "neighbours": neighbour_rows(recording),
             "traversals": visit_rows(options.width),
-            "rig adjustment": adjustment_rows(ride, options.draws),
+            "rig adjustment": adjustment_rows(recording, options.draws),
         },
         errors="median error",
     )

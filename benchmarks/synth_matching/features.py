@@ -1,4 +1,4 @@
-"""SIFT features of images as pycolmap finds them, and their matches; how far off the truth they are."""
+"""SIFT features of images from pycolmap, their matches, and the errors of the matches."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.synth_matching.shots import Shot
+from benchmarks.synth_matching.posed_images import PosedImage
 from mirror.arrays import Float32, Float64, Int64, UInt8
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
@@ -28,9 +28,9 @@ class Features:
     """Features of one image.
 
     Attributes:
-        uv_px: (N, 2).
-        scale_px: (N,) their size: the larger, the less exact their place.
-        descriptors: (N, 128) of unit length.
+        uv_px: (N, 2) positions.
+        scale_px: (N,) sizes; larger features have less exact positions.
+        descriptors: (N, 128) descriptors of unit length.
     """
 
     uv_px: Float64
@@ -39,10 +39,10 @@ class Features:
 
 
 def colmap() -> Any:
-    """The module pycolmap, quiet.
+    """Import pycolmap without its log output.
 
-    Its wheel exports the symbols of a zlib of its own: where Python's zlib is imported later, that is bound to parts of
-    both, and crashes.
+    The pycolmap wheel exports symbols of its own zlib. If Python's zlib is imported after it, Python's zlib binds to
+    symbols of both and crashes, so zlib is imported first.
     """
     import zlib  # noqa: F401
 
@@ -53,13 +53,13 @@ def colmap() -> Any:
 
 
 def colmap_camera(camera: Camera, camera_id: int = 1) -> Any:
-    """A camera as pycolmap has it.
+    """Convert a camera to pycolmap's.
 
     Raises:
-        UsageError: COLMAP has no such model.
+        UsageError: COLMAP does not have the camera model.
     """
     if camera.model not in _MODELS:
-        raise UsageError(f"camera model {camera.model}", expected=f"one that COLMAP has: {', '.join(_MODELS)}")
+        raise UsageError(f"camera model {camera.model}", expected=f"a model of COLMAP: {', '.join(_MODELS)}")
     name, zeros = _MODELS[camera.model]
     params = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion, *[0.0] * zeros]
     return colmap().Camera(
@@ -67,27 +67,27 @@ def colmap_camera(camera: Camera, camera_id: int = 1) -> Any:
     )
 
 
-def features(shot: Shot, most: int = 4000) -> Features:
-    """SIFT features of what stands still.
+def extract_features(image: PosedImage, most: int = 4000) -> Features:
+    """Extract SIFT features of static surfaces.
 
     Args:
-        shot: the image.
-        most: how many at most; the larger ones are kept.
+        image: the image.
+        most: largest number of features; the larger features are kept.
     """
     pycolmap = colmap()
     options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=1)
     options.sift.max_num_features = most
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
-    grey: UInt8 = np.round(shot.bgr @ _GREY).astype(np.uint8)
+    grey: UInt8 = np.round(image.bgr @ _GREY).astype(np.uint8)
     keypoints, descriptors = extractor.extract_from_uint8_array(grey)
     table = np.asarray(pycolmap.keypoints_to_matrix(keypoints), np.float64)
-    still = shot.still[shot.pixels(table[:, :2])]
-    data = descriptors.data[still].astype(np.float32)
-    return Features(table[still, :2], table[still, 2], data / np.linalg.norm(data, axis=1, keepdims=True))
+    is_static = image.is_static[image.pixels(table[:, :2])]
+    data = descriptors.data[is_static].astype(np.float32)
+    return Features(table[is_static, :2], table[is_static, 2], data / np.linalg.norm(data, axis=1, keepdims=True))
 
 
-def matches(one: Features, other: Features) -> Int64:
-    """Pairs (M, 2) of features that are each other's nearest, and by far: COLMAP's rule with COLMAP's thresholds."""
+def match_features(one: Features, other: Features) -> Int64:
+    """Pairs (M, 2) of mutual nearest neighbours that pass the ratio test, by COLMAP's rule and thresholds."""
     if len(one.uv_px) < 2 or len(other.uv_px) < 2:
         return np.zeros((0, 2), np.int64)
     alike = one.descriptors @ other.descriptors.T
@@ -97,10 +97,10 @@ def matches(one: Features, other: Features) -> Int64:
     return np.stack([first, forth[first]], axis=1)
 
 
-def verified(
+def verify_matches(
     pairs: Int64, one: Features, first: Camera, other: Features, second: Camera, within_px: float = 2.0
 ) -> Int64:
-    """The pairs that fit one relative pose of calibrated cameras, as pycolmap estimates it."""
+    """The pairs that fit one relative pose of calibrated cameras, as estimated by pycolmap."""
     pycolmap = colmap()
     options = pycolmap.TwoViewGeometryOptions(detect_watermark=False)
     options.ransac.max_error, options.ransac.random_seed = within_px, 1
@@ -110,17 +110,17 @@ def verified(
     return np.asarray(geometry.inlier_matches, np.int64).reshape(-1, 2)
 
 
-def errors_px(pairs: Int64, one: Features, first: Shot, other: Features, second: Shot) -> Float64:
-    """How far (M,) matches are off: from where the second image shows the first's point to the matched feature.
+def match_errors_px(pairs: Int64, one: Features, first: PosedImage, other: Features, second: PosedImage) -> Float64:
+    """Errors (M,) of matches: distance from the first feature's true position in the second image to the matched one.
 
-    Infinite where the second image cannot show that.
+    The error is infinite where the second image does not show the point.
     """
-    there = second.image_of(first.points(one.uv_px[pairs[:, 0]]))
-    return np.nan_to_num(np.linalg.norm(there - other.uv_px[pairs[:, 1]], axis=1), nan=np.inf)
+    projected = second.image_of(first.points(one.uv_px[pairs[:, 0]]))
+    return np.nan_to_num(np.linalg.norm(projected - other.uv_px[pairs[:, 1]], axis=1), nan=np.inf)
 
 
 def _clear_nearest(alike: Float32) -> Int64:
-    """The nearest (N,) by similarity (N, K); -1 where it is far, or the second nearest nearly as near."""
+    """Nearest neighbours (N,) by similarity (N, K); -1 if the nearest is too far or the second nearest is too close."""
     rows = np.arange(len(alike))
     nearest = alike.argmax(axis=1)
     best = alike[rows, nearest]

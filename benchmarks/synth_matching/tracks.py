@@ -1,4 +1,4 @@
-"""Tracks of matched features, triangulated by pycolmap from the poses that are believed."""
+"""Tracks of matched features, triangulated by pycolmap from estimated poses."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 
 Key = tuple[int, str]
-"""Number of the frame, and camera."""
+"""Index of the frame, and name of the camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A rig on its way.
+    """A moving rig.
 
     Attributes:
-        cameras: lenses by name.
+        cameras: lenses, by name.
         ego_SE3_camera: mountings (C,), in the same order.
         world_SE3_ego: poses (F,) of the frames.
     """
@@ -42,15 +42,15 @@ class Rig:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """What several images see of the same points.
+    """Points and their observations in several images.
 
     Attributes:
-        points: (P, 3) world.
-        frame: (M,) number of the frame of an observation.
-        camera: (M,) number of its camera.
-        point: (M,) which point it is of.
-        uv_px: (M, 2).
-        scale_px: (M,) size of the features.
+        points: (P, 3) world points, metres.
+        frame: (M,) frame index of each observation.
+        camera: (M,) camera index of each observation.
+        point: (M,) point index of each observation.
+        uv_px: (M, 2) positions in the image.
+        scale_px: (M,) sizes of the features.
     """
 
     points: Float64
@@ -61,12 +61,12 @@ class Tracks:
     scale_px: Float64
 
 
-def triangulated(rig: Rig, features: Mapping[Key, Features], matches: Mapping[tuple[Key, Key], Int64]) -> Tracks:
+def triangulate_tracks(rig: Rig, features: Mapping[Key, Features], matches: Mapping[tuple[Key, Key], Int64]) -> Tracks:
     """Join matches to tracks and triangulate them.
 
     Args:
-        rig: as it is believed to be.
-        features: of all images.
+        rig: the estimated rig.
+        features: features of all images.
         matches: pairs (M, 2) of features of two images.
     """
     pycolmap = colmap()
@@ -74,54 +74,54 @@ def triangulated(rig: Rig, features: Mapping[Key, Features], matches: Mapping[tu
     ids = {key: number for number, key in enumerate(features, start=1)}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "matches.db"
-        there = _believed(rig, features, ids)
+        reconstruction = _to_reconstruction(rig, features, ids)
         with pycolmap.Database.open(path) as database:
-            for number, camera in there.cameras.items():
+            for number, camera in reconstruction.cameras.items():
                 database.write_camera(camera, use_camera_id=True)
-                database.write_rig(there.rigs[number], use_rig_id=True)
+                database.write_rig(reconstruction.rigs[number], use_rig_id=True)
             for key, number in ids.items():
-                database.write_frame(there.frames[number], use_frame_id=True)
-                database.write_image(there.images[number], use_image_id=True)
+                database.write_frame(reconstruction.frames[number], use_frame_id=True)
+                database.write_image(reconstruction.images[number], use_image_id=True)
                 database.write_keypoints(number, features[key].uv_px.astype(np.float32))
             for (one, other), pairs in matches.items():
-                database.write_two_view_geometry(ids[one], ids[other], _geometry(pairs))
+                database.write_two_view_geometry(ids[one], ids[other], _to_two_view_geometry(pairs))
         options = pycolmap.IncrementalPipelineOptions(extract_colors=False, random_seed=1)
         options.triangulation.random_seed = 1
-        found = pycolmap.triangulate_points(there, path, folder, folder, options=options)
+        triangulated = pycolmap.triangulate_points(reconstruction, path, folder, folder, options=options)
     keys = {number: key for key, number in ids.items()}
     points: list[Float64] = []
     rows: list[tuple[int, int, int, int]] = []
-    for number, point in enumerate(found.points3D.values()):
+    for number, point in enumerate(triangulated.points3D.values()):
         points.append(point.xyz)
-        for seen in point.track.elements:
-            frame, name = keys[seen.image_id]
-            rows.append((frame, names.index(name), number, seen.point2D_idx))
+        for observation in point.track.elements:
+            frame, name = keys[observation.image_id]
+            rows.append((frame, names.index(name), number, observation.point2D_idx))
     frame_of, camera_of, point_of, feature = np.array(rows, np.int64).reshape(-1, 4).T
-    every = [features[frame, names[camera]] for frame, camera in zip(frame_of, camera_of)]
+    features_by_row = [features[frame, names[camera]] for frame, camera in zip(frame_of, camera_of)]
     return Tracks(
         np.reshape(points, (-1, 3)), frame_of, camera_of, point_of,
-        np.array([one.uv_px[place] for one, place in zip(every, feature)]).reshape(-1, 2),
-        np.array([one.scale_px[place] for one, place in zip(every, feature)]),
+        np.array([one.uv_px[place] for one, place in zip(features_by_row, feature)]).reshape(-1, 2),
+        np.array([one.scale_px[place] for one, place in zip(features_by_row, feature)]),
     )  # fmt: skip
 
 
-def _believed(rig: Rig, features: Mapping[Key, Features], ids: Mapping[Key, int]) -> Any:
-    """The rig as pycolmap has it: every image a frame of its own."""
+def _to_reconstruction(rig: Rig, features: Mapping[Key, Features], ids: Mapping[Key, int]) -> Any:
+    """The rig as a pycolmap reconstruction; every image is its own frame."""
     pycolmap = colmap()
     names, poses = list(rig.cameras), rig.world_SE3_cameras().inverse()
-    there = pycolmap.Reconstruction()
+    reconstruction = pycolmap.Reconstruction()
     for number, camera in enumerate(rig.cameras.values(), start=1):
-        there.add_camera_with_trivial_rig(colmap_camera(camera, number))
+        reconstruction.add_camera_with_trivial_rig(colmap_camera(camera, number))
     for (frame, name), number in ids.items():
         place = names.index(name)
         row = frame * len(names) + place
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(np.roll(poses.rotation[row], -1)), poses.translation[row])
         image = pycolmap.Image(f"{frame}/{name}", features[frame, name].uv_px, camera_id=place + 1, image_id=number)
-        there.add_image_with_trivial_frame(image, pose)
-    return there
+        reconstruction.add_image_with_trivial_frame(image, pose)
+    return reconstruction
 
 
-def _geometry(pairs: Int64) -> Any:
+def _to_two_view_geometry(pairs: Int64) -> Any:
     pycolmap = colmap()
     return pycolmap.TwoViewGeometry(
         config=int(pycolmap.TwoViewGeometryConfiguration.CALIBRATED), inlier_matches=pairs.astype(np.uint32)

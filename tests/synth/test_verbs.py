@@ -20,9 +20,9 @@ from tests.leaderboard.test_add import result
 def test_synth_recordings_can_be_ingested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "fleet"
     assert main(["synth", "--out", str(out), "--preset", "tiny", "--traversals", "1", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert [Path(path).parent for path in said["recordings"]] == [out, out]
-    words = ["ingest", *said["recordings"], "--rois", said["rois"], "--dry-run", "--json"]
+    output = json.loads(capsys.readouterr().out)
+    assert [Path(path).parent for path in output["recordings"]] == [out, out]
+    words = ["ingest", *output["recordings"], "--rois", output["rois"], "--dry-run", "--json"]
     assert main(words) == 0
     drives = json.loads(capsys.readouterr().out)["drives"]
     assert sorted(drive["accepted"] for drive in drives.values()) == [0, 1]
@@ -43,9 +43,9 @@ def test_without_switches_effects_off_by_name(tmp_path: Path, capsys: pytest.Cap
     apart = [np.abs(written - one.render("front_wide", stamp).bgr.astype(int)).mean() for one in (shown, drive)]
     assert apart[0] < 0.75 * apart[1]
     assert main([*words[:2], str(tmp_path / "other"), "--without", "noise,fog"]) == 2
-    said = capsys.readouterr().err
-    assert "no effect 'fog'" in said
-    assert "motion_blur" in said
+    output = capsys.readouterr().err
+    assert "no effect 'fog'" in output
+    assert "motion_blur" in output
     assert not (tmp_path / "other").exists()
     assert main([*words[:2], str(tmp_path / "other"), "--preset", "paper", "--without", "noise"]) == 2
     assert "take another preset" in capsys.readouterr().err
@@ -82,7 +82,7 @@ def test_demo_replaces_only_its_own_folder(
     ran: list[list[str]] = []
     scores = {"reconstructed": 17.5, "nearest_frame": 13.25, "mean_color": 11.0}
 
-    def noted(words: list[str]) -> int:
+    def record_command(words: list[str]) -> int:
         ran.append(words)
         if words[1] == "evaluate":
             out = Path(words[words.index("--out") + 1])
@@ -94,12 +94,12 @@ def test_demo_replaces_only_its_own_folder(
             (out / "result.json").write_text(json.dumps({**result(), "figures": figures}))
         return 0
 
-    monkeypatch.setattr(mirror.cli.demo, "run", noted)
+    monkeypatch.setattr(mirror.cli.demo, "run", record_command)
     own = tmp_path / "own"
     assert demo(["--out", str(own)]) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert "  reconstructed PSNR 17.50 dB, PSNR* 20.50 dB on the held-out traversal" in told
-    assert "  nearest_frame PSNR 13.25 dB, PSNR* 16.25 dB on the held-out traversal" in told
+    lines = capsys.readouterr().out.splitlines()
+    assert "  reconstructed PSNR 17.50 dB, PSNR* 20.50 dB on the held-out traversal" in lines
+    assert "  nearest_frame PSNR 13.25 dB, PSNR* 16.25 dB on the held-out traversal" in lines
     boards = [words[1:3] for words in ran if words[1] in ("baseline", "leaderboard")]
     street = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["baseline", "mean_color"], ["leaderboard", "add"]]
     # The board, which is built last, also lists the block and its nearest-frame baseline.

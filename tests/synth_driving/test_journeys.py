@@ -24,7 +24,7 @@ ROI = Roi(scene_id="a", longitude_deg=8.0, latitude_deg=49.0, radius_m=street.RA
 
 
 @lru_cache
-def made(route: str, seed: int = 1) -> Journey:
+def journey_of(route: str, seed: int = 1) -> Journey:
     return simulate_journey(SITE, route, EGO, seed, fastest_mps=14.0, aside_m=0.1)
 
 
@@ -35,13 +35,13 @@ def footprint(length, width, x, y, yaw) -> Polygon:
 
 @pytest.mark.parametrize("route", ["along", "turn", "left"])
 def test_road_users_do_not_overlap(route) -> None:
-    found = made(route)
-    assert sum(isinstance(user.motion, TraceMotion) for user in found.road_users) > 15
-    for time_s in np.arange(0.0, found.drive.duration_s, 0.5):
-        along, _ = found.drive.schedule.at(np.array([time_s]))
-        (x, y, _, yaw, _, _), ahead = found.drive.trace.at(along)[0][0], 0.5 * EGO.length_m - EGO.rear_overhang_m
+    journey = journey_of(route)
+    assert sum(isinstance(user.motion, TraceMotion) for user in journey.road_users) > 15
+    for time_s in np.arange(0.0, journey.drive.duration_s, 0.5):
+        along, _ = journey.drive.schedule.at(np.array([time_s]))
+        (x, y, _, yaw, _, _), ahead = journey.drive.trace.at(along)[0][0], 0.5 * EGO.length_m - EGO.rear_overhang_m
         shapes = [footprint(EGO.length_m, EGO.width_m, x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw)]
-        for user in found.road_users:
+        for user in journey.road_users:
             at = user.motion.at(float(time_s))
             if np.hypot(at.x_m, at.y_m) < street.RADIUS + 50.0:
                 shapes.append(footprint(*user.body.size_m[:2], at.x_m, at.y_m, at.yaw_rad))
@@ -51,7 +51,7 @@ def test_road_users_do_not_overlap(route) -> None:
 
 @pytest.mark.parametrize("route", ["along", "turn", "twice", "uturn", "corner"])
 def test_motion_is_smooth_and_faces_forward(route) -> None:
-    drive = made(route).drive
+    drive = journey_of(route).drive
     step = 0.01
     time_s = np.arange(0.0, drive.duration_s, step)
     poses = drive.poses(time_s)
@@ -73,7 +73,7 @@ def test_motion_is_smooth_and_faces_forward(route) -> None:
 
 
 def test_recording_vehicle_stands_on_the_ground() -> None:
-    drive = made("turn").drive
+    drive = journey_of("turn").drive
     poses = drive.poses(np.linspace(0.0, drive.duration_s, 60))
     height = street.heights(poses.translation[:, 0], poses.translation[:, 1])
     assert poses.translation[:, 2] == pytest.approx(height, abs=0.01)
@@ -82,9 +82,9 @@ def test_recording_vehicle_stands_on_the_ground() -> None:
 
 
 def test_other_road_users_stand_on_the_ground_and_move_plausibly() -> None:
-    found = made("along")
-    times = np.arange(0.0, found.drive.duration_s, 0.1)
-    for user in found.road_users:
+    journey = journey_of("along")
+    times = np.arange(0.0, journey.drive.duration_s, 0.1)
+    for user in journey.road_users:
         if not isinstance(user.motion, TraceMotion):
             continue
         placed, _ = user.motion.trace.at(user.motion.schedule.at(times)[0])
@@ -113,7 +113,7 @@ EXPECTED = {
 @pytest.mark.parametrize("route", sorted(EXPECTED))
 def test_routes_reach_every_branch_of_the_trigger(route) -> None:
     for seed in (1, 2) if route in TIMED else (1,):
-        drive = made(route, seed).drive
+        drive = journey_of(route, seed).drive
         time_s = np.arange(0.0, drive.duration_s, 0.05)
         longitude, latitude, height = TangentFrame(8.0, 49.0).to_geodetic(drive.poses(time_s).translation)
         stamps = 1_700_000_000_000_000_000 + np.round(time_s * 1e9).astype(np.int64)
@@ -134,6 +134,6 @@ def test_journeys_repeat_with_the_seed_and_differ_without() -> None:
 def test_there_are_few_road_users_at_night() -> None:
     quiet = simulate_journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=TrafficDensity(0.15, 0.1))
     moving = [user for user in quiet.road_users if isinstance(user.motion, TraceMotion)]
-    assert len(moving) < 0.5 * sum(isinstance(user.motion, TraceMotion) for user in made("along").road_users)
+    assert len(moving) < 0.5 * sum(isinstance(user.motion, TraceMotion) for user in journey_of("along").road_users)
     alone = simulate_journey(SITE, "along", EGO, 1, fastest_mps=14.0, bustle=TrafficDensity(0.0, 0.0))
     assert not any(isinstance(user.motion, TraceMotion) for user in alone.road_users)

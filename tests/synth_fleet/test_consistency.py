@@ -27,7 +27,7 @@ def drives() -> list[SynthDrive]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenView:
     drive: SynthDrive
     camera: str
     instant: Instant
@@ -44,7 +44,7 @@ class Seen:
 
 
 @cache
-def views(number: int, moment: float) -> list[Seen]:
+def views(number: int, moment: float) -> list[SeenView]:
     drive = drives()[number]
     drive.prepare()
     stamp = drive.condition.start_ns + int(moment * drive.truth.duration_s * 1e9)
@@ -55,17 +55,17 @@ def views(number: int, moment: float) -> list[Seen]:
         view = rasterize_view(
             instant.surroundings, drive.lenses[camera], matrix_from_quaternion(pose.rotation)[0], pose.translation[0]
         )
-        found.append(Seen(drive, camera, instant, pose, view))
+        found.append(SeenView(drive, camera, instant, pose, view))
     return found
 
 
-def everything() -> Iterator[Seen]:
+def everything() -> Iterator[SeenView]:
     for number in range(2):
         for moment in MOMENTS:
             yield from views(number, moment)
 
 
-def still_points(seen: Seen, rng: np.random.Generator, count: int) -> np.ndarray:
+def static_points(seen: SeenView, rng: np.random.Generator, count: int) -> np.ndarray:
     """World points of static rigid surfaces through pixel centres."""
     view = seen.view
     label = view.label
@@ -76,7 +76,7 @@ def still_points(seen: Seen, rng: np.random.Generator, count: int) -> np.ndarray
     return seen.origin + view.distance_m.ravel()[picked, None] * rays
 
 
-def still_model(drive: SynthDrive) -> Model:
+def static_model(drive: SynthDrive) -> Model:
     """The world without the parts that change between traversals."""
     model = drive.world.model
     return Model(model.faces[model.faces["material"] != Material.LEAVES], model.corners, model.rounds[:0])
@@ -84,10 +84,10 @@ def still_model(drive: SynthDrive) -> Model:
 
 def test_points_of_one_view_reproject_into_the_others() -> None:
     rng = np.random.default_rng(1)
-    model = still_model(drives()[0])
+    model = static_model(drives()[0])
     checked = visible = 0
     for seen in everything():
-        points = still_points(seen, rng, 40)
+        points = static_points(seen, rng, 40)
         for other in rng.permutation(np.array(list(everything()), object))[:3]:
             away = points - other.origin
             far = np.linalg.norm(away, axis=1)
@@ -105,7 +105,7 @@ def test_a_projected_point_lies_on_the_surface_of_its_pixel() -> None:
     met = through = 0
     for number in range(2):
         for seen in views(number, MOMENTS[0]):
-            points = still_points(seen, rng, 400)
+            points = static_points(seen, rng, 400)
             for other in [*views(0, MOMENTS[0]), *views(0, MOMENTS[1]), *views(1, MOMENTS[1])]:
                 view = other.view
                 camera = other.drive.vehicle.cameras[other.camera]

@@ -61,10 +61,10 @@ def reference(radiance: np.ndarray, gains: np.ndarray, vignette: float, spilt: n
 
 @pytest.mark.parametrize("bright", [0.01, 1.0, 30.0])
 def test_levels_match_the_float64_reference_to_half_a_level(bright: float) -> None:
-    radiance, look = bright * street(), CameraResponse(tint=(0.97, 1.01, 1.04), vignette=0.3)
+    radiance, response = bright * street(), CameraResponse(tint=(0.97, 1.01, 1.04), vignette=0.3)
     effects = replace(NONE, white_balance=True, vignetting=True)
-    out = develop(radiance, fixed(0.7), look, effects, 0)
-    exact = reference(radiance, 0.7 * np.array([1.2, 1.0, 0.8]) * look.tint, 0.3, None)
+    out = develop(radiance, fixed(0.7), response, effects, 0)
+    exact = reference(radiance, 0.7 * np.array([1.2, 1.0, 0.8]) * response.tint, 0.3, None)
     assert np.abs(out - exact).max() < 0.6
 
 
@@ -93,11 +93,11 @@ def test_film_curve_is_smooth_and_increasing() -> None:
 def test_noise_has_mean_zero_and_the_stated_variance() -> None:
     read, shot, exposure = 0.004, 0.0006, 0.5
     effects = replace(NONE, noise=True)
-    look = CameraResponse(noise=1.5)
+    response = CameraResponse(noise=1.5)
     for value in (0.2, 0.5, 1.2):
         flat = np.full((400, 400, 3), value, np.float32)
         clean = reference(flat[:1, :1], np.full(3, exposure), 0.0, None)[0, 0, 0]
-        noisy = develop(flat, fixed(exposure, read, shot), look, effects, 5).astype(np.float64)
+        noisy = develop(flat, fixed(exposure, read, shot), response, effects, 5).astype(np.float64)
         light = exposure * value
         slope = 255.0 * (film(np.array(light + 1e-4)) - film(np.array(light - 1e-4))) / 2e-4
         variance = slope**2 * 1.5**2 * (read**2 + shot * light) + 1.0 / 12.0
@@ -127,11 +127,11 @@ def test_images_with_different_seeds_differ_only_in_noise() -> None:
 
 
 def test_result_does_not_depend_on_threads() -> None:
-    one, look, drops = record("night", "rain"), draw_camera_response(4), draw_lens_drops(1, 0.5)
+    one, response, drops = record("night", "rain"), draw_camera_response(4), draw_lens_drops(1, 0.5)
     motion = np.random.default_rng(0).normal(0.0, 3.0, (90, 160, 2)).astype(np.float32)
 
     def made(seed: int) -> bytes:
-        return develop(street(seed=seed % 3), one, look, Effects(), seed, motion=motion, drops=drops).tobytes()
+        return develop(street(seed=seed % 3), one, response, Effects(), seed, motion=motion, drops=drops).tobytes()
 
     alone = [made(seed) for seed in range(12)]
     with ThreadPoolExecutor(4) as pool:
@@ -140,26 +140,26 @@ def test_result_does_not_depend_on_threads() -> None:
 
 @pytest.mark.parametrize("effect", ["noise", "vignetting", "white_balance", "bloom", "motion_blur", "lens_drops"])
 def test_a_disabled_effect_has_no_influence(effect: str) -> None:
-    radiance, one, look = street(), record("night", "rain"), draw_camera_response(7)
+    radiance, one, response = street(), record("night", "rain"), draw_camera_response(7)
     radiance[40:44, 70:90] = 40.0
     drops, motion = draw_lens_drops(1, 90 / 160), np.full((90, 160, 2), 5.0, np.float32)
     assert len(drops)
     usual = replace(Effects(), exposure=False)
-    off = develop(radiance, one, look, replace(usual, **{effect: False}), 3, motion=motion, drops=drops)
-    bare, plain = one.copy(), look
+    off = develop(radiance, one, response, replace(usual, **{effect: False}), 3, motion=motion, drops=drops)
+    bare, plain = one.copy(), response
     match effect:
         case "noise":
             bare["read_noise"] = bare["shot_noise"] = 0.0
         case "vignetting":
-            plain = replace(look, vignette=0.0)
+            plain = replace(response, vignette=0.0)
         case "white_balance":
-            bare["white"], plain = 1.0, replace(look, tint=(1.0, 1.0, 1.0))
+            bare["white"], plain = 1.0, replace(response, tint=(1.0, 1.0, 1.0))
     expected = develop(
         radiance, bare, plain, replace(usual, bloom=effect != "bloom"), 3,
         motion=None if effect == "motion_blur" else motion, drops=None if effect == "lens_drops" else drops,
     )  # fmt: skip
     assert np.array_equal(off, expected)
-    assert not np.array_equal(off, develop(radiance, one, look, usual, 3, motion=motion, drops=drops))
+    assert not np.array_equal(off, develop(radiance, one, response, usual, 3, motion=motion, drops=drops))
 
 
 def test_vignette_depends_only_on_the_distance_from_the_middle() -> None:
@@ -256,8 +256,8 @@ def test_arrays_of_wrong_shape_or_type_are_refused(radiance: np.ndarray) -> None
 @settings(max_examples=30)
 @given(st.integers(0, 2**63 - 1))
 def test_camera_responses_differ_within_small_limits(seed: int) -> None:
-    look = draw_camera_response(seed)
-    assert look == draw_camera_response(seed)
-    assert abs(look.exposure_ev) < 1.0
-    assert all(0.8 < gain < 1.2 for gain in look.tint)
-    assert 0.1 <= look.vignette <= 0.3
+    response = draw_camera_response(seed)
+    assert response == draw_camera_response(seed)
+    assert abs(response.exposure_ev) < 1.0
+    assert all(0.8 < gain < 1.2 for gain in response.tint)
+    assert 0.1 <= response.vignette <= 0.3

@@ -17,11 +17,11 @@ from mirror.synth.model import flat
 PLACE = (8.4, 49.0)
 
 
-def lit(light: str, weather: str) -> Lighting:
+def lighting_of(light: str, weather: str) -> Lighting:
     return compute_lighting(Condition(instant_of("2025-05-10", light, *PLACE), light, weather), *PLACE)
 
 
-def seen(one: Lighting, direction: np.ndarray, spread: float = 0.002) -> np.ndarray:
+def radiance_at(one: Lighting, direction: np.ndarray, spread: float = 0.002) -> np.ndarray:
     setting = one.record.reshape(1).view(flat(LIGHTING))[0]
     return np.array(sky(one.dome, one.clouds, setting, *direction, spread))
 
@@ -75,13 +75,15 @@ def test_zenith_is_bluest_and_dusk_is_red_at_the_sunset() -> None:
 @pytest.mark.parametrize("weather", ["clear", "clouds", "rain"])
 @pytest.mark.parametrize("light", ["day", "dusk"])
 def test_ground_light_equals_the_integral_over_the_sky(light: str, weather: str) -> None:
-    one = lit(light, weather)
+    one = lighting_of(light, weather)
     rng = np.random.default_rng(1)
     # For cosine-weighted directions the mean radiance equals the light on the ground.
     i, j = np.meshgrid(np.arange(60), np.arange(60))
     radius, angle = np.sqrt((i + rng.random(i.shape)) / 60), 2 * np.pi * (j + rng.random(j.shape)) / 60
     away = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=-1).reshape(-1, 3)
-    radiance = np.array([seen(one, direction, 0.02) for direction in away if direction @ one.record["sun"] < 0.9999])
+    radiance = np.array(
+        [radiance_at(one, direction, 0.02) for direction in away if direction @ one.record["sun"] < 0.9999]
+    )
     assert one.record["sky_light"] == pytest.approx(radiance.mean(axis=0), rel=0.03)
 
 
@@ -98,7 +100,7 @@ def test_light_increases_with_the_suns_elevation() -> None:
 
 
 def test_direct_sunlight_is_about_four_times_the_sky_light() -> None:
-    record = lit("day", "clear").record
+    record = lighting_of("day", "clear").record
     luminance = np.array([0.2126, 0.7152, 0.0722])
     ratio = record["sun"][2] * (record["sunlight"] @ luminance) / (record["sky_light"] @ luminance)
     assert 2.5 < ratio < 5.0
@@ -110,19 +112,24 @@ def test_sky_is_finite_in_all_directions(vector: list[float], spread: float, tim
     direction = np.array(vector)
     length = np.linalg.norm(direction)
     direction = direction / length if length > 1e-6 else np.array([0.0, 0.0, -1.0])
-    one = lit("day", "clear")
+    one = lighting_of("day", "clear")
     moved = Lighting(one.at(time_s), one.dome, one.clouds)
-    radiance = seen(moved, direction, spread)
+    radiance = radiance_at(moved, direction, spread)
     assert np.isfinite(radiance).all()
     assert (radiance > 0.0).all()
 
 
 def test_sky_shows_the_sun_and_is_constant_below_the_horizon() -> None:
-    one = lit("day", "clear")
+    one = lighting_of("day", "clear")
     sun = one.record["sun"]
     aside = np.array([-sun[1], sun[0], 0.0])
-    assert seen(one, sun)[1] > 20 * seen(one, np.cos(0.05) * sun + np.sin(0.05) * aside / np.linalg.norm(aside))[1]
-    assert seen(one, np.array([0.6, 0.8, -1e-6])) == pytest.approx(seen(one, np.array([0.6, 0.8, 0.0])), rel=1e-4)
+    assert (
+        radiance_at(one, sun)[1]
+        > 20 * radiance_at(one, np.cos(0.05) * sun + np.sin(0.05) * aside / np.linalg.norm(aside))[1]
+    )
+    assert radiance_at(one, np.array([0.6, 0.8, -1e-6])) == pytest.approx(
+        radiance_at(one, np.array([0.6, 0.8, 0.0])), rel=1e-4
+    )
 
 
 def test_clouds_tile_move_and_have_the_stated_cover() -> None:
@@ -139,6 +146,6 @@ def test_clouds_tile_move_and_have_the_stated_cover() -> None:
         assert one.mean() == pytest.approx(finest.mean(), abs=1e-5)
         seam = np.abs(one[:, 0] - one[:, -1]).mean()
         assert seam < 2.5 * np.abs(np.diff(one, axis=1)).mean()
-    lighting_one = lit("day", "clear")
+    lighting_one = lighting_of("day", "clear")
     shift = lighting_one.at(100.0)["cloud_shift"] - lighting_one.record["cloud_shift"]
     assert np.hypot(*shift) == pytest.approx(0.4)

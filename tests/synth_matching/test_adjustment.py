@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("scipy", reason="scipy is absent: pip install '.[calibration]'")
 
-from benchmarks.synth_matching.adjustment import Spread, adjusted
-from benchmarks.synth_matching.benchmark import off
+from benchmarks.synth_matching.adjustment import Spread, adjust_rig
+from benchmarks.synth_matching.benchmark import pose_errors
 from benchmarks.synth_matching.features import Features
-from benchmarks.synth_matching.tracks import Key, Rig, Tracks, triangulated
+from benchmarks.synth_matching.tracks import Key, Rig, Tracks, triangulate_tracks
 from mirror.arrays import Int64
 from mirror.errors import UsageError
 from mirror.geometry import Poses, quaternion_from_matrix
@@ -87,8 +87,8 @@ def test_exact_tracks_recover_the_rig() -> None:
     recorded = perturb_intrinsics(rig, 1)
     start = replace(tracks, points=tracks.points + np.random.default_rng(2).normal(0.0, 0.05, tracks.points.shape))
     # The feature errors are negligible, so the tracks decide; the scale comes from the recorded poses.
-    found, residual = adjusted(recorded, start, replace(SPREAD, feature_px=1e-3))
-    before, after = off(recorded, rig), off(found, rig)
+    found, residual = adjust_rig(recorded, start, replace(SPREAD, feature_px=1e-3))
+    before, after = pose_errors(recorded, rig), pose_errors(found, rig)
     assert before[0].max() > 0.05
     assert after[0].max() < 2e-3
     assert after[1].max() < 2.0
@@ -98,8 +98,8 @@ def test_exact_tracks_recover_the_rig() -> None:
 
 def test_a_fitting_rig_is_unchanged() -> None:
     rig = true_rig(CAMERAS)
-    found, residual = adjusted(rig, tracks_of(rig), SPREAD)
-    angle, distance = off(found, rig)
+    found, residual = adjust_rig(rig, tracks_of(rig), SPREAD)
+    angle, distance = pose_errors(found, rig)
     assert angle.max() < 1e-6
     assert distance.max() < 1e-6
     assert residual.max() < 1e-6
@@ -109,9 +109,9 @@ def test_tracks_without_valid_points_are_refused() -> None:
     rig = true_rig(CAMERAS)
     tracks = tracks_of(rig)
     with pytest.raises(UsageError, match="points"):
-        adjusted(rig, replace(tracks, points=tracks.points + np.nan), SPREAD)
+        adjust_rig(rig, replace(tracks, points=tracks.points + np.nan), SPREAD)
     with pytest.raises(UsageError, match="0 points"):
-        adjusted(rig, Tracks(*(values[:0] for values in vars(tracks).values())), SPREAD)
+        adjust_rig(rig, Tracks(*(values[:0] for values in vars(tracks).values())), SPREAD)
 
 
 def test_wrong_matches_have_little_influence() -> None:
@@ -120,8 +120,8 @@ def test_wrong_matches_have_little_influence() -> None:
     rng = np.random.default_rng(6)
     wrong = rng.random(len(tracks.uv_px)) < 0.05
     noise = rng.normal(0.0, 0.15, tracks.uv_px.shape) + wrong[:, None] * rng.normal(0.0, 30.0, tracks.uv_px.shape)
-    found, _ = adjusted(perturb_intrinsics(rig, 3), replace(tracks, uv_px=tracks.uv_px + noise), SPREAD)
-    angle, distance = off(found, rig)
+    found, _ = adjust_rig(perturb_intrinsics(rig, 3), replace(tracks, uv_px=tracks.uv_px + noise), SPREAD)
+    angle, distance = pose_errors(found, rig)
     assert angle.max() < 0.05
     assert distance.max() < 4.0
 
@@ -129,11 +129,11 @@ def test_wrong_matches_have_little_influence() -> None:
 def test_only_a_rigid_alignment_is_removed() -> None:
     rig = true_rig(CAMERAS)
     moved = Poses.exp([[0.02, -0.01, 0.5, 3.0, -2.0, 1.0]])
-    angle, distance = off(replace(rig, world_SE3_ego=moved @ rig.world_SE3_ego), rig)
+    angle, distance = pose_errors(replace(rig, world_SE3_ego=moved @ rig.world_SE3_ego), rig)
     assert angle.max() < 1e-6
     assert distance.max() < 1e-9
     longer = Poses(rig.world_SE3_ego.rotation, 1.01 * rig.world_SE3_ego.translation)
-    assert off(replace(rig, world_SE3_ego=longer), rig)[1].max() > 2.0
+    assert pose_errors(replace(rig, world_SE3_ego=longer), rig)[1].max() > 2.0
 
 
 def test_pycolmap_triangulates_the_true_points() -> None:
@@ -155,7 +155,7 @@ def test_pycolmap_triangulates_the_true_points() -> None:
             common = sorted(places[one].keys() & places[other].keys())
             if common:
                 matches[one, other] = np.array([(places[one][p], places[other][p]) for p in common])
-    found = triangulated(rig, features, matches)
+    found = triangulate_tracks(rig, features, matches)
     assert len(found.points) > 60
     apart = np.linalg.norm(found.points[:, None] - exact.points[None], axis=2).min(axis=1)
     assert apart.max() < 1e-2

@@ -7,8 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.synth_matching.features import Features, colmap, colmap_camera, errors_px, features, matches, verified
-from benchmarks.synth_matching.shots import Shot, taken, urban_drive
+from benchmarks.synth_matching.features import (
+    Features,
+    colmap,
+    colmap_camera,
+    extract_features,
+    match_errors_px,
+    match_features,
+    verify_matches,
+)
+from benchmarks.synth_matching.posed_images import PosedImage, render_frames, urban_drive
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
@@ -29,7 +37,7 @@ def small_drive() -> SynthDrive:
     return make_drives("tiny", 3)[1][0]
 
 
-def pair_of_shots(width_px: int = 640) -> tuple[Shot, Shot]:
+def image_pair(width_px: int = 640) -> tuple[PosedImage, PosedImage]:
     drive = small_drive()
     drive = replace(
         drive, preset=replace(drive.preset, width_px=width_px), vehicle=replace(drive.vehicle, width_px=width_px)
@@ -38,13 +46,13 @@ def pair_of_shots(width_px: int = 640) -> tuple[Shot, Shot]:
     driven = drive.truth.driven_m(seconds)
     at = np.interp(0.4 * driven[-1] + np.array([0.0, 1.0]), driven, seconds)
     instants = drive.condition.start_ns + np.round(at * 1e9).astype(np.int64)
-    first, second = taken(drive, instants, ["front_wide"])
+    first, second = render_frames(drive, instants, ["front_wide"])
     return first["front_wide"], second["front_wide"]
 
 
 @pytest.fixture(scope="module")
-def shots() -> tuple[Shot, Shot]:
-    return pair_of_shots()
+def shots() -> tuple[PosedImage, PosedImage]:
+    return image_pair()
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.model)
@@ -79,7 +87,7 @@ def test_matches_agree_with_pycolmap() -> None:
     options.sift.cpu_brute_force_matcher = True
     matcher = pycolmap.FeatureMatcher.create(options, pycolmap.Device.cpu)
     theirs = {tuple(pair) for pair in matcher.match(ours, their_one, others, their_other).tolist()}
-    found = {tuple(pair) for pair in matches(one, other).tolist()}
+    found = {tuple(pair) for pair in match_features(one, other).tolist()}
     assert len(theirs) > 150
     # pycolmap assumes descriptor lengths of exactly 512, so ratios within rounding of the limit may differ.
     assert len(found ^ theirs) <= 0.02 * len(theirs)
@@ -88,10 +96,10 @@ def test_matches_agree_with_pycolmap() -> None:
 @pytest.mark.parametrize("count", [0, 1])
 def test_images_without_features_have_no_matches(count: int) -> None:
     none = Features(np.zeros((count, 2)), np.ones(count), np.full((count, 128), 128**-0.5, np.float32))
-    assert matches(none, none).shape == (0, 2)
+    assert match_features(none, none).shape == (0, 2)
 
 
-def test_surface_points_of_an_image_project_to_their_pixels(shots: tuple[Shot, Shot]) -> None:
+def test_surface_points_of_an_image_project_to_their_pixels(shots: tuple[PosedImage, PosedImage]) -> None:
     for shot in shots:
         uv = np.random.default_rng(3).uniform((0.0, 0.0), (shot.camera.width_px, shot.camera.height_px), (2000, 2))
         points = shot.points(uv)
@@ -110,7 +118,7 @@ def test_points_on_a_wall_match_the_closed_form() -> None:
     normal = np.array([0.6, 0.0, -0.8])
     rays = camera.rays().direction
     distance = -8.0 / (rays @ normal)
-    shot = Shot(
+    shot = PosedImage(
         np.zeros((360, 640, 3), np.uint8), camera, Poses.identity(), distance.astype(np.float32),
         np.broadcast_to(normal, (360, 640, 3)).astype(np.float32), np.ones((360, 640), np.bool_),
     )  # fmt: skip
@@ -118,10 +126,10 @@ def test_points_on_a_wall_match_the_closed_form() -> None:
     assert np.abs(shot.points(uv) @ normal + 8.0).max() < 1e-4
 
 
-def test_neighbouring_images_have_hundreds_of_accurate_matches(shots: tuple[Shot, Shot]) -> None:
-    one, other = (features(shot) for shot in shots)
-    pairs = verified(matches(one, other), one, shots[0].camera, other, shots[1].camera)
-    errors = errors_px(pairs, one, shots[0], other, shots[1])
+def test_neighbouring_images_have_hundreds_of_accurate_matches(shots: tuple[PosedImage, PosedImage]) -> None:
+    one, other = (extract_features(shot) for shot in shots)
+    pairs = verify_matches(match_features(one, other), one, shots[0].camera, other, shots[1].camera)
+    errors = match_errors_px(pairs, one, shots[0], other, shots[1])
     assert len(pairs) >= 200
     assert np.median(errors) < 0.6
     assert (errors < 3.0).mean() > 0.6

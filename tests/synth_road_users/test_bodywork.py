@@ -62,8 +62,8 @@ def test_footprints_are_means_of_samples(
         one = _face(material, panel, half, trial)
         u, v = rng.uniform(-1.0, 1.0, 2) * half
         fu, fv = 10.0 ** rng.uniform(-2.5, -0.8, 2)
-        told = np.array(bodywork(one, u, v, fu, fv, setting))
-        errors.append(np.abs(told - _mean(one, u, v, fu, fv, setting))[:6].max())
+        averaged = np.array(bodywork(one, u, v, fu, fv, setting))
+        errors.append(np.abs(averaged - _mean(one, u, v, fu, fv, setting))[:6].max())
     assert np.sqrt(np.mean(np.square(errors))) < most, f"worst {max(errors):.4f}"
 
 
@@ -76,10 +76,10 @@ def test_appearance_is_finite_and_bounded(material: Material) -> None:
         for panel in Panel:
             one = _face(material, panel, (0.5, 0.5), 1)
             for u, v in ((0.0, 0.0), (0.5, -0.5), (-1e4, 1e4)):
-                look = np.array(bodywork(one, u, v, footprint, footprint, setting))
-                assert np.isfinite(look).all()
-                assert (look >= 0.0).all()
-                assert look[:3].max() < 1.0
+                appearance = np.array(bodywork(one, u, v, footprint, footprint, setting))
+                assert np.isfinite(appearance).all()
+                assert (appearance >= 0.0).all()
+                assert appearance[:3].max() < 1.0
 
 
 def test_lamps_emit_light_only_when_switched_on() -> None:

@@ -23,14 +23,14 @@ def sampled(one: Records, table: Records, setting: Records, u: float, v: float, 
     for i in range(SAMPLES):
         for j in range(SAMPLES):
             x, y = u + ((i + 0.5) / SAMPLES - 0.5) * fu, v + ((j + 0.5) / SAMPLES - 0.5) * fv
-            look = facade(one, table, 1.0, x, y, fu / SAMPLES, fv / SAMPLES, setting)
+            appearance = facade(one, table, 1.0, x, y, fu / SAMPLES, fv / SAMPLES, setting)
             for k in range(7):
-                total[k] += look[k]
+                total[k] += appearance[k]
     return total / SAMPLES**2
 
 
 @njit
-def wholly(one: Records, table: Records, setting: Records, u: float, v: float, fu: float, fv: float) -> Float64:
+def evaluate(one: Records, table: Records, setting: Records, u: float, v: float, fu: float, fv: float) -> Float64:
     return np.array(facade(one, table, 1.0, u, v, fu, fv, setting))
 
 
@@ -40,9 +40,9 @@ def shop(one: Records, setting: Records, u: float, v: float, fu: float, fv: floa
     for i in range(count):
         for j in range(count):
             x, y = u + ((i + 0.5) / count - 0.5) * fu, v + ((j + 0.5) / count - 0.5) * fv
-            look = shopfront(one, 0.4, 0.3, 0.2, x, y, fu / count, fv / count, setting)
+            appearance = shopfront(one, 0.4, 0.3, 0.2, x, y, fu / count, fv / count, setting)
             for k in range(7):
-                total[k] += look[k]
+                total[k] += appearance[k]
     return total / count**2
 
 
@@ -67,22 +67,22 @@ def test_walls_are_means_of_samples(windows: Windows, dark: float) -> None:
         fu, fv = np.exp(rng.uniform(np.log(0.02), np.log(6.0), 2))
         u = rng.uniform(-0.5, 0.5) * (17.0 - fu)
         v = rng.uniform(-0.5, 0.5) * (12.4 - fv)
-        got, want = wholly(wall, TABLE, light, u, v, fu, fv), sampled(wall, TABLE, light, u, v, fu, fv)
+        got, want = evaluate(wall, TABLE, light, u, v, fu, fv), sampled(wall, TABLE, light, u, v, fu, fv)
         np.testing.assert_allclose(got, want, atol=2e-5)
 
 
 def test_a_footprint_beyond_the_face_is_clipped() -> None:
     wall, light = face(9.0, 6.2, Material.FACADE, int(Windows.TALL)), setting(1.0)
-    whole = wholly(wall, TABLE, light, 0.0, 0.0, 9.0, 6.2)
-    np.testing.assert_allclose(wholly(wall, TABLE, light, 0.0, 0.0, 80.0, 80.0), whole, atol=1e-12)
+    whole = evaluate(wall, TABLE, light, 0.0, 0.0, 9.0, 6.2)
+    np.testing.assert_allclose(evaluate(wall, TABLE, light, 0.0, 0.0, 80.0, 80.0), whole, atol=1e-12)
     for u, v in ((4.6, 0.0), (-40.0, 3.2), (0.0, -3.3), (4.5, 3.1)):
-        assert np.isfinite(wholly(wall, TABLE, light, u, v, 0.0, 0.0)).all()
+        assert np.isfinite(evaluate(wall, TABLE, light, u, v, 0.0, 0.0)).all()
 
 
 def test_windows_emit_light_only_at_night() -> None:
     wall = face(30.0, 12.4, Material.FACADE, int(Windows.SASH))
-    assert not wholly(wall, TABLE, setting(0.0), 0.0, 0.0, 30.0, 12.4)[3:6].any()
-    assert wholly(wall, TABLE, setting(1.0), 0.0, 0.0, 30.0, 12.4)[3:6].min() > 0.0
+    assert not evaluate(wall, TABLE, setting(0.0), 0.0, 0.0, 30.0, 12.4)[3:6].any()
+    assert evaluate(wall, TABLE, setting(1.0), 0.0, 0.0, 30.0, 12.4)[3:6].min() > 0.0
 
 
 def test_share_of_lit_windows_matches_the_setting() -> None:
@@ -93,13 +93,13 @@ def test_share_of_lit_windows_matches_the_setting() -> None:
         for i in range(10):
             for j in range(10):
                 u, v = -17.0 + 3.4 * (i + 0.5) + 0.25, -15.5 + 3.1 * j + pattern.sill_m + 0.3
-                lit, count = lit + int(wholly(wall, TABLE, light, u, v, 0.01, 0.01)[3] > 0.0), count + 1
+                lit, count = lit + int(evaluate(wall, TABLE, light, u, v, 0.01, 0.01)[3] > 0.0), count + 1
     assert lit / count == pytest.approx(0.45, abs=4 * np.sqrt(0.45 * 0.55 / count))
 
 
 def test_neighbours_with_other_seeds_differ() -> None:
     walls = [face(12.0, 9.0, Material.FACADE, int(Windows.SASH), seed) for seed in range(6)]
-    looks = {round(float(wholly(wall, TABLE, setting(1.0), 0.0, 0.0, 12.0, 9.0)[3]), 6) for wall in walls}
+    looks = {round(float(evaluate(wall, TABLE, setting(1.0), 0.0, 0.0, 12.0, 9.0)[3]), 6) for wall in walls}
     assert len(looks) > 3
 
 

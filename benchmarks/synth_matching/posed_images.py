@@ -1,4 +1,4 @@
-"""Images of the synthetic street with their truth: what feature matching and bundle adjustment are measured on."""
+"""Images of the synthetic street with their truth, for feature matching and bundle adjustment."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from mirror.synth.model import Label
 from mirror.synth.rigs import VEHICLE_TYPES, Vehicle
 
 SKY_M: Final = 1e6
-"""The sky is taken to be so far away."""
+"""Assumed distance of the sky."""
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
-    """One image with its truth.
+class PosedImage:
+    """An image with its truth.
 
     Attributes:
-        bgr: (H, W, 3).
+        bgr: (H, W, 3) pixels.
         camera: the true lens.
-        world_SE3_camera: the true pose; one.
-        distance_m: (H, W) along the rays of the pixels' centres, infinite for the sky.
-        normal: (H, W, 3) of the surfaces, world.
-        still: (H, W) whether the pixel shows what does not move: no road user on its way, and not the vehicle itself.
+        world_SE3_camera: the true pose, one.
+        distance_m: (H, W) distances along the rays of the pixel centres, infinite for the sky.
+        normal: (H, W, 3) normals of the surfaces, world frame.
+        is_static: (H, W) whether the pixel is static: neither a moving road user nor the recording vehicle.
     """
 
     bgr: UInt8
@@ -43,35 +43,35 @@ class Shot:
     world_SE3_camera: Poses
     distance_m: Float32
     normal: Float32
-    still: Bool
+    is_static: Bool
 
     @property
     def origin(self) -> Float64:
-        """(3,) the camera's place, world metres."""
+        """Position (3,) of the camera, world metres."""
         return self.world_SE3_camera.translation[0]
 
     def pixels(self, uv_px: Float64) -> tuple[Int64, Int64]:
-        """Rows and columns (N,) of the pixels in which points (N, 2) of the image lie."""
+        """Rows and columns (N,) of the pixels that contain points (N, 2) of the image."""
         column = np.clip(np.floor(uv_px[:, 0]), 0, self.camera.width_px - 1).astype(np.int64)
         row = np.clip(np.floor(uv_px[:, 1]), 0, self.camera.height_px - 1).astype(np.int64)
         return row, column
 
     def rays(self, uv_px: Float64) -> Float64:
-        """Unit directions (N, 3) of points of the image, world."""
+        """Unit directions (N, 3) of points of the image, world frame."""
         return self.camera.unproject(uv_px).direction @ matrix_from_quaternion(self.world_SE3_camera.rotation)[0].T
 
     def points(self, uv_px: Float64) -> Float64:
-        """World points (N, 3) that points (N, 2) of the image show: of the surface at the pixel's centre."""
+        """World points (N, 3) of points (N, 2) of the image, on the surface at the centre of the pixel."""
         row, column = self.pixels(uv_px)
         centre = self.rays(np.stack([column, row], axis=1).astype(np.float64) + 0.5)
-        own, normal = self.rays(uv_px), self.normal[row, column].astype(np.float64)
+        ray, normal = self.rays(uv_px), self.normal[row, column].astype(np.float64)
         distance, sky = self.distance_m[row, column].astype(np.float64), ~normal.any(axis=1)
-        distance[sky], normal[sky] = SKY_M, own[sky]
-        distance *= np.vecdot(normal, centre) / np.vecdot(normal, own)
-        return self.origin + distance[:, None] * own
+        distance[sky], normal[sky] = SKY_M, ray[sky]
+        distance *= np.vecdot(normal, centre) / np.vecdot(normal, ray)
+        return self.origin + distance[:, None] * ray
 
     def image_of(self, points: Float64) -> Float64:
-        """Where world points (N, 3) are imaged, (N, 2), NaN where nothing is defined."""
+        """Projections (N, 2) of world points (N, 3); NaN where undefined."""
         return self.camera.project(self.world_SE3_camera.inverse().transform(points)[0]).uv_px
 
 
@@ -85,16 +85,16 @@ def urban_drive(
     width_px: int = 960,
     visit: int = 0,
 ) -> SynthDrive:
-    """A drive through the urban scene of the preset ``benchmark``.
+    """Make a drive through the urban scene of the preset ``benchmark``.
 
     Args:
-        route: name of it.
-        light: of the drive.
-        weather: of the drive.
-        date: of the drive.
-        vehicle: its type; one and the same vehicle of that type.
-        width_px: of an image with share 1.
-        visit: other traffic, leaves and billboards in each.
+        route: name of the route.
+        light: light of the drive.
+        weather: weather of the drive.
+        date: date of the drive.
+        vehicle: vehicle type; always the same vehicle of that type.
+        width_px: width of an image with share 1.
+        visit: index of the visit; it changes traffic, leaves and billboards.
     """
     preset, drives = make_drives("benchmark", 0, scenes=1)
     drive = next(one for one in drives if one.recipe.route == route)
@@ -111,25 +111,25 @@ def urban_drive(
     )
 
 
-def taken(drive: SynthDrive, instants_ns: Int64, cameras: Sequence[str]) -> list[dict[str, Shot]]:
-    """Images of a drive: of some cameras at some instants."""
+def render_frames(drive: SynthDrive, instants_ns: Int64, cameras: Sequence[str]) -> list[dict[str, PosedImage]]:
+    """Render images of a drive by some cameras at some instants."""
     drive.prepare()
     moving = [number for number, user in enumerate(drive.road_users) if isinstance(user.motion, TraceMotion)]
 
-    def of(instant_ns: int) -> dict[str, Shot]:
-        instant, shots = drive.at(instant_ns), {}
+    def render_frame(instant_ns: int) -> dict[str, PosedImage]:
+        instant, images = drive.at(instant_ns), {}
         for name in cameras:
-            picture = drive.render(name, instant_ns, instant)
-            view = picture.view
-            shots[name] = Shot(
-                picture.bgr,
+            image = drive.render(name, instant_ns, instant)
+            view = image.view
+            images[name] = PosedImage(
+                image.bgr,
                 drive.vehicle.cameras[name],
                 drive.world_SE3_camera(name, np.array([instant_ns])),
                 view.distance_m,
                 view.normal,
                 ~((view.label == Label.EGO) | np.isin(view.object, moving)),
             )
-        return shots
+        return images
 
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(of, instants_ns.tolist()))
+        return list(pool.map(render_frame, instants_ns.tolist()))
